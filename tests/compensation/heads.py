@@ -1,5 +1,4 @@
-"""Compensated programs without the comments at their head that say where the numbers come from (see
-`tests.cli.test_warnings_travel`)."""
+"""Compensated programs without the warning comments at their head (see `tests.cli.test_warnings_travel`)."""
 
 from __future__ import annotations
 
@@ -9,7 +8,7 @@ from twin.compensation import Compensation
 
 
 def body(result: Compensation) -> str:
-    """The program without these comments; block numbers stay as they are."""
+    """Return the program without these comments; block numbers are kept."""
     head = {line.casefold() for one in result.report.warnings for line in wrap(f"twin: {one.text}", 72)}
     lines = result.text.splitlines(keepends=True)
     return "".join(line for line in lines if line.lstrip("0123456789 ;$(").rstrip(")\r\n").casefold() not in head)

@@ -1,4 +1,4 @@
-"""Poses of very many commands beside those meant: against the poses one by one, whichever way they are computed."""
+"""Pose comparison of many commands, checked against poses evaluated one by one, for all ways of computing them."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from twin.numerics.spatial import tilt
 LENGTH = 60.0
 LIMITS = np.array([[50.0, 450.0], [50.0, 400.0], [-350.0, -50.0], [10.0, 80.0], [10.0, 300.0]])
 ROUNDING_MM, ROUNDING_RAD = 1e-11, 1e-14
-"""Of lengths of a metre and cosines of at most one, some hundred roundings one after the other."""
+"""About a hundred successive roundings of lengths of a metre and cosines of at most one."""
 
 
 def lines(n: int, seed: int) -> Commands:
-    """Points on a hundred lines."""
+    """Return points on a hundred lines."""
     rng = np.random.default_rng(seed)
     begin = rng.uniform(LIMITS[:, 0], LIMITS[:, 1], (100, 5))
     return Commands(begin, rng.normal(size=(100, 5)), np.sort(rng.integers(0, 100, n)), rng.uniform(0.0, 1.0, n))
@@ -36,7 +36,7 @@ def lines(n: int, seed: int) -> Commands:
     ids=["CasADi", "NumPy", "compiled"],
 )
 @pytest.mark.usefixtures("eager")
-def test_poses_beside_those_meant(
+def test_poses_compared_with_nominal_ones(
     n: int, switch: str, dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(loading.SWITCH, switch)
@@ -45,35 +45,35 @@ def test_poses_beside_those_meant(
     comparison = PoseComparison(real, nominal)
     meant, given = lines(n, 5), lines(n, 6)
     found = comparison.poses(meant, given)
-    reached, target = real.forward(given.written()), nominal.forward(meant.written())
+    reached, target = real.forward(given.as_array()), nominal.forward(meant.as_array())
     distance = np.linalg.norm(reached.point_mm - target.point_mm, axis=1)
     assert np.abs(found.distance_mm - distance).max() <= ROUNDING_MM
     assert np.abs(found.angle_rad - angle_between_rad(reached.axis, target.axis)).max() <= ROUNDING_RAD
     leaning = np.einsum("nij,ni->nj", target.rotation, reached.axis)
-    assert np.abs(found.leaning - leaning).max() <= ROUNDING_RAD
+    assert np.abs(found.axis_in_nominal_frame - leaning).max() <= ROUNDING_RAD
     assert found.known.all()
     assert np.abs(comparison.distance_mm(meant, given) - distance).max() <= ROUNDING_MM
-    # The same written out; and of commands that are those meant only the errors are left.
-    plain = comparison.poses(Commands(meant.written()), Commands(given.written()))
+    # The same as arrays; with nominal commands as input, the deviation is that of the errors alone.
+    plain = comparison.poses(Commands(meant.as_array()), Commands(given.as_array()))
     assert np.abs(plain.distance_mm - distance).max() <= ROUNDING_MM
     errors = comparison.poses(given, given)
-    small = real.forward(given.written())
-    truth = nominal.forward(given.written())
+    small = real.forward(given.as_array())
+    truth = nominal.forward(given.as_array())
     assert np.abs(np.linalg.norm(small.point_mm - truth.point_mm, axis=1) - errors.distance_mm).max() <= ROUNDING_MM
-    assert tilt(errors.leaning) == pytest.approx(small.tilt_urad(truth) * 1e-6, abs=ROUNDING_RAD)
+    assert tilt(errors.axis_in_nominal_frame) == pytest.approx(small.tilt_urad(truth) * 1e-6, abs=ROUNDING_RAD)
     which = np.array([3, 1, 40])
-    assert np.array_equal(given.written(which), given.written()[which])
+    assert np.array_equal(given.as_array(which), given.as_array()[which])
 
 
-def test_what_is_not_known(dmu50: Machine, calibration: Calibration) -> None:
-    """No finite number, or outside a curve's domain by more than rounding; never an error."""
+def test_unknown_poses(dmu50: Machine, calibration: Calibration) -> None:
+    """Values that are not finite, or outside a curve's domain by more than rounding, give ``known`` False and never an error."""
     comparison = PoseComparison(Kinematics(dmu50, calibration), Kinematics(dmu50, Calibration.zero(dmu50)))
     lower, upper = calibration.domains()[0]
     q = np.tile(LIMITS.mean(axis=1), (7, 1))
     q[1, 2], q[2, 0], q[3, 0], q[4, 0], q[5, 0] = np.nan, upper + 1e-10, upper + 1e-8, lower - 1e-8, np.inf
     known = [True, False, True, False, False, False, True]
     assert comparison.poses(Commands(q), Commands(q)).known.tolist() == known
-    # What was meant is the machine as drawn, which has no curves.
+    # Nominal commands belong to the machine without errors, which has no curves.
     assert comparison.poses(Commands(q), Commands(q[:1].repeat(7, axis=0))).known.tolist() == [
         True, False, True, True, True, False, True,
     ]  # fmt: skip
@@ -81,7 +81,7 @@ def test_what_is_not_known(dmu50: Machine, calibration: Calibration) -> None:
 
 
 def test_sides_of_a_reversal(dmu50: Machine) -> None:
-    """Half its size either way, and nothing where the side is not known."""
+    """Half of the reversal value in either direction, zero where the direction is unknown."""
     reversed_ = replace(Calibration.zero(dmu50), extra=(Reversal(dmu50.by_name["X"], 6.0),))
     comparison = PoseComparison(Kinematics(dmu50, reversed_), Kinematics(dmu50, Calibration.zero(dmu50)))
     q = Commands(np.tile(LIMITS.mean(axis=1), (3, 1)))

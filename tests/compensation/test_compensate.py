@@ -1,4 +1,4 @@
-"""Compensated programs, executed on a truth machine that shares no code with `twin`."""
+"""Compensated programs, executed on an independent machine model that shares no code with `twin`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SAMPLES = Path(__file__).resolve().parents[2] / "twin" / "samples"
 LENGTH = 120.0
 # B and C at 0.001°, half of it 8.73 µrad each, turn the tool axis by at most sin 45° and 1 of that.
 ROUNDING_URAD = 15.0
-ROUNDING_UM = 0.9  # three linear words at 0.001 mm: half of 1.73 µm, and nothing else
+ROUNDING_UM = 0.9  # three linear words at 0.001 mm: half of 1.73 µm
 
 
 def compensate(
@@ -49,7 +49,9 @@ def truth(calibration: Calibration) -> TruthMachine:
     return TruthMachine(calibration.path, LENGTH)
 
 
-def test_cone_frustum_lands_where_it_was_meant(dmu50: Machine, calibration: Calibration, truth: TruthMachine) -> None:
+def test_the_compensated_cone_frustum_is_on_the_nominal_path(
+    dmu50: Machine, calibration: Calibration, truth: TruthMachine
+) -> None:
     text = (SAMPLES / "cone_frustum.nc").read_text()
     result = compensate(text, dmu50, calibration)
     meant = np.array([position for _, position in run_iso(text)])
@@ -66,10 +68,8 @@ def test_cone_frustum_lands_where_it_was_meant(dmu50: Machine, calibration: Cali
     assert result.report.complete
 
 
-def test_long_blocks_are_split_where_they_must_be(
-    dmu50: Machine, calibration: Calibration, truth: TruthMachine
-) -> None:
-    """Across the whole of X and through a turn of C: between ends no more than tolerance and rounding is left."""
+def test_long_blocks_are_split_to_the_tolerance(dmu50: Machine, calibration: Calibration, truth: TruthMachine) -> None:
+    """Across the whole of X and through a turn of C, the error between end points is no more than tolerance and rounding."""
     text = "G21 G90\nG0 X10 Y20 Z-100 B40 C0\nG1 X490 F500\nG1 Y400\nG1 C300\nG1 X100 Y50 Z-300 B70 C20\n"
     tolerance_um = 1.0
     result = compensate(text, dmu50, calibration, tolerance_mm=tolerance_um * 1e-3)
@@ -89,7 +89,7 @@ def test_long_blocks_are_split_where_they_must_be(
         wanted = meant[block - 1] + fractions[:, None] * (meant[block] - meant[block - 1])
         uncompensated = max(uncompensated, truth.deviations(wanted, wanted)[0].max())
     assert uncompensated > 50.0
-    # Rotary words rounded at two ends turn the tool between them: first order in it is solved for at the ends.
+    # Rotary words rounded at two end points turn the tool between them; the first-order effect is corrected at the end points.
     assert worst <= tolerance_um + ROUNDING_UM
 
 
@@ -98,8 +98,8 @@ def test_short_blocks_are_not_split(dmu50: Machine, calibration: Calibration) ->
     assert compensate(text, dmu50, calibration).report.added == 0
 
 
-def test_every_block_carries_what_it_needs(dmu50: Machine, calibration: Calibration, truth: TruthMachine) -> None:
-    """The classic defect: X is rewritten, the Y correction that changes with it is forgotten."""
+def test_every_block_carries_all_corrected_words(dmu50: Machine, calibration: Calibration, truth: TruthMachine) -> None:
+    """A classic defect: X is rewritten, but the correction of Y that changes with it is omitted."""
     text = "G90\nG0 X20 Y30 Z-50 B10 C15\n" + "".join(f"X{x}\n" for x in range(40, 480, 20)) + "Y200\nZ-300\n"
     result = compensate(text, dmu50, calibration)
     meant = np.array([p for _, p in run_iso(text)])
@@ -117,7 +117,7 @@ def test_every_block_carries_what_it_needs(dmu50: Machine, calibration: Calibrat
 def test_compensate_then_execute(
     dmu50: Machine, tmp_path_factory: pytest.TempPathFactory, seed: int, size: float, decimals: int
 ) -> None:
-    """Random machines, random programs with words left out at random."""
+    """Random machines and random programs with words omitted at random."""
     rng = np.random.default_rng(seed)
     calibration = random_calibration(dmu50, rng, size)
     path = tmp_path_factory.mktemp("truth") / "c.yaml"
@@ -151,8 +151,8 @@ def test_compensate_then_execute(
     assert urad.max() <= ROUNDING_URAD
 
 
-def test_tcp_and_axis_mode_put_the_tool_in_the_same_place(dmu50: Machine, calibration: Calibration) -> None:
-    """The frustum in three languages: the commands the control makes of the compensated words agree to rounding."""
+def test_tcp_and_axis_mode_reach_the_same_points(dmu50: Machine, calibration: Calibration) -> None:
+    """The frustum in three languages: the commands that follow from the compensated words agree to rounding."""
     found = {}
     for suffix in ("nc", "h", "cls"):
         result = compensate((SAMPLES / f"cone_frustum.{suffix}").read_text(), dmu50, calibration, f"cone.{suffix}")
@@ -197,7 +197,7 @@ def test_scope_decides_what_is_corrected_and_where(
 
 
 def test_three_axis_program_keeps_its_words(dmu50: Machine, calibration: Calibration, truth: TruthMachine) -> None:
-    """A program that names no rotary axis gets none: orientation is not its to carry."""
+    """A program that names no rotary axis gets no rotary words, so its orientation is not corrected."""
     text = "G90\nG0 X100 Y100 Z-100\nG1 X120 F300\nY140\n"
     result = compensate(text, dmu50, calibration)
     assert not set("BC") & set(body(result))
@@ -218,7 +218,7 @@ def test_out_of_range_is_listed_and_nothing_dropped(dmu50: Machine, calibration:
     assert (notes[3].worst, notes[3].unit, notes[3].missed) == (pytest.approx(100.0), "mm", (3,))
     assert "X600" in result.text
     assert not result.report.complete
-    # X = 0 with a positive error asks for X < 0: the axis stops at its limit and the report says so.
+    # X = 0 with a positive error needs X < 0: the axis stops at its limit and the report states it.
     assert "stopped at the limit" in notes[5].reason and notes[5].unit == "um"
 
 
@@ -233,7 +233,7 @@ def test_work_offset(dmu50: Machine, calibration: Calibration, truth: TruthMachi
 
 
 def test_work_origin_in_tcp(dmu50: Machine, calibration: Calibration) -> None:
-    """The same path with its zero moved: commands stay what they were."""
+    """The same path with its zero moved: the commands do not change."""
     plain = "G43.4 H1\nG0 X50 Y20 Z60 B40 C50\nG1 X40 F300\n"
     moved = "G43.4 H1\nG0 X40 Y10 Z50 B40 C50\nG1 X30 F300\n"
     a = compensate(plain, dmu50, calibration)
@@ -241,7 +241,7 @@ def test_work_origin_in_tcp(dmu50: Machine, calibration: Calibration) -> None:
     assert a.exact == pytest.approx(b.exact, abs=1e-8)
 
 
-def test_mode_tcp_is_the_program_switching_it_on(dmu50: Machine, calibration: Calibration) -> None:
+def test_mode_tcp_equals_switching_it_on_in_the_program(dmu50: Machine, calibration: Calibration) -> None:
     words = "G0 X50 Y20 Z60 B40 C50\nG1 X40 F300\n"
     switched = compensate("G43.4 H1\n" + words, dmu50, calibration)
     told = compensate(words, dmu50, calibration, tcp=True)
@@ -249,13 +249,13 @@ def test_mode_tcp_is_the_program_switching_it_on(dmu50: Machine, calibration: Ca
     assert told.exact == pytest.approx(switched.exact, abs=1e-12)
 
 
-def test_an_offset_without_words_to_add_it_to_is_said(dmu50: Machine, calibration: Calibration) -> None:
+def test_an_ignored_offset_is_noted(dmu50: Machine, calibration: Calibration) -> None:
     tip = compensate(
         "G43.4 H1\nG0 X50 Y20 Z60 B40 C50\n", dmu50, calibration, setup=Setup(work_offset={"X": 5.0, "B": 1.0})
     )
-    assert any("--work-origin" in note.text for note in tip.report.notes)
+    assert any("the work origin shifts" in note.text for note in tip.report.notes)
     axis = compensate("G0 X50 Y20 Z-60 B40 C50\n", dmu50, calibration, setup=Setup(work_origin_mm=(5.0, 0.0, 0.0)))
-    assert any("--work-offset" in note.text for note in axis.report.notes)
+    assert any("work offsets shift" in note.text for note in axis.report.notes)
 
 
 def test_arcs_become_chords(dmu50: Machine, calibration: Calibration, truth: TruthMachine) -> None:
@@ -275,7 +275,7 @@ def test_arcs_become_chords(dmu50: Machine, calibration: Calibration, truth: Tru
     assert all(code == "G1" for code, _ in run_iso(result.text)[1:])
 
 
-def test_feed_move_from_nowhere_is_refused(dmu50: Machine, calibration: Calibration) -> None:
+def test_feed_move_from_an_unknown_position_is_refused(dmu50: Machine, calibration: Calibration) -> None:
     with pytest.raises(InputError, match=r"p.nc:2: .*Y, Z"):
         compensate("G90\nG1 X10 F100\n", dmu50, calibration)
     with pytest.raises(InputError, match="motion"):
@@ -296,7 +296,7 @@ def test_report_reads_and_counts(dmu50: Machine, calibration: Calibration) -> No
 
 
 def uncertain(calibration: Calibration, u: float) -> Calibration:
-    """Every number of it with a standard uncertainty of ``u`` µm or µrad, independent."""
+    """Return the calibration with an independent standard uncertainty of ``u`` µm or µrad for every number."""
     names = tuple(parameter.name for effect in calibration.effects for parameter in effect.parameters)
     return replace(calibration, joint=Covariance(names, locked(u**2 * np.eye(len(names)))))
 
@@ -304,7 +304,7 @@ def uncertain(calibration: Calibration, u: float) -> Calibration:
 TURNS = "G90\nG0 X100 Y100 Z-100 B40 C10\nG1 X120 F300\nY140 B60\nZ-200 C200\n"
 
 
-def test_a_correction_says_how_well_it_is_known(dmu50: Machine, calibration: Calibration) -> None:
+def test_a_correction_is_reported_with_its_uncertainty(dmu50: Machine, calibration: Calibration) -> None:
     known = uncertain(calibration, 0.3)
     result = compensate(TURNS, dmu50, known)
     point, axis = result.report.uncertainty.point, result.report.uncertainty.axis
@@ -344,7 +344,7 @@ def test_a_correction_below_its_uncertainty_is_no_improvement(dmu50: Machine, ca
 
 
 def test_blocks_below_their_uncertainty_are_listed_by_line(dmu50: Machine) -> None:
-    """A scale error known to 3 µm (u): what it does at X 10 and 20 is below its U of 5.9 µm, what it does at X 490 is not."""
+    """A scale error known to 3 µm (u): its effect at X 10 and 20 is below U of 5.9 µm, at X 490 it is not."""
     curve = replace(random_calibration(dmu50, np.random.default_rng(2)).curves["E_XX"], coefficients=(50.0, 50.0))
     known = replace(
         Calibration.zero(dmu50),
@@ -357,12 +357,12 @@ def test_blocks_below_their_uncertainty_are_listed_by_line(dmu50: Machine) -> No
     assert point.shown is True
     assert point.expanded_rms == pytest.approx(1.96 * 3.0, rel=1e-4)
     assert point.max == pytest.approx(98.0, rel=1e-3) and point.max_line == 2
-    # 0.2 µm a mm; solving for it moves X, and with it the error, by a part in 5000.
+    # 0.2 µm per mm; the correction moves X, and with it the error, by 1/5000.
     assert {one.line: round(one.correction, 2) for one in point.below} == {3: 4.0, 5: 2.0}
     assert "in 2 of 4 blocks" in report.to_text() and "line 3: correction 4.0 µm, U 5.9 µm" in report.to_text()
 
 
-def test_an_unknown_uncertainty_is_said(dmu50: Machine, calibration: Calibration) -> None:
+def test_an_unknown_uncertainty_is_reported(dmu50: Machine, calibration: Calibration) -> None:
     none = compensate(TURNS, dmu50, calibration).report
     assert "uncertainty of the correction: unknown (no covariance in the calibration: E_XX, E_YX" in none.to_text()
     data = none.to_dict()["uncertainty"]["point"]
@@ -372,9 +372,12 @@ def test_an_unknown_uncertainty_is_said(dmu50: Machine, calibration: Calibration
     some = replace(full, joint=full.joint.where(lambda name: not name.startswith("E_XX")))
     part = compensate(TURNS, dmu50, some).report
     point = part.uncertainty.point
-    assert point is not None and point.shown is None  # large enough for the U that is known, and that is not all of it
-    assert "U at least" in part.to_text() and "known in part (no covariance in the calibration: E_XX)" in part.to_text()
-    # What is not in scope is not corrected, and no uncertainty of the correction.
+    assert point is not None and point.shown is None  # larger than the known U, which is only a lower bound
+    assert (
+        "U at least" in part.to_text()
+        and "known only in part (no covariance in the calibration: E_XX)" in part.to_text()
+    )
+    # An error out of scope is not corrected and has no part in the uncertainty of the correction.
     scoped = compensate(TURNS, dmu50, some, scope=Scope.parse(["L-STR"])).report.uncertainty
     assert scoped.point is not None and scoped.point.without_uncertainty == () and scoped.axis is None
     assert scoped.point.expanded_rms < point.expanded_rms
@@ -382,10 +385,10 @@ def test_an_unknown_uncertainty_is_said(dmu50: Machine, calibration: Calibration
     assert turned.point is None and turned.axis is not None and turned.axis.shown is True
 
 
-def test_the_uncertainty_covers_what_compensation_leaves(
+def test_the_uncertainty_covers_the_residual_of_a_compensation(
     dmu50: Machine, calibration: Calibration, tmp_path: Path
 ) -> None:
-    """Machines drawn about the calibration run what was compensated with it: 95 % of them end within U of where they should."""
+    """Machines drawn from the calibration's distribution execute the compensated program: 95 % of the end points are within U."""
     known = uncertain(calibration, 10.0)
     result = compensate(TURNS, dmu50, known)
     known.save(tmp_path / "c.yaml")

@@ -1,4 +1,4 @@
-"""Programs compensated for reversals, temperatures and a warm-up, run on a worn, warm machine that shares no code with `twin`."""
+"""Programs compensated for backlash, temperatures and warm-up, executed on a worn, warm machine that shares no code with `twin`."""
 
 from __future__ import annotations
 
@@ -22,10 +22,9 @@ from twin import cli, compensate
 from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator, Options
-from twin.compensation.backlash import LostMotion
+from twin.compensation.backlash import Backlash
 from twin.compensation.execute import execute
-from twin.compensation.toolpath import Path as ToolPath
-from twin.compensation.toolpath import WordSpace, follow
+from twin.compensation.toolpath import ToolPath, WordSpace, follow
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
@@ -66,7 +65,7 @@ Y_TURNS = 10  # from nowhere; at 140, 90, 130; where the circle begins, on its t
 
 
 class WornMachine(TruthMachine):
-    """The truth machine with reversals, warm scales and a creeping spindle, written from the words of the contract's table."""
+    """The independent machine with backlash, warm scales and spindle growth, implemented from the table of effects."""
 
     def __init__(
         self,
@@ -85,7 +84,7 @@ class WornMachine(TruthMachine):
         self.shift_um = np.array(shift_um)
 
     def run(self, commands: np.ndarray) -> np.ndarray:
-        """(n, 3) points it reaches, mm: an axis that lags (negative) plays, one that jumps ahead does so with the first step back."""
+        """Return (n, 3) tool points, mm: an axis that lags (negative) has play, one that jumps ahead does so at the first step back."""
         sides = np.zeros(commands.shape)
         for name in self.reversal:
             axis = AXES.index(name)
@@ -101,7 +100,7 @@ class WornMachine(TruthMachine):
         return np.array([self.worn(q, side)[:3, 3] for q, side in zip(commands, sides, strict=True)])
 
     def lost(self, name: str, q: float) -> float:
-        """The reversal where an axis stands, µm or µrad: a constant and what changes evenly over the range."""
+        """Return the reversal value at an axis position, µm or µrad: a constant plus a linear change over the range."""
         mean, change = self.reversal.get(name, (0.0, 0.0))
         if change == 0.0:
             return mean
@@ -151,13 +150,13 @@ def done(
 
 
 def densely(rows: np.ndarray, points: int = 8) -> np.ndarray:
-    """The way through rows, straight, ``points`` to each."""
+    """Return straight lines through rows, with ``points`` points each."""
     share = (np.arange(points) + 1.0) / points
     return np.concatenate([rows[:1], *(a + share[:, None] * (b - a) for a, b in pairwise(rows))])
 
 
 def taking_up(result: Compensation) -> np.ndarray:
-    """(rows,) blocks that stand where the one before ended: those added to take up a reversal."""
+    """Return (rows,) whether a block starts where the one before ended: the inserted backlash moves."""
     return np.append(False, (np.diff(result.nominal, axis=0) == 0.0).all(axis=1))
 
 
@@ -166,7 +165,7 @@ def taking_up(result: Compensation) -> np.ndarray:
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_turns_quadrants_and_five_axes(dmu50: Machine, tmp_path: Path, sign: float) -> None:
-    """Block ends and interiors, in the order in which they are run; 12 µm of Y, 60 µrad of B, X at 26 °C."""
+    """End points and interiors of blocks, in order; 12 µm of Y, 60 µrad of B, X at 26 °C."""
     path = extended(tmp_path, reversal("Y", 12.0 * sign), reversal("B", 60.0 * sign), EXPANSION)
     truth = WornMachine(path, reversal={"Y": 12.0 * sign, "B": 60.0 * sign}, expansion={"X": 11.0}, warm=WARM)
     result = done(PROGRAM, dmu50, path, conditions=Conditions(WARM))
@@ -178,7 +177,7 @@ def test_turns_quadrants_and_five_axes(dmu50: Machine, tmp_path: Path, sign: flo
     after = truth.off(densely(commands), densely(result.nominal))
     assert np.sqrt(np.mean(before**2)) > 12.0
     there = cut & ~np.repeat(taking_up(result), 8)[7:]
-    assert np.sqrt(np.mean(after[there] ** 2)) < 0.5  # of which rounding is all but some hundredths
+    assert np.sqrt(np.mean(after[there] ** 2)) < 0.5  # almost all of it rounding
     assert after[there].max() <= ROUNDING_UM
     if sign < 0.0:  # an axis that lags stands still while its play is taken up
         assert after[cut].max() <= ROUNDING_UM + 1.0
@@ -191,14 +190,14 @@ def test_turns_quadrants_and_five_axes(dmu50: Machine, tmp_path: Path, sign: flo
     assert "(a comment)" in result.text and "M8" in result.text
 
 
-def test_the_step_stands_in_front_of_the_way_back(dmu50: Machine, tmp_path: Path) -> None:
+def test_the_backlash_move_precedes_the_way_back(dmu50: Machine, tmp_path: Path) -> None:
     text = "G90\nG0 X100 Y100 Z-100 B30 C10\nG1 Y110 F500 (up)\nX120\nY120\nX100\nY90 (down)\nY80\nG0 Y100\nG1 Y105\n"
     lagging = body(done(text, dmu50, extended(tmp_path, reversal("Y", -12.0))))
     assert lagging == (
         "G90\nG0 X100 Y100 Z-100 B30 C10\nG1 Y100.006 F500 (up)\nY110.006\nX120\nY120.006\nX100\nY119.994 (down)\nY89.994\n"
         "Y79.994\nG0 Y100.006\nG1 Y105.006\n"
     )
-    # Jumping ahead: beyond what takes it up, and back, so that the axis has turned before the way back begins.
+    # Jumping ahead: beyond the corrected position and back, so that the axis has reversed before the way back begins.
     ahead = body(done(text, dmu50, extended(tmp_path, reversal("Y", 12.0))))
     assert "X100\nY120.009 (down)\nY120.006\nY90.006\nY80.006\nG0 Y99.994\n" in ahead
 
@@ -215,8 +214,8 @@ def test_a_circle_is_cut_at_its_quadrants(dmu50: Machine, tmp_path: Path) -> Non
     assert np.hypot(*(result.nominal[on, :2] - [170.0, 120.0]).T) == pytest.approx(radius, abs=1e-9)
 
 
-def test_axes_that_turn_inside_a_block_of_tool_tip_coordinates(dmu50: Machine, tmp_path: Path) -> None:
-    """At B = 0 the tip turns with the table: X and Y of the machine go round a circle though no word of them changes."""
+def test_axes_that_reverse_inside_a_tool_tip_block(dmu50: Machine, tmp_path: Path) -> None:
+    """At B = 0 the tip moves with the table: the machine's X and Y follow a circle although their words do not change."""
     path = extended(tmp_path, reversal("X", -10.0), reversal("Y", -12.0))
     result = done("G43.4 H1\nG0 X60 Y0 Z50 B0 C0\nG1 C350 F500\n", dmu50, path, scope=Scope.parse(["L-POS"]))
     turned = result.nominal[taking_up(result)]
@@ -231,7 +230,7 @@ def test_axes_that_turn_inside_a_block_of_tool_tip_coordinates(dmu50: Machine, t
 
 @pytest.mark.parametrize("suffix", ["nc", "h", "cls"])
 def test_three_languages(dmu50: Machine, calibration: Calibration, tmp_path: Path, suffix: str) -> None:
-    """The frustum on the illustrative machine, worn: every axis moves all the time, and B and C round and round."""
+    """The frustum on the illustrative machine with wear: every axis moves all the time, B and C reverse."""
     assert calibration.path is not None
     sizes = {"X": -5.0, "Y": -12.0, "B": -60.0, "C": -40.0}
     path = extended(
@@ -242,17 +241,17 @@ def test_three_languages(dmu50: Machine, calibration: Calibration, tmp_path: Pat
     truth = WornMachine(path, reversal=sizes)
     off = truth.off(result.commands, result.nominal)
     assert np.sqrt(np.mean(truth.off(result.nominal, result.nominal) ** 2)) > 50.0
-    # Where rounded B and C take linear axes back by a µm or two, their play swallows it.
+    # Where rounded B and C move linear axes back by a µm or two, backlash absorbs it.
     assert off.max() <= ROUNDING_UM + 1.5 and np.sqrt(np.mean(off**2)) < 0.7
     assert result.report.complete
     added = len(body(result).splitlines()) - len(text.splitlines())
     assert added == result.report.added > 0
 
 
-def test_a_correction_turns_an_axis_that_the_program_holds_still(
+def test_a_correction_reverses_an_axis_that_the_program_holds_still(
     dmu50: Machine, calibration: Calibration, tmp_path: Path
 ) -> None:
-    """Across X, Y and Z follow X's straightness there and back by micrometres: play would swallow them."""
+    """Motion along X: Y and Z follow X's straightness back and forth by micrometres, which backlash would absorb."""
     assert calibration.path is not None
     path = extended(tmp_path, reversal("Y", -12.0), base=calibration.path.read_text())
     text = "G90\nG0 X20 Y100 Z-100 B30 C0\nG1 X480 F500\nY120\nX20\nY140\nX480\n"
@@ -260,7 +259,7 @@ def test_a_correction_turns_an_axis_that_the_program_holds_still(
     truth = WornMachine(path, reversal={"Y": -12.0})
     off = truth.off(densely(result.commands), densely(result.nominal))
     assert {note.axis: note.taken_up for note in result.report.reversals}["Y"] >= 3  # one by the program alone
-    # Ends and interiors: tolerance between ends, rounding, and 1.5 least increments that count as no turn.
+    # End points and interiors: tolerance between end points, rounding, and 1.5 least increments that do not count as a reversal.
     assert off[8:].max() <= 1.0 + ROUNDING_UM + 1.5
     assert np.sqrt(np.mean(off[8:] ** 2)) < 0.8
 
@@ -272,7 +271,9 @@ def test_a_warm_up(dmu50: Machine, tmp_path: Path) -> None:
     truth = WornMachine(path, reversal={}, shift_um=shift)
     assert truth.off(result.nominal, result.nominal).min() > 7.0
     assert truth.off(result.commands, result.nominal).max() <= ROUNDING_UM
-    assert any("thermal_drift:Y goes on by 0.7 µm in the 10 minutes" in note.text for note in result.report.notes)
+    assert any(
+        "thermal_drift:Y changes by a further 0.7 µm in the 10 minutes" in note.text for note in result.report.notes
+    )
 
 
 def test_without_effects_nothing_changes(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
@@ -284,7 +285,7 @@ def test_without_effects_nothing_changes(dmu50: Machine, calibration: Calibratio
     notes = [note.text for note in warm.report.notes]
     assert "T_Z_degC was given and the calibration does not need it" in notes
     assert "time_s was given and the calibration does not need it" in notes
-    assert "taken at" not in warm.report.to_text() and "reversal" not in plain.report.to_text()
+    assert "  conditions" not in warm.report.to_text() and "backlash" not in plain.report.to_text()
 
 
 def test_scope_and_the_baseline(dmu50: Machine, tmp_path: Path) -> None:
@@ -298,12 +299,12 @@ def test_scope_and_the_baseline(dmu50: Machine, tmp_path: Path) -> None:
     assert thesis.report.reversals[0].taken_up == 0 and thesis.report.after.rms_um > 5.0
 
 
-def test_inverse_time_gives_each_piece_its_own(dmu50: Machine, tmp_path: Path) -> None:
+def test_inverse_time_feed_of_each_piece(dmu50: Machine, tmp_path: Path) -> None:
     text = "G90\nG0 X100 Y100 Z-100 B30 C10\nG1 G93 Y140 F2.\nY90 F2.\n"
     result = done(text, dmu50, extended(tmp_path, reversal("Y", -12.0)))
     feeds = [float(line.split("F")[1]) for line in body(result).splitlines() if "F" in line]
     assert feeds[1] == feeds[3] == 2.0
-    # 12 µm of 50 mm in as small a part of half a minute.
+    # 12 µm of 50 mm take the same fraction of half a minute.
     assert feeds[2] == pytest.approx(2.0 * 50.012 / 0.012, rel=1e-3)
 
 
@@ -318,30 +319,30 @@ def path_of(machine: Machine, text: str, *, tcp: bool = False) -> tuple[ToolPath
     return follow(program, dialect.moves(program, space.axes, tcp=tcp), space), space, compensator
 
 
-def test_sides_of_play_and_of_a_control_that_jumps(dmu50: Machine) -> None:
+def test_sides_with_play_and_with_an_overcompensating_control(dmu50: Machine) -> None:
     path, _, _ = path_of(dmu50, "G0 X1 Y1 Z-1 B0 C0\n")
     way = np.array([100.0, 100.003, 100.02, 100.02, 100.0167, 100.0, 100.002, 99.0])
     commands = np.zeros((len(way), 5))
     commands[:, 1] = way
     motion = np.zeros(len(way), dtype=int)
 
-    def of(size: float) -> LostMotion:
+    def of(size: float) -> Backlash:
         effect = effect_named("reversal", "Y", {"size": size}, dmu50)
-        return LostMotion(replace(Calibration.zero(dmu50), extra=(effect,)))
+        return Backlash(replace(Calibration.zero(dmu50), extra=(effect,)))
 
     play = of(-10.0).sides(path, motion, commands)[:, 1]
     assert play == pytest.approx([0.0, 0.6, 1.0, 1.0, 0.34, -1.0, -0.6, -1.0])
-    # 1.5 increments are a turn, and the way to command for turns right behind the furthest point.
+    # 1.5 increments are a reversal, and the commanded side changes directly after the extreme point.
     jumping = of(10.0).sides(path, motion, commands)[:, 1]
     assert jumping.tolist() == [0.0, 1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0]
     slow = commands[:6].copy()
     slow[:, 1] = [100.0, 101.0, 101.0, 100.9996, 100.9992, 100.998]
     assert of(10.0).sides(path, motion[:6], slow)[:, 1].tolist() == [0.0, 1.0, 1.0, 1.0, 1.0, -1.0]
-    assert of(-10.0).turned(path, motion[:6], slow)[:, 1].tolist() == [0.0, 1.0, 1.0, -1.0, -1.0, -1.0]
+    assert of(-10.0).commanded_sides(path, motion[:6], slow)[:, 1].tolist() == [0.0, 1.0, 1.0, -1.0, -1.0, -1.0]
 
 
-def test_lines_left_as_written_move_axes_too(dmu50: Machine, tmp_path: Path) -> None:
-    """Behind a machine-coordinate block the side is that of its way; behind a reference return nobody knows."""
+def test_sides_after_lines_left_as_written(dmu50: Machine, tmp_path: Path) -> None:
+    """After a block in machine coordinates the side is that of its motion; after a reference return it is unknown."""
     text = "G90\nG0 X100 Y100 Z-100 B30 C10\nG1 Y120 Z-110 F500\nG53 Y400\nG1 X110\nG28 Z-50\nG0 X120 Y200\nG0 Z-100\nG1 Z-120\n"
     path, space, _ = path_of(dmu50, text)
     assert [(passage.before, passage.moved.tolist().index(True)) for passage in path.passages] == [
@@ -350,23 +351,23 @@ def test_lines_left_as_written_move_axes_too(dmu50: Machine, tmp_path: Path) -> 
         (3, 0),
     ]
     effects = tuple(effect_named("reversal", axis, {"size": -10.0}, dmu50) for axis in "YZ")
-    lost = LostMotion(replace(Calibration.zero(dmu50), extra=effects))
+    backlash = Backlash(replace(Calibration.zero(dmu50), extra=effects))
     commands = space.commands(
         np.array([motion.end for motion in path.motions]), np.zeros(len(path.motions), dtype=bool)
     )
-    sides = lost.sides(path, np.arange(len(path.motions)), commands)
+    sides = backlash.sides(path, np.arange(len(path.motions)), commands)
     assert sides[:, 1].tolist() == [0.0, 1.0, 1.0, -1.0, -1.0]
     assert sides[:, 2].tolist() == [0.0, -1.0, -1.0, 0.0, -1.0]
     result = done(text, dmu50, extended(tmp_path, reversal("Y", -12.0), reversal("Z", -8.0)))
-    # Z stays up where the reference return took it: nobody says it again before the program does.
+    # Z stays where the reference return took it: its side is unknown until the program moves it again.
     assert "G53 Y400\n" in result.text and "G28 Z-50\nG0 X120 Y200\nG0 Z" in result.text
-    assert any("from which side Z comes" in note.text for note in result.report.notes)
+    assert any("approach direction of Z unknown" in note.text for note in result.report.notes)
 
 
 @settings(max_examples=8)
 @given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([0.0, 50.0, 300.0]), sign=st.sampled_from([-1.0, 1.0]))
 def test_compensate_then_execute(dmu50: Machine, seed: int, size: float, sign: float) -> None:
-    """Random worn machines, random programs that move every axis in every block: what comes out, executed on the model, is nominal."""
+    """Random worn machines, random programs that move every axis in every block: the executed output is on the nominal path."""
     rng = np.random.default_rng(seed)
     known = worn(dmu50, rng, size, sign)
     ends = np.cumsum(rng.uniform(0.5, 6.0, (12, 5)) * rng.choice([-1.0, 1.0], (12, 5)), axis=0)
@@ -379,16 +380,16 @@ def test_compensate_then_execute(dmu50: Machine, seed: int, size: float, sign: f
 @settings(max_examples=5)
 @given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([5.0, 50.0, 300.0]), sign=st.sampled_from([-1.0, 1.0]))
 def test_compensate_then_execute_with_words_left_out(dmu50: Machine, seed: int, size: float, sign: float) -> None:
-    """Axes that the program holds still are moved by corrections alone: what their play swallows is no more than what is no turn."""
+    """Axes that the program holds still move only by corrections; backlash absorbs no more than a motion too small to be a reversal."""
     rng = np.random.default_rng(seed)
     known = worn(dmu50, rng, size, sign)
     ends = rng.uniform([5, 5, -395, 30, -400], [495, 445, -5, 150, 400], (12, 5))
-    ends[0] = ends[1] - 1.0  # every axis comes from below once: an axis of unknown side is another test's
+    ends[0] = ends[1] - 1.0  # every axis is first approached from below; unknown sides are tested elsewhere
     named = rng.random(ends.shape) < 0.5
     named[:2] = True
     result, off = executed(program_of(ends, named), dmu50, known)
     assume(result.report.complete)
-    # 1.5 increments of each axis are no turn: 2.6 µm of the linear ones together, 26 µrad of a rotary one at 300 mm from its axis.
+    # 1.5 increments of each axis do not count as a reversal: 2.6 µm of the linear ones together, 26 µrad of a rotary one at 300 mm.
     assert off.max() <= 2.6 + 7.8
     assert np.sqrt(np.mean(off**2)) < 2.0
 
@@ -412,7 +413,7 @@ def program_of(ends: np.ndarray, named: np.ndarray) -> str:
 
 
 def executed(text: str, machine: Machine, known: Calibration) -> tuple[Compensation, np.ndarray]:
-    """What comes out, and how far its block ends are from where they should be when `twin` runs it, µm; what takes up is left out."""
+    """Return the output, and the error of its block end points when executed by `twin`, µm, without inserted backlash moves."""
     dialect = dialect_for(Path("p.nc"))
     options = Options(tool_length_mm=LENGTH, conditions=Conditions({"X": 26.0, "bed": 23.0}), tolerance_mm=0.05)
     compensator = Compensator(machine, known, options)
@@ -420,14 +421,14 @@ def executed(text: str, machine: Machine, known: Calibration) -> tuple[Compensat
     program = dialect.read(result.text.encode(), "out.nc")
     space = compensator.bench.space
     run = execute(
-        program, follow(program, dialect.moves(program, space.axes, tcp=False), space), space, compensator.bench.full
+        program, follow(program, dialect.moves(program, space.axes, tcp=False), space), space, compensator.bench.real
     )
     reached = run.reached_mm[run.ends]
     off = np.linalg.norm(reached - space.nominal.forward(result.nominal).point_mm, axis=1) * 1e3
     return result, off[~taking_up(result)]
 
 
-# ---- what is given, and what is refused
+# ---- conditions that are given, and that are refused
 
 
 def run_cli(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
@@ -444,7 +445,7 @@ def part(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_channel_that_is_missing(part: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_channel_is_refused(part: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = extended(tmp_path, reversal("Y", -12.0), EXPANSION, GROWTH, DRIFT)
     for given_, words in (
         ([], ["thermal_expansion:X needs T_X_degC", "--temperature X=… bed=… --time S"]),
@@ -461,7 +462,7 @@ def test_a_channel_that_is_missing(part: Path, tmp_path: Path, capsys: pytest.Ca
             assert not out.exists()
 
 
-def test_a_channel_that_cannot_be(part: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_impossible_channel_is_refused(part: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = extended(tmp_path, EXPANSION, GROWTH, DRIFT)
     out = tmp_path / "out.nc"
     for given_, word in (
@@ -480,7 +481,9 @@ def test_a_channel_that_cannot_be(part: Path, tmp_path: Path, capsys: pytest.Cap
         assert not out.exists()
 
 
-def test_the_account_says_what_was_taken(part: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_states_conditions_and_backlash(
+    part: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = extended(tmp_path, reversal("Y", 12.0), EXPANSION, DRIFT)
     arguments = ["-c", path, "--temperature", "X=26,Y=21", "--time", 3600, "--tool-length", LENGTH]
     status, printed, _ = run_cli(
@@ -492,9 +495,9 @@ def test_the_account_says_what_was_taken(part: Path, tmp_path: Path, capsys: pyt
     assert report["reversals"] == [{"axis": "Y", "unit": "um", "size": 12.0, "corrected": True, "taken_up": Y_TURNS}]
     notes = [note["text"] for note in report["notes"]]
     assert "T_Y_degC was given and the calibration does not need it" in notes
-    assert any("jumps ahead when it turns" in note for note in notes)
-    assert "taken at      X 26 °C, 3600 s" in printed
-    assert f"Y 12.0 µm: taken up by extra moves at {Y_TURNS} turns of Y" in printed
+    assert any("jumps ahead when it reverses" in note for note in notes)
+    assert "conditions    X 26 °C, time 3600 s" in printed
+    assert f"Y 12.0 µm: taken up by extra moves at {Y_TURNS} reversals of Y" in printed
     known = Calibration.load(path, Machine.load("dmu50"))
     again = compensate(
         part, known.machine, known, options=Options(tool_length_mm=LENGTH), temperature={"X": 26.0}, time_s=3600.0
@@ -504,7 +507,7 @@ def test_the_account_says_what_was_taken(part: Path, tmp_path: Path, capsys: pyt
     assert status == 0 and "T_Y_degC was given" in printed and (tmp_path / "s.html").is_file()
 
 
-def test_info_says_what_it_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_lists_omitted_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = extended(tmp_path, reversal("Y", 12.0), EXPANSION, GROWTH)
     status, printed, _ = run_cli(capsys, "info", "-c", path, "--temperature", "X=26")
     assert status == 0
@@ -532,7 +535,7 @@ def test_the_budget_of_effects(dmu50: Machine, tmp_path: Path) -> None:
         pytest.approx(30.0),
     )
     total = {row.name: row.tool_rms_um for row in error_budget(dmu50, rest, conditions=at)[1]}
-    # Either side is as likely: their squares add, but for the draw's own correlation over 2000 poses.
+    # Both sides are equally likely: their squares add, except for the sample correlation over 2000 poses.
     assert total["all"] == pytest.approx(np.sqrt(sum(row.tool_rms_um**2 for row in rows.values())), rel=0.05)
     with pytest.raises(InputError, match="T_bed_degC"):
         error_budget(dmu50, known, conditions=at)

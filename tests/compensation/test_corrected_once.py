@@ -1,6 +1,6 @@
-"""What the control corrects by itself is not corrected a second time in the program.
+"""Errors that the control corrects itself are not corrected a second time in the program.
 
-The machine under its control is executed by `tests.truth.machine`, with the tables looked up by hand: no code of `twin` in it.
+The machine with its control is simulated by `tests.truth.machine`, with the tables looked up independently of `twin`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ NODES = {
 
 
 def write(folder: Path, machine: Machine, truth: TruthMachine, axes: str = "XYZ", up: float = 0.0) -> ControlSection:
-    """LinuxCNC tables of the positioning errors (type 0: where the axis really is), by hand; coming from below ``up`` µm further."""
+    """Write LinuxCNC tables of the positioning errors (type 0: actual position); approached from below, ``up`` µm further."""
     ini = ["[TRAJ]", "COORDINATES = X Y Z B C", "LINEAR_UNITS = mm", "ANGULAR_UNITS = degree"]
     entries = []
     for axis in axes:
@@ -52,7 +52,7 @@ def write(folder: Path, machine: Machine, truth: TruthMachine, axes: str = "XYZ"
 
 
 def driven(folder: Path, commands: np.ndarray) -> np.ndarray:
-    """Where the control sends its axes: the tables of both directions alike, looked up with numpy."""
+    """Return the axis positions commanded by the control: tables equal in both directions, looked up with numpy."""
     moved = commands.copy()
     for i, axis in enumerate("XYZ"):
         if (folder / f"{axis}.comp").exists():
@@ -63,7 +63,7 @@ def driven(folder: Path, commands: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def calibration(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
-    """The errors as they were drawn: with the constants of the positioning errors, which tables of the axes take out."""
+    """The errors as drawn, with the constants of the positioning errors, which the axes' tables correct."""
     path = tmp_path_factory.mktemp("drawn") / "drawn.yaml"
     as_drawn(dmu50).save(path)
     return Calibration.load(path, dmu50)
@@ -80,7 +80,7 @@ def section(tmp_path: Path, dmu50: Machine, truth: TruthMachine) -> ControlSecti
     return write(tmp_path, dmu50, truth)
 
 
-def test_a_program_is_corrected_for_what_the_control_leaves(
+def test_a_program_is_corrected_for_the_errors_remaining_after_the_control(
     tmp_path: Path, dmu50: Machine, calibration: Calibration, truth: TruthMachine, section: ControlSection
 ) -> None:
     text = (SAMPLES / "cone_frustum.nc").read_text()
@@ -89,21 +89,21 @@ def test_a_program_is_corrected_for_what_the_control_leaves(
     done = np.array([position for _, position in run_iso(known.text)])
     after, _ = truth.deviations(driven(tmp_path, done), meant)
     assert after.max() <= ROUNDING_UM + SECOND_ORDER_UM
-    # Without being told, it would be corrected for the same once more.
+    # Without the section, the same error would be corrected twice.
     blind = compensate(text, dmu50, calibration)
     twice, _ = truth.deviations(driven(tmp_path, np.array([position for _, position in run_iso(blind.text)])), meant)
     assert np.sqrt(np.mean(twice**2)) > 20.0
-    # What it says of itself is so: where the machine under its control lands before.
+    # The reported error before is that of the machine with its control.
     before, _ = truth.deviations(driven(tmp_path, meant), meant)
     report = known.report
     assert report.before.max_um == pytest.approx(before.max(), rel=0.02)  # dense points lie between the block ends
     assert report.control is not None and report.control.axes == ("X", "Y", "Z")
     moved = np.linalg.norm(driven(tmp_path, meant) - meant, axis=1) * 1e3
     assert report.control.max_um == pytest.approx(moved.max(), rel=0.02)
-    assert "corrects by itself (X.comp, Y.comp, Z.comp, joints.ini; moves X Y Z)" in report.to_text()
+    assert "its tables (X.comp, Y.comp, Z.comp, joints.ini; axes X Y Z) correct" in report.to_text()
 
 
-def test_errors_measured_with_the_tables_on_are_corrected_as_they_are(
+def test_errors_measured_with_active_tables_are_corrected_in_full(
     dmu50: Machine, calibration: Calibration, section: ControlSection
 ) -> None:
     text = (SAMPLES / "cone_frustum.nc").read_text()
@@ -111,7 +111,7 @@ def test_errors_measured_with_the_tables_on_are_corrected_as_they_are(
     result = compensate(text, dmu50, left)
     assert result.text == compensate(text, dmu50, calibration).text
     assert (
-        "were measured with its tables on (X.comp, Y.comp, Z.comp, joints.ini): leave them on"
+        "were measured with its tables active (X.comp, Y.comp, Z.comp, joints.ini): keep them active"
         in result.report.to_text()
     )
 
@@ -119,7 +119,7 @@ def test_errors_measured_with_the_tables_on_are_corrected_as_they_are(
 def test_the_section_is_read_back(
     tmp_path: Path, dmu50: Machine, calibration: Calibration, section: ControlSection
 ) -> None:
-    """Files are named as seen from the calibration; the errors stay what they are."""
+    """File names are relative to the calibration; the errors do not change."""
     (tmp_path / "sub").mkdir()
     path = tmp_path / "sub" / "c.yaml"
     calibration.with_control(section).save(path)
@@ -135,14 +135,14 @@ def test_the_section_is_read_back(
     peak = {row.name: row.peak for row in rows}
     assert peak["control:linuxcnc X"] == pytest.approx(peak["E_XX"], rel=0.02)
     alone = {row.name: row.tool_rms_um for row in classes}
-    # Positioning errors and what the control makes of them are as large as each other, and of opposite sign.
+    # Positioning errors and the control's correction of them are equally large and of opposite sign.
     assert alone["control"] == pytest.approx(alone["L-POS"], rel=0.02)
     bare = {row.name: row for row in error_budget(dmu50, calibration, tool_length_mm=LENGTH)[1]}
     assert alone["all"] != pytest.approx(bare["all"].tool_rms_um, rel=0.02)
 
 
 @pytest.mark.parametrize("change", ["table", "class", "gone"])
-def test_what_the_control_does_must_be_known(
+def test_the_state_of_the_control_tables_must_be_given(
     tmp_path: Path, dmu50: Machine, calibration: Calibration, section: ControlSection, change: str
 ) -> None:
     path = tmp_path / "c.yaml"
@@ -160,7 +160,7 @@ def test_what_the_control_does_must_be_known(
     assert ("c.yaml:" if change == "class" else "Y.comp") in told
 
 
-def test_classes_the_tables_take_out_together_stay_together(
+def test_classes_corrected_by_one_table_stay_together(
     dmu50: Machine, calibration: Calibration, section: ControlSection, truth: TruthMachine, tmp_path: Path
 ) -> None:
     text = "G90\nG1 X100 Y100 Z-100 B30 C10 F500\nX300 Y250\n"
@@ -169,7 +169,7 @@ def test_classes_the_tables_take_out_together_stay_together(
     for scope in ("L-VOL R-VOL", "L-STR L-ANG"):
         result = compensate(text, dmu50, known, scope=Scope.parse(scope.split()))
         assert result.report.complete
-    # Positioning alone, with a control that takes it out: next to nothing is left to correct.
+    # Positioning errors alone, corrected by the control: almost nothing remains to be corrected.
     result = compensate(text, dmu50, known, scope=Scope.parse(["L-POS"]))
     done = np.array([position for _, position in run_iso(result.text)])
     off = np.abs(
@@ -181,14 +181,14 @@ def test_classes_the_tables_take_out_together_stay_together(
     mixed = replace(section, tables=tuple(replace(one, classes=("L-POS", "L-STR")) for one in section.tables))
     with pytest.raises(InputError, match="cannot be split"):
         compensate(text, dmu50, calibration.with_control(mixed), scope=Scope.parse(["L-POS"]))
-    with pytest.raises(InputError, match="knows nothing of the control's own tables"):
+    with pytest.raises(InputError, match="does not model the control's own tables"):
         compensate(text, dmu50, known, method="thesis")
 
 
-def test_a_reversal_the_control_takes_up_is_not_taken_up_again(
+def test_backlash_corrected_by_the_control_is_not_corrected_again(
     tmp_path: Path, dmu50: Machine, calibration: Calibration, truth: TruthMachine
 ) -> None:
-    """−6 µm of play in X: extra moves at its turns, unless a table of both directions takes up as much."""
+    """−6 µm of backlash in X: extra moves at its reversals, unless a table of both directions corrects it."""
     text = "G90\nG1 X100 Y100 Z-100 B30 C10 F500\nX300\nX200\nX400\n"
     played = replace(calibration, extra=(Reversal(dmu50.by_name["X"], -6.0),))
     (note,) = compensate(text, dmu50, played).report.reversals
@@ -204,14 +204,14 @@ def test_a_reversal_the_control_takes_up_is_not_taken_up_again(
         "uncorrected",
         tuple(TableEntry.of(tmp_path / name, "linuxcnc", ["L-POS"]) for name in ("X.comp", "joints.ini")),
     )
-    with pytest.raises(InputError, match="changes along the axis"):
+    with pytest.raises(InputError, match="varies along the axis"):
         compensate(text, dmu50, played.with_control(uneven))
 
 
 def test_measured_under_its_control_the_machine_is_consistent(
     tmp_path: Path, dmu50: Machine, calibration: Calibration, section: ControlSection
 ) -> None:
-    """Readings of a machine whose control corrects; a model that does not know of it is told so."""
+    """Readings of a machine whose control corrects its errors; diagnosis without knowledge of that reports it."""
     rng = np.random.default_rng(5)
     of = hidden.rounded(hidden.plan(rng, poses=20, rounds=2))
     read = hidden.noisy(hidden.points(replace(of, q=driven(tmp_path, of.q)), []), rng, "isotropic", 2e-3)
@@ -222,10 +222,10 @@ def test_measured_under_its_control_the_machine_is_consistent(
     assert {cause.effect for cause in diagnose(data, dmu50, calibration).causes} >= {"positioning"}
 
 
-def test_tables_that_were_on_while_it_was_measured(
+def test_identify_with_active_tables(
     tmp_path: Path, dmu50: Machine, calibration: Calibration, section: ControlSection
 ) -> None:
-    """``twin identify --control``: the errors are what they left; nothing is read back wrong."""
+    """``twin identify --control``: the errors are those that remain with the tables; the file is read back correctly."""
     found = tables_on([f"linuxcnc={entry.file}" for entry in section.tables], dmu50)
     assert found.errors_are == "remaining" and [one.sha256 for one in found.tables] == [
         one.sha256 for one in section.tables

@@ -1,4 +1,4 @@
-"""A smooth function along a path of very many places: how far off it is, what it costs, and paths that are not smooth."""
+"""Interpolation of a function along a path of many points: accuracy, number of evaluations, and paths that are not smooth."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ NEAR = np.array([1.0, 0.3])
 
 
 def grown(places: np.ndarray) -> np.ndarray:
-    """(n, 2, 2) two groups; in each a large value and a small one, which all change by half over 100 mm and degrees."""
+    """Return (n, 2, 2): two groups, each with a large and a small value, all of which change by half over 100 mm and degrees."""
     x, c = places.T
     large = 3.0 + np.sin(x / 60.0) + np.cos(c / 60.0)
     return np.stack([np.stack([large, 0.01 * x], axis=1), np.stack([7.0 * large, c - c], axis=1)], axis=1)
 
 
 class Counted:
-    """Values at places, and which of them were asked for."""
+    """Function that records which points it was evaluated at."""
 
     def __init__(self, places: np.ndarray) -> None:
         self.places = places
@@ -38,13 +38,13 @@ class Counted:
 
 
 def off(found: np.ndarray, places: np.ndarray) -> float:
-    """Largest difference, as a share of the largest of the group."""
+    """Return the largest difference, relative to the largest value of the group."""
     truth = grown(places)
     return float((np.abs(found - truth) / np.abs(truth).max(axis=2, keepdims=True)).max())
 
 
 def test_a_smooth_path() -> None:
-    """A hundredth of the places or so; none twice."""
+    """About one hundredth of the points is evaluated, none twice."""
     t = np.linspace(0.0, 1.0, 40_000)
     places = np.stack([250 + 150 * np.cos(9 * t), 100 * t**2], axis=1)
     values = Counted(places)
@@ -53,7 +53,7 @@ def test_a_smooth_path() -> None:
 
 
 def test_steps_of_many_lengths() -> None:
-    """On one straight line, but not evenly: shares go by the way."""
+    """On one straight line with uneven steps, interpolation goes by distance."""
     places = np.cumsum(np.random.default_rng(3).exponential(0.02, 9000))[:, None] * np.array([1.0, 0.1])
     values = Counted(places)
     assert off(interpolated(values, places, NEAR), places) <= ACCURACY
@@ -61,8 +61,8 @@ def test_steps_of_many_lengths() -> None:
 
 
 @pytest.mark.parametrize("period", [2, 3, LONGEST, LONGEST // 2])
-def test_to_and_fro_is_not_smooth(period: int) -> None:
-    """Places far apart in turns, which stretches of 2, 4, 8 … blocks could begin, halve and end on one side of."""
+def test_back_and_forth_is_not_smooth(period: int) -> None:
+    """Two distant positions in turn, where the nodes of stretches of 2, 4, 8 … blocks could all be at the same one."""
     places = np.zeros((3 * FEW, 2))
     places[::period, 0] = 200.0
     assert off(interpolated(Counted(places), places, NEAR), places) <= ACCURACY
@@ -72,7 +72,7 @@ def test_a_jump_and_standing_still() -> None:
     places = np.zeros((3 * FEW, 2))
     places[FEW + 77 :] = 150.0, 40.0
     values = Counted(places)
-    # Nothing changes but at one place.
+    # The function changes at one point only.
     assert off(interpolated(values, places, NEAR), places) == 0.0
     assert len(values.asked) <= 2 * len(places) / LONGEST + 3 + 2 * np.log2(LONGEST)
 
@@ -91,7 +91,7 @@ def test_few_places_are_evaluated(count: int) -> None:
 
 
 def test_uncertainty_of_a_long_program(dmu50: Machine, calibration: Calibration) -> None:
-    """What the report says of it beside every end evaluated. U is told in two digits; a share of it, not of each direction's."""
+    """The reported uncertainty compared with evaluation at every end point: U to two digits; relative to the largest direction."""
     known = uncertain(calibration, 0.3)
     result = compensate(HEAD + curve(2 * FEW), dmu50, known)
     point, axis = result.report.uncertainty.point, result.report.uncertainty.axis

@@ -1,4 +1,4 @@
-"""`twin path`: fewer blocks for the same path. The path is checked by interpreters, distances and machines of the tests' own."""
+"""`twin path`: fewer blocks for the same path, checked by independent interpreters, distances and machine models."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from twin.machine.machine import Machine
 URDF = Path(__file__).resolve().parents[2] / "urdf"
 SAMPLES = Path(twin.__file__).parent / "samples"
 READ = 1e-9
-"""mm: what reading decimal numbers and adding them up may differ by."""
+"""Difference (mm) that parsing and adding decimal numbers may cause."""
 
 
-# -------------------------------------------------------------------- truth: distances and interpreters of its own
+# -------------------------------------------------------------------- independent distances and interpreters
 
 
 def from_line(points: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """Distance of every point from the nearest place of a polyline: all pairs, no shortcut."""
+    """Return the distance of every point from a polyline, over all pairs of points and segments."""
     found = []
     for point in points:
         a, b = line[:-1], line[1:]
@@ -58,7 +58,7 @@ def hausdorff(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def feed_path(text: str) -> np.ndarray:
-    """Positions of an absolute metric program from the last rapid before its G1 blocks on."""
+    """Return the positions of an absolute metric program from the last rapid before its G1 blocks on."""
     moves = run_iso(text)
     first = next(i for i, (code, _) in enumerate(moves) if code == "G1")
     return np.array([q for _, q in moves[max(first - 1, 0) :]])
@@ -107,7 +107,7 @@ def test_fewer_blocks_on_the_same_path(dmu50: Machine, points: np.ndarray, toler
     run = result.report.runs[0]
     before, after = feed_path(text)[:, :3], feed_path(result.text)[:, :3]
     assert hausdorff(before, after) <= tolerance + READ
-    # A chord of sagitta s takes √s: the least blocks a curve within ± tolerance allows, and no more than twice those.
+    # A chord's length goes with the root of its sagitta: the fewest blocks within ± tolerance, and no more than twice as many.
     bend = np.linalg.norm(np.diff(points, 2, axis=0), axis=1)
     least = float(np.sqrt(bend / 16.0 / tolerance).sum())
     assert least * 0.8 < len(after) - 1 < min(2.0 * least + 4.0, 0.6 * (len(before) - 1))
@@ -115,18 +115,18 @@ def test_fewer_blocks_on_the_same_path(dmu50: Machine, points: np.ndarray, toler
     assert run.control_points < 30
     assert after[[0, -1]] == pytest.approx(np.round(before[[0, -1]], 3), abs=6e-4)  # exact, at the least increment
     assert result.report.complete and run.total_um <= tolerance * 1e3
-    # What the report says of the executed path is what is there.
+    # The reported error of the executed path is the real one.
     assert run.total_um == pytest.approx(hausdorff(before, after) * 1e3, abs=0.05 * tolerance * 1e3)
 
 
 def test_an_arc_is_two_arcs(dmu50: Machine) -> None:
-    """A circle in the trigonometric basis: three control points an arc, one of them common."""
+    """A circle in the trigonometric basis: three control points per arc, one of them shared."""
     run = refitted(dmu50, program_of(circle()), 0.01).report.runs[0]
     assert run.degrees == ("t2", "t2")
     assert run.control_points == 5
 
 
-def test_standing_axes_stand(dmu50: Machine) -> None:
+def test_axes_at_rest_stay_at_rest(dmu50: Machine) -> None:
     after = feed_path(refitted(dmu50, program_of(circle()), 0.01).text)
     assert np.ptp(after[:, 2]) == 0.0
 
@@ -148,8 +148,8 @@ def test_any_smooth_or_rough_path_is_kept(seed: int, tolerance: float, count: in
     assert result.report.blocks_out <= result.report.blocks
 
 
-def test_no_more_blocks_than_a_tolerance_below_its_own_chords_allows(dmu50: Machine) -> None:
-    """Chords 52 µm high cannot become fewer within 10 µm: the program comes out byte for byte."""
+def test_a_tolerance_below_the_chord_height_changes_nothing(dmu50: Machine) -> None:
+    """Chords 52 µm high cannot be reduced within 10 µm: the output equals the input byte for byte."""
     text = program_of(circle(60))
     result = refitted(dmu50, text, 0.01)
     assert result.text == text
@@ -177,7 +177,7 @@ def test_a_corner_stays_a_corner(dmu50: Machine) -> None:
 
 
 def test_lines_and_arcs_between_corners(dmu50: Machine) -> None:
-    """A half circle between lines that meet it at right angles: both corners exact, the arc within the tolerance."""
+    """A half circle between lines at right angles to it: both corners exact, the arc within the tolerance."""
     t = np.linspace(np.pi, 0.0, 181)
     arc = CENTRE + np.stack([10.0 + 10.0 * np.cos(t), 10.0 * np.sin(t), 0.0 * t], axis=1)
     line = np.linspace([-10.0, 0.0, 0.0], [0.0, 0.0, 0.0], 21) + CENTRE
@@ -191,7 +191,7 @@ def test_lines_and_arcs_between_corners(dmu50: Machine) -> None:
     assert result.report.blocks_out < 60
 
 
-# -------------------------------------------------------------------- what ends a run, what passes
+# -------------------------------------------------------------------- ends of runs, lines that pass through
 
 
 def test_everything_else_passes_byte_for_byte(dmu50: Machine) -> None:
@@ -234,7 +234,7 @@ def test_incremental_and_inch_programs(dmu50: Machine) -> None:
     assert hausdorff(feed_path(inch)[:, :3] * 25.4, after) <= 0.01 + READ
 
 
-def test_a_feed_that_is_a_time_is_left_alone(dmu50: Machine) -> None:
+def test_inverse_time_blocks_are_left_unchanged(dmu50: Machine) -> None:
     text = program_of(circle()).replace("G1 F500", "G93 G1 F500")
     result = refitted(dmu50, text, 0.01)
     assert result.text == text
@@ -250,7 +250,7 @@ def tips(machine: TruthMachine, commands: np.ndarray, *, real: bool) -> np.ndarr
 
 
 def test_five_axes_compensated(dmu50: Machine) -> None:
-    """The cone frustum in axis words; another machine with the errors runs the output beside the input."""
+    """The cone frustum in axis words; an independent machine with the errors executes the output and the input."""
     result = twin.refit("cone_frustum.nc", dmu50, options=Options(tolerance_mm=0.1, tool_length_mm=120.0))
     truth = TruthMachine(URDF / "dmu50.calibration.yaml", tool_length=120.0)
     original = feed_path((SAMPLES / "cone_frustum.nc").read_text())
@@ -261,10 +261,12 @@ def test_five_axes_compensated(dmu50: Machine) -> None:
     assert len(output) - 1 < 0.3 * lines
     meant, done = tips(truth, cut(words, 12), real=False), tips(truth, cut(output, 40), real=True)
     off = max(from_line(meant, done).max(), from_line(done, meant).max())
-    # Both are polylines of dense places here. A block of 3° of C bulges by 40 µm at the tool: its chords of 0.25° by 0.3 µm.
+    # Both are polylines of dense points here. A block of 3° of C bulges by 40 µm at the tool, its chords of 0.25° by 0.3 µm.
     assert off <= 0.1 + 3e-4
     assert off * 1e3 == pytest.approx(run.total_um, abs=0.6)
-    assert from_line(meant, tips(truth, cut(output, 12), real=False)).max() > 0.05  # the errors were worth compensating
+    assert (
+        from_line(meant, tips(truth, cut(output, 12), real=False)).max() > 0.05
+    )  # the uncompensated errors are significant
 
 
 def test_tool_tip_mode_in_plain_language(dmu50: Machine) -> None:
@@ -286,7 +288,7 @@ def test_tool_tip_mode_in_plain_language(dmu50: Machine) -> None:
 
 @pytest.mark.parametrize("suffix", ["cls", "nc"])
 def test_cutter_locations(dmu50: Machine, suffix: str, tmp_path: Path) -> None:
-    """Posted, the blocks are straight in axis words; the truth machine says where they lead."""
+    """Posted blocks are straight in axis words; the independent machine gives the resulting path."""
     options = Options(tolerance_mm=0.05, tool_length_mm=120.0)
     result = twin.refit(
         "cone_frustum.cls", dmu50, options=options, compensated=False, output=tmp_path / f"out.{suffix}"
@@ -303,10 +305,10 @@ def test_cutter_locations(dmu50: Machine, suffix: str, tmp_path: Path) -> None:
     assert run.blocks_out < 0.4 * run.blocks
     assert result.report.complete
     inner = meant[2 : 2 + run.blocks]
-    assert from_line(cut(inner, 4), done).max() <= 0.05 + 3e-4  # the places' own chords, as above
+    assert from_line(cut(inner, 4), done).max() <= 0.05 + 3e-4  # the chords between points, as above
 
 
-def test_a_run_beyond_a_range_is_left_as_it_is(dmu50: Machine) -> None:
+def test_a_run_outside_a_range_is_left_unchanged(dmu50: Machine) -> None:
     text = program_of(circle() - [220.0, 0.0, 0.0])
     result = refitted(dmu50, text, 0.01)
     assert result.text == text
@@ -372,7 +374,7 @@ def test_tables_that_are_refused(dmu50: Machine, tmp_path: Path, text: str, plac
     assert f"bad.csv{place}" in str(caught.value)
 
 
-# -------------------------------------------------------------------- the command, the account, the uncertainty
+# -------------------------------------------------------------------- command, report, uncertainty
 
 
 def invoke(*arguments: object) -> tuple[int, str]:
@@ -410,7 +412,7 @@ def test_a_block_out_of_range_is_exit_status_3(tmp_path: Path) -> None:
     [
         (("--tolerance", "0.0005", "--no-compensate"), "rounding"),
         (("--tolerance", "0"), "positive"),
-        (("--feed", "100"), "--feed for a program"),
+        (("--feed", "100"), "a feed was given for a program"),
         (("--machine", "nowhere"), "nowhere"),
     ],
 )
@@ -448,7 +450,7 @@ def test_table_2_of_the_paper() -> None:
 
 
 def test_the_fit_enters_the_uncertainty(dmu50: Machine) -> None:
-    """U² = (2u)² summed; a coarser path has a larger one, by just its own contribution."""
+    """U² is the sum of (2u)²; a coarser path increases it by its own contribution only."""
 
     def of(tolerance: float) -> PathReport:
         return refitted(dmu50, program_of(circle()), tolerance).report
@@ -470,11 +472,11 @@ def test_unknown_machine_uncertainty_is_unknown(dmu50: Machine, tmp_path: Path) 
     assert "unknown" in report.to_text()
 
 
-# -------------------------------------------------------------------- a program somebody cut parts with
+# -------------------------------------------------------------------- a program from real machining
 
 
 def numbered(text: str) -> tuple[list[int], np.ndarray]:
-    """Block number and position behind every block, by the words alone (arcs at their ends)."""
+    """Return block number and position after every block, from the words alone (end points of arcs)."""
     where = dict.fromkeys("XYZ", np.nan)
     numbers, found = [], []
     for row in text.splitlines():
@@ -487,7 +489,7 @@ def numbered(text: str) -> tuple[list[int], np.ndarray]:
 
 
 def test_a_real_program(programs: Path) -> None:
-    """The keychain: outlines of letters in runs of short blocks, among arcs."""
+    """The keychain: outlines of letters as runs of short blocks, with arcs between."""
     machine = Machine.load("xyzbc_trunnion")
     source = programs / "spinnerU5_Keychain_Schluesselanhaenger.mpf"
     options = Options(tolerance_mm=0.03, tool_length_mm=50.0)
@@ -546,21 +548,21 @@ def test_reversals_are_taken_up_and_the_path_kept(dmu50: Machine, tmp_path: Path
     assert run.machine_um <= result.report.shares.compensation + result.report.shares.rounding
 
 
-def test_what_leaves_the_tolerance_is_said(dmu50: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The last check knows nothing of how blocks were found: blocks 30 µm off are 30 µm off, whatever they say of themselves."""
-    from twin.compensation.fewer_blocks import fewer
+def test_a_path_out_of_tolerance_is_reported(dmu50: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The final check is independent of the fit: blocks moved by 30 µm are reported as 30 µm off, whatever the fit reports."""
+    from twin.compensation.fewer_blocks import run_refitter
 
-    honest = fewer.few_blocks
+    original = run_refitter.few_blocks
 
     def shifted(*arguments: Any) -> Any:
-        found = honest(*arguments)
+        found = original(*arguments)
         if found is None:
             return None
         words = np.array(found[0])
         words[:-1, 2] += 0.03
         return words, found[1], found[2]
 
-    monkeypatch.setattr(fewer, "few_blocks", shifted)
+    monkeypatch.setattr(run_refitter, "few_blocks", shifted)
     report = refitted(dmu50, program_of(circle()), 0.01).report
     assert not report.complete
     assert report.not_met[0].line == 4

@@ -1,4 +1,4 @@
-"""The curves and blocks of `twin path` one by one, against SciPy's Bernstein polynomials, closed forms and distances of all pairs."""
+"""Curves and blocks of `twin path`, checked against SciPy's Bernstein polynomials, closed forms and distances over all pairs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scipy.interpolate import BPoly
 
 from tests.compensation.test_path import from_line
 from twin.compensation.fewer_blocks.chords import few_blocks
-from twin.compensation.fewer_blocks.distance import to_any, to_line
+from twin.compensation.fewer_blocks.distance import distances_anywhere, distances_near
 from twin.compensation.fewer_blocks.fit import CurvePiece, Fitter, Polyline
 
 
@@ -35,7 +35,8 @@ def cycloid(t: np.ndarray) -> np.ndarray:
 def test_the_papers_cycloid() -> None:
     """Díaz Pérez et al. (2019), table 4: 1001 points of a cycloid of 1 mm within 0.05 µm with 11 control points (CAD: 38).
 
-    Here with 10: what counts is the distance from the curve, not from the point of the same parameter, and the nodes are Chebyshev's.
+    Here 10 are enough, because the distance from the curve counts, not from the point of the same parameter, and the nodes are
+    Chebyshev's.
     """
     t = np.linspace(0.0, 2.0 * pi, 1001)
     tolerance = 5e-5
@@ -46,14 +47,14 @@ def test_the_papers_cycloid() -> None:
     assert pieces[0].basis.kind == "polynomial"
     curve = BPoly(control[:, None, :], [0.0, 1.0])(np.linspace(0.0, 1.0, 3001))
     exact = cycloid(np.linspace(0.0, 2.0 * pi, 6001))
-    # Of the points' own chords (0.005 µm high at the top) on top of the tolerance.
+    # The tolerance plus the height of the points' own chords (0.005 µm at the top).
     assert from_line(curve, exact).max() <= tolerance + 6e-6
     assert from_line(exact, curve).max() <= tolerance + 6e-6
     assert control[[0, -1]] == pytest.approx(cycloid(t[[0, -1]]), abs=0.0)
 
 
-def test_no_curve_with_two_control_points_less_would_do() -> None:
-    """The best polynomials of a degree, by Chebyshev series of the cycloid: two degrees lower they leave the tolerance."""
+def test_two_control_points_fewer_exceed_the_tolerance() -> None:
+    """The best polynomials of a degree, from Chebyshev series of the cycloid, exceed the tolerance two degrees lower."""
     t = np.linspace(0.0, 2.0 * pi, 1001)
     pieces = fitted(cycloid(t), 5e-5, 0.0)[2]
     degree = pieces[0].degree - 2
@@ -78,7 +79,7 @@ def test_pieces_meet_with_one_tangent(power: float) -> None:
         assert left / np.linalg.norm(left) == pytest.approx(right / np.linalg.norm(right), abs=1e-9)
     for piece in pieces:
         if piece.basis.kind == "polynomial":
-            # Ten places a block: a hundredth of the height of the blocks' own chords, which is within the tolerance.
+            # Ten points per block: the error is a hundredth of the height of the chords, which is within the tolerance.
             curve = BPoly(piece.control[:, None, :], [0.0, 1.0])(np.linspace(0.0, 1.0, 10 * piece.blocks))
             part = words[piece.first : piece.last + 1]
             assert max(from_line(curve[::7], part).max(), from_line(part[::5], curve).max()) <= 5e-3 * (1.0 + 1e-2)
@@ -94,8 +95,11 @@ def test_straight_points_are_one_block() -> None:
 
 
 @pytest.mark.parametrize("tolerance", [0.003, 0.03])
-def test_blocks_lie_on_both_sides(tolerance: float) -> None:
-    """Of a circle: vertices outside, middles inside by as much; hardly more blocks than the polygon that has both at the tolerance."""
+def test_blocks_lie_on_both_sides_of_the_curve(tolerance: float) -> None:
+    """On a circle, vertices are outside and middles inside by the same distance.
+
+    The number of blocks is hardly above that of the polygon with both at the tolerance.
+    """
     radius = 30.0
     angle = np.linspace(0.0, 2.0 * pi, 4001)
     line, fitter, pieces = fitted(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1), tolerance / 20.0, 1.0)
@@ -119,7 +123,7 @@ def test_distances_are_never_too_small(seed: int, vertices: int, count: int) -> 
     places = np.stack([np.interp(at, np.arange(vertices), column) for column in line.T], axis=1)
     points = places + rng.normal(size=places.shape) * rng.choice([1e-3, 0.3])
     exact = from_line(points, line)
-    assert to_any(points, line) == pytest.approx(exact, abs=1e-9)
-    near = to_line(points, at, line, np.arange(vertices, dtype=float), 0.0, np.inf)
+    assert distances_anywhere(points, line) == pytest.approx(exact, abs=1e-9)
+    near = distances_near(points, at, line, np.arange(vertices, dtype=float), 0.0, np.inf)
     assert np.all(near >= exact - 1e-9)
     assert near == pytest.approx(exact, abs=1e-9)  # the widest window is wider than the line

@@ -1,4 +1,4 @@
-"""Programs other people cut parts with: read and written back unchanged, compensated on a machine file of their kind."""
+"""Programs from real machining: read and written back unchanged, and compensated on a machine of the same kind."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_read_and_written_back_unchanged(programs: Path, trunnion: Machine, name
 
 
 @pytest.mark.parametrize("name", ["linuxcnc_boat-xyzbc.ngc", "spinnerU5_Keychain_Schluesselanhaenger.mpf"])
-def test_compensated_on_a_machine_of_their_kind(
+def test_compensated_on_a_machine_of_the_same_kind(
     programs: Path, trunnion: Machine, errors: Calibration, name: str
 ) -> None:
     result = compensated(programs / name, trunnion, errors)
@@ -65,7 +65,7 @@ def test_compensated_on_a_machine_of_their_kind(
     assert report.rounding_um <= ROUNDING_UM
     assert report.after.max_um <= ROUNDING_UM + 1.0
     assert not [one for one in report.not_corrected if one.kind == "tolerance"]
-    # Nothing passes in silence: every move is rewritten or stands in a note.
+    # Every move is rewritten or listed in a note.
     noted = {note.line for note in report.notes} | {line for one in report.not_corrected for line in one.lines}
     read, dialect = read_program(programs / name)
     reading = dialect.moves(read, Compensator(trunnion, errors).bench.space.axes, tcp=False)
@@ -75,8 +75,8 @@ def test_compensated_on_a_machine_of_their_kind(
         assert by_line or id(move) in rewritten or move.line + 1 in noted
 
 
-def test_the_boat_lands_where_it_was_meant(programs: Path, trunnion: Machine, errors: Calibration) -> None:
-    """The output run by the tests' own interpreter: TCP words -> nominal commands -> Pinocchio's chain with errors."""
+def test_the_compensated_boat_is_on_the_nominal_path(programs: Path, trunnion: Machine, errors: Calibration) -> None:
+    """The output executed by an independent interpreter: TCP words → nominal commands → Pinocchio's chain with errors."""
     name = "linuxcnc_boat-xyzbc.ngc"
     original = (programs / name).read_text()
     result = compensated(programs / name, trunnion, errors)
@@ -102,7 +102,7 @@ def test_the_boat_lands_where_it_was_meant(programs: Path, trunnion: Machine, er
         pin.framesForwardKinematics(trunnion.model, data, trunnion.configuration(q * trunnion.scale, e))
         pose = data.oMf[trunnion.work_frame].actInv(data.oMf[trunnion.tool_frame]) * tip
         points.append(pose.translation * 1e3)
-    # Every meant point is reached in its order; the two added blocks lie between.
+    # Every nominal point is reached in order; the two added blocks lie between.
     k = 0
     for wanted in meant[:, :3]:
         while np.linalg.norm(points[k] - wanted) * 1e3 > ROUNDING_UM:
@@ -112,11 +112,11 @@ def test_the_boat_lands_where_it_was_meant(programs: Path, trunnion: Machine, er
 
 
 def test_execution_follows_the_program(dmu50: Machine, calibration: Calibration) -> None:
-    """What the scene draws: ends at the programmed points, dense between, deviations those of the kinematics."""
+    """The data of the scene: end points as programmed, dense points between, deviations equal to those of the kinematics."""
     read, dialect = read_program("cone_frustum.nc")
     bench = Compensator(dmu50, calibration, Options(tool_length_mm=120.0)).bench
     path = follow(read, dialect.moves(read, bench.space.axes, tcp=False), bench.space)
-    run = execute(read, path, bench.space, bench.full)
+    run = execute(read, path, bench.space, bench.real)
     assert run.left_out == 0
     ends = run.positions[run.ends]
     assert ends == pytest.approx(np.array([q for _, q in run_iso(read.text)]), abs=1e-9)

@@ -1,4 +1,4 @@
-"""What a run of the tests says of itself: what it skipped for want of files, and how its examples can be drawn again."""
+"""Messages of a test run: tests skipped because files are missing, and the seed of its random examples."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_files(number):
 """
 
 
-def test_skips_for_want_of_files_are_one_line() -> None:
+def test_skips_for_missing_files_are_one_line() -> None:
     assert skipped_for_want([]) == skipped_for_want(["Skipped: no Chromium here"]) == ""
     reasons = [f"Skipped: {NEEDED.format(name)}" for name in ("data/programs", "data/real", "data/programs")]
     line = skipped_for_want([*reasons, "Skipped: no Chromium here"])
@@ -41,8 +41,8 @@ def test_skips_for_want_of_files_are_one_line() -> None:
 
 
 @pytest.mark.slow
-def test_the_slow_run_draws_new_examples_and_says_their_seed(tmp_path: Path) -> None:
-    """By default the same three numbers every time; with slow tests selected others, which their seed brings back."""
+def test_the_slow_run_draws_new_examples_and_prints_their_seed(tmp_path: Path) -> None:
+    """By default the same three numbers every time; with slow tests selected other ones, reproducible from the seed."""
     folder = tmp_path / "tests"
     folder.mkdir()
     (folder / "__init__.py").touch()

@@ -1,4 +1,4 @@
-"""Programs from file to file in stretches: the same bytes and the same account as in one piece, in memory that does not grow."""
+"""Programs processed in stretches from file to file: same bytes and same report as in one piece, in bounded memory."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ every line, and inside runs; parts of one stretch, of several, and of all."""
 
 
 def alike(one: Any, other: Any, place: str = "") -> None:
-    """Reports as JSON, numbers to `SUMS`."""
+    """Assert that reports agree as JSON, numbers to `SUMS`."""
     if isinstance(one, dict):
         assert one.keys() == other.keys(), place
         for key in one:
@@ -53,9 +53,9 @@ def alike(one: Any, other: Any, place: str = "") -> None:
 
 @pytest.fixture
 def both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
-    """Compensate a program in one piece and in stretches of some bytes; what comes out must be the same, and is returned.
+    """Compensate a program in one piece and in stretches of some bytes, assert equal results, and return them.
 
-    Stretches come with the fewest lines that are edited and solved all at once.
+    The least number of lines edited and solved together is set to the stretch.
     """
 
     def cut(size: int, shortest: int, lines: int) -> None:
@@ -93,7 +93,7 @@ def usual(dmu50: Machine, calibration: Calibration) -> Compensator:
 
 
 def curve(blocks: int, words: str = "XYZBC") -> str:
-    """A path over most of the machine, every axis moving."""
+    """Return a path over most of the machine, with every axis moving."""
     t = np.linspace(0.0, 1.0, blocks)
     place = {
         "X": 250 + 150 * np.cos(40 * t),
@@ -170,7 +170,7 @@ VARIED = {
     "comments on lines of their own",
     "beyond the curves",
 }
-"""What others are tried as well, in another form."""
+"""Programs run only with slow tests, because others test the same in another form."""
 
 
 @pytest.mark.parametrize(
@@ -181,8 +181,8 @@ def test_the_same_in_stretches(name: str, usual: Compensator, both: Callable[...
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 5, 11])
-def test_borders_inside_words(size: int, usual: Compensator, both: Callable[..., str]) -> None:
-    """Reading so few bytes at once ends inside words and between return and newline."""
+def test_stretch_borders_inside_words(size: int, usual: Compensator, both: Callable[..., str]) -> None:
+    """Reading few bytes at once ends inside words and between carriage return and newline."""
     both((HEAD + curve(8)).replace("\n", "\r\n"), usual, (size, 1, 1))
     both("\r".join(["G21 G90", "", "G0 X250 Y225 Z-100 B30 C10", "G1 X251", "X252\r\n\rX253"]), usual, (size, 1, 1))
 
@@ -207,7 +207,7 @@ def test_whatever_the_options(
     assert "refused" not in both(text + (moves if options.get("tcp") else curve(40)), compensator, (200, 1, 1))
 
 
-def test_machines_of_another_build(both: Callable[..., str]) -> None:
+def test_machines_of_another_design(both: Callable[..., str]) -> None:
     machine = Machine.load("xyzbc_trunnion")
     errors = random_calibration(machine, np.random.default_rng(1), size=30.0)
     compensator = Compensator(machine, errors, Options(tool_length_mm=50.0))
@@ -244,7 +244,7 @@ def test_samples(usual: Compensator, both: Callable[..., str]) -> None:
 def test_shares_over_a_program_longer_than_the_sample(
     dmu50: Machine, calibration: Calibration, usual: Compensator, both: Callable[..., str], tmp_path: Path
 ) -> None:
-    """Blocks drawn from a program whose length is not known yet are those drawn from the whole, and stand for it."""
+    """Blocks sampled without knowing the program's length are those sampled from the whole, and are representative."""
     both(HEAD + curve(3000), usual, (40_000, 12, 1000))
     source = tmp_path / "p.nc"
     source.write_text(HEAD + curve(3000))
@@ -255,7 +255,7 @@ def test_shares_over_a_program_longer_than_the_sample(
     size = np.linalg.norm(alone.forward(ends).point_mm - nominal.forward(ends).point_mm, axis=1) * 1e3
     share = next(share for share in result.report.classes if share.name == "L-POS")
     assert result.report.before.points > 3 * CLASS_POSES
-    # The share over some 4000 of 18,000 poses, drawn evenly, against all 3000 ends: of a smooth error the same to a per cent.
+    # The share over about 4000 of 18,000 poses, sampled evenly, against all 3000 end points: equal to one per cent for a smooth error.
     assert share.before_rms_um == pytest.approx(float(np.sqrt(np.mean(size**2))), rel=0.01)
 
 
@@ -266,7 +266,7 @@ def test_an_interrupt_leaves_nothing(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """In the middle of the work: no output, no trace of it, and what was there before still is."""
+    """Interrupted in the middle, it leaves no output and no temporary files, and an existing file stays unchanged."""
     monkeypatch.setattr(parts, "STRETCH_BYTES", 2000)
     monkeypatch.setattr(parts, "PART_LINES", 50)
     source, output = tmp_path / "p.nc", tmp_path / "out.nc"
@@ -287,7 +287,7 @@ def test_an_interrupt_leaves_nothing(
 
 
 def test_an_error_comes_before_a_later_one(usual: Compensator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reading is ahead of solving; what is said is still the first thing that is wrong."""
+    """Reading runs ahead of solving, but the first error of the program is raised."""
     monkeypatch.setattr(parts, "STRETCH_BYTES", 2000)
     monkeypatch.setattr(parts, "PART_LINES", 50)
     source = tmp_path / "p.nc"
@@ -297,10 +297,10 @@ def test_an_error_comes_before_a_later_one(usual: Compensator, tmp_path: Path, m
     assert not (tmp_path / "out.nc").exists()
 
 
-def test_output_that_says_something_else_is_not_written(
+def test_output_that_differs_is_not_written(
     usual: Compensator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What was written is read back, and compared: a writer that goes wrong in one word is found out, with its line."""
+    """The output is read back and compared: a writer that changes one word is detected, with its line."""
     right = IsoRewriter.write
 
     def wrong(self: IsoRewriter, *given: Any) -> bytes:
@@ -311,7 +311,7 @@ def test_output_that_says_something_else_is_not_written(
     monkeypatch.setattr(IsoRewriter, "write", wrong)
     source = tmp_path / "p.nc"
     source.write_text(HEAD + curve(100))
-    with pytest.raises(OutputError, match=r"p\.nc:105: the output says"):
+    with pytest.raises(OutputError, match=r"p\.nc:105: the output has"):
         usual.compensate_file(source, tmp_path / "out.nc")
     assert [path.name for path in tmp_path.iterdir()] == ["p.nc"]
 
@@ -329,7 +329,7 @@ print(peak_mb())
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_program(tmp_path: Path) -> None:
-    """Peak of a process, for 200,000 blocks and for three times as many: both have stretches in every stage at once."""
+    """Peak memory of a process for 200,000 blocks and for three times as many: both have stretches in every stage at once."""
     peaks = []
     for blocks in (200_000, 600_000):
         source = tmp_path / "p.nc"

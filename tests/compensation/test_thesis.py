@@ -1,4 +1,4 @@
-"""The thesis's own method: it reproduces figure 3.11, and what it leaves is measured beside ours."""
+"""The thesis's method reproduces figure 3.11, and its residuals are compared with those of `twin`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PROGRAM = "G21 G90 G94\nG0 X0 Y0 Z0 B0 C0\n" + "".join(f"G1 X{x} F1000\n" for x 
 
 
 def run(machine: Machine, calibration: Calibration, method: str) -> tuple[np.ndarray, float]:
-    """Exact commands of the ten blocks, and the RMS error left at their ends."""
+    """Return exact commands of the ten blocks, and the RMS residual at their end points."""
     from pathlib import Path
 
     dialect = dialect_for(Path("figure.nc"))
@@ -30,7 +30,7 @@ def run(machine: Machine, calibration: Calibration, method: str) -> tuple[np.nda
 
 
 def test_figure_3_11(dmu50: Machine) -> None:
-    """Y and Z to six printed digits, X to 1 µm, with all errors as they were drawn: the other curves vanish at zero."""
+    """Y and Z to six printed digits, X to 1 µm, with all errors as drawn: the other curves vanish at zero."""
     commands, _ = run(dmu50, as_drawn(dmu50), "thesis")
     assert [float(f"{value:.6g}") for value in commands[:, 1]] == list(FIGURE_3_11[:, 2])
     assert [float(f"{value:.6g}") for value in commands[:, 2]] == list(FIGURE_3_11[:, 3])
@@ -44,8 +44,8 @@ def test_the_embedded_figure_is_the_published_one() -> None:
     assert np.array_equal(np.genfromtxt(rows, delimiter=","), FIGURE_3_11)
 
 
-def test_ours_leaves_less_on_the_same_machine(dmu50: Machine, calibration: Calibration) -> None:
-    """Over random poses of the volume: the thesis leaves most of the error, we leave none but rounding."""
+def test_twin_leaves_smaller_errors_than_the_thesis(dmu50: Machine, calibration: Calibration) -> None:
+    """Over random poses of the volume: the thesis's method leaves most of the error, `twin` only rounding."""
     rng = np.random.default_rng(5)
     q = np.column_stack(
         [rng.uniform(lo, hi, 500) for lo, hi in ((50, 450), (50, 400), (-350, -50), (15, 165), (0, 360))]
@@ -56,7 +56,7 @@ def test_ours_leaves_less_on_the_same_machine(dmu50: Machine, calibration: Calib
     before = np.linalg.norm(real.forward(q).point_mm - meant, axis=1)
     thesis = ThesisMethod(calibration, nominal).commands(q)
     after = np.linalg.norm(real.forward(thesis).point_mm - meant, axis=1)
-    # It improves nothing to speak of where angular errors of the linear axes dominate; ours is tested to 1e-9 mm elsewhere.
+    # It hardly improves anything where angular errors of the linear axes dominate; the method exact is tested to 1e-9 mm elsewhere.
     assert np.sqrt(np.mean(after**2)) > 0.5 * np.sqrt(np.mean(before**2))
     assert np.sqrt(np.mean(after**2)) > 10e-3
 
@@ -69,7 +69,7 @@ def test_z_is_read_from_the_wrong_end(dmu50: Machine, calibration: Calibration) 
     assert read == pytest.approx([curve(-351.0) - curve(0.0), 0.0])
 
 
-def test_not_for_a_machine_of_another_build() -> None:
+def test_not_for_a_machine_of_another_design() -> None:
     machine = Machine.load("trunnion_ac")
     with pytest.raises(InputError, match="tool side"):
         ThesisMethod(Calibration.zero(machine), Kinematics(machine, Calibration.zero(machine)))

@@ -1,4 +1,4 @@
-"""What is said of orientation errors: the tool axis's tilt, how the table stands; against scipy and the second DMU 50."""
+"""Orientation errors in reports: tilt of the tool axis, rotation of the table; checked with SciPy and an independent DMU 50 model."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_the_tool_axis_against_the_second_machine(dmu50: Machine) -> None:
         q = command * [1, 1, 1, np.pi / 180, np.pi / 180]
         scaled = {name: six * [1e3, 1e3, 1e3, 1, 1, 1] for name, six in zip(names, errors, strict=True)}
         reached, meant = dmu50_pose(q, scaled)[:3, 2], dmu50_pose(q, {})
-        # Eq. 5 and 6 of the paper, in the tool frame as meant.
+        # Eq. 5 and 6 of the paper, in the nominal tool frame.
         z = meant[:3, :3].T @ reached
         expected = np.array([np.arctan(-z[1] / z[2]), np.arctan(z[0] / z[2])]) * 1e6
         assert np.abs(expected).max() > 10.0
@@ -55,7 +55,7 @@ def test_the_tool_axis_against_the_second_machine(dmu50: Machine) -> None:
 
 
 def test_a_tilt_is_the_angle_in_two_parts(dmu50: Machine) -> None:
-    """√(x² + y²) is the angle between the axes, to third order."""
+    """√(x² + y²) equals the angle between the axes, to third order."""
     calibration = random_calibration(dmu50, np.random.default_rng(2), 300.0)
     meant = Kinematics(dmu50, Calibration.zero(dmu50)).forward(COMMANDS)
     reached = Kinematics(dmu50, calibration).forward(COMMANDS)
@@ -67,12 +67,12 @@ def test_a_turn_about_the_tool_itself_is_no_tilt(dmu50: Machine) -> None:
     poses = Kinematics(dmu50).forward(COMMANDS)
     spun = Poses(poses.point_mm, poses.rotation @ Rotation.from_rotvec([0.0, 0.0, 0.3]).as_matrix())
     assert np.abs(spun.tilt_urad(poses)).max() <= 1e-9
-    with pytest.raises(InputError, match="belong together"):
+    with pytest.raises(InputError, match="number of nominal poses differs"):
         poses.tilt_urad(Poses(poses.point_mm[:2], poses.rotation[:2]))
 
 
 def work_turn_urad(real: Kinematics, positions: np.ndarray) -> np.ndarray:
-    """(n, 3) µrad: how the table is turned from where it was meant to be, by Pinocchio."""
+    """Return (n, 3) µrad: rotation of the table from its nominal orientation, by Pinocchio."""
     machine, found = real.machine, []
     for q, errors in zip(positions, real.error_frames(positions), strict=True):
         turns = []
@@ -85,7 +85,7 @@ def work_turn_urad(real: Kinematics, positions: np.ndarray) -> np.ndarray:
 
 
 def test_the_sign_is_that_of_a_right_handed_turn(dmu50: Machine) -> None:
-    """The table leaning by +10 µrad about x leaves the tool leaning by −10 about x, at B = C = 0."""
+    """The table tilted by +10 µrad about x gives a tool tilt of −10 about x, at B = C = 0."""
     drawn = Kinematics(dmu50, Calibration.zero(dmu50)).forward(COMMANDS[:1])
     for name, expected in (("E_A0C", [-10.0, 0.0]), ("E_B0C", [0.0, -10.0])):
         real = Kinematics(dmu50, located(dmu50, **{name: 10.0}))
@@ -93,8 +93,8 @@ def test_the_sign_is_that_of_a_right_handed_turn(dmu50: Machine) -> None:
         assert work_turn_urad(real, COMMANDS[:1])[0, :2] == pytest.approx([-one for one in expected], abs=1e-6)
 
 
-def test_how_the_table_stands(dmu50: Machine) -> None:
-    """With scipy, from the contract's chain: B's line lies in the yz-plane at 45°, so its E_B turns the table about z as well."""
+def test_rotation_of_the_table(dmu50: Machine) -> None:
+    """With SciPy, from the kinematic chain: B's axis lies in the yz-plane at 45°, so E_B also rotates the table about z."""
     a_b, b_b, a_c, b_c = 130.0, -220.0, 90.0, 310.0
     calibration = located(dmu50, E_A0B=a_b, E_B0B=b_b, E_A0C=a_c, E_B0C=b_c, E_X0C=50.0)
     lean = Rotation.from_euler("x", 45.0, degrees=True)
@@ -114,8 +114,8 @@ def test_how_the_table_stands(dmu50: Machine) -> None:
     assert "±" not in found.to_text(2.0)
 
 
-def test_what_is_known_of_how_the_table_stands(dmu50: Machine) -> None:
-    """The covariance goes through: rotations this small add, E_B0B in equal parts about y and z."""
+def test_uncertainty_of_the_rotation_of_the_table(dmu50: Machine) -> None:
+    """The covariance is propagated: small rotations add, E_B0B in equal parts about y and z."""
     rng = np.random.default_rng(3)
     root = rng.normal(size=(3, 3))
     names = ("E_A0B", "E_B0B", "E_B0C")
@@ -132,8 +132,8 @@ def test_what_is_known_of_how_the_table_stands(dmu50: Machine) -> None:
     assert TableTilt.of(Calibration.zero(dmu50)) is None
 
 
-def test_the_budget_says_how_the_axis_leans(dmu50: Machine) -> None:
-    """C's line leaning by 10 µrad about x. B turns that about (0, −1, 1)/√2: x keeps cos B of it, y gets sin B/√2, over 0 … 180°."""
+def test_tilt_of_the_tool_axis_in_the_error_budget(dmu50: Machine) -> None:
+    """C's axis tilted by 10 µrad about x. B rotates that about (0, −1, 1)/√2: x keeps cos B of it, y gets sin B/√2, over 0 … 180°."""
     calibration = replace(located(dmu50, E_A0C=10.0), squareness=MappingProxyType({"E_C0Y": 30.0}))
     rows, classes = error_budget(dmu50, calibration)
     by_name = {row.name: row for row in (*rows, *classes)}
@@ -144,8 +144,8 @@ def test_the_budget_says_how_the_axis_leans(dmu50: Machine) -> None:
     assert by_name["all"].tilt_rms_urad == by_name["R-POR"].tilt_rms_urad == by_name["E_A0C"].tilt_rms_urad
 
 
-def test_the_report_and_the_run_say_how_the_axis_leans(dmu50: Machine) -> None:
-    """A table that leans by 20 µrad about x at B = 0: √(1 − sin²B / 2) of it at B is a tilt, the rest a turn about the tool."""
+def test_tilt_of_the_tool_axis_in_report_and_execution(dmu50: Machine) -> None:
+    """A table tilted by 20 µrad about x at B = 0: at B, √(1 − sin²B / 2) of it is tilt, the rest a rotation about the tool."""
     read, dialect = read_program(find_program("cone_frustum.nc"))
     calibration = located(dmu50, E_A0C=20.0)
     report = Compensator(dmu50, calibration, Options()).compensate(read, dialect).report
@@ -153,7 +153,7 @@ def test_the_report_and_the_run_say_how_the_axis_leans(dmu50: Machine) -> None:
         assert np.hypot(*side.tilt_rms_urad) == pytest.approx(side.rms_urad, rel=1e-6)
         assert max(side.tilt_max_urad) <= side.max_urad * (1.0 + 1e-6)
     x, y = report.before.tilt_rms_urad
-    assert f"about x / y of the tool, RMS: before {x:.1f} / {y:.1f}" in report.to_text()
+    assert f"about x / y of the tool frame, RMS: before {x:.1f} / {y:.1f}" in report.to_text()
     assert tuple(report.to_dict()["before"]["tilt_rms_urad"]) == report.before.tilt_rms_urad
     space = WordSpace(dmu50, Setup(), None)
     path = follow(read, dialect.moves(read, space.axes, tcp=False), space)

@@ -1,6 +1,6 @@
-"""What a compensation cannot correct: refused where it would be cut wrongly, else named with its size, never called corrected.
+"""Errors that cannot be corrected: refused where the cut would be wrong, otherwise listed with their size, never called corrected.
 
-Sizes are compared with the truth machine, which shares no code with `twin`.
+Sizes are compared with an independent machine model that shares no code with `twin`.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def test_an_arc_out_of_range_is_refused_with_the_program_s_line(
 def test_no_arc_is_half_corrected(
     dmu50: Machine, calibration: Calibration, radius: float, size_um: float, method: str
 ) -> None:
-    """However small the correction: an arc whose start is moved and whose centre is not has another radius."""
+    """At any size of the correction, an arc whose start is moved and whose centre is not would have another radius."""
     largest = 116.0  # µm, of the illustrative machine
     small = calibration if size_um > 50.0 else _scaled(calibration, size_um / largest)
     y = radius / 2.0
@@ -86,7 +86,7 @@ def _scaled(calibration: Calibration, factor: float) -> Calibration:
 
 
 def test_an_arc_that_bulges_out_of_range_is_refused(dmu50: Machine, calibration: Calibration) -> None:
-    """Both ends are in the range of Y, its lowest point is not."""
+    """Both end points are within the range of Y, its lowest point is not."""
     with pytest.raises(InputError, match=r"p.nc:2: the arc passes Y -3, below the axis's minimum 0"):
         compensate("G0 X100 Y1 Z-100\nG3 X108 Y1 I4 J0 F500\n", dmu50, calibration)
 
@@ -94,7 +94,7 @@ def test_an_arc_that_bulges_out_of_range_is_refused(dmu50: Machine, calibration:
 def test_an_arc_whose_correction_leaves_the_range_is_compensated_whole(
     dmu50: Machine, calibration: Calibration
 ) -> None:
-    """It ends at Y = 0, and the correction asks for less: chords that stop at the limit, and the report says by how much."""
+    """The arc ends at Y = 0 and the correction needs less: the chords stop at the limit, and the report states the error."""
     result = compensate("G0 X100 Y5 Z-100\nG1 F500 Y4\nG3 X96 Y0 I-4 J0\n", dmu50, calibration)
     assert "G3" not in result.text
     (left,) = result.report.not_corrected
@@ -105,16 +105,16 @@ def test_an_arc_whose_correction_leaves_the_range_is_compensated_whole(
 def test_what_cannot_be_read_back_is_a_defect_not_bad_input(
     dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Its line is the output's: nobody finds it in the program."""
+    """The line number is that of the output, which the user cannot find in the program."""
     text = "G0 X100 Y5 Z-100\nG1 F500 Y2\n"
     wrong = lambda self, *args, **options: "G0 X100 Y5 Z-100\nG1 X1..2\n"  # noqa: E731
     monkeypatch.setattr(Iso, "rewrite", wrong)
-    with pytest.raises(OutputError, match=r"line \d+ of what would be written"):
+    with pytest.raises(OutputError, match=r"line \d+ of the output"):
         compensate(text, dmu50, calibration)
     monkeypatch.setattr("twin.nc.iso.stream.IsoRewriter.write", lambda self, *args: b"G1 X1..2\n")
     part = tmp_path / "p.nc"
     part.write_text(text)
-    with pytest.raises(OutputError, match=r"line \d+ of what would be written"):
+    with pytest.raises(OutputError, match=r"line \d+ of the output"):
         compensate_file(part, tmp_path / "o.nc", dmu50, calibration)
     assert not (tmp_path / "o.nc").exists()
 
@@ -126,7 +126,7 @@ def test_what_cannot_be_read_back_is_a_defect_not_bad_input(
 def test_the_orientation_is_corrected_where_only_a_linear_axis_has_no_travel(
     dmu50: Machine, calibration: Calibration, truth: TruthMachine, z: float
 ) -> None:
-    """At the end of Z with B 30, C 45: Z cannot follow, and B and C can."""
+    """At the limit of Z with B 30, C 45: Z cannot follow, but B and C can."""
     text = f"G90\nG0 X400 Y400 Z-100 B30 C45\nG0 Z{z}\n"
     for length in (0.0, LENGTH):
         machine = TruthMachine(calibration.path, length)  # type: ignore[arg-type]
@@ -137,8 +137,8 @@ def test_the_orientation_is_corrected_where_only_a_linear_axis_has_no_travel(
         assert {one.kind for one in result.report.not_corrected} == ({"range"} if z > -0.1 else set())
 
 
-def test_an_orientation_that_the_curves_do_not_reach_is_listed(dmu50: Machine, calibration: Calibration) -> None:
-    """B's curves end where B stands, and the correction would turn it further."""
+def test_an_orientation_outside_the_curves_domain_is_listed(dmu50: Machine, calibration: Calibration) -> None:
+    """The domain of B's curves ends at the position of B, and the correction would turn it further."""
     from dataclasses import replace
     from types import MappingProxyType
 
@@ -150,17 +150,17 @@ def test_an_orientation_that_the_curves_do_not_reach_is_listed(dmu50: Machine, c
     result = compensate("G90\nG0 X100 Y100 Z-100 B10 C45\nG1 B30 F500\n", dmu50, short)
     (left,) = [one for one in result.report.not_corrected if one.kind == "orientation"]
     done = [q for _, q in run_iso(result.text)][-1]
-    assert done[3] == 30.0 and left.lines == (3,) and "B stands at its limit of 30°" in left.reason
+    assert done[3] == 30.0 and left.lines == (3,) and "B is at its limit of 30°" in left.reason
     reached = Kinematics(dmu50, short, tool_length_mm=LENGTH).forward(done[None])
     meant = Kinematics(dmu50, Calibration.zero(dmu50)).forward(np.array([[100.0, 100.0, -100.0, 30.0, 45.0]]))
     angle_urad = 1e6 * np.linalg.norm(reached.axis - meant.axis)
     assert angle_urad > 50.0 and left.worst == pytest.approx(angle_urad, abs=10.0)  # the words' rounding
 
 
-def test_an_orientation_given_up_at_a_limit_is_listed_with_its_size(
+def test_an_orientation_not_corrected_at_a_limit_is_listed_with_its_size(
     dmu50: Machine, calibration: Calibration, truth: TruthMachine
 ) -> None:
-    """B = 0 is the end of its range: what B would have to turn beyond it stays, at the end of Z, too."""
+    """B = 0 is the end of its range: the correction beyond it is not made, at the limit of Z either."""
     text = "G90\nG0 X100 Y100 Z-100 B30 C45\nG1 B0 F500\nG1 Z0\n"
     result = compensate(text, dmu50, calibration)
     meant, done = (np.array([q for _, q in run_iso(one)]) for one in (text, result.text))
@@ -170,7 +170,7 @@ def test_an_orientation_given_up_at_a_limit_is_listed_with_its_size(
     assert {line for one in found for line in one.lines} >= {3, 4}
     worst = max(found, key=lambda one: one.worst)
     assert worst.unit == "urad" and worst.worst >= 0.9 * left_urad
-    assert "corrected, but for the blocks below" in result.report.to_text()
+    assert "corrected, except the blocks below" in result.report.to_text()
     assert {share.left_rms_um for share in result.report.classes if share.corrected} == {None}
     assert result.report.complete is not any(one.missed for one in result.report.not_corrected)
     asked = compensate(text, dmu50, calibration, scope=Scope.parse(["L-VOL", "R-VOL", "FOR"]))
@@ -182,10 +182,10 @@ def test_an_orientation_given_up_at_a_limit_is_listed_with_its_size(
 
 
 @pytest.mark.parametrize("streamed", [False, True])
-def test_the_block_after_a_machine_move_is_named(
+def test_the_block_after_a_machine_coordinate_move_is_listed(
     dmu50: Machine, calibration: Calibration, truth: TruthMachine, tmp_path: Path, streamed: bool
 ) -> None:
-    """G53 leaves Z where it says; the next block begins there, and is off by what Z was not corrected."""
+    """G53 moves Z to the position written; the next block begins there, with the uncorrected error of Z."""
     text = "G90\nG0 X100 Y100 Z-100 B30 C45\nG1 X120 F500\nG53 G0 Z-20.\nG1 X140\nX160\n"
     if streamed:
         part, out = tmp_path / "p.nc", tmp_path / "o.nc"
@@ -196,9 +196,9 @@ def test_the_block_after_a_machine_move_is_named(
         result = compensate(text, dmu50, calibration)
         report, written = result.report, result.text
     (left,) = report.not_corrected
-    assert left.lines == left.missed == (5,) and "begins where the axes stand uncorrected" in left.reason
+    assert left.lines == left.missed == (5,) and "begins at an uncorrected position" in left.reason
     assert not report.complete and "NOT ALL CORRECTED: 1 of 3 cutting blocks" in report.headline
-    # Where the axes stand: X, Y, B, C as the block before left them, Z where G53 says.
+    # Actual axis positions: X, Y, B, C from the block before, Z from G53.
     plain = [line for line in written.splitlines() if "G53" not in line]
     stands = run_iso("\n".join(plain))[1][1].copy()
     stands[2] = -20.0
@@ -210,16 +210,16 @@ def test_the_block_after_a_machine_move_is_named(
 
 
 def test_a_rapid_that_cannot_be_corrected_is_no_failure(dmu50: Machine, calibration: Calibration) -> None:
-    """Nothing is cut there: exit status 0, and 3 with --strict."""
+    """No material is cut there: exit status 0, and 3 with --strict."""
     text = "G90\nG0 X100 Y100 Z-100\nG1 X120 F500\nG0 Z-50\nG0 X0 Y0\n"
     report = compensate(text, dmu50, calibration).report
     assert {line for one in report.not_corrected for line in one.lines} == {5}
     assert report.complete and not report.strictly_complete
-    assert report.headline.startswith("corrected, but for 1 of 4 blocks")
+    assert report.headline.startswith("corrected, except 1 of 4 blocks")
 
 
 def test_a_correction_short_by_less_than_the_tolerance_is_met(dmu50: Machine, calibration: Calibration) -> None:
-    """A cutting block stopped at a limit counts only by what it is off."""
+    """A cutting block stopped at a limit counts only by its remaining error."""
     text = "G90\nG0 X100 Y100 Z-100\nG1 X120 F500\nG1 X0\n"
     strict = compensate(text, dmu50, calibration)
     (left,) = [one for one in strict.report.not_corrected if one.kind == "range"]
@@ -231,7 +231,7 @@ def test_a_correction_short_by_less_than_the_tolerance_is_met(dmu50: Machine, ca
 # --- nothing corrected -----------------------------------------------------------------------------------------------
 
 
-def test_nothing_corrected_is_said_first_and_is_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_corrected_is_the_headline_and_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     part, out, report = tmp_path / "p.nc", tmp_path / "o.nc", tmp_path / "r.json"
     part.write_text("G90\nG0 X10 Y10 Z-10 B30 C10\nG1 X20 F500\n")
     code, said = run(capsys, "compensate", part, "-o", out, "-m", "xyzbc_trunnion", "--json", report)
@@ -251,7 +251,7 @@ def test_nothing_corrected_is_said_first_and_is_no_success(tmp_path: Path, capsy
     assert said.count("outside the range") == 1, "one line a reason"
 
 
-def test_several_programs_and_a_path_say_so_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_corrected_with_several_programs_and_a_path(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("a.nc", "b.nc"):
         (tmp_path / name).write_text("G90\nG0 X10 Y10 Z-10 B30 C10\nG1 X20 F500\n")
     words = ["-m", "xyzbc_trunnion", "--workers", 1]
@@ -277,7 +277,7 @@ def test_strict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(capsys, "compensate", other, "-o", tmp_path / "o.nc", "--strict")[0] == 0
 
 
-# --- the account -----------------------------------------------------------------------------------------------------
+# --- the report ------------------------------------------------------------------------------------------------------
 
 
 def test_a_tally_by_hand() -> None:
@@ -302,14 +302,14 @@ def test_notes_of_one_text_are_one_line() -> None:
     assert grouped(notes) == ["lines 4, 9: passed", "line 5: assumed"]
 
 
-def test_the_page_says_it_too(dmu50: Machine) -> None:
+def test_nothing_corrected_in_html(dmu50: Machine) -> None:
     text = "G90\nG0 X100 Y100 Z-100\nG1 X120 F500\n"
     program = Iso().read(text.encode(), "p.nc")
     result = Compensator(dmu50, Calibration.zero(dmu50), Options(setup=Setup())).compensate(program, Iso())
     assert "NOTHING CORRECTED" in result._repr_html_()
 
 
-def test_no_program_of_the_package_is_half_corrected(tmp_path: Path) -> None:
+def test_every_sample_program_is_fully_corrected(tmp_path: Path) -> None:
     """The bundled program, as in the README: exit status 0, everything corrected."""
     done = twin("compensate", "cone_frustum.nc", "-o", tmp_path / "o.nc", "--tool-length", 120, "--strict")
     assert done.returncode == 0, done.stdout

@@ -1,4 +1,4 @@
-"""The inverse with errors: exact where it can be, honest where it cannot, never an exception in the middle of a batch."""
+"""Inverse kinematics with errors: exact where possible, with a status elsewhere, and never an exception within a batch."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ POSES = 10_000
 
 
 def inner_commands(machine: Machine, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Random commands far enough from the limits of linear axes for a correction of some mm."""
+    """Return random commands far enough from the limits of linear axes for a correction of some mm."""
     q = random_commands(machine, n, rng)
     for i in machine.linear:
         axis = machine.axes[i]
@@ -31,7 +31,7 @@ def inner_commands(machine: Machine, n: int, rng: np.random.Generator) -> np.nda
 
 
 def test_reaches_ten_thousand_poses(dmu50: Machine) -> None:
-    """Errors to 1 mm and 1 mrad: every pose converges but those near B = 0 and B = 180°, where C or B cannot help."""
+    """Errors to 1 mm and 1 mrad: every pose converges except near B = 0 and B = 180°, where C or B cannot correct."""
     rng = np.random.default_rng(11)
     real = Kinematics(dmu50, random_calibration(dmu50, rng), tool_length_mm=100.0)
     nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=100.0)
@@ -50,12 +50,12 @@ def test_reaches_ten_thousand_poses(dmu50: Machine) -> None:
 
 
 @pytest.mark.parametrize("name", ["dmu50", "trunnion_ac", "xyzbc_trunnion"])
-def test_a_step_has_the_derivatives_of_what_is_left(name: str) -> None:
-    """Matrices of Newton's step, made of twists, against central differences of what `check` says is left, which has none.
+def test_a_step_has_the_derivatives_of_the_residual(name: str) -> None:
+    """Matrices of Newton's step, from twists, compared with central differences of the residual in `check`, which uses no derivatives.
 
-    At the solution, where what is left is zero and its derivatives are those of the step. `twin.kinematics.newton` leaves out the
-    second term of Exp's derivative, an angular error (to 1 mrad here) times a slope (to 20 mrad a radian): 1e-5 of what an axis
-    turns or moves.
+    They are compared at the solution, where the residual is zero and its derivatives are those of the step. `twin.kinematics.newton`
+    omits the second term of Exp's derivative, an angular error (to 1 mrad here) times a slope (to 20 mrad per radian): 1e-5 of an
+    axis's motion.
     """
     machine = Machine.load(name)
     rng = np.random.default_rng(17)
@@ -67,7 +67,7 @@ def test_a_step_has_the_derivatives_of_what_is_left(name: str) -> None:
         point, axis = pose.point_mm[0] * 1e-3, pose.axis[0]
 
         def left(at: np.ndarray, point: np.ndarray = point, axis: np.ndarray = axis) -> np.ndarray:
-            """Tip less goal and tool axis across the target, at one position."""
+            """Return tip less goal, and the tool axis perpendicular to the target, at one position."""
             found = steps.check(at, point, axis)
             return np.concatenate([np.array(found[4]).ravel(), np.array(found[5]).ravel()])
 
@@ -84,7 +84,7 @@ def test_a_step_has_the_derivatives_of_what_is_left(name: str) -> None:
         np.testing.assert_allclose(turns @ system @ turns, turns, atol=3e-4 * np.abs(turns).max() ** 2)
 
 
-def test_linear_axes_only_keeps_the_rotary_ones(dmu50: Machine) -> None:
+def test_linear_axes_only_keep_the_rotary_positions(dmu50: Machine) -> None:
     rng = np.random.default_rng(12)
     real = Kinematics(dmu50, random_calibration(dmu50, rng))
     q = inner_commands(dmu50, 2000, rng)
@@ -109,7 +109,7 @@ def test_forward_undoes_inverse(dmu50: Machine, seed: int, b: float, c: float) -
 
 
 def test_c_stays_continuous_through_the_singularity(dmu50: Machine, calibration: Calibration) -> None:
-    """B down to 0 and up again: the correction of C is bounded, fades at B = 0, and never jumps."""
+    """B down to 0 and up again: the correction of C is bounded, vanishes at B = 0, and never jumps."""
     real = Kinematics(dmu50, calibration, tool_length_mm=100.0)
     nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=100.0)
     b = np.abs(np.linspace(-8.0, 8.0, 3201))
@@ -145,7 +145,7 @@ def test_statuses_not_exceptions(dmu50: Machine, calibration: Calibration) -> No
 
 
 def test_one_pose_or_many_give_the_same(dmu50: Machine, calibration: Calibration) -> None:
-    """Chunks and padding change nothing, bit for bit."""
+    """Chunks and padding change no bit of the result."""
     rng = np.random.default_rng(13)
     real = Kinematics(dmu50, calibration)
     q = inner_commands(dmu50, 1500, rng)
@@ -185,7 +185,7 @@ def test_upright_tool_keeps_c(dmu50: Machine) -> None:
 
 
 def test_both_branches_exist_and_each_is_kept() -> None:
-    """On a trunnion whose B tilts both ways every pose is reached twice; the solver stays where it starts."""
+    """On a trunnion whose B tilts both ways every pose has two solutions; the solver stays on the branch of its start."""
     machine = Machine.load("xyzbc_trunnion")
     rng = np.random.default_rng(15)
     real = Kinematics(machine, random_calibration(machine, rng, size=100.0), tool_length_mm=60.0)

@@ -1,4 +1,4 @@
-"""Three formulations of the machine with errors agree; without errors they are Sørby's closed form."""
+"""Three formulations of the machine with errors agree; without errors they equal Sørby's closed form."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ RAD_TOLERANCE = 1e-12
 
 
 def random_commands(machine: Machine, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Over the whole range, C over three turns."""
+    """Return random commands over the whole range, C over three turns."""
     lower = [axis.lower if axis.lower is not None else -540.0 for axis in machine.axes]
     upper = [axis.upper if axis.upper is not None else 540.0 for axis in machine.axes]
     return rng.uniform(lower, upper, (n, len(machine.axes)))
 
 
 def reference_pose(machine: Machine, q: np.ndarray, errors: np.ndarray, length: float) -> np.ndarray:
-    """The reference at commands in mm and degrees, error frames (frames, 6) and tool length in metres and radians."""
+    """Return the reference pose for commands in mm and degrees, error frames (frames, 6) and tool length in metres and radians."""
     frames = {
         ("L_" if frame.role == "location" else "") + frame.axis: errors[k] * [1e3, 1e3, 1e3, 1, 1, 1]
         for k, frame in enumerate(machine.frames)
@@ -90,7 +90,7 @@ def test_without_errors_it_is_the_closed_form_both_ways(dmu50: Machine) -> None:
 
 
 def test_the_calibration_drives_the_frames(dmu50: Machine, calibration: Calibration) -> None:
-    """Curves, squareness and location as contract §1 writes them, evaluated here by hand."""
+    """Curves, squareness and location as the conventions define them, evaluated independently."""
     located = Calibration(
         dmu50,
         "test",
@@ -186,7 +186,7 @@ def test_positions_are_checked(dmu50: Machine, calibration: Calibration) -> None
 
 
 def test_an_unlimited_axis_is_wrapped(dmu50: Machine) -> None:
-    """A power curve of C, which does not repeat by itself."""
+    """A power curve of C, which is not periodic itself."""
     curve = Curve("E_ZC", "um", (0.0, 360.0), "power", (0.0, 10.0))
     calibration = Calibration(
         dmu50, "test", MappingProxyType({"E_ZC": curve}), MappingProxyType({}), MappingProxyType({})

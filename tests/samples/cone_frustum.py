@@ -1,9 +1,9 @@
-"""Makes the cone frustum programs in `twin.samples`: run ``python -m tests.samples.cone_frustum``.
+"""Generate the cone frustum programs in `twin.samples`: run ``python -m tests.samples.cone_frustum``.
 
-The five-axis acceptance test of NAS 979 and ISO 10791-7: a conical frustum whose axis leans, finished in one turn with the flank
-of an end mill, so that all five axes move at once. Half apex angle 15°, inclined by 10°, base diameter 80 mm; height, offset from the
-table centre and tool are ours. The same path in three languages: cutter locations (APT), tool-tip coordinates with B and C
-(Heidenhain plain language, ``M128``) and axis words of the DMU 50 (ISO).
+The five-axis acceptance test of NAS 979 and ISO 10791-7: a conical frustum with an inclined axis, finished in one turn with the flank
+of an end mill, so that all five axes move at once. Half apex angle 15°, inclination 10°, base diameter 80 mm; height, offset from the
+table centre and tool are chosen here. The same path is written in three languages: cutter locations (APT), tool-tip coordinates with B
+and C (Heidenhain plain language, ``M128``) and axis words of the DMU 50 (ISO).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FEED: Final = 800
 
 
 def cutter_locations() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The path: tool tips (n, 3) mm and tool axes (n, 3) in the work frame, and (n,) whether each block is a rapid."""
+    """Return the path: tool tips (n, 3) mm and tool axes (n, 3) in the work frame, and (n,) whether each block is a rapid."""
     angle = np.arange(0.0, 360.0 + 0.5 * STEP_DEG, STEP_DEG) * DEG
     apex = HALF_APEX_DEG * DEG
     around = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
@@ -56,7 +56,7 @@ def cutter_locations() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def apt() -> str:
-    """Cutter locations."""
+    """Return the program in cutter locations."""
     points, axes, rapid = cutter_locations()
     out = [
         "$$ CONE FRUSTUM, NAS 979 / ISO 10791-7: HALF APEX 15 DEG, INCLINED 10 DEG, BASE DIA 80",
@@ -77,7 +77,7 @@ def apt() -> str:
 
 
 def heidenhain() -> str:
-    """Tool tips with B and C, the control doing the kinematics."""
+    """Return the program as tool tips with B and C, in tool-centre-point mode."""
     points, axes, rapid = cutter_locations()
     space = _space()
     rotary = np.round(_rotary(space, axes), 3)
@@ -97,7 +97,7 @@ def heidenhain() -> str:
 
 
 def iso() -> str:
-    """Axis words of the DMU 50 for a tool of 120 mm."""
+    """Return the program in axis words of the DMU 50 for a tool of 120 mm."""
     points, axes, rapid = cutter_locations()
     space = _space()
     start = np.zeros((len(points), len(space.order)))
@@ -132,7 +132,7 @@ def _space() -> WordSpace:
 
 
 def _rotary(space: WordSpace, axes: np.ndarray) -> np.ndarray:
-    """(n, 2) rotary positions, each on the branch of the one before."""
+    """Return (n, 2) rotary positions, each on the branch of the one before."""
     found = []
     standing = np.zeros(2)
     for solutions in space.branches.all(axes):

@@ -1,4 +1,4 @@
-"""What comes with twin: what the scripts make, the geometry of the standard's test piece, and the thesis's plan."""
+"""Sample data of twin: output of the scripts, geometry of the standard's test piece, and the thesis's measurement plan."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from twin.samples import thesis_plan
 FOLDER = cone_frustum.FOLDER
 
 
-def test_the_files_are_what_the_script_makes() -> None:
+def test_the_files_equal_the_output_of_the_script() -> None:
     assert (FOLDER / "cone_frustum.cls").read_text() == cone_frustum.apt()
     assert (FOLDER / "cone_frustum.h").read_text() == cone_frustum.heidenhain()
     assert (FOLDER / "cone_frustum.nc").read_text() == cone_frustum.iso()
 
 
 def test_it_is_a_cone_frustum_of_half_apex_15_inclined_10() -> None:
-    """From the axis words alone, through Sørby's closed form: the tool's flank touches the cone, its axis along a generator."""
+    """From the axis words alone, by Sørby's closed form: the tool's flank touches the cone, its axis along a generator."""
     words = [q for code, q in run_iso((FOLDER / "cone_frustum.nc").read_text()) if code == "G1"]
     lean = np.radians(10.0)
     cone_axis = np.array([np.sin(lean), 0.0, np.cos(lean)])
@@ -46,11 +46,11 @@ def test_it_is_a_cone_frustum_of_half_apex_15_inclined_10() -> None:
     assert cut == 361  # one turn in steps of one degree, both ends
 
 
-def test_the_plan_is_what_the_script_makes() -> None:
+def test_the_plan_equals_the_output_of_the_script() -> None:
     assert (FOLDER / "thesis_plan.csv").read_text() == thesis_plan.text()
 
 
-def test_the_plan_is_the_thesiss(dmu50: Machine) -> None:
+def test_the_plan_is_that_of_the_thesis(dmu50: Machine) -> None:
     plan = load(FOLDER / "thesis_plan.csv", dmu50, plan=True)
     assert not plan.set_aside and not plan.notices
     assert len(plan) == 4 * 3 * (11 + 11 + 11 + 19 + 18)
@@ -73,7 +73,7 @@ def test_the_plan_is_the_thesiss(dmu50: Machine) -> None:
 
 
 def test_the_six_equations_hold_everywhere_on_the_plan(dmu50: Machine) -> None:
-    """Unit noise in a reading is at most 1.8 in a translation at every position (2.5 with places a third apart would still do)."""
+    """Unit noise in a reading is at most 1.8 in a translation at every position (2.5 would still hold with places a third apart)."""
     plan = load(FOLDER / "thesis_plan.csv", dmu50, plan=True)
     for places in (thesis_plan.TOOL_PLACES_MM, thesis_plan.WORK_PLACES_MM):
         assert len({place[2] for place in places.values()}) == 3
@@ -97,7 +97,7 @@ def test_the_six_equations_hold_everywhere_on_the_plan(dmu50: Machine) -> None:
 def test_the_three_positions_of_figure_5_1() -> None:
     """Tables 5.1, 5.2: Pos. 1 measures y without the tracker's angles, Pos. 2 x, Pos. 3 z: a fifth of the others over the volume.
 
-    At the ends of the travel the beam leans by 8°, which brings 13.5 µm · sin 8° = 2 µm of the angles' into it.
+    At the limits of travel the beam is inclined by 8°, which adds 13.5 µm · sin 8° = 2 µm of the error of the angles.
     """
     points = np.array([[x, y, z] for x in (-250, 0, 250) for y in (-225, 0, 225) for z in (0, 200, 400)], dtype=float)
     for station, along in zip(thesis_plan.thesis_stations(), (1, 0, 2), strict=True):

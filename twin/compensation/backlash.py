@@ -1,18 +1,18 @@
-"""The side every axis comes from as a program runs, for reversals: what a machine makes of commands, and what to command.
+"""Approach directions and backlash: the direction from which every axis reaches its positions, and how to command for it.
 
-A *side* is the effects' ``approach_<axis>``: +1 come to from below, −1 from above, 0 not known: an axis that has not moved yet, or
-that a line passed through as written has left in a place unknown. What a rapid does between its ends is the control's own affair: the
-side at its end is that of the way from its start.
+A *side* is an effect's ``approach_<axis>``: +1 approached from below, −1 from above, 0 unknown. It is unknown for an axis that has
+not moved yet, or that a line passed through unchanged has left at an unknown position. The path of a rapid move is not modelled: the
+side at the end point is that of the direct way from its start.
 
-**What the machine does** (`LostMotion.sides`). Lost motion (a negative size: the axis lags) is play: the axis stands still until its
-command has come back by the size, so that the side changes over that way and not at once (the play operator of Krasnosel'skii and
-Pokrovskii, 1989). A positive size, the axis jumping ahead, is no play but a control that compensates too much: it does so at once when
-the command turns, and that is the model.
+**Model of the machine** (`Backlash.sides`). A negative reversal value (the axis lags) is backlash: the axis stands still until its
+command has come back by that value, so the side changes gradually over this distance (the play operator of Krasnosel'skii and
+Pokrovskii, 1989). A positive reversal value (the axis jumps ahead) is not mechanical play but an overcompensating control, which acts
+at once when the command reverses; it is modelled that way.
 
-**What to command** (`LostMotion.turned`). The inverse of play is a step of the size at every turn of the way the axis is really to go,
-however short the way back. That way is the corrected one: where the program holds an axis still and the correction of a straightness
-moves it back by some micrometres, play would swallow them. A way back of less than `TURN` least increments is no turn: the rounding of
-words makes as much. So what this rule leaves is that much.
+**Compensation** (`Backlash.commanded_sides`). The inverse of the play operator is a step of the reversal value at every reversal of the
+intended axis motion, even if the way back is short. The intended motion is the corrected one: if the program holds an axis still and a
+straightness correction moves it back by some micrometres, backlash would absorb that motion. A way back of less than `LEAST_REVERSAL`
+least increments does not count as a reversal, because rounding of words causes as much; the error left by this rule is of that size.
 """
 
 from __future__ import annotations
@@ -23,36 +23,37 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.units import UM, URAD
-from twin.compensation.toolpath import Path
+from twin.compensation.toolpath import ToolPath
 from twin.machine.calibration import Calibration
 from twin.machine.effects import ControlCorrection, Reversal, ReversalCurve
 
 STILL: Final = 1e-6
-"""mm or degrees: closer than this an axis stands still; the control's kinematics are solved to a thousandth of it."""
+"""Distance (mm, degrees) below which an axis stands still; the control's kinematics are solved to a thousandth of it."""
 
 UNEVEN: Final = 0.05
-"""µm or µrad by which what a control takes up may change along an axis: a digit of its table."""
+"""Largest variation along an axis (µm, µrad) of the reversal value that a control's table corrects: one digit of the table."""
 
-NOTHING: Final = 1e-8
-"""mm or degrees: a reversal the control takes up whole, but for rounding."""
+NEGLIGIBLE: Final = 1e-8
+"""Reversal value (mm, degrees) below which the control corrects it fully, apart from rounding."""
 
-TURN: Final = 1.5
-"""Least increments: an axis that comes back by more has turned. Not by one, which is rounding, and by two for certain."""
+LEAST_REVERSAL: Final = 1.5
+"""Least increments by which an axis must come back to count as reversed: one is rounding, two are a reversal."""
 
 
 @final
-class LostMotion:
-    """The reversals of a calibration, less what the control takes up by itself.
+class Backlash:
+    """The reversal values of a calibration, less those corrected by the control itself.
 
     Args:
-        calibration: the machine's errors; only its reversals matter, and tables of the control that differ by direction.
+        calibration: the machine's errors; only its reversals are used, and tables of the control that differ by direction.
 
     Attributes:
-        size: (axes,) of each axis, mm and degrees; 0 where it has none or the control takes it up.
-        axes: indices of the axes that have one, or whose direction an empirical effect depends on: that changes at the turn, at once.
+        size: (axes,) reversal value of each axis, mm and degrees; 0 if it has none or the control corrects it.
+        axes: indices of the axes that have one, or on whose direction an empirical effect depends; such an effect changes at once when
+            the axis reverses.
 
     Raises:
-        InputError: a table of the control whose two directions differ by more in one place than in another.
+        InputError: a table of the control in which the difference between both directions varies along the axis.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -64,14 +65,14 @@ class LostMotion:
             if isinstance(effect, Reversal):
                 size = effect.size
             elif isinstance(effect, ReversalCurve):
-                # The play is as wide as the lost motion is at its largest; by how much the axis is off is asked of the effect itself.
+                # The width of the play is the largest reversal value; the effect itself gives the error at each position.
                 size = max(effect.reversal_range(), key=abs)
             elif isinstance(effect, ControlCorrection):
                 low, high = effect.reversal_range(ranges)
                 if high - low > UNEVEN:
                     raise InputError(
-                        f"a table of the control takes up a reversal of {effect.axis.name} that changes along the axis",
-                        expected="the same difference between both directions everywhere: the rest cannot be taken up by a program",
+                        f"the control's table corrects a reversal value of {effect.axis.name} that varies along the axis",
+                        expected="the same difference between both directions everywhere, or it cannot be compensated",
                         value=f"{low:.2f} to {high:.2f}",
                     )
                 size = 0.5 * (low + high)
@@ -79,15 +80,15 @@ class LostMotion:
                 continue
             axis = effect.axis
             self.size[machine.names.index(axis.name)] += size * (UM if axis.linear else URAD) / axis.scale
-        self.size[np.abs(self.size) < NOTHING] = 0.0
+        self.size[np.abs(self.size) < NEGLIGIBLE] = 0.0
         self.axes = [i for i, name in enumerate(machine.names) if self.size[i] != 0.0 or name in turning]
-        self._dead_band = TURN * np.array([axis.increment for axis in machine.axes])
+        self._dead_band = LEAST_REVERSAL * np.array([axis.increment for axis in machine.axes])
 
-    def sides(self, path: Path, motion: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """What the machine makes of commands as they are given, one after the other.
+    def sides(self, path: ToolPath, motion: np.ndarray, commands: np.ndarray) -> np.ndarray:
+        """Return the approach directions that result from commands given one after the other.
 
         Args:
-            path: the program they belong to, for what it passes through between its motions.
+            path: the program they belong to, for lines between its motions that are passed through.
             motion: (n,) index of the motion each belongs to, ascending.
             commands: (n, axes) mm and degrees.
 
@@ -98,35 +99,36 @@ class LostMotion:
         for axis in self.axes:
             way, own = _with_passages(path, motion, commands[:, axis], axis)
             lag = self.size[axis] < 0.0
-            found[:, axis] = (_play(way, -self.size[axis])[0] if lag else self._held(way, axis))[own]
+            found[:, axis] = (_play(way, -self.size[axis])[0] if lag else self._side_reached(way, axis))[own]
         return found
 
-    def turned(self, path: Path, motion: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """The sides to command for: as `sides`, of where the axes are really to be.
+    def commanded_sides(self, path: ToolPath, motion: np.ndarray, intended: np.ndarray) -> np.ndarray:
+        """Return the sides to command for, from the intended axis positions; arguments as for `sides`.
 
         Returns:
-            (n, axes) +1, −1 or 0 on the way to each; it changes right behind the furthest point of a turn, the last of equals.
+            (n, axes) +1, −1 or 0 on the way to each position. It changes directly after the extreme point of a reversal, the last one
+            of equal points.
         """
-        found = np.zeros(wanted.shape)
+        found = np.zeros(intended.shape)
         for axis in self.axes:
-            way, own = _with_passages(path, motion, wanted[:, axis], axis)
-            found[:, axis] = _from_the_turn(way, self._held(way, axis))[own]
+            way, own = _with_passages(path, motion, intended[:, axis], axis)
+            found[:, axis] = _from_reversal(way, self._side_reached(way, axis))[own]
         return found
 
-    def _held(self, way: np.ndarray, axis: int) -> np.ndarray:
+    def _side_reached(self, way: np.ndarray, axis: int) -> np.ndarray:
         return _play(way, self._dead_band[axis])[1]
 
 
 def _play(way: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where in its play an axis is, and the end of its play it was at last.
+    """Return the position of an axis within its play, and the end of the play it last reached.
 
     Args:
-        way: (n,) positions, NaN where not known.
-        width: the play, in the same unit.
+        way: (n,) positions, NaN if unknown.
+        width: width of the play, in the same unit.
 
     Returns:
-        (n,) from −1 to +1, changing over a way of ``width``; 0 until it moves, and again where the position is not known. (n,) +1, −1,
-        or 0 before it was at one end.
+        (n,) from −1 to +1, changing over a distance of ``width``; 0 until the axis moves, and again where its position is unknown. (n,)
+        +1, −1, or 0 before it has reached either end.
     """
     rate = 2.0 / width
     state = side = 0.0
@@ -145,8 +147,8 @@ def _play(way: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
     return np.array(states), np.array(sides)
 
 
-def _from_the_turn(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Sides that are known a little late, taken back to the furthest point before."""
+def _from_reversal(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Return sides that are detected late, moved back to the preceding extreme point."""
     found = sides.copy()
     unknown = np.flatnonzero(np.isnan(way))
     first = 0
@@ -162,8 +164,8 @@ def _from_the_turn(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
     return found
 
 
-def _with_passages(path: Path, motion: np.ndarray, way: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """One axis's positions with those of the passages between, and which are its own."""
+def _with_passages(path: ToolPath, motion: np.ndarray, way: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return one axis's positions with those of passed-through lines inserted, and a mask of the original ones."""
     moved = [passage for passage in path.passages if passage.moved[axis]]
     at = np.searchsorted(motion, [passage.before for passage in moved], side="left")
     places = np.insert(way, at, [passage.commands[axis] for passage in moved])

@@ -1,4 +1,4 @@
-"""What stays the same for every program: machine, calibration, tool and the user's choices."""
+"""Data common to all programs: machine, calibration, tool and options."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Literal, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.compensation.backlash import LostMotion
+from twin.compensation.backlash import Backlash
 from twin.compensation.comparison import PoseComparison
 from twin.compensation.thesis import ThesisMethod
 from twin.compensation.toolpath import Setup, WordSpace, outside_range
@@ -34,17 +34,17 @@ KeepTable = Callable[[ControlCorrection], bool]
 @final
 @dataclass(frozen=True)
 class Options:
-    """What to do, beside the machine and its calibration.
+    """Options of a compensation.
 
     Attributes:
         setup: work offsets and origin.
-        tool_length_mm: None for the machine file's own.
-        tcp: whether the control's kinematics are on from the start.
-        scope: None for everything the program can carry.
-        tolerance_mm: error allowed between the ends of a block, and of a chord.
-        rotary_limit_deg: how far a rotary axis may move to repair an orientation.
-        method: ``exact``, or ``thesis`` for the baseline of `twin.thesis`.
-        conditions: temperatures and time, over the whole program.
+        tool_length_mm: tool length; None for that of the machine file.
+        tcp: whether tool-centre-point mode is on from the start.
+        scope: classes to correct; None for everything the program can carry.
+        tolerance_mm: error allowed between the end points of a block, and of a chord.
+        rotary_limit_deg: largest motion of a rotary axis to correct an orientation.
+        method: ``exact``, or ``thesis`` for the baseline of `twin.compensation.thesis`.
+        conditions: temperatures and time, constant over the whole program.
     """
 
     setup: Setup = field(default_factory=Setup)
@@ -63,40 +63,40 @@ class Options:
             ("tool length", length),
             ("scope", "everything the program can carry" if self.scope is None else str(self.scope)),
             (
-                "the control's kinematics",
-                "on from the start (tcp)" if self.tcp else "off, until the program says otherwise",
+                "tool-centre-point mode",
+                "on from the start (tcp)" if self.tcp else "off until the program switches it on",
             ),
-            ("tolerance between the ends of a block", f"{self.tolerance_mm * 1e3:g} µm"),
-            ("rotary axes move for an orientation", f"{self.rotary_limit_deg:g}° at most"),
+            ("tolerance between block end points", f"{self.tolerance_mm * 1e3:g} µm"),
+            ("rotary motion to correct an orientation", f"{self.rotary_limit_deg:g}° at most"),
             ("method", self.method),
-            ("taken at", at),
+            ("conditions", at),
         ]
         return card("Options", pairs(rows), Html(self.setup._repr_html_())).text
 
 
 @final
 class Bench:
-    """One machine with one calibration, set up.
+    """One machine with one calibration and the options of a compensation, ready for any program.
 
     Args:
         machine: the machine.
         calibration: its errors.
-        options: what to do.
+        options: the options.
 
     Attributes:
-        space: words to commands on the machine as drawn.
-        full: the machine with all its errors.
-        lost: its reversals.
-        compared: what the machine with all its errors does, beside what was meant.
-        corrected_by: what commands move the tool by on the machine as drawn, beside the meant ones.
-        thesis: the baseline, where it is asked for.
+        space: conversion between words and commands on the machine without errors.
+        real: the machine with all its errors.
+        backlash: its reversal values.
+        comparison: pose comparison of the machine with all its errors with the nominal pose.
+        nominal_comparison: displacement of the tool between nominal and other commands, on the machine without errors.
+        thesis: the baseline method, if chosen.
         machine_increment: (axes,) least increments in command order.
-        increment: (axes,) the same in the order of the words.
-        limits: (axes, 2) mm and degrees that commands keep to: ranges, and domains of curves where those are narrower.
+        increment: (axes,) the same in word order.
+        limits: (axes, 2) mm and degrees within which commands stay: axis ranges, or domains of curves where these are narrower.
 
     Raises:
-        InputError: the machine cannot run programs, the calibration did not settle, or the method does not fit it; a temperature or
-            time that the calibration needs and nobody gave, or a temperature of nothing it knows.
+        InputError: the machine cannot run programs; the calibration did not converge; the method does not apply; a temperature or time
+            that the calibration needs is missing, or a temperature is given that it does not know.
     """
 
     def __init__(self, machine: Machine, calibration: Calibration, options: Options) -> None:
@@ -106,15 +106,16 @@ class Bench:
         calibration.check_settled()
         options.conditions.require(calibration)
         self.space = WordSpace(machine, options.setup, options.tool_length_mm)
-        self.full = self._with(calibration)
-        self.lost = LostMotion(calibration)
-        self.compared = PoseComparison(self.full, self.space.nominal)
-        self.corrected_by = PoseComparison(self.space.nominal, self.space.nominal)
+        self.real = self._with(calibration)
+        self.backlash = Backlash(calibration)
+        self.comparison = PoseComparison(self.real, self.space.nominal)
+        self.nominal_comparison = PoseComparison(self.space.nominal, self.space.nominal)
         if calibration.corrections and options.method == "thesis":
             raise InputError(
-                "the thesis's method knows nothing of the control's own tables and would correct what they correct again",
-                expected="--method exact, or a calibration without `control:`",
+                "the method of the thesis does not model the control's own tables and would correct their share twice",
+                expected="the method exact, or a calibration without `control:`",
                 file=calibration.path,
+                setting="method",
             )
         self.thesis = ThesisMethod(calibration, self.space.nominal) if options.method == "thesis" else None
         self.machine_increment = np.array([axis.increment for axis in machine.axes])
@@ -126,19 +127,19 @@ class Bench:
 
     @cached_property
     def control_alone(self) -> Kinematics | None:
-        """The machine as drawn under the control's tables; None where they take nothing out of these errors."""
-        return self.limited(lambda name: False, lambda table: True) if self.calibration.corrections else None
+        """Machine without errors under the control's tables; None if the tables do not act on these errors."""
+        return self.with_errors(lambda name: False, lambda table: True) if self.calibration.corrections else None
 
-    def limited(self, keep: Keep, keep_table: KeepTable) -> Kinematics:
-        """The machine with only some of its errors; arguments as of `where`."""
-        return self._with(self.where(keep, keep_table))
+    def with_errors(self, keep: Keep, keep_table: KeepTable) -> Kinematics:
+        """Return the machine with only some of its errors; arguments as for `calibration_with`."""
+        return self._with(self.calibration_with(keep, keep_table))
 
-    def where(self, keep: Keep, keep_table: KeepTable) -> Calibration:
-        """Some of the errors.
+    def calibration_with(self, keep: Keep, keep_table: KeepTable) -> Calibration:
+        """Return the calibration with only some of its errors.
 
         Args:
-            keep: whether to, by the ISO 230-1 name of the error motion each is part of.
-            keep_table: whether to keep what a table of the control takes out of them.
+            keep: whether to keep an error, by the ISO 230-1 name of the error motion it is part of.
+            keep_table: whether to keep the correction by a table of the control.
         """
         tables = {table.name: table for table in self.calibration.corrections}
         return self.calibration.where(
@@ -158,14 +159,19 @@ class Bench:
         return outside_range(self.machine, commands)
 
     def printed_increment(self, dialect: Dialect, *, posted: bool) -> np.ndarray:
-        """(axes,) least increments of the words that come out of a program of a dialect, in their order."""
+        """Return the (axes,) least increments of the output's words, in word order.
+
+        Args:
+            dialect: language of the program.
+            posted: whether the output is posted to another language.
+        """
         increment = self.increment.copy()
         if dialect.linear_increment_mm is not None and not posted:
             increment[:3] = dialect.linear_increment_mm
         return increment
 
     def aim(self, *, turns: bool) -> CorrectionAim:
-        """What is corrected in a program that moves rotary axes, or in one that does not."""
+        """Return the errors to correct in a program; ``turns``: whether it moves rotary axes."""
         return self._aims[turns]
 
     @cached_property
@@ -175,51 +181,51 @@ class Bench:
 
 @final
 class CorrectionAim:
-    """What is corrected in one program, and the machines with only that.
+    """Errors to correct in one program, and machine models with only these errors.
 
     Args:
-        bench: machine, calibration, options.
+        bench: machine, calibration and options.
         turns: whether the program moves rotary axes.
 
     Attributes:
-        turns: as given.
-        scope: what is corrected.
-        lost: the reversals of it.
+        turns: whether the program moves rotary axes.
+        scope: classes that are corrected.
+        backlash: reversal values that are corrected.
     """
 
     def __init__(self, bench: Bench, turns: bool) -> None:
         self._bench = bench
         self.turns = turns
         self.scope = scope = bench.options.scope or Scope.everything(orientation=turns)
-        corrected = bench.where(
+        corrected = bench.calibration_with(
             lambda name: scope.at_point(name, bench.machine) or (turns and scope.in_orientation(name, bench.machine)),
             self._table_at_point,
         )
-        self.lost = LostMotion(corrected if bench.thesis is None else bench.space.nominal.calibration)
+        self.backlash = Backlash(corrected if bench.thesis is None else bench.space.nominal.calibration)
 
     def _table_at_point(self, table: ControlCorrection) -> bool:
         return self.scope.covers(_classes_of(table))
 
     @cached_property
     def point(self) -> Kinematics:
-        """The machine with the errors corrected at the functional point, and what the control takes out of them."""
+        """Machine with the errors corrected at the functional point, less the control's own correction of them."""
         machine = self._bench.machine
-        return self._bench.limited(lambda name: self.scope.at_point(name, machine), self._table_at_point)
+        return self._bench.with_errors(lambda name: self.scope.at_point(name, machine), self._table_at_point)
 
     @cached_property
-    def compared(self) -> PoseComparison:
-        """What the machine with those alone does, beside what was meant."""
+    def comparison(self) -> PoseComparison:
+        """Pose comparison of that machine with the nominal pose."""
         return PoseComparison(self.point, self._bench.space.nominal)
 
     @cached_property
     def point_inverse(self) -> Inverse:
-        """Commands that reach a point with those."""
+        """Inverse kinematics of that machine."""
         return Inverse(self.point)
 
     @cached_property
     def orientation(self) -> Kinematics | None:
-        """The same of those corrected by the rotary axes; None where these do not move for it."""
-        limited = self._bench.limited(
+        """Machine with the errors corrected by the rotary axes; None if these do not move for it."""
+        limited = self._bench.with_errors(
             lambda name: self.scope.in_orientation(name, self._bench.machine),
             lambda table: not table.axis.linear and (self.scope.orientation or self._table_at_point(table)),
         )
@@ -227,7 +233,7 @@ class CorrectionAim:
 
     @cached_property
     def orientation_inverse(self) -> Inverse | None:
-        """Commands that reach a pose with those."""
+        """Inverse kinematics of that machine; None if the rotary axes do not move for it."""
         if self.orientation is None:
             return None
         return Inverse(self.orientation, rotary_limit_deg=self._bench.options.rotary_limit_deg)
@@ -239,27 +245,32 @@ class CorrectionAim:
 
     @cached_property
     def at_point(self) -> ToolUncertainty:
-        """The uncertainty of what is corrected at the functional point."""
+        """Uncertainty of the corrected errors at the functional point."""
         return ToolUncertainty(self.point)
 
     @cached_property
     def at_axis(self) -> ToolUncertainty | None:
-        """That of the orientation; None where it is not corrected, the same where what turns the tool is what moves it."""
+        """Uncertainty of the corrected orientation; None if it is not corrected.
+
+        It is the same object as `at_point` if every error corrected by the rotary axes is also corrected at the point.
+        """
         if self.orientation is None:
             return None
-        names = [{effect.name for effect in one.calibration.effects} for one in (self.orientation, self.point)]
+        names = [{effect.name for effect in machine.calibration.effects} for machine in (self.orientation, self.point)]
         return self.at_point if names[0] <= names[1] else ToolUncertainty(self.orientation)
 
     @cached_property
     def by_class(self) -> Mapping[str, Kinematics]:
-        """The machine with the errors of one class alone, for those classes that it has errors of."""
+        """Machine with the errors of one class alone, for every class in which it has errors."""
         bench = self._bench
-        found = {basic: bench.limited(partial(_is_of, basic, bench.machine), lambda table: False) for basic in BASIC}
+        found = {
+            basic: bench.with_errors(partial(_is_of, basic, bench.machine), lambda table: False) for basic in BASIC
+        }
         return {name: alone for name, alone in found.items() if not alone.calibration.empty}
 
 
 def _classes_of(table: ControlCorrection) -> tuple[str, ...]:
-    """The classes it takes out by the axis it moves: a rotary axis corrects its own position, the linear ones all else."""
+    """Return the classes a table corrects through the axis it moves: a rotary axis its own position, the linear axes all others."""
     return tuple(name for name in table.classes if (name == "R-POS") is not table.axis.linear)
 
 

@@ -1,4 +1,4 @@
-"""Where the tool is beside where it was meant to be, at very many points of straight lines of commands."""
+"""Comparison of real and nominal tool poses at many points on straight lines of commands."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from twin.compute.native import Taken
 from twin.kinematics.forward import Kinematics
 
 SLACK: Final = 1e-9
-"""mm and degrees beyond a curve's domain that are rounding, as of `twin.machine.calibration.Calibration.outside`."""
+"""Distance (mm, degrees) beyond a curve's domain that is rounding, as in `twin.machine.calibration.Calibration.outside`."""
 
 
 @final
 @dataclass(frozen=True)
 class Commands:
-    """(n, axes) commands, mm and degrees; points on straight lines as ``begin + share · way``, not written out.
+    """(n, axes) commands, mm and degrees, either as an array or as points ``begin + share · way`` on straight lines.
 
     Attributes:
-        begin: (lines, axes) where each line begins; the points themselves where there is no more than that.
-        way: (lines, axes) how far each goes.
-        line: (n,) which of them each point is on.
-        share: (n,) how far along.
+        begin: (lines, axes) start of each line; the points themselves if the other attributes are None.
+        way: (lines, axes) displacement along each line.
+        line: (n,) line of each point.
+        share: (n,) fraction of that line.
     """
 
     begin: np.ndarray
@@ -36,8 +36,8 @@ class Commands:
     line: np.ndarray | None = None
     share: np.ndarray | None = None
 
-    def written(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """(n, axes) written out; ``which``: some of them."""
+    def as_array(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Return the commands as an (n, axes) array; ``which``: a selection of them."""
         if self.way is None or self.line is None or self.share is None:
             return np.asarray(self.begin[which])
         line = self.line[which]
@@ -45,7 +45,7 @@ class Commands:
 
     @property
     def inputs(self) -> tuple[np.ndarray | Taken, ...]:
-        """Begin, way and share of every point."""
+        """Begin, displacement and fraction of every point."""
         if self.way is None or self.line is None or self.share is None:
             return self.begin, np.zeros(self.begin.shape[1]), np.zeros(1)
         return Taken(self.begin, self.line), Taken(self.way, self.line), self.share[:, None]
@@ -54,58 +54,62 @@ class Commands:
 @final
 @dataclass(frozen=True)
 class ComparedPoses:
-    """Poses of the tool beside those meant.
+    """Deviations of tool poses from nominal ones.
 
     Attributes:
-        distance_mm: (n,) between the functional points.
-        angle_rad: (n,) between the tool axes.
-        leaning: (n, 3) tool axis in the tool frame as meant: what `twin.numerics.spatial.tilt` takes.
-        known: (n,) whether commands are finite, and within the domains of all curves of the machine.
+        distance_mm: (n,) distance between the functional points.
+        angle_rad: (n,) angle between the tool axes.
+        axis_in_nominal_frame: (n, 3) tool axis in the nominal tool frame, the argument of `twin.numerics.spatial.tilt`.
+        known: (n,) whether the commands are finite and within the domains of all curves of the machine.
     """
 
     distance_mm: np.ndarray
     angle_rad: np.ndarray
-    leaning: np.ndarray
+    axis_in_nominal_frame: np.ndarray
     known: np.ndarray
 
     def where(self, keep: np.ndarray) -> ComparedPoses:
-        """Some of them."""
-        return ComparedPoses(self.distance_mm[keep], self.angle_rad[keep], self.leaning[keep], self.known[keep])
+        """Return a selection of the poses."""
+        return ComparedPoses(
+            self.distance_mm[keep], self.angle_rad[keep], self.axis_in_nominal_frame[keep], self.known[keep]
+        )
 
 
 @final
 class PoseComparison:
-    """Compares what a machine with errors reaches with what the machine as drawn was meant to, never raising.
+    """Compares poses of a machine with errors with nominal poses; never raises.
 
     Args:
         real: the machine with errors.
-        nominal: the same without.
+        nominal: the machine without errors.
     """
 
     def __init__(self, real: Kinematics, nominal: Kinematics) -> None:
         self._real, self._nominal = real, nominal
 
-    def distance_mm(self, meant: Commands, given: Commands, approach: np.ndarray | None = None) -> np.ndarray:
-        """(n,) distances between the functional points.
+    def distance_mm(self, nominal: Commands, commanded: Commands, approach: np.ndarray | None = None) -> np.ndarray:
+        """Return (n,) distances between the functional points.
 
         Args:
-            meant: n commands of the machine as drawn.
-            given: n commands of the real one.
-            approach: (n, axes) sides that it comes from, as of `Kinematics.directed`.
+            nominal: n nominal commands, for the machine without errors.
+            commanded: n commands given to the machine with errors.
+            approach: (n, axes) approach directions, as in `Kinematics.directed`.
         """
-        (distance,) = self._distance(*self._inputs(meant, given, approach))
+        (distance,) = self._distance(*self._inputs(nominal, commanded, approach))
         return distance[:, 0]
 
-    def poses(self, meant: Commands, given: Commands, approach: np.ndarray | None = None) -> ComparedPoses:
-        """All there is to compare; arguments as of `distance_mm`."""
-        distance, apart, leaning, beyond = self._poses(*self._inputs(meant, given, approach))
+    def poses(self, nominal: Commands, commanded: Commands, approach: np.ndarray | None = None) -> ComparedPoses:
+        """Return the deviations in point and orientation; arguments as for `distance_mm`."""
+        distance, axis_gap, axis_in_nominal_frame, beyond = self._poses(*self._inputs(nominal, commanded, approach))
         known = np.isfinite(distance[:, 0]) & (beyond[:, 0] <= SLACK)
-        angle = 2.0 * np.arcsin(np.minimum(apart[:, 0] / 2.0, 1.0))
-        return ComparedPoses(distance[:, 0], angle, leaning, known)
+        angle = 2.0 * np.arcsin(np.minimum(axis_gap[:, 0] / 2.0, 1.0))
+        return ComparedPoses(distance[:, 0], angle, axis_in_nominal_frame, known)
 
-    def _inputs(self, meant: Commands, given: Commands, approach: np.ndarray | None) -> Iterator[np.ndarray | Taken]:
-        yield from meant.inputs
-        yield from given.inputs
+    def _inputs(
+        self, nominal: Commands, commanded: Commands, approach: np.ndarray | None
+    ) -> Iterator[np.ndarray | Taken]:
+        yield from nominal.inputs
+        yield from commanded.inputs
         if self._real.directed:
             yield np.zeros(len(self._real.machine.axes)) if approach is None else approach
 
@@ -116,13 +120,13 @@ class PoseComparison:
 
     @cached_property
     def _poses(self) -> BatchFunction:
-        inputs, distance, (meant, real), beyond = self._expressions
-        apart = ca.norm_2(real - meant[:, 2])
-        return BatchFunction(ca.Function("poses", inputs, [distance, apart, meant.T @ real, beyond]))
+        inputs, distance, (nominal, real), beyond = self._expressions
+        axis_gap = ca.norm_2(real - nominal[:, 2])
+        return BatchFunction(ca.Function("poses", inputs, [distance, axis_gap, nominal.T @ real, beyond]))
 
     @cached_property
     def _expressions(self) -> tuple[list[Any], Any, tuple[Any, Any], Any]:
-        """Inputs; mm between the points; the tool frame as meant, and the real tool axis; by how much a domain is left."""
+        """Expressions: inputs; distance in mm; nominal tool frame and real tool axis; amount by which a domain is exceeded."""
         machine = self._real.machine
         inputs, commands = [], []
         for name in ("meant", "given"):
@@ -130,9 +134,9 @@ class PoseComparison:
             inputs += [begin, way, share]
             commands.append(begin + share * way)
         sides = self._real.symbols()[1:]
-        meant, given = (command * ca.DM(machine.scale) for command in commands)
-        frame, target = self._nominal.pose_at(meant)
-        rotation, point = self._real.pose_at(given, *sides)
+        nominal, commanded = (command * ca.DM(machine.scale) for command in commands)
+        frame, target = self._nominal.pose_at(nominal)
+        rotation, point = self._real.pose_at(commanded, *sides)
         beyond = ca.SX(-1.0)
         for q, (lower, upper) in zip(ca.vertsplit(commands[1]), self._real.calibration.domains(), strict=True):
             beyond = beyond if np.isneginf(lower) else ca.fmax(beyond, lower - q)

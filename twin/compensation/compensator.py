@@ -1,6 +1,6 @@
-"""A program in, the program out whose execution on the machine with errors lands where the first one meant.
+"""Compensation of a whole program in memory, or from file to file.
 
-What comes out is read back and compared with what was meant, then re-simulated, before anybody sees it.
+The output is read back, compared with the intended positions and simulated before it is returned or its file appears.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ from twin._common.provenance import program_comments
 from twin.compensation.account import CompensationAccount, Report
 from twin.compensation.bench import Bench, Options, Progress
 from twin.compensation.checked import check, motionless, unreadable
-from twin.compensation.solving import Corrected, Pieces, corrected, replacing
+from twin.compensation.solving import Corrected, Pieces, correct, new_positions
 from twin.compensation.stream import Streamed
-from twin.compensation.toolpath import Path as ToolPath
-from twin.compensation.toolpath import follow, turns_tool
+from twin.compensation.toolpath import ToolPath, follow, turns_tool
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
@@ -39,16 +38,16 @@ class Compensation:
 
     Attributes:
         text: the program, to be written as latin-1.
-        report: what was done and what is left.
+        report: what was corrected and what was not.
         reading: the program as read.
         rewrites: the new positions, in words.
         path: the program as motions.
         nominal: (rows, axes) nominal commands of every block's pieces, mm and degrees.
         exact: (rows, axes) compensated commands before the linear words were rounded.
         commands: (rows, axes) compensated commands as printed.
-        moves: (rows,) index of each one's move among those of the reading.
-        lines: (rows,) program line of each.
-        taken: (rows,) whether it only takes up a reversal, on the way to where the block begins.
+        moves: (rows,) index of each row's move among those of the reading.
+        lines: (rows,) program line of each row.
+        backlash_move: (rows,) whether the row only takes up backlash before the block begins.
     """
 
     text: str
@@ -61,7 +60,7 @@ class Compensation:
     commands: np.ndarray
     moves: np.ndarray
     lines: np.ndarray
-    taken: np.ndarray
+    backlash_move: np.ndarray
 
     def _repr_html_(self) -> str:
         return self.report._repr_html_()
@@ -74,10 +73,10 @@ class Compensator:
     Args:
         machine: the machine.
         calibration: its errors.
-        options: what to do.
+        options: the options; defaults if None.
 
     Raises:
-        InputError: the machine cannot run programs, or the method does not fit it.
+        InputError: the machine cannot run programs, or the method does not apply to it.
     """
 
     def __init__(self, machine: Machine, calibration: Calibration, options: Options | None = None) -> None:
@@ -100,11 +99,11 @@ class Compensator:
             progress: called with a stage and the fraction done.
             into: the language to write; another than the program's own only for cutter locations (APT), which are then
                 posted as axis words.
-            reading: what the program says, where somebody knows it more exactly than its text.
+            reading: the program's moves, if they are known more exactly than from its text.
 
         Raises:
-            InputError: the program cannot be read, or something in it must not pass uncompensated.
-            OutputError: the text produced does not say what was meant; nothing was written.
+            InputError: the program cannot be read, or contains something that must not pass uncompensated.
+            OutputError: the output, read back, differs from the intended positions; nothing was written.
         """
         say = progress or (lambda stage, fraction: None)
         say("reading", 0.0)
@@ -118,7 +117,7 @@ class Compensator:
         posted = written.name != dialect.name
         aim = bench.aim(turns=turns_tool(reading.moves, axes))
         say("solving", 0.1)
-        found = corrected(Pieces(bench, path, aim, dialect, source=program.source, posted=posted), say)
+        found = correct(Pieces(bench, path, aim, dialect, source=program.source, posted=posted), say)
         rewrites = tuple(_rewrites(found))
         say("writing", 0.8)
         if posted:
@@ -131,50 +130,52 @@ class Compensator:
         say("checking", 0.9)
         account = CompensationAccount(bench, aim, program.source)
         account.add(found)
-        notices = [*reading.notices, *path.passed]
+        notices = [*reading.notices, *path.notices]
         report = account.report(lines=len(program.texts), moves=len(reading.moves), notices=notices)
         say("done", 1.0)
         rows = found.rows
         moves, lines = path.columns.move[rows.motion], found.lines[rows.motion]
-        columns = (rows.nominal, rows.exact, rows.commands, moves, lines, rows.taken)
+        columns = (rows.nominal, rows.exact, rows.commands, moves, lines, rows.backlash_move)
         return Compensation(text, report, reading, rewrites, path, *map(locked, columns))
 
     def _check(
         self, program: Program, reading: Reading, found: Corrected, text: str, written: Dialect, *, posted: bool
     ) -> None:
-        """Read back what was written, and compare it with what was meant."""
+        """Read the output back and compare it with the intended positions."""
         axes, tcp = self.bench.space.axes, self.bench.options.tcp and not posted
         try:
-            again = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
+            read_back = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
         except InputError as error:
             raise unreadable(program.source, error) from error
-        new = replacing([found], len(reading.moves), len(axes.names))
-        got = np.array([move.position for move in again.moves]).reshape(-1, len(axes.names))
+        new = new_positions([found], len(reading.moves), len(axes.names))
+        got = np.array([move.position for move in read_back.moves]).reshape(-1, len(axes.names))
         check(program.source, np.array([move.line + 1 for move in reading.moves]), new, got)
 
     def compensate_file(
         self, program: Path, output: Path, progress: Progress | None = None, *, into: Dialect | None = None
     ) -> Report:
-        """Compensate a program from file to file.
+        """Compensate a program from file to file; the output is written atomically.
 
-        An ISO program on a machine without reversals is worked through in stretches, in memory that does not grow with its length; any
-        other one, and one with drilling cycles, is held in memory whole. The output appears whole or not at all.
+        An ISO program on a machine without backlash is processed in stretches, so memory does not grow with its length. Any other
+        program, and one with drilling cycles, is held in memory as a whole.
 
         Args:
             program: its path.
             output: where to write it.
             progress: called with a stage and the fraction done.
-            into: as of `compensate`.
+            into: as for `compensate`.
 
         Raises:
-            InputError: as `compensate`; a file that cannot be read or written; the output is the program, or a file of the machine
-                or the calibration.
-            OutputError: as `compensate`.
+            InputError: as for `compensate`; a file cannot be read or written; the output is the program, or a file of the machine or
+                the calibration.
+            OutputError: as for `compensate`.
         """
         say = progress or (lambda stage, fraction: None)
         dialect = dialect_of(program)
         target = dialect if into is None else into
-        streams = dialect.in_chunks and target.name == dialect.name and program.is_file() and not self.bench.lost.axes
+        streams = (
+            dialect.in_chunks and target.name == dialect.name and program.is_file() and not self.bench.backlash.axes
+        )
         with command_files() as files, ExitStack() as stack:
             for path in self._inputs(program):
                 files.add_input(path)
@@ -189,10 +190,10 @@ class Compensator:
         return report
 
     def _inputs(self, program: Path) -> Iterator[Path]:
-        """The files that this compensation is made from."""
+        """Yield the input files of this compensation."""
         calibration, machine = self.bench.calibration, self.bench.machine
         tables = () if calibration.control is None else calibration.control.tables
-        files = (program, machine.path, machine.urdf, calibration.path, *(one.file for one in tables))
+        files = (program, machine.path, machine.urdf, calibration.path, *(table.file for table in tables))
         return (path for path in files if path is not None)
 
 
@@ -205,24 +206,24 @@ def compensate(
     temperature: Mapping[str, float] | None = None,
     time_s: float | None = None,
 ) -> Compensation:
-    """Compensate the program of a file, or one that comes with twin.
+    """Compensate the program of a file, or a sample program of twin, and return it with its report.
 
     Args:
         program: its path.
         machine: the machine it runs on.
         calibration: the machine's errors; the machine file's own if None.
-        options: what to do.
-        temperature: °C by axis (of its scale) or sensor over the whole program, instead of those of the options.
-        time_s: the time of a warm-up, on the clock of the measured table's ``time_s``, instead of that of the options.
+        options: the options; defaults if None.
+        temperature: °C by axis (of its scale) or sensor over the whole program; replaces those of the options.
+        time_s: time within a warm-up, in the measured table's ``time_s``; replaces that of the options.
 
     Raises:
-        InputError: as `Compensator` and its `compensate`; the program cannot be read.
-        OutputError: as `Compensator.compensate`.
+        InputError: as for `Compensator` and its `compensate`; the program cannot be read.
+        OutputError: as for `Compensator.compensate`.
     """
     chosen = Options() if options is None else options
-    given = chosen.conditions
+    base = chosen.conditions
     conditions = Conditions(
-        given.temperature_degC if temperature is None else temperature, given.time_s if time_s is None else time_s
+        base.temperature_degC if temperature is None else temperature, base.time_s if time_s is None else time_s
     )
     errors = Calibration.default(machine) if calibration is None else calibration
     read, dialect = read_program(program)
@@ -238,19 +239,19 @@ def compensate_file(
     options: Options | None = None,
     progress: Progress | None = None,
 ) -> Report:
-    """Compensate the program of a file, or one that comes with twin, into another file: any length in bounded memory.
+    """Compensate the program of a file, or a sample program of twin, into another file; memory stays bounded for ISO programs.
 
     Args:
         program: its path.
-        output: where to write it; it appears whole or not at all.
+        output: where to write it, atomically.
         machine: the machine it runs on.
         calibration: the machine's errors; the machine file's own if None.
-        options: what to do.
+        options: the options; defaults if None.
         progress: called with a stage and the fraction done.
 
     Raises:
-        InputError: as `Compensator.compensate_file`.
-        OutputError: as that.
+        InputError: as for `Compensator.compensate_file`.
+        OutputError: as for `Compensator.compensate_file`.
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     found, target = find_program(program), Path(output)
@@ -259,7 +260,7 @@ def compensate_file(
 
 
 def _rewrites(found: Corrected) -> Iterator[Rewrite]:
-    """One a motion that is given new words, in order."""
+    """Yield a rewrite for every motion with new words, in order."""
     new, by_vector = found.new, found.pieces.by_vector
     for i in np.flatnonzero(new.count).tolist():
         part = slice(new.first[i], new.first[i] + new.count[i])
@@ -268,9 +269,9 @@ def _rewrites(found: Corrected) -> Iterator[Rewrite]:
 
 
 def _shares(found: Corrected, part: slice) -> np.ndarray | None:
-    """Of a motion's time that each of its rows takes, where they are not all alike; one degree counts as one millimetre."""
+    """Return the share of a motion's time for each of its rows; None if all are equal. One degree counts as one millimetre."""
     rows = found.rows
-    taken = rows.taken[part]
+    taken = rows.backlash_move[part]
     if not np.any(taken):
         return None
     shares = np.diff(rows.fraction[part], prepend=0.0)

@@ -1,15 +1,15 @@
-"""A program executed on the machine with errors: where the tool was meant to go, and where it goes."""
+"""Simulated execution of a program on the machine with errors: nominal and real tool poses."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Final, final
 
 import numpy as np
 
-from twin.compensation.backlash import LostMotion
-from twin.compensation.toolpath import Path, PathMotion, Setup, WordSpace, check_domains, follow, outside_range
+from twin.compensation.backlash import Backlash
+from twin.compensation.toolpath import PathMotion, Setup, ToolPath, WordSpace, check_domains, follow, outside_range
 from twin.display import card, histogram, note, pairs, several
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -19,26 +19,26 @@ from twin.nc import read_program
 from twin.nc.blocks import Program
 
 SPACING: Final = (5.0, 2.0)
-"""mm of linear and degrees of rotary motion between two points, at most."""
+"""Largest step between two points: mm of linear, degrees of rotary motion."""
 CHORD_MM: Final = 0.01
-"""How closely arcs are followed."""
+"""Chord tolerance on arcs."""
 
 
 @final
 @dataclass(frozen=True)
 class Execution:
-    """A program run once.
+    """Result of executing a program once.
 
     Attributes:
         positions: (n, axes) commands, mm and degrees, command order.
-        meant_mm: (n, 3) intended tool points in the work frame.
-        sides: (n, axes) the side every axis comes from, as of `twin.compensation.backlash`.
-        reached_mm: (n, 3) tool points the machine reaches.
-        tilt_urad: (n, 2) how the tool axis leans there against where it was meant to point (`Poses.tilt_urad`).
+        meant_mm: (n, 3) nominal tool points in the work frame.
+        sides: (n, axes) approach directions, as in `twin.compensation.backlash`.
+        reached_mm: (n, 3) real tool points.
+        tilt_urad: (n, 2) tilt of the tool axis from its nominal direction (`Poses.tilt_urad`).
         cutting: (n,) False on rapids.
-        ends: (n,) whether the point is the end of a block.
+        ends: (n,) whether the point is the end point of a block.
         lines: (n,) program line of each point.
-        left_out: points outside an axis's range, which nothing is known of.
+        left_out: number of points outside an axis's range, for which no errors are known.
     """
 
     positions: np.ndarray
@@ -54,24 +54,24 @@ class Execution:
     def _repr_html_(self) -> str:
         off = np.linalg.norm(self.reached_mm - self.meant_mm, axis=1) * 1e3
         if not len(off):
-            return card("Executed", note("no point within the ranges", loud=True), wrong=True).text
+            return card("Executed", note("no point within the axis ranges", loud=True), wrong=True).text
         worst = int(np.argmax(off))
         rows = [
             (
-                "tool point off",
+                "error of the tool point",
                 f"{np.sqrt(np.mean(off**2)):.2f} µm RMS, {off[worst]:.2f} µm largest (line {self.lines[worst]})",
             ),
-            ("tool axis leans", f"{np.sqrt(np.mean(np.sum(self.tilt_urad**2, axis=1))):.1f} µrad RMS"),
-            ("left out", f"{several(self.left_out, 'point')} outside the ranges" if self.left_out else ""),
+            ("tilt of the tool axis", f"{np.sqrt(np.mean(np.sum(self.tilt_urad**2, axis=1))):.1f} µrad RMS"),
+            ("left out", f"{several(self.left_out, 'point')} outside the axis ranges" if self.left_out else ""),
         ]
-        small = f"{several(len(off), 'point')}, {self.ends.sum():,} of them block ends"
+        small = f"{several(len(off), 'point')}, {self.ends.sum():,} of them block end points"
         return card(
-            "Executed", pairs(rows), histogram(off, "off by (µm)", "points"), small=small, wrong=self.left_out > 0
+            "Executed", pairs(rows), histogram(off, "error (µm)", "points"), small=small, wrong=self.left_out > 0
         ).text
 
 
 def execute_file(
-    program: str | FilePath,
+    program: str | Path,
     machine: Machine,
     calibration: Calibration | None = None,
     *,
@@ -80,19 +80,19 @@ def execute_file(
     setup: Setup | None = None,
     conditions: Conditions | None = None,
 ) -> Execution:
-    """Run the program of a file, or one that comes with twin.
+    """Execute the program of a file, or a sample program of twin.
 
     Args:
         program: its path.
         machine: the machine it runs on.
         calibration: the machine's errors; the machine file's own if None.
         tool_length_mm: the machine file's own if None.
-        tcp: whether the control's kinematics are on from the start.
+        tcp: whether tool-centre-point mode is on from the start.
         setup: work offsets and origin; none if None.
         conditions: temperatures and time, for the effects that need them.
 
     Raises:
-        InputError: as `execute`; the program cannot be read; an effect needs a temperature or time that is not given.
+        InputError: as for `execute`; the program cannot be read; an effect needs a temperature or time that is not given.
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     at = Conditions() if conditions is None else conditions
@@ -103,33 +103,33 @@ def execute_file(
     return execute(read, path, space, Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=at))
 
 
-def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) -> Execution:
-    """Run a program as its control would: straight in words between blocks, rapids drawn straight too.
+def execute(program: Program, path: ToolPath, space: WordSpace, real: Kinematics) -> Execution:
+    """Execute a program as its control would: straight lines in words between blocks, also for rapids.
 
     Args:
         program: the program.
         path: its motions (`twin.compensation.toolpath.follow`).
-        space: words to commands on the machine as drawn.
-        real: the machine with errors, same tool length, and the temperatures and time its effects need.
+        space: conversion from words to commands on the machine without errors.
+        real: the machine with errors, the same tool length, and the temperatures and time its effects need.
 
     Raises:
-        InputError: a position in the axis's range that its error motions do not cover.
+        InputError: a position within the axis's range that its error motions do not cover.
     """
     words, of = path.dense([_fractions(motion) for motion in path.motions])
     columns = path.columns
     ends, lines = np.append(of[1:] != of[:-1], True), columns.line[of] + 1
     positions = space.commands(words, columns.tcp[of])
     check_domains(real, program.source, lines[ends], positions[ends])
-    sides = LostMotion(real.calibration).sides(path, of, positions)
+    sides = Backlash(real.calibration).sides(path, of, positions)
     keep = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
     positions, sides = positions[keep], sides[keep]
-    meant, reached = space.nominal.forward(positions), real.forward(positions, sides)
+    nominal, reached = space.nominal.forward(positions), real.forward(positions, sides)
     return Execution(
         positions=positions,
-        meant_mm=meant.point_mm,
+        meant_mm=nominal.point_mm,
         sides=sides,
         reached_mm=reached.point_mm,
-        tilt_urad=reached.tilt_urad(meant),
+        tilt_urad=reached.tilt_urad(nominal),
         cutting=~columns.rapid[of][keep],
         ends=ends[keep],
         lines=lines[keep],
@@ -138,7 +138,7 @@ def execute(program: Program, path: Path, space: WordSpace, real: Kinematics) ->
 
 
 def _fractions(motion: PathMotion) -> np.ndarray:
-    """Of a motion, near enough to each other; its end if nobody knows where it starts."""
+    """Return fractions of a motion at which to evaluate it; only its end point if its start is unknown."""
     if not np.isfinite(motion.start).all():
         return np.array([1.0])
     size = np.abs(motion.end - motion.start)

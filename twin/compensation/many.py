@@ -1,7 +1,7 @@
-"""Many programs compensated on many processes, into one folder: each output under its program's name, with its report beside it.
+"""Compensation of many programs in parallel processes into one folder, each under its own name with its report.
 
-On this computer a worker reads and writes files itself, in memory that does not grow with the program. To a cluster programs travel as
-data and come back as data: its workers need no file system of ours.
+A worker on this computer reads and writes files itself, in memory that does not grow with the program. To the workers of a cluster,
+programs are sent as data and returned as data, so that no shared file system is needed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from twin.nc import DIALECTS, find_program
 
 TEXT: Final = ".report.txt"
 JSON: Final = ".report.json"
-"""Behind the program's name: its report, for a person and for a program."""
+"""Suffixes of the reports after the program's name: text and JSON."""
 
 Verdict = Literal["done", "not met", "failed"]
 
@@ -32,14 +32,14 @@ Verdict = Literal["done", "not met", "failed"]
 @final
 @dataclass(frozen=True)
 class ProgramOutcome:
-    """What became of one program.
+    """Result of compensating one program.
 
     Attributes:
-        program: as it was named.
+        program: its path as given.
         output: where it was written; None if it was not.
-        summary: of its report, as in its JSON; empty if there is none.
-        error: why there is none; a `twin._common.errors.OutputError` is a defect of `twin`.
-        strict: whether ``done`` means that everything was corrected, rapids and the orientation, too.
+        summary: its JSON report; empty if there is none.
+        error: why it was not written; None if it was. A `twin._common.errors.OutputError` is a defect of `twin`.
+        strict: whether ``done`` requires that everything was corrected, rapids and the orientation included.
     """
 
     program: Path
@@ -50,22 +50,22 @@ class ProgramOutcome:
 
     @property
     def verdict(self) -> Verdict:
-        """``not met``: written, and something could not be corrected, which its report lists."""
+        """``done``; ``not met``: written, but its report lists something that could not be corrected; ``failed``: not written."""
         if self.error is not None:
             return "failed"
         return "done" if self.summary["strictly_complete" if self.strict else "complete"] else "not met"
 
     @property
     def line(self) -> str:
-        """What became of it, in a line."""
+        """Summary in one line."""
         if self.error is not None:
             return f"failed: {self.error}"
         before, after = self.summary["before"], self.summary["after"]
-        told = f"{before['rms_um']:.2f} → {after['rms_um']:.2f} µm RMS, {before['max_um']:.2f} → {after['max_um']:.2f} µm max"
-        return f"{self.summary['headline']} ({told})"
+        change = f"{before['rms_um']:.2f} → {after['rms_um']:.2f} µm RMS, {before['max_um']:.2f} → {after['max_um']:.2f} µm max"
+        return f"{self.summary['headline']} ({change})"
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the entry of the JSON report."""
         shown = ("lines", "moves", "rewritten", "split", "added", "before", "after", "headline", "warnings")
         return {
             "program": str(self.program),
@@ -78,14 +78,14 @@ class ProgramOutcome:
 
 @final
 @dataclass(frozen=True)
-class Order:
+class ProgramTask:
     """One program to compensate.
 
     Attributes:
-        program: its path, on the computer that asks.
-        output: where to write it, there.
-        data: the program itself, for a worker that is elsewhere; None for one that reads and writes these files; an error if it
-            cannot be read.
+        program: its path on the requesting computer.
+        output: where to write it there.
+        data: the program's content for a worker on another computer; None for a worker that reads and writes these files itself; an
+            error if the program cannot be read.
     """
 
     program: Path
@@ -94,7 +94,7 @@ class Order:
 
 
 class ProgramAnswer(NamedTuple):
-    """The report as text and as JSON, with the program where it travelled as data."""
+    """Report as text and as JSON, and the compensated program if it was sent as data."""
 
     text: str
     report: dict[str, Any]
@@ -103,37 +103,37 @@ class ProgramAnswer(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Shop:
-    """What all programs share: machine, calibration and options."""
+class ProgramCompensator:
+    """Machine, calibration and options common to all programs."""
 
     machine: Machine
     calibration: Calibration
     options: Options
 
     def __getstate__(self) -> dict[str, Any]:
-        """For a pickle: the attributes, not what was made of them here."""
+        """Return the state to pickle: the attributes without cached objects."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @cached_property
     def compensator(self) -> Compensator:
-        """Set up once a worker."""
+        """Compensator, created once per worker."""
         return Compensator(self.machine, self.calibration, self.options)
 
-    def fill(self, order: Order) -> ProgramAnswer | InputError | OutputError:
-        """One order; why a program cannot be compensated is an answer, so that it does not stop the others."""
+    def compensate(self, task: ProgramTask) -> ProgramAnswer | InputError | OutputError:
+        """Compensate one program; an error is returned rather than raised, so that it does not stop the others."""
         try:
-            if isinstance(order.data, InputError):
-                return order.data
-            if order.data is not None:
-                return self._elsewhere(order, order.data)
-            report = self.compensator.compensate_file(order.program, order.output)
+            if isinstance(task.data, InputError):
+                return task.data
+            if task.data is not None:
+                return self._elsewhere(task, task.data)
+            report = self.compensator.compensate_file(task.program, task.output)
             return ProgramAnswer(report.to_text(), report.to_dict())
         except (InputError, OutputError) as error:
             return error
 
-    def _elsewhere(self, order: Order, data: bytes) -> ProgramAnswer:
-        with scratch_folder() as room:
-            own, out = room / order.program.name, room / f"out.{order.program.name}"
+    def _elsewhere(self, task: ProgramTask, data: bytes) -> ProgramAnswer:
+        with scratch_folder() as scratch:
+            own, out = scratch / task.program.name, scratch / f"out.{task.program.name}"
             own.write_bytes(data)
             try:
                 report = self.compensator.compensate_file(own, out)
@@ -141,32 +141,33 @@ class Shop:
                 if error.file != str(own):
                     raise
                 raise InputError(
-                    error.what, expected=error.expected, file=order.program, line=error.line, value=error.value
+                    error.what, expected=error.expected, file=task.program, line=error.line, value=error.value
                 ) from None
             except OutputError as error:
-                raise OutputError(str(error).replace(str(own), str(order.program))) from None
-            report = replace(report, program=str(order.program))
+                raise OutputError(str(error).replace(str(own), str(task.program))) from None
+            report = replace(report, program=str(task.program))
             return ProgramAnswer(report.to_text(), report.to_dict(), out.read_bytes())
 
 
 def outputs(programs: Sequence[Path], folder: Path) -> dict[Path, Path]:
-    """Where each program goes: under its own name into the folder.
+    """Return the output path of each program: its own name in the folder.
 
     Raises:
-        InputError: two programs of one name; the folder is the programs' own, no folder, or one that cannot be made or written.
+        InputError: two programs have the same name; the folder contains the programs themselves, is a file, or cannot be made or
+            written.
     """
     program_suffixes = {suffix for dialect in DIALECTS for suffix in dialect.suffixes}
     if not folder.is_dir() and (folder.exists() or folder.suffix.lower() in program_suffixes):
-        raise InputError("several programs into one file", expected="a folder", file=folder)
+        raise InputError("several programs cannot be written to one file", expected="a folder", file=folder)
     if not folder.is_dir() and not folder.parent.is_dir():
         raise InputError("cannot be written", expected=f"an existing folder {folder.parent}", file=folder)
     found: dict[Path, Path] = {}
     for program in programs:
         if folder.resolve() == program.resolve().parent:
-            raise InputError("the output is the program itself", expected="another folder", file=program)
+            raise InputError("the output would overwrite the program", expected="another folder", file=program)
         output = folder / program.name
         if output in found.values():
-            raise InputError("two programs of the same name", expected="a name each", file=program)
+            raise InputError("two programs have the same file name", expected="different file names", file=program)
         found[program] = output
     if folder.is_dir():
         check_writable([path for output in found.values() for path in _written(output)])
@@ -187,51 +188,52 @@ def compensate_files(
     workers: Workers | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Generator[ProgramOutcome, None, None]:
-    """Compensate programs, each written as soon as it is done, whole or not at all; in the order in which they are done.
+    """Compensate programs, write each atomically as soon as it is done, and yield the outcomes in that order.
 
     Args:
-        programs: paths, or names of programs that come with twin.
-        folder: where to; made if it is not there.
+        programs: paths, or names of sample programs of twin.
+        folder: output folder; created if it does not exist.
         machine: the machine.
         calibration: its errors.
-        options: what to do.
-        workers: who does it; None for one process a core.
+        options: the options; defaults if None.
+        workers: workers to use; None for one process per core.
         progress: called with a stage and the fraction done.
 
     Raises:
-        InputError: as `outputs`; machine, calibration and options do not fit each other; as `twin.compute.parallel.finished`. What
-        is wrong
-            with one program is in its `ProgramOutcome`.
+        InputError: as for `outputs` and `twin.compute.parallel.finished`; machine, calibration and options do not fit each other. An
+            error in one program is in its `ProgramOutcome`.
     """
     say = progress or (lambda stage, fraction: None)
     own = Workers() if workers is None else workers
-    shop = Shop(machine, calibration, Options() if options is None else options)
-    _ = shop.compensator  # what is wrong with all of them is said once, before anything is written
-    goals = outputs(programs, folder)
+    worker = ProgramCompensator(machine, calibration, Options() if options is None else options)
+    _ = worker.compensator  # an error common to all programs is raised once, before anything is written
+    targets = outputs(programs, folder)
     made = not folder.is_dir()
     folder.mkdir(exist_ok=True)
     try:
-        # In the same file system: what is done appears by renaming, and what is not goes with the room.
-        with scratch_folder(folder) as room:
-            there, goal_of = [], []
-            for program, goal in goals.items():
+        # In the same file system, so that finished outputs are renamed into place and unfinished ones vanish with the scratch folder.
+        with scratch_folder(folder) as scratch:
+            files, targets_of = [], []
+            for program, target in targets.items():
                 try:
-                    there.append((find_program(program), room / goal.name))
-                    goal_of.append((program, goal))
+                    files.append((find_program(program), scratch / target.name))
+                    targets_of.append((program, target))
                 except InputError as error:
                     yield ProgramOutcome(program, None, {}, error)
-            orders = _Orders(there, travel=own.scheduler is not None)
+            tasks = _ProgramTasks(files, travel=own.scheduler is not None)
             say("programs", 0.0)
-            answers = finished(Shop.fill, shop, orders, own, name=lambda order: str(order.program), return_errors=True)
+            answers = finished(
+                ProgramCompensator.compensate, worker, tasks, own, name=lambda task: str(task.program), return_errors=True
+            )
             with closing(answers):
                 for count, (index, found) in enumerate(answers, 1):
-                    program, goal = goal_of[index]
+                    program, target = targets_of[index]
                     if isinstance(found, ProgramAnswer):
-                        _keep(found, there[index][1], goal)
-                        outcome = ProgramOutcome(program, goal, found.report, None)
-                    else:  # a program that ends its worker stops the others as little as one that cannot be read
+                        _keep(found, files[index][1], target)
+                        outcome = ProgramOutcome(program, target, found.report, None)
+                    else:  # an error in one program, even one that ends its worker, does not stop the others
                         outcome = ProgramOutcome(program, None, {}, found)
-                    say("programs", count / len(orders))
+                    say("programs", count / len(tasks))
                     yield outcome
     finally:
         if made and not any(folder.iterdir()):
@@ -239,11 +241,11 @@ def compensate_files(
 
 
 @final
-class _Orders(Sequence[Order]):
-    """Orders, of which those that travel are read when they are wanted: not all programs at once."""
+class _ProgramTasks(Sequence[ProgramTask]):
+    """Sequence of orders; programs to be sent are read only when their order is requested, not all at once."""
 
-    def __init__(self, there: Sequence[tuple[Path, Path]], *, travel: bool) -> None:
-        self._there = there
+    def __init__(self, files: Sequence[tuple[Path, Path]], *, travel: bool) -> None:
+        self._there = files
         self._travel = travel
 
     def __len__(self) -> int:
@@ -256,12 +258,12 @@ class _Orders(Sequence[Order]):
             data = program.read_bytes() if self._travel else None
         except OSError as error:
             data = InputError("cannot be read", expected="a readable file", file=program, value=error.strerror)
-        return Order(program, output, data)
+        return ProgramTask(program, output, data)
 
 
-def _keep(answer: ProgramAnswer, made: Path, goal: Path) -> None:
-    """The reports first: where the program is, they are."""
-    program, text, data = _written(goal)
+def _keep(answer: ProgramAnswer, made: Path, target: Path) -> None:
+    """Write the reports, then the program: wherever a program exists, its reports do too."""
+    program, text, data = _written(target)
     write_whole(text, answer.text)
     write_json(data, answer.report)
     if answer.data is not None:
@@ -270,4 +272,4 @@ def _keep(answer: ProgramAnswer, made: Path, goal: Path) -> None:
     try:
         move_into_place(made, program)
     except OSError as error:
-        raise InputError("cannot be written", expected="a writable file", file=goal, value=error.strerror) from error
+        raise InputError("cannot be written", expected="a writable file", file=target, value=error.strerror) from error

@@ -1,1 +1,1 @@
-"""Where the tool is: forward with and without errors, the Newton step, the inverse, the branches of a machine."""
+"""Kinematics: tool pose from commands with and without errors, Newton step, inverse kinematics, rotary solutions of a tool vector."""

@@ -1,6 +1,6 @@
-"""Which rotary positions point the tool along a given vector: all of them, for any two rotary axes wherever they stand.
+"""Rotary positions that point the tool along a given vector: all solutions, for any two rotary axes.
 
-The nominal tool axis in the work frame is ``Rot(n₁, θ₁)·Rot(n₂, θ₂)·a₀``, axis 1 the one nearer the workpiece. Solving it for
+The nominal tool axis in the work frame is ``Rot(n₁, θ₁)·Rot(n₂, θ₂)·a₀``, with axis 1 the one nearer the workpiece. Solving it for
 θ is the second Paden-Kahan subproblem (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation, 3.2).
 """
 
@@ -15,25 +15,25 @@ from twin._common.units import DEG
 from twin.kinematics.forward import Kinematics
 
 PARALLEL: Final = 1e-9
-"""Sine below which the tool is taken to lie along a rotary axis, so that turning that axis points it nowhere else."""
+"""Sine below which the tool counts as parallel to a rotary axis, so that turning this axis does not change its direction."""
 
 
 @final
 class Branches:
-    """The rotary positions of one machine as drawn.
+    """Rotary solutions of one machine without errors.
 
     Args:
         nominal: the machine without errors.
 
     Raises:
-        InputError: the machine has not two rotary axes, or they are parallel.
+        InputError: the machine does not have two rotary axes, or they are parallel.
     """
 
     def __init__(self, nominal: Kinematics) -> None:
         machine = nominal.machine
         if len(machine.rotary) != 2:
             raise InputError(
-                "tool vectors on a machine without two rotary axes", expected="B and C, or the like", file=machine.path
+                "tool vectors need two rotary axes", expected="a machine with B and C, or the like", file=machine.path
             )
         self._limits = (machine.limits / machine.scale[:, None])[list(machine.rotary)]
         rest = np.zeros((2, len(machine.axes)))
@@ -43,23 +43,25 @@ class Branches:
             np.mean([machine.axes[i].lower, machine.axes[i].upper]) for i in machine.linear
         ]
         turns = nominal.sensitivities(np.where(np.isfinite(rest), rest, 0.0)).command[:, 3:, [first, second]]
-        # The axis nearer the work turns about a direction fixed in the work frame, whatever the other does.
+        # The direction of the axis nearer the work is fixed in the work frame, independent of the other axis.
         work_first = bool(np.allclose(turns[0, :, 1], turns[1, :, 1], atol=1e-9))
         self._order = (1, 0) if work_first else (0, 1)
         self._n1, self._n2 = turns[0, :, self._order[0]], turns[0, :, self._order[1]]
         self._a0 = np.array(nominal.forward(rest[:1]).axis[0])
         if np.linalg.norm(np.cross(self._n1, self._n2)) < PARALLEL:
-            raise InputError("two parallel rotary axes", expected="axes that can point the tool", file=machine.path)
+            raise InputError(
+                "the rotary axes are parallel", expected="axes that can orient the tool", file=machine.path
+            )
 
     def all(self, axis: np.ndarray) -> np.ndarray:
-        """Every solution.
+        """Return all rotary solutions.
 
         Args:
             axis: (n, 3) unit tool vectors in the work frame.
 
         Returns:
-            (n, 2, 2) degrees: two solutions of the two rotary axes in command order, in (−180, 180]; NaN where there is
-            none, and NaN in an axis that points the tool nowhere else (it may stand anywhere).
+            (n, 2, 2) degrees: two solutions for the two rotary axes in command order, in (−180, 180]. NaN where there is no solution,
+            and NaN for an axis that does not change the tool's direction (it may have any position).
         """
         n1, n2, u = self._n1, self._n2, self._a0
         gamma = float(n1 @ n2)
@@ -68,7 +70,7 @@ class Branches:
         y = (alpha - gamma * beta) / (1.0 - gamma**2)
         normal = np.cross(n1, n2)
         squared = (1.0 - x**2 - y**2 - 2.0 * x * y * gamma) / (normal @ normal)
-        # A vector on the edge of what can be reached gives zero up to rounding.
+        # A vector on the boundary of the reachable set gives zero up to rounding.
         height = np.sqrt(np.where(squared > -1e-12, np.maximum(squared, 0.0), np.nan))
         found = np.empty((len(axis), 2, 2))
         for k, sign in enumerate((1.0, -1.0)):
@@ -80,14 +82,14 @@ class Branches:
         return found / DEG
 
     def nearest(self, solutions: np.ndarray, previous: np.ndarray) -> np.ndarray | None:
-        """The solution of one vector nearest to where the rotary axes stand, whole turns included.
+        """Return the solution for one vector nearest to the present rotary positions, including whole turns.
 
         Args:
-            solutions: (2, 2) of `all`.
+            solutions: (2, 2) as returned by `all`.
             previous: (2,) degrees.
 
         Returns:
-            (2,) degrees inside the axes' ranges, or None.
+            (2,) degrees within the axes' ranges, or None.
         """
         best: np.ndarray | None = None
         for solution in solutions:
@@ -117,7 +119,7 @@ def _travel(angles: np.ndarray, previous: np.ndarray) -> float:
 
 
 def _angle_about(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Angle that turns ``start`` into ``end`` about ``axis``; NaN where both lie along it."""
+    """Return the angle that turns ``start`` into ``end`` about ``axis``; NaN where both are parallel to it."""
     a = start - np.outer(start @ axis, axis)
     b = end - np.outer(end @ axis, axis)
     angle = np.arctan2(np.cross(a, b) @ axis, np.einsum("ni,ni->n", a, b))

@@ -1,7 +1,7 @@
-"""Where the tool really is: forward kinematics with errors, in batches, and its sensitivities.
+"""Forward kinematics with errors, in batches, and its sensitivities.
 
-Positions go in as (poses, axes) arrays in mm and degrees, axes in command order. The one recursion is the expression of
-`twin.machine.chain`; Pinocchio evaluates the same model for whoever wants it (`Machine.model`), and the tests hold the two together.
+Positions are (poses, axes) arrays in mm and degrees, axes in command order. The chain is evaluated only by the expression of
+`twin.machine.chain`; Pinocchio can evaluate the same model (`Machine.model`), and the tests compare the two.
 """
 
 from __future__ import annotations
@@ -46,25 +46,25 @@ class Poses:
         """(n, 3) tool axis (i, j, k), from tip to spindle."""
         return self.rotation[:, :, 2]
 
-    def tilt_urad(self, meant: Poses) -> np.ndarray:
-        """How the tool axis leans against where it was meant to point: fused-like angles, order-free (`twin.numerics.spatial.tilt`).
+    def tilt_urad(self, nominal: Poses) -> np.ndarray:
+        """Return the tilt of the tool axis from its nominal direction: fused-like angles, order-free (`twin.numerics.spatial.tilt`).
 
-        About x and y of the tool frame as meant: the work frame's where the two are parallel, as on most machines at rotary zero. Not
-        about the work frame's throughout: a tool that lies across its z has no such angles, and close to that they say little.
-        Two numbers, not three: a turn of the tool about its own axis moves nothing.
+        The angles are about x and y of the nominal tool frame, which are those of the work frame where the two are parallel, as on most
+        machines at rotary zero. They are not taken about x and y of the work frame, because such angles are undefined for a tool across
+        its z and ill-conditioned close to that. There are two angles because a rotation of the tool about its own axis has no effect.
 
         Args:
-            meant: as many poses.
+            nominal: the nominal poses, the same number.
 
         Returns:
             (n, 2) µrad about x and about y.
 
         Raises:
-            InputError: another number of poses, an axis a right angle or more off.
+            InputError: another number of poses, or an axis that deviates by a right angle or more.
         """
-        if len(meant) != len(self):
-            raise InputError("poses that do not belong together", expected=f"{len(self)} of them", value=len(meant))
-        return locked(tilt(np.einsum("nij,ni->nj", meant.rotation, self.axis)) / URAD)
+        if len(nominal) != len(self):
+            raise InputError("the number of nominal poses differs", expected=f"{len(self)} poses", value=len(nominal))
+        return locked(tilt(np.einsum("nij,ni->nj", nominal.rotation, self.axis)) / URAD)
 
     def __len__(self) -> int:
         return len(self.point_mm)
@@ -74,18 +74,19 @@ class Poses:
             len(self), lambda i: [fixed(v, 4) for v in self.point_mm[i]] + [fixed(v, 6) for v in self.axis[i]]
         )
         headers = ("x (mm)", "y (mm)", "z (mm)", "i", "j", "k")
-        said = note("tool tip and unit vector of the tool axis (tip to spindle), in the work frame")
-        return card(f"Poses: {len(self):,}", table(headers, rows, right=range(6)), rest, said).text
+        caption = note("tool tip and unit vector of the tool axis (tip to spindle), in the work frame")
+        return card(f"Poses: {len(self):,}", table(headers, rows, right=range(6)), rest, caption).text
 
 
 @final
 @dataclass(frozen=True)
 class Sensitivities:
-    """First derivatives of the tool pose in the work frame, metres and radians a metre or radian.
+    """First derivatives of the tool pose in the work frame, in metres and radians per metre or radian.
 
     Attributes:
-        command: (n, 6, axes) of point (3) and rotation (3, as a rotation vector in the work frame), errors following the axes.
-        error: (n, 6, 6·frames) of the same with respect to every component of every error frame.
+        command: (n, 6, axes) derivatives of point (3) and rotation (3, as a rotation vector in the work frame) by the commands, errors
+            following the axes.
+        error: (n, 6, 6·frames) derivatives by every component of every error frame.
     """
 
     command: np.ndarray
@@ -94,24 +95,24 @@ class Sensitivities:
 
 @final
 class Kinematics:
-    """A machine with a calibration: what its commands really reach.
+    """A machine with a calibration: the poses that its commands really reach.
 
     Args:
         machine: the machine.
-        calibration: its errors; the machine file's own if None. `Calibration.zero` gives the machine as drawn.
+        calibration: its errors; the machine file's own if None. `Calibration.zero` gives the machine without errors.
         tool_length_mm: the machine file's own if None.
         conditions: temperatures and time, for the effects that need them.
 
     Attributes:
         machine, tool_length_mm, conditions: as given.
-        calibration: as given, the control's own correction taken with this tool.
+        calibration: as given, with the control's own correction evaluated for this tool.
         chain: CasADi function (q, e, length) → (R, p), metres and radians; see `twin.machine.chain.chain_function`.
-        directed: whether the side an axis was come to from matters (a reversal): where an argument ``approach`` is taken, it is
-            (n, axes), from +1 (from below) to −1 (from above), 0 where it is not known, and 0 throughout if None.
+        directed: whether the approach direction of an axis matters (backlash). An argument ``approach`` is (n, axes), from +1 (from
+            below) to −1 (from above), 0 where unknown; None for 0 throughout.
         errors: CasADi function q → e of this calibration; (q, approach) → e if directed.
 
     Raises:
-        InputError: a tool length that is negative, longer than any tool, or no number; an effect that needs a channel nobody gave; a
+        InputError: a tool length that is negative, too large or not a number; an effect needs a channel that is not given; a
             temperature outside the range of an empirical effect.
     """
 
@@ -140,16 +141,16 @@ class Kinematics:
         sides = {f"{APPROACH}{axis.name}": side[i] for i, axis in enumerate(machine.axes)}
         errors = error_vector(machine, self.calibration.effects, q, sides | self.conditions.channels)
         self.directed = bool(ca.depends_on(errors, side))
-        given, names = ([q, side], ["q", "approach"]) if self.directed else ([q], ["q"])
-        self.errors = ca.Function("errors", given, [errors], names, ["e"])
+        inputs, names = ([q, side], ["q", "approach"]) if self.directed else ([q], ["q"])
+        self.errors = ca.Function("errors", inputs, [errors], names, ["e"])
 
     def _repr_html_(self) -> str:
         known = ", ".join(f"{name} {value:g}" for name, value in self.conditions.channels.items())
-        sides = "reversals: the side an axis comes from matters" if self.directed else ""
+        sides = "backlash: errors depend on the approach direction" if self.directed else ""
         rows = [
-            ("errors", "none: the machine as drawn" if self.calibration.empty else self.calibration.source),
+            ("errors", "none" if self.calibration.empty else self.calibration.source),
             ("tool length", f"{self.tool_length_mm:g} mm"),
-            ("taken at", known),
+            ("conditions", known),
             ("approach", sides),
         ]
         small = f"axes {' '.join(self.machine.names)}, mm and degrees"
@@ -157,15 +158,15 @@ class Kinematics:
         return card(title, pairs(rows), small=small, illustrative=self.calibration.illustrative).text
 
     def symbols(self) -> list[Any]:
-        """Fresh symbols of what every pose is a function of: q (metres, radians), and the approach if directed."""
+        """Return new symbols of the arguments of a pose: q (metres, radians), and the approach directions if directed."""
         names = ("q", "approach") if self.directed else ("q",)
         return [ca.SX.sym(name, len(self.machine.axes)) for name in names]
 
     def rows(self, q: np.ndarray, approach: Any = None) -> tuple[np.ndarray, ...]:
-        """Values of `symbols` for (n, axes) q, metres and radians.
+        """Return numerical values for `symbols`, from (n, axes) q in metres and radians.
 
         Raises:
-            InputError: an approach of another shape.
+            InputError: approach directions of another shape.
         """
         if not self.directed:
             return (q,)
@@ -173,11 +174,11 @@ class Kinematics:
             return q, np.zeros(q.shape)
         sides = np.atleast_2d(np.asarray(approach, dtype=float))
         if sides.shape != q.shape:
-            raise InputError("approach of the wrong shape", expected=str(q.shape), value=sides.shape)
+            raise InputError("approach has the wrong shape", expected=str(q.shape), value=sides.shape)
         return q, sides
 
     def pose_at(self, *at: Any) -> tuple[Any, Any]:
-        """Rotation and tip as expressions of `symbols`, errors of the calibration included."""
+        """Return rotation and tip as expressions of `symbols`, errors of the calibration included."""
         rotation, point = self.chain(at[0], self.errors(*at), self.tool_length_mm * MM)
         return rotation, point
 
@@ -192,60 +193,60 @@ class Kinematics:
         q = at[0]
         e = ca.SX.sym("e", 6 * len(self.machine.frames))
         rotation, point = self.chain(q, e, self.tool_length_mm * MM)
-        # Against a rotation held fixed the change is a rotation vector: three rows to differentiate, not nine.
-        held = ca.SX.sym("held", 3, 3)
-        turn = rotation @ held.T
+        # Relative to a fixed rotation the change is a rotation vector: three rows to differentiate instead of nine.
+        fixed = ca.SX.sym("held", 3, 3)
+        turn = rotation @ fixed.T
         pose = ca.vertcat(point, ca.inv_skew(turn - turn.T) / 2.0)
         errors = self.errors(*at)
         by_error = ca.jacobian(pose, e)
         # Errors follow the axes: total derivative.
         by_command = ca.jacobian(pose, q) + by_error @ ca.jacobian(errors, q)
-        results = ca.substitute([by_command, by_error], [held], [rotation])
+        results = ca.substitute([by_command, by_error], [fixed], [rotation])
         results = ca.cse(ca.substitute(results, [e], [errors]))
         return BatchFunction(ca.Function("sensitivities", at, results))
 
     def reached(self, q: np.ndarray, approach: Any = None) -> tuple[np.ndarray, np.ndarray]:
-        """What `forward` gives, unchecked and in our own units, for a batch that must never raise.
+        """Return the result of `forward` without checks and in metres, for batches that must not raise.
 
         Args:
             q: (n, axes) metres and radians.
-            approach: as of `directed`.
+            approach: as for `directed`.
 
         Returns:
-            (n, 9) rotations, column after column, and (n, 3) points in metres.
+            (n, 9) rotations, column by column, and (n, 3) points in metres.
         """
         rotation, point = self._forward(*self.rows(q, approach))
         return rotation, point
 
     def forward(self, positions: Any, approach: Any = None) -> Poses:
-        """Poses the machine really reaches.
+        """Return the poses the machine really reaches.
 
         Args:
             positions: (n, axes) or (axes,) commands, mm and degrees, command order.
-            approach: as of `directed`.
+            approach: as for `directed`.
 
         Raises:
-            InputError: wrong shape, a value that is no finite number, or outside the domain of a curve.
+            InputError: wrong shape, a value that is not a finite number, or a position outside the domain of a curve.
         """
         q = self.check(positions)
         rotation, point = self.reached(q * self.machine.scale, approach)
         return Poses(locked(point / MM), locked(rotation.reshape(-1, 3, 3).transpose(0, 2, 1)))
 
     def error_frames(self, positions: Any, approach: Any = None) -> np.ndarray:
-        """(n, frames, 6) the error frames at commands: metres and rotation vectors in radians, order ``machine.frames``.
+        """Return (n, frames, 6) error frames at commands: metres and rotation vectors in radians, in the order of ``machine.frames``.
 
         Raises:
-            InputError: as `forward`.
+            InputError: as for `forward`.
         """
         q = self.check(positions)
         (errors,) = BatchFunction(self.errors)(*self.rows(q * self.machine.scale, approach))
         return locked(errors.reshape(len(q), -1, 6))
 
     def sensitivities(self, positions: Any, approach: Any = None) -> Sensitivities:
-        """Derivatives of the pose with respect to commands and to every error motion.
+        """Return the derivatives of the pose by the commands and by every error motion.
 
         Raises:
-            InputError: as `forward`.
+            InputError: as for `forward`.
         """
         q = self.check(positions)
         command, error = self._sensitivities(*self.rows(q * self.machine.scale, approach))
@@ -255,38 +256,38 @@ class Kinematics:
         )
 
     def check(self, positions: Any) -> np.ndarray:
-        """Positions as an (n, axes) array of finite numbers inside the domain of every curve.
+        """Return positions as an (n, axes) array of finite numbers within the domain of every curve.
 
         Raises:
-            InputError: they are not.
+            InputError: wrong shape, a value that is not a finite number, or a position outside the domain of a curve.
         """
         q = np.atleast_2d(np.asarray(positions, dtype=float))
         axes = self.machine.axes
         if q.ndim != 2 or q.shape[1] != len(axes):
             raise InputError(
-                "positions of the wrong shape",
+                "positions have the wrong shape",
                 expected=f"(n, {len(axes)}): {', '.join(self.machine.names)}",
                 value=q.shape,
             )
         if not np.all(np.isfinite(q)):
             raise InputError(
-                "a position that is no number", expected="finite mm and degrees", value=q[~np.isfinite(q)][0]
+                "a position is not a finite number", expected="finite mm and degrees", value=q[~np.isfinite(q)][0]
             )
         self.calibration.check(q)
         return q
 
     def outside_domain(self, q: np.ndarray) -> np.ndarray:
-        """(n, axes) where positions (mm, degrees) leave what the calibration knows (`Calibration.outside`)."""
+        """Return (n, axes) where positions (mm, degrees) are outside the domains of the calibration (`Calibration.outside`)."""
         return self.calibration.outside(q)
 
 
 def angle_between_rad(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(n,) angle between unit vectors (n, 3), exact for small angles too."""
+    """Return (n,) the angle between unit vectors (n, 3), accurate for small angles too."""
     return np.asarray(2.0 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=1) / 2.0, 0.0, 1.0)))
 
 
 def rms_and_max(tilt_urad: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Of (n, 2) tilts about x and about y: root mean square, and largest amount; zero of none."""
+    """Return RMS and largest amount of (n, 2) tilts about x and about y; zero if there are none."""
     if not len(tilt_urad):
         return (0.0, 0.0), (0.0, 0.0)
     (a, b), (c, d) = np.sqrt(np.mean(tilt_urad**2, axis=0)), np.abs(tilt_urad).max(axis=0)

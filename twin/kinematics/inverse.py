@@ -1,9 +1,9 @@
-"""The commands that reach a pose on the machine with errors.
+"""Inverse kinematics: the commands that reach a pose on the machine with errors.
 
-The residual is the point (3) and the tool axis across the target axis (2): the spindle turns freely about it. Newton's
-method on all poses at once; the linear axes are eliminated first (their 3×3 block is never singular), what is left is the
-2×2 system of the rotary axes, whose smaller singular value says how near a pose is to singular (`twin.kinematics.newton`).
-`twin.compute.native` runs it.
+The residual is the point (3) and the two components of the tool axis perpendicular to the target axis, because the spindle may turn
+freely about it. Newton's method runs on all poses at once. The linear axes are eliminated first (their 3×3 block is never singular).
+The remaining 2×2 system in the rotary axes shows by its smaller singular value how close a pose is to singular
+(`twin.kinematics.newton`). `twin.compute.native` runs it.
 """
 
 from __future__ import annotations
@@ -24,20 +24,22 @@ from twin.kinematics.forward import Kinematics, Poses
 from twin.kinematics.newton import Steps
 
 POINT_TOLERANCE: Final = 1e-12
-"""Metres (1e-9 mm), and radians for the tool axis."""
+"""Convergence limit: metres (1e-9 mm), and radians for the tool axis."""
 STEPS: Final = 12
-"""Newton steps allowed; from a nominal start two or three are taken."""
+"""Most Newton steps; from a nominal start two or three are needed."""
 NEAR: Final = 1e-6
-"""Residual from which on a step may use the derivatives of the last: of that it leaves a millionth, more near a singularity."""
+"""Residual below which a step may reuse the derivatives of the last one. Such a step reduces the residual to a millionth, less near a
+singularity.
+"""
 SLACK: Final = 1e-9
-"""mm and degrees beyond a limit that are rounding."""
+"""Distance (mm, degrees) beyond a limit that is rounding."""
 DEFAULT_ROTARY_LIMIT_DEG: Final = 0.5
-"""How far a rotary axis may move to repair an orientation, when nobody says otherwise."""
+"""Default for the largest motion of a rotary axis to correct an orientation."""
 
 
 @final
 class Status(Enum):
-    """What became of a pose."""
+    """Result for one pose."""
 
     CONVERGED = "converged"
     OUT_OF_RANGE = "out of range"
@@ -55,10 +57,10 @@ class Solution:
 
     Attributes:
         positions: (n, axes) commands, mm and degrees; for ``out of range`` the solution beyond the limits.
-        code: (n,) what became of each, as of `twin.compute.native`.
-        point_residual_mm: (n,) distance left at the point.
-        orientation_residual_rad: (n,) angle left between tool axis and target.
-        iterations: most Newton steps taken by any pose.
+        code: (n,) status codes of `twin.compute.native`.
+        point_residual_mm: (n,) residual distance of the point.
+        orientation_residual_rad: (n,) residual angle between tool axis and target.
+        iterations: largest number of Newton steps over all poses.
     """
 
     positions: np.ndarray
@@ -71,13 +73,13 @@ class Solution:
     def status(self) -> np.ndarray:
         """(n,) `Status` objects.
 
-        ``singular`` means the point is reached and the orientation is not, within what the rotary axes may move; ``out of range`` that
-        a command leaves an axis's range or a curve's domain, or that nothing was found.
+        ``singular``: the point is reached, but the orientation is not within the allowed motion of the rotary axes. ``out of range``: a
+        command leaves an axis's range or a curve's domain, or no solution was found.
         """
         return locked(_STATUS[self.code])
 
     def where(self, status: Status) -> np.ndarray:
-        """(n,) whether each pose has that status."""
+        """Return (n,) whether each pose has that status."""
         return np.asarray(self.code == _CODE[status])
 
     def _repr_html_(self) -> str:
@@ -87,20 +89,22 @@ class Solution:
         rows, rest = first_rows(
             len(self.code), lambda i: [*(fixed(v, 4) for v in self.positions[i]), str(self.status[i].value)]
         )
-        left = ""
+        residuals = ""
         if len(self.code):
-            left = f"{self.point_residual_mm.max() * 1e3:.1e} µm, {self.orientation_residual_rad.max() * 1e6:.1e} µrad"
-        told = pairs(
+            residuals = (
+                f"{self.point_residual_mm.max() * 1e3:.1e} µm, {self.orientation_residual_rad.max() * 1e6:.1e} µrad"
+            )
+        summary = pairs(
             [
                 ("status", ", ".join(f"{status.value} {count:,}" for status, count in counts.items() if count)),
-                ("left at most", left),
+                ("largest residual", residuals),
                 ("Newton steps", str(self.iterations)),
             ]
         )
         headers = [*(f"axis {i + 1}" for i in range(axes)), "status"]
-        said = note("commands in command order, mm and degrees")
+        caption = note("commands in command order, mm and degrees")
         title = f"Solution for {several(len(self.code), 'pose')}"
-        return card(title, told, table(headers, rows, right=range(axes)), rest, said, wrong=not met).text
+        return card(title, summary, table(headers, rows, right=range(axes)), rest, caption, wrong=not met).text
 
 
 @final
@@ -109,10 +113,10 @@ class Inverse:
 
     Args:
         kinematics: the machine, its errors and tool length.
-        rotary_limit_deg: how far a rotary axis may leave its start to repair an orientation.
+        rotary_limit_deg: largest motion of a rotary axis from its start to correct an orientation.
 
     Raises:
-        InputError: the machine has not three linear axes and at most two rotary ones.
+        InputError: the machine does not have three linear and at most two rotary axes.
     """
 
     def __init__(self, kinematics: Kinematics, *, rotary_limit_deg: float = DEFAULT_ROTARY_LIMIT_DEG) -> None:
@@ -146,23 +150,23 @@ class Inverse:
         )
 
     def solve(self, targets: Poses, start: Any, *, rotary: bool | np.ndarray = True, approach: Any = None) -> Solution:
-        """Commands that put the tool tip at each target, with its axis along the target's.
+        """Return commands that put the tool tip at each target, with its axis along the target's.
 
         Args:
             targets: poses in the work frame.
-            start: (n, axes) commands near the solution, mm and degrees; the branch (B, C and its alternative) is the start's.
-            rotary: whether the rotary axes may move (all poses, or (n,) each). Where not, they keep the start's positions
-                and only the point is solved for.
-            approach: (n, axes) sides the axes come from, where the machine is directed (`Kinematics.directed`).
+            start: (n, axes) commands near the solution, mm and degrees; they determine the branch (B, C and its alternative).
+            rotary: whether the rotary axes may move (for all poses, or (n,) for each). Otherwise they keep the start's positions and
+                only the point is solved for.
+            approach: (n, axes) approach directions, if the machine depends on them (`Kinematics.directed`).
 
         Raises:
-            InputError: shapes that do not fit. Never for a pose that cannot be solved: it gets its status.
+            InputError: shapes that do not fit. A pose that cannot be solved does not raise: see its status.
         """
         machine = self.kinematics.machine
         n = len(targets)
         begin = np.atleast_2d(np.asarray(start, dtype=float))
         if begin.shape != (n, len(machine.axes)):
-            raise InputError("start of the wrong shape", expected=f"({n}, {len(machine.axes)})", value=begin.shape)
+            raise InputError("start has the wrong shape", expected=f"({n}, {len(machine.axes)})", value=begin.shape)
         sides = self.kinematics.rows(begin, approach)[1:]
         found = self._solver.solve(
             Batch(

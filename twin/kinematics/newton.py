@@ -1,11 +1,12 @@
-"""One step of the inverse as expressions: Newton's for all axes, that of the linear axes alone, and the repair near a singularity.
+"""One step of the inverse kinematics as expressions: Newton for all axes, for the linear axes alone, and the limited rotary correction.
 
-Branch-free, for any chain: the same expressions are evaluated by CasADi, by NumPy and as C++ (`twin.compute.native`).
+The expressions have no branches and hold for any chain; the same ones are evaluated by CasADi, by NumPy and as C++
+(`twin.compute.native`).
 
 The derivatives are the chain's twists (Lynch, Park: Modern Robotics, 5.1), errors following the axes: less than half of the work of
-differentiating the whole expression. Of the Jacobian of Exp, I + [e]/2 + [e]²/6 + …, a step takes the first term only: it
-errs by an angular error times a slope, a millionth where they are a milliradian and a milliradian a radian, far less than Newton's own.
-The repair, which nothing follows, takes two. The residual leaves out nothing.
+differentiating the whole expression. Of the Jacobian of Exp, I + [e]/2 + [e]²/6 + …, a step takes the first term only. This causes an
+error of an angular error times a slope: a millionth for a milliradian and a milliradian per radian, far below the error of Newton's
+method itself. The limited rotary correction (``repair``), which is not iterated, takes two terms. The residual is exact.
 """
 
 from __future__ import annotations
@@ -22,29 +23,31 @@ from twin.machine.chain import Branch, branches
 from twin.machine.machine import Machine
 
 LARGEST_STEP: Final = 0.1
-"""Radians a rotary axis may move in one step: a longer one has left the branch."""
-ALIKE: Final = 1e-15
-"""Smaller over larger singular value below which a system of two is taken to have one direction only (that of NumPy's pinv)."""
+"""Largest move (radians) of a rotary axis in one step; a longer one would leave the branch."""
+RANK_ONE_RATIO: Final = 1e-15
+"""Ratio of singular values below which a system of two counts as having rank one (as in NumPy's pinv)."""
 
 
 @dataclass(frozen=True)
 class _Residual:
     point: Any
     axis: Any
-    """(2,) tool axis along two directions across the target."""
+    """(2,) components of the tool axis along two directions perpendicular to the target."""
     point_by: Any
-    """(3, axes)."""
+    """(3, axes) derivative of the point."""
     axis_by: Any
-    """(2, axes)."""
+    """(2, axes) derivative of the axis components."""
 
 
 @final
 class Steps:
-    """The functions of one machine with one calibration, metres and radians: see `twin.compute.native.StepFunctions`.
+    """Functions of the inverse kinematics of one machine with one calibration, metres and radians.
+
+    They implement `twin.compute.native.StepFunctions`.
 
     Args:
         kinematics: the machine.
-        rotary_limit: radians a rotary axis may leave its start to repair an orientation.
+        rotary_limit: largest move (radians) of a rotary axis from its start to correct an orientation.
     """
 
     def __init__(self, kinematics: Kinematics, rotary_limit: float) -> None:
@@ -55,48 +58,52 @@ class Steps:
 
     @cached_property
     def turn(self) -> ca.Function:
-        """One step of all axes, and the matrices of it."""
-        left, machine = self._left, self._kinematics.machine
-        size = _largest(ca.vertcat(left.point, left.axis))
+        """One Newton step of all axes, and its matrices."""
+        residual, machine = self._step_residual, self._kinematics.machine
+        size = _largest(ca.vertcat(residual.point, residual.axis))
         if not machine.rotary:
-            return self._function("turn", [self._followed, size])
-        matrices = _matrices(machine, left)
+            return self._function("turn", [self._linear_step, size])
+        matrices = _matrices(machine, residual)
         return self._function(
             "turn",
-            [self._at[0] + _turned(machine, matrices, left, longest=True), size, ca.vertcat(*map(ca.vec, matrices))],
+            [
+                self._at[0] + _newton_move(machine, matrices, residual, longest=True),
+                size,
+                ca.vertcat(*map(ca.vec, matrices)),
+            ],
         )
 
     @cached_property
     def again(self) -> ca.Function:
-        """What one more step with the same matrices moves."""
+        """Further step with the same matrices."""
         machine = self._kinematics.machine
         point, axis, rotary = ca.SX.sym("point", 3), ca.SX.sym("axis", 2), len(machine.rotary)
         if not rotary:
             return ca.Function("again", [point, axis], [ca.SX.zeros(len(machine.axes))])
         shapes = ((3, 3), (3, rotary), (2, 3), (rotary, 2))
         parts = [ca.SX.sym("matrix", *shape) for shape in shapes]
-        left = _Residual(point, axis, None, None)
-        move = _turned(machine, _Matrices(*parts), left, longest=False)
+        residual = _Residual(point, axis, None, None)
+        move = _newton_move(machine, _Matrices(*parts), residual, longest=False)
         return ca.Function("again", [point, axis, ca.vertcat(*map(ca.vec, parts))], [ca.densify(move)])
 
     @cached_property
     def follow(self) -> ca.Function:
         """One step of the linear axes."""
-        return self._function("follow", [self._followed, _largest(self._left.point)])
+        return self._function("follow", [self._linear_step, _largest(self._step_residual.point)])
 
     @cached_property
     def repair(self) -> ca.Function:
-        """The rotary axes moved as far as makes sense."""
+        """Limited correction of the orientation by the rotary axes."""
         machine, q = self._kinematics.machine, self._at[0]
         if not machine.rotary:
             return self._function("repair", [q])
-        return self._function("repair", [_repaired(machine, q, self._residual(terms=2), self._limit)])
+        return self._function("repair", [_limited_correction(machine, q, self._residual(terms=2), self._limit)])
 
     @cached_property
     def check(self) -> ca.Function:
-        """What is left: tip less goal, tool axis less target, and tool axis along the two directions across the target.
+        """Residuals: tip less goal, tool axis less target, and components of the tool axis perpendicular to the target.
 
-        Two vectors a side are carried out along the chain, where derivatives need every frame on the way.
+        Only two vectors per side are carried along the chain; the derivatives need every frame.
         """
         (tip, pointing), (goal, target) = (
             branch.carried(*start)
@@ -104,9 +111,9 @@ class Steps:
                 self._branches, ((self._tip, _sparse(0.0, 0.0, 1.0)), (self._point, self._axis)), strict=True
             )
         )
-        gap, apart, off = tip - goal, pointing - target, ca.horzcat(*_across(target)).T @ pointing
+        gap, axis_gap, off = tip - goal, pointing - target, ca.horzcat(*_perpendicular(target)).T @ pointing
         return self._function(
-            "check", [_largest(ca.vertcat(gap, off)), _largest(gap), ca.sumsqr(gap), ca.sumsqr(apart), gap, off]
+            "check", [_largest(ca.vertcat(gap, off)), _largest(gap), ca.sumsqr(gap), ca.sumsqr(axis_gap), gap, off]
         )
 
     @cached_property
@@ -118,36 +125,36 @@ class Steps:
         return branches(self._kinematics.machine, self._at[0], self._errors)
 
     def _residual(self, terms: int) -> _Residual:
-        """Tool less target, both in the frame where the chains to tool and work part."""
+        """Residual of the tool from its target, both in the frame where the chains to tool and work branch."""
         by_position = ca.jacobian(self._errors, self._at[0])
         (tool, tool_twists), (work, work_twists) = (
-            one.twists(self._errors, by_position, terms) for one in self._branches
+            branch.twists(self._errors, by_position, terms) for branch in self._branches
         )
         tip = tool.rotation @ self._tip + tool.translation
         goal = work.rotation @ self._point + work.translation
         pointing, target = tool.rotation[:, 2], work.rotation @ self._axis
-        across = ca.horzcat(*_across(target))
+        perpendicular = ca.horzcat(*_perpendicular(target))
         moved, turned = [], []
-        # Turn of the tool against the work by every axis, and velocity of the tip, both as one who stands on the work sees them.
+        # Rotation of the tool by every axis, and velocity of the tip, both relative to the work.
         for a, b in zip(tool_twists, work_twists, strict=True):
             turn = a[0] - b[0]
             moved.append(a[1] - b[1] + ca.cross(turn, tip))
-            turned.append(across.T @ ca.cross(turn, pointing))
-        return _Residual(tip - goal, across.T @ pointing, ca.horzcat(*moved), ca.horzcat(*turned))
+            turned.append(perpendicular.T @ ca.cross(turn, pointing))
+        return _Residual(tip - goal, perpendicular.T @ pointing, ca.horzcat(*moved), ca.horzcat(*turned))
 
     @property
     def _tip(self) -> Any:
         return _sparse(0.0, 0.0, -self._kinematics.tool_length_mm * MM)
 
     @cached_property
-    def _left(self) -> _Residual:
+    def _step_residual(self) -> _Residual:
         return self._residual(terms=1)
 
     @property
-    def _followed(self) -> Any:
+    def _linear_step(self) -> Any:
         linear = list(self._kinematics.machine.linear)
-        move = -(_inverse(self._left.point_by[:, linear]) @ self._left.point)
-        return self._at[0] + _placed(self._kinematics.machine, linear, move)
+        move = -(_inverse(self._step_residual.point_by[:, linear]) @ self._step_residual.point)
+        return self._at[0] + _at_axes(self._kinematics.machine, linear, move)
 
     def _function(self, name: str, results: list[Any]) -> ca.Function:
         return ca.Function(name, [*self._at, self._point, self._axis], [ca.densify(result) for result in results])
@@ -157,8 +164,8 @@ def _sparse(*values: float) -> Any:
     return ca.SX(ca.sparsify(ca.DM(values)))
 
 
-def _across(z: Any) -> tuple[Any, Any]:
-    """Two unit vectors across a unit vector, without a branch (Duff et al., J. Comput. Graph. Tech. 6 (2017) 1)."""
+def _perpendicular(z: Any) -> tuple[Any, Any]:
+    """Return two unit vectors perpendicular to a unit vector, without a branch (Duff et al., J. Comput. Graph. Tech. 6 (2017) 1)."""
     sign = ca.if_else(z[2] < 0.0, -1.0, 1.0)
     a = -1.0 / (sign + z[2])
     b = z[0] * z[1] * a
@@ -173,8 +180,8 @@ def _largest(vector: Any) -> Any:
     return found
 
 
-def _placed(machine: Machine, which: list[int], values: Any) -> Any:
-    """(axes,) with ``values`` at some axes."""
+def _at_axes(machine: Machine, which: list[int], values: Any) -> Any:
+    """Return an (axes,) vector with ``values`` at some axes and zero elsewhere."""
     found = ca.SX(len(machine.axes), 1)
     for k, i in enumerate(which):
         found[i] = values[k]
@@ -182,78 +189,78 @@ def _placed(machine: Machine, which: list[int], values: Any) -> Any:
 
 
 def _inverse(matrix: Any) -> Any:
-    """Of a matrix of three, by cofactors: its columns are the linear axes, nearly at right angles."""
+    """Return the inverse of a 3×3 matrix by cofactors; its columns are the linear axes, nearly perpendicular."""
     a, b, c = matrix[:, 0], matrix[:, 1], matrix[:, 2]
     rows = ca.vertcat(ca.cross(b, c).T, ca.cross(c, a).T, ca.cross(a, b).T)
     return rows * (1.0 / ca.dot(a, rows[0, :].T))
 
 
 class _Matrices(NamedTuple):
-    """What a step is made of: the linear axes follow the point, what is left is the tool axis's system in the rotary axes."""
+    """Matrices of a step: with the linear axes eliminated by the point, the tool axis gives a system in the rotary axes."""
 
     linear: Any
     """(3, 3) linear axes by the point."""
     slope: Any
-    """(3, rotary) how the linear axes follow the rotary ones."""
+    """(3, rotary) motion of the linear axes that follows the rotary ones."""
     coupling: Any
     """(2, 3) tool axis by the linear axes."""
     rotary: Any
-    """(rotary, 2) rotary axes by the tool axis, the linear ones following."""
+    """(rotary, 2) rotary axes by the tool axis, with the linear axes following."""
 
 
-def _reduced(machine: Machine, left: _Residual) -> tuple[Any, Any, Any, Any]:
-    """The first three of `_Matrices`, and what the fourth is the inverse of."""
+def _reduced(machine: Machine, residual: _Residual) -> tuple[Any, Any, Any, Any]:
+    """Return the first three of `_Matrices`, and the matrix whose inverse is the fourth."""
     linear, rotary = list(machine.linear), list(machine.rotary)
-    inverse, coupling = _inverse(left.point_by[:, linear]), left.axis_by[:, linear]
-    slope = inverse @ left.point_by[:, rotary]
-    return inverse, slope, coupling, left.axis_by[:, rotary] - coupling @ slope
+    inverse, coupling = _inverse(residual.point_by[:, linear]), residual.axis_by[:, linear]
+    slope = inverse @ residual.point_by[:, rotary]
+    return inverse, slope, coupling, residual.axis_by[:, rotary] - coupling @ slope
 
 
-def _matrices(machine: Machine, left: _Residual) -> _Matrices:
-    inverse, slope, coupling, system = _reduced(machine, left)
+def _matrices(machine: Machine, residual: _Residual) -> _Matrices:
+    inverse, slope, coupling, system = _reduced(machine, residual)
     return _Matrices(inverse, slope, coupling, _pseudo_inverse(system))
 
 
-def _turned(machine: Machine, by: _Matrices, left: _Residual, *, longest: bool) -> Any:
-    """What one step of Newton's moves; if ``longest``, no rotary axis further than `LARGEST_STEP`."""
-    alone = by.linear @ left.point
-    move = -(by.rotary @ (left.axis - by.coupling @ alone))
+def _newton_move(machine: Machine, by: _Matrices, residual: _Residual, *, longest: bool) -> Any:
+    """Return the move of one Newton step; with ``longest``, no rotary axis moves further than `LARGEST_STEP`."""
+    alone = by.linear @ residual.point
+    move = -(by.rotary @ (residual.axis - by.coupling @ alone))
     if longest:
         move = move * ca.fmin(1.0, LARGEST_STEP / ca.fmax(_largest(move), 1e-300))
     follow = -(alone + by.slope @ move)
-    return _placed(machine, list(machine.rotary), move) + _placed(machine, list(machine.linear), follow)
+    return _at_axes(machine, list(machine.rotary), move) + _at_axes(machine, list(machine.linear), follow)
 
 
-def _repaired(machine: Machine, q: Any, left: _Residual, limit: float) -> Any:
-    """The rotary axes moved as far as makes sense."""
-    inverse, _, coupling, matrix = _reduced(machine, left)
-    right = left.axis - coupling @ (inverse @ left.point)
+def _limited_correction(machine: Machine, q: Any, residual: _Residual, limit: float) -> Any:
+    """Return the commands with the rotary axes moved to correct the orientation, within the limit."""
+    inverse, _, coupling, matrix = _reduced(machine, residual)
+    right = residual.axis - coupling @ (inverse @ residual.point)
     rotary = list(machine.rotary)
     lower, upper = machine.limits[rotary].T
     reach = q[rotary] + _bounded_move(matrix, right, limit)
-    # A start beyond its range stays where it is (and is reported); others stop at the limit.
+    # An axis that starts beyond its range keeps its position (and is reported); others stop at the limit.
     reach = ca.fmin(ca.fmax(reach, ca.fmin(lower, q[rotary])), ca.fmax(upper, q[rotary]))
-    return q + _placed(machine, rotary, reach - q[rotary])
+    return q + _at_axes(machine, rotary, reach - q[rotary])
 
 
 def _pseudo_inverse(a: Any) -> Any:
-    """A⁺ of (2, 2) and (2, 1)."""
+    """Return A⁺ of a (2, 2) or (2, 1) matrix."""
     squares = ca.sumsqr(a)
     flat = ca.if_else(squares > 0.0, 1.0 / squares, 0.0)
     if a.shape[1] == 1:
         return a.T * flat
     determinant = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
     adjugate = ca.vertcat(ca.horzcat(a[1, 1], -a[0, 1]), ca.horzcat(-a[1, 0], a[0, 0]))
-    whole = ca.fabs(determinant) > ALIKE * squares
+    whole = ca.fabs(determinant) > RANK_ONE_RATIO * squares
     return ca.if_else(whole, adjugate, a.T) * ca.if_else(whole, 1.0 / determinant, flat)
 
 
 def _bounded_move(a: Any, b: Any, limit: float) -> Any:
-    """How far the rotary axes are moved where they cannot repair the whole orientation.
+    """Return the move of the rotary axes where they cannot correct the whole orientation.
 
-    Along each singular direction the repair needs t = δ/σ. Up to the limit β it gets it; beyond, β·(β/t)³: continuous at
-    the limit, and soon gone towards the singularity, where turning C repairs nothing: C stays continuous through it, and
-    a program that stands at B = 0 does not have its C moved for nothing.
+    Along each singular direction the full correction needs t = δ/σ. Up to the limit β it is made in full; beyond the limit the move is
+    β·(β/t)³. This is continuous at the limit and decreases rapidly towards the singularity, where turning C has no effect on the
+    orientation: C stays continuous through it, and a program at B = 0 gets no useless motion of C.
     """
     if a.shape[1] == 1:
         return _along(a, -b, ca.SX.ones(1, 1), limit)
@@ -266,12 +273,14 @@ def _bounded_move(a: Any, b: Any, limit: float) -> Any:
     tangent = ca.if_else(below > 0.0, sign * 2.0 * dot / ca.if_else(below > 0.0, below, 1.0), 0.0)
     cosine = 1.0 / ca.sqrt(1.0 + tangent * tangent)
     sine = tangent * cosine
-    one, two = ca.vertcat(cosine, -sine), ca.vertcat(sine, cosine)
-    return _along(a @ one, -b, one, limit) + _along(a @ two, -b, two, limit)
+    first_direction, second_direction = ca.vertcat(cosine, -sine), ca.vertcat(sine, cosine)
+    return _along(a @ first_direction, -b, first_direction, limit) + _along(
+        a @ second_direction, -b, second_direction, limit
+    )
 
 
 def _along(column: Any, right: Any, direction: Any, limit: float) -> Any:
-    """The share of one singular direction: ``column`` is σ u."""
+    """Return the move along one singular direction; ``column`` is σ u."""
     squares = ca.sumsqr(column)
     sigma = ca.sqrt(squares)
     delta = ca.dot(column, right)  # σ δ

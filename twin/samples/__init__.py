@@ -1,7 +1,7 @@
-"""What comes with `twin` to try it on, and the scripts that made it."""
+"""Sample data that come with `twin`, and the scripts that made them."""
 
 from pathlib import Path
 from typing import Final
 
 PLANS: Final = (Path(__file__).parent / "thesis_plan.csv",)
-"""Measurement plans, found by their bare name."""
+"""Measurement plans that are found by their bare name."""

@@ -1,11 +1,11 @@
-"""Makes ``urdf/dmu50.calibration.yaml``: run ``python -m twin.samples.dmu50_calibration > urdf/dmu50.calibration.yaml``.
+"""Generate ``urdf/dmu50.calibration.yaml``: run ``python -m twin.samples.dmu50_calibration > urdf/dmu50.calibration.yaml``.
 
 Three curves are published numbers: the translational error motions of X, recovered from the compensated NC data that figure
-3.11 of Ellingsdalen (2021) prints. Everything else of that machine was published as pictures and words only; the other 27
-curves and the squareness errors are drawn here, by a seeded generator, to the magnitudes those words state.
+3.11 of Ellingsdalen (2021) prints. All other errors of that machine were published only as pictures and words. The remaining 27
+curves and the squareness errors are illustrative: drawn by a seeded random generator with the magnitudes stated in words.
 
-The file is in the datum `mean lines` (`twin.machine.datum`): the same machine at the tool, with the constants and lines of the drawn
-curves in squareness and locations.
+The file is in the datum `mean lines` (`twin.machine.datum`). It describes the same machine at the tool, with the constants and lines
+of the drawn curves moved to squareness and locations.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ PUBLISHED: Final = {
         "thesis figure 3.11: degree 8 without constant, exact to the printed digits; reference line removed",
     ),
 }
-"""Error motion: (column of figure 3.11, degree, source)."""
+"""Error motion: (column of figure 3.11, polynomial degree, source)."""
 
 SEED: Final = 2021
 SHAPES: Final[Mapping[str, tuple[float, str]]] = {
@@ -85,10 +85,10 @@ SHAPES: Final[Mapping[str, tuple[float, str]]] = {
     "E_BC": (-55.0, "magnitude: ours, well above those of B"),
     "E_CC": (50.0, "magnitude: ours, well above those of B"),
 }
-"""Drawn error motion: (signed peak in µm or µrad, what the figure is)."""
+"""Drawn error motion: (signed peak in µm or µrad, origin of that value)."""
 
 SQUARENESS: Final = {"E_C0Y": 22.0, "E_A0Z": -31.0, "E_B0Z": 18.0}
-"""Illustrative, µrad."""
+"""Illustrative values, µrad."""
 
 SOURCE: Final = (
     "E_XX, E_YX, E_ZX: recovered from figure 3.11 of Ellingsdalen (2021). ILLUSTRATIVE: the other 27 error motions and the "
@@ -97,7 +97,7 @@ SOURCE: Final = (
 
 
 def calibration(machine: Machine) -> Calibration:
-    """The default calibration of the DMU 50: `as_drawn`, in mean lines; coefficients are rounded to 1e-6 µm or µrad."""
+    """Return the default calibration of the DMU 50: `as_drawn`, in mean lines, coefficients rounded to 1e-6 µm or µrad."""
     drawn = as_drawn(machine)
     found = drawn.in_datum(MEAN_LINES)
     curves = {}
@@ -115,7 +115,7 @@ def calibration(machine: Machine) -> Calibration:
 
 
 def as_drawn(machine: Machine) -> Calibration:
-    """The same errors as they were recovered and drawn: the curves of the thesis with its own constants."""
+    """Return the same errors as recovered and drawn: curves as in the thesis, with their own constants."""
     rng = np.random.default_rng(SEED)
     curves = {name: _recovered(name) for name in PUBLISHED}
     curves |= {name: _drawn(name, peak, source, machine, rng) for name, (peak, source) in SHAPES.items()}
@@ -124,11 +124,11 @@ def as_drawn(machine: Machine) -> Calibration:
 
 
 def _recovered(name: str) -> Curve:
-    """Least squares without constant on the printed rows, weighted by their printed digits, as a power series in u."""
+    """Return a least-squares power series in u without constant, fitted to the printed rows, weighted by their printed digits."""
     column, degree, source = PUBLISHED[name]
     x = FIGURE_3_11[:, 0]
     error_um = (x * (column == 1) - FIGURE_3_11[:, column]) * 1e3
-    # Six digits are printed: of a position that is 1 µm (the first two rows 0.1 µm), of a small deviation far less.
+    # Six digits are printed: a resolution of 1 µm for a position (first two rows 0.1 µm), far finer for a small deviation.
     weight = 1.0 / 10.0 ** (np.floor(np.log10(np.abs(FIGURE_3_11[:, column]))) - 5.0)
     powers = (x[:, None] / 500.0) ** np.arange(1, degree + 1)
     fitted, *_ = np.linalg.lstsq(powers * weight[:, None], error_um * weight, rcond=None)

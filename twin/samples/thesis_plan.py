@@ -1,12 +1,14 @@
-"""Makes ``thesis_plan.csv`` beside this file: run ``python -m twin.samples.thesis_plan``.
+"""Generate ``thesis_plan.csv`` in this folder: run ``python -m twin.samples.thesis_plan``.
 
-What Ellingsdalen (2021) measured on the DMU 50 to identify its errors (3.1, 3.2, appendix B 3.2), as a plan that can be simulated. The
-thesis's: one tracker; three reflector places on the spindle for the linear axes and three on the table for the rotary ones, at three
-heights each; 11 positions over X, Y and Z, B every 10°, C every 20°, the other axes at rest; each target taken through all positions
-before the next, in one direction, four rounds an axis. It runs from 0, Z too, downwards (listing 3.1 steps to a negative end).
+The measurement by which Ellingsdalen (2021) identified the errors of the DMU 50 (3.1, 3.2, appendix B 3.2), as a plan that can be
+simulated. From the thesis: one laser tracker; three reflectors on the spindle for the linear axes and three on the table for the rotary
+axes, at three heights each; 11 positions over X, Y and Z, B every 10°, C every 20°, the other axes at rest; each target measured at all
+positions before the next, in one direction, four rounds per axis. The run starts from 0, for Z too, downwards (listing 3.1 steps to a
+negative end).
 
-Ours, because the thesis shows them as pictures only: the reflectors' places (heights and azimuths for which its six equations are well
-conditioned in every position, eq. 32, 36, 37, 3.6), where the tracker stands, where the linear axes wait, and 15 s a point.
+Chosen here, because the thesis shows them only as pictures: the reflectors' places (heights and azimuths for which its six equations
+are well-conditioned at every position, eq. 32, 36, 37, 3.6), the place of the tracker, the rest positions of the linear axes, and 15 s
+per point.
 """
 
 from __future__ import annotations
@@ -34,20 +36,20 @@ POSITIONS: Final = MappingProxyType(
         "C": np.arange(0.0, 341.0, 20.0),
     }
 )
-"""Where each axis is measured, mm and degrees, in the order of the run."""
+"""Measured positions of each axis, mm and degrees, in the order of the run."""
 AT_REST: Final = MappingProxyType({"Y": 450.0})
-"""Where linear axes wait, other than at 0, while a rotary axis is measured: away from the tracker."""
+"""Rest positions of linear axes other than 0 while a rotary axis is measured: away from the tracker."""
 TOOL_PLACES_MM: Final = MappingProxyType(
     {"K": (-100.0, 70.0, 180.0), "P": (30.0, -70.0, 10.0), "Q": (110.0, 60.0, 150.0)}
 )
-"""On the spindle head, above the nose."""
+"""Reflectors on the spindle head, above the spindle nose."""
 WORK_PLACES_MM: Final = MappingProxyType(
     {"KT": (-60.0, 130.0, 170.0), "PT": (-100.0, -200.0, 30.0), "QT": (60.0, 90.0, 140.0)}
 )
-"""On the table, above its surface."""
+"""Reflectors on the table, above its surface."""
 SECONDS_A_POINT: Final = 15.0
 DISTANCE_MM: Final = 2000.0
-"""From the table's centre to the tracker, along the base frame's axis."""
+"""Distance from the table's centre to the tracker, along an axis of the base frame."""
 EYE_MM: Final = 200.0
 """Height of the beam above the table: half of Z's range."""
 NOTE: Final = """plan of Ellingsdalen (2021), 3.1 and 3.2: the geometric errors of the DMU 50 with a laser tracker
@@ -57,10 +59,10 @@ ours: the targets' places, the station's (2 m in front of the table's centre), Y
 
 
 def thesis_stations() -> tuple[Station, Station, Station]:
-    """Tracker positions 1, 2 and 3 of figure 5.1 (tables 5.1, 5.2); x of each station's frame points at the machine.
+    """Return tracker positions 1, 2 and 3 of figure 5.1 (tables 5.1, 5.2); x of each station's frame points at the machine.
 
-    Pos. 1 looks along Y: of the coordinates it measures, y (E_YX, E_YZ, E_YY) owes least to the tracker's angles. Pos. 2 looks along
-    X, Pos. 3 along Z, from above. Distances are ours.
+    Pos. 1 looks along Y, so that y (E_YX, E_YZ, E_YY) depends least on the tracker's angle measurement. Pos. 2 looks along X, Pos. 3
+    along Z from above. The distances are chosen here.
     """
     return (
         Station((0.0, -DISTANCE_MM, EYE_MM), (0.0, 0.0, 90.0 * DEG)),
@@ -70,11 +72,11 @@ def thesis_stations() -> tuple[Station, Station, Station]:
 
 
 def plan(machine: Machine, station: Station | None = None) -> Measurements:
-    """The plan as a table without coordinates, in the order in which the points are taken.
+    """Return the plan as a table without coordinates, in measuring order.
 
     Args:
         machine: the DMU 50, or one with the same axis names and ranges.
-        station: where the tracker stands; `thesis_stations` Pos. 1 if None.
+        station: place of the tracker; `thesis_stations` Pos. 1 if None.
     """
     pose = (thesis_stations()[0] if station is None else station).pose
     positions, approach, names, places, carriers, rounds = [], [], [], [], [], []
@@ -113,13 +115,13 @@ def plan(machine: Machine, station: Station | None = None) -> Measurements:
 
 
 def text() -> str:
-    """The file."""
+    """Return the content of the file."""
     machine = Machine.load("dmu50")
     return plan(machine).to_csv(machine, comment=NOTE)
 
 
 def main() -> None:
-    """Write the plan beside this file."""
+    """Write the plan into this folder."""
     write_whole(PLANS[0], text())
 
 

@@ -1,4 +1,4 @@
-"""The account of a compensation: what was corrected, by how much, how well it is known, and what was not."""
+"""Report of a compensation: what was corrected, by how much, with which uncertainty, and what was not corrected."""
 
 from twin.compensation.account.account import CompensationAccount
 from twin.compensation.account.report import NO_ERRORS, LineNote, Report, grouped

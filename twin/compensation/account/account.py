@@ -1,4 +1,4 @@
-"""Checked program → report: the written program re-simulated densely beside the original, stretch by stretch."""
+"""Collect the report of a compensation by simulating the original and the written program densely, stretch by stretch."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from twin._common.arrays import every
 from twin._common.units import URAD
 from twin.compensation.account.interpolation import interpolated
-from twin.compensation.account.notes import of_channels, of_reversals, of_setup, of_sides
+from twin.compensation.account.notes import approach_notes, condition_notes, reversal_notes, setup_notes
 from twin.compensation.account.report import ClassShare, ControlNote, Deviation, LineNote, Report
-from twin.compensation.account.sample import Sample, Seen
+from twin.compensation.account.sample import Sample, SimulatedPoints
 from twin.compensation.account.shortfalls import ShortfallTally
 from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections, CorrectionTally
@@ -27,21 +27,22 @@ from twin.numerics.spatial import tilt
 from twin.uncertainty.at_tool import ToolUncertainty
 
 ENDS: Final = 16_384
-"""Whose uncertainty is taken at once: 36 numbers for every end."""
+"""Block end points whose uncertainty is evaluated at once; each takes 36 numbers."""
 STRAIGHT_MM: Final = 1.0
 STRAIGHT_DEG: Final = 0.3
-"""How far from a straight line axes may be for their uncertainty to be taken along it: over so little, that of a curve changes by less
-than a hundredth but at the very ends of its domain."""
+"""Deviation of an axis from a straight line (mm, degrees) up to which uncertainty is interpolated along that line. Over such a distance
+a curve's uncertainty changes by less than one per cent, except at the very ends of its domain.
+"""
 SAME_SIDE: Final = 0.01
-"""The same of the sides that axes come from, +1 and −1."""
+"""The same limit for approach directions, which range from −1 to +1."""
 
 
 @final
 class CompensationAccount:
-    """The account of one compensated program.
+    """Builds the report of one compensated program.
 
     Args:
-        bench: machine, calibration, options.
+        bench: machine, calibration and options.
         aim: what was corrected.
         source: the program's name.
     """
@@ -52,21 +53,21 @@ class CompensationAccount:
         self._point, self._axis = CorrectionTally("tool point", "um"), CorrectionTally("tool axis", "urad")
         self._sample = Sample()
         self._shortfalls = ShortfallTally()
-        self._left_um = {"rounding": 0.0, "solver": 0.0}
+        self._residual_um = {"rounding": 0.0, "solver": 0.0}
         self._largest = np.zeros(len(bench.machine.axes))
         self._motions = self._split = self._added = self._rewritten = self._cutting = 0
         self._idle = self._any_tcp = False
         self._all_tcp = True
         self._reversals = np.zeros(len(bench.machine.axes), dtype=int)
-        self._of_sides: list[LineNote] = []
+        self._approach_notes: list[LineNote] = []
 
     def add(self, corrected: Corrected) -> None:
-        """Re-simulate densely what was written of a stretch, beside what was there before."""
+        """Simulate a corrected stretch densely, before and after correction, and add the result to the totals."""
         pieces, rows, context = corrected.pieces, corrected.own, corrected.context
         self._idle = pieces.idle
-        for seen in self._seen(corrected):
-            self._compare(seen, corrected.lines, self._motions - context)
-        left_um = self._left_at_ends(rows)
+        for points in self._simulated(corrected):
+            self._compare(points, corrected.lines, self._motions - context)
+        residual_um = self._end_point_residuals_um(rows)
         corrections = np.abs(rows.commands - rows.nominal)[~rows.untouched]
         self._largest = np.maximum(self._largest, corrections.max(axis=0, initial=0.0))
         count = pieces.count(corrected.rows)[context:]
@@ -76,32 +77,32 @@ class CompensationAccount:
         self._rewritten += corrected.rewritten
         self._all_tcp &= bool(pieces.tcp[context:].all())
         self._any_tcp |= bool(pieces.tcp[context:].any())
-        self._correct(rows, corrected.lines)
+        self._tally_correction(rows, corrected.lines)
         if not self._idle:
-            for found in uncorrected(corrected, left_um):
+            for found in uncorrected(corrected, residual_um):
                 self._shortfalls.add(found)
-        axes = self._bench.lost.axes
-        self._reversals[axes] += np.count_nonzero(rows.turned[rows.taken][:, axes], axis=0)
-        self._of_sides += of_sides(corrected)
+        axes = self._bench.backlash.axes
+        self._reversals[axes] += np.count_nonzero(rows.reverses[rows.backlash_move][:, axes], axis=0)
+        self._approach_notes += approach_notes(corrected)
         self._motions += len(pieces.start) - context
 
     def report(self, *, lines: int, moves: int, notices: Sequence[Notice]) -> Report:
-        """The account of all of it.
+        """Return the report of everything added so far.
 
         Args:
-            lines: how many lines the program has.
-            moves: how many moves.
-            notices: of whoever read it.
+            lines: number of lines of the program.
+            moves: number of its moves.
+            notices: notices of the program reader.
         """
         bench, options = self._bench, self._bench.options
         notes = (
-            *of_setup(bench, all_tcp=self._all_tcp, any_tcp=self._any_tcp),
-            *of_channels(bench),
-            *self._of_sides,
+            *setup_notes(bench, all_tcp=self._all_tcp, any_tcp=self._any_tcp),
+            *condition_notes(bench),
+            *self._approach_notes,
             *(LineNote(notice.line + 1, notice.text) for notice in notices),
         )
         unused = options.conditions.unused(bench.calibration)
-        left = self._shortfalls.shortfalls()
+        not_corrected = self._shortfalls.shortfalls()
         return Report(
             program=self._source,
             machine=bench.machine.name,
@@ -110,7 +111,7 @@ class CompensationAccount:
             warnings=bench.calibration.warnings,
             method=options.method,
             scope="as in the thesis" if options.method == "thesis" else str(self._aim.scope),
-            tool_length_mm=bench.full.tool_length_mm,
+            tool_length_mm=bench.real.tool_length_mm,
             tolerance_um=options.tolerance_mm * 1e3,
             lines=lines,
             moves=moves,
@@ -123,128 +124,138 @@ class CompensationAccount:
             },
             before=Deviation.of(self._before),
             after=Deviation.of(self._after),
-            rounding_um=self._left_um["rounding"],
-            solver_um=self._left_um["solver"],
-            classes=tuple(self._classes(whole=not left)),
-            not_corrected=left,
+            rounding_um=self._residual_um["rounding"],
+            solver_um=self._residual_um["solver"],
+            classes=tuple(self._classes(all_corrected=not not_corrected)),
+            not_corrected=not_corrected,
             notes=notes,
             uncertainty=Corrections(self._point.correction(), self._axis.correction()),
             cutting=self._cutting,
             idle=self._idle,
             conditions={name: value for name, value in options.conditions.channels.items() if name not in unused},
-            reversals=tuple(of_reversals(bench, self._aim, self._reversals)),
-            control=self._of_control(),
+            reversals=tuple(reversal_notes(bench, self._aim, self._reversals)),
+            control=self._control_note(),
         )
 
-    # --- what is added -----------------------------------------------------------------------------------------------
+    # --- accumulation ------------------------------------------------------------------------------------------------
 
-    def _seen(self, corrected: Corrected) -> Iterator[Seen]:
-        """Ends of pieces, then the dense points inside those of some legs."""
-        pieces, between, rows = corrected.pieces, corrected.between, corrected.own
+    def _simulated(self, corrected: Corrected) -> Iterator[SimulatedPoints]:
+        """Yield the end points of pieces, then dense points inside the pieces, one portion of legs after the other."""
+        pieces, path_errors, rows = corrected.pieces, corrected.path_errors, corrected.own
         legs = pieces.legs.motion
         dense = np.flatnonzero(pieces.interpolated[legs] & (legs >= corrected.context))
-        ways = between.ways(corrected.rows, corrected.rows.printed, as_run=True)
-        # Written unchanged: its arcs are arcs.
+        ways = path_errors.ways(corrected.rows, corrected.rows.printed, as_run=True)
+        # An idle program is written unchanged, so its arcs stay arcs.
         ends = Commands(rows.nominal), Commands(rows.nominal if pieces.idle else rows.commands)
-        sided = bool(self._bench.lost.axes)
-        if not sided:
-            yield Seen(rows.motion, *ends, counts=~rows.taken)
-        for portion in [dense] if sided else between.portions(dense):
-            samples = between.samples(portion)
-            meant = between.meant(samples)
-            given = meant if pieces.idle else between.given(samples, ways)
+        directed = bool(self._bench.backlash.axes)
+        if not directed:
+            yield SimulatedPoints(rows.motion, *ends, valid=~rows.backlash_move)
+        for portion in [dense] if directed else path_errors.portions(dense):
+            samples = path_errors.samples(portion)
+            nominal = path_errors.nominal_commands(samples)
+            written = nominal if pieces.idle else path_errors.written_commands(samples, ways)
             motion = legs[samples.leg][samples.piece]
-            if sided:
-                fraction = np.concatenate([rows.fraction, between.fractions(samples)])
-                yield self._sided(corrected, ends, (meant, given), np.concatenate([rows.motion, motion]), fraction)
+            if directed:
+                fraction = np.concatenate([rows.fraction, path_errors.fractions(samples)])
+                yield self._with_sides(
+                    corrected, ends, (nominal, written), np.concatenate([rows.motion, motion]), fraction
+                )
             else:
-                yield Seen(motion, meant, given)
+                yield SimulatedPoints(motion, nominal, written)
 
-    def _sided(
+    def _with_sides(
         self,
         corrected: Corrected,
         ends: tuple[Commands, Commands],
         inside: tuple[Commands, Commands],
         motion: np.ndarray,
         fraction: np.ndarray,
-    ) -> Seen:
-        """Ends and dense points with the sides axes come from, which depend on all that was before.
+    ) -> SimulatedPoints:
+        """Return end points and dense points in order of travel, with approach directions, which depend on all earlier motion.
 
         Args:
-            corrected: the program.
-            ends: commands as meant and as given at the ends.
+            corrected: the stretch.
+            ends: nominal and written commands at the end points.
             inside: the same at the dense points.
-            motion: (n,) which motion those of both are on.
-            fraction: (n,) where on it.
+            motion: (n,) motion of each point, end points first.
+            fraction: (n,) fraction of the motion at which each point lies.
         """
-        taken = np.zeros(len(motion), dtype=bool)
-        taken[: len(corrected.own.taken)] = corrected.own.taken
-        order = np.lexsort((taken, fraction, motion))
+        inserted = np.zeros(len(motion), dtype=bool)
+        inserted[: len(corrected.own.backlash_move)] = corrected.own.backlash_move
+        order = np.lexsort((inserted, fraction, motion))
         commands, sides = [], []
-        for end, between in zip(ends, inside, strict=True):
-            both = np.concatenate([end.written(), between.written()])
+        for end, dense in zip(ends, inside, strict=True):
+            both = np.concatenate([end.as_array(), dense.as_array()])
             side = np.zeros(both.shape)
-            side[order] = self._bench.lost.sides(corrected.pieces.path, motion[order], both[order])
+            side[order] = self._bench.backlash.sides(corrected.pieces.path, motion[order], both[order])
             commands.append(Commands(both))
             sides.append(side)
-        # A move that takes up a reversal has no place of its own to be at.
-        return Seen(motion, commands[0], commands[1], sides[0], sides[1], ~taken)
+        # A move that only takes up backlash has no nominal position.
+        return SimulatedPoints(motion, commands[0], commands[1], sides[0], sides[1], ~inserted)
 
-    def _compare(self, seen: Seen, lines: np.ndarray, first: int) -> None:
-        """Re-simulate places, as meant and as given; of motions their ``lines``, and the number of the ``first``."""
-        before = self._bench.compared.poses(seen.meant, seen.meant, seen.meant_from)
-        after = self._bench.compared.poses(seen.meant, seen.given, seen.given_from)
+    def _compare(self, points: SimulatedPoints, lines: np.ndarray, first: int) -> None:
+        """Simulate points with nominal and with written commands, and add the deviations to the tallies.
+
+        Args:
+            points: the points.
+            lines: (motions,) line number of each motion.
+            first: number of the stretch's first motion within the program.
+        """
+        before = self._bench.comparison.poses(points.nominal, points.nominal, points.nominal_sides)
+        after = self._bench.comparison.poses(points.nominal, points.written, points.written_sides)
         keep = before.known & after.known
-        if seen.counts is not None:
-            keep &= seen.counts
-        of = lines[seen.motion]
+        if points.valid is not None:
+            keep &= points.valid
+        line_of = lines[points.motion]
         if not keep.all():
-            before, after, of = before.where(keep), after.where(keep), of[keep]
+            before, after, line_of = before.where(keep), after.where(keep), line_of[keep]
         for tally, found in ((self._before, before), (self._after, after)):
-            _add(tally, found, of)
-        self._sample.add(first, seen, keep)
+            _add(tally, found, line_of)
+        self._sample.add(first, points, keep)
 
-    def _left_at_ends(self, rows: Rows) -> dict[str, np.ndarray]:
-        """(rows,) how far the point is off at ends: by ``rounding``, and by the ``solver``."""
+    def _end_point_residuals_um(self, rows: Rows) -> dict[str, np.ndarray]:
+        """Return by cause (``rounding``, ``solver``) the (rows,) distance in µm of the tool point from its target at end points."""
         good = ~rows.untouched & ~rows.clamped
-        left_um = {}
-        for name, given in (("rounding", rows.commands), ("solver", rows.exact)):
-            distance = self._aim.compared.distance_mm(Commands(rows.nominal), Commands(given), rows.approach)
-            left_um[name] = distance * 1e3
-            self._left_um[name] = max(self._left_um[name], float(left_um[name][good].max(initial=0.0)))
-        return left_um
+        residual_um = {}
+        for name, commands in (("rounding", rows.commands), ("solver", rows.exact)):
+            distance = self._aim.comparison.distance_mm(Commands(rows.nominal), Commands(commands), rows.approach)
+            residual_um[name] = distance * 1e3
+            self._residual_um[name] = max(self._residual_um[name], float(residual_um[name][good].max(initial=0.0)))
+        return residual_um
 
-    def _correct(self, rows: Rows, lines: np.ndarray) -> None:
-        """How far the tool was moved at the block ends, and how well the calibration knows that it had to be.
+    def _tally_correction(self, rows: Rows, lines: np.ndarray) -> None:
+        """Tally how far the correction moves the tool at block end points, and the uncertainty of that correction.
 
-        By the machine as drawn from the meant commands to the given ones; the calibration's uncertainty, of what is in scope, at
-        the meant ones: there and at the given ones it is the same to a thousandth.
+        The displacement is that of the machine without errors between nominal and compensated commands. The uncertainty is that of the
+        corrected errors at the nominal commands; at the compensated ones it differs by less than a thousandth.
         """
         aim = self._aim
-        given = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is accounted for by itself
-        moved = self._bench.corrected_by.poses(Commands(rows.nominal), Commands(given))
-        keep = ~rows.untouched & ~rows.taken & moved.known
-        keep &= every(~self._bench.full.outside_domain(rows.nominal))
+        compensated = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is reported separately
+        moved = self._bench.nominal_comparison.poses(Commands(rows.nominal), Commands(compensated))
+        keep = ~rows.untouched & ~rows.backlash_move & moved.known
+        keep &= every(~self._bench.real.outside_domain(rows.nominal))
         if not np.any(keep):
             return
         if not keep.all():
             rows, moved = rows.where(keep), moved.where(keep)
-        of = lines[rows.motion]
+        line_of = lines[rows.motion]
         at_point = None
         if not aim.point.calibration.empty:
-            at_point = _known(aim.at_point, rows)
-            self._point.add(of, rows.motion, moved.distance_mm * 1e3, at_point[:, 0], aim.at_point)
-        turned = ~rows.singular  # the others are listed as what cannot be corrected
-        asked = aim.scope.orientation and self._bench.thesis is None
-        if asked and aim.at_axis is not None and np.any(turned):
-            known = at_point if at_point is not None and aim.at_axis is aim.at_point else _known(aim.at_axis, rows)
+            at_point = _uncertainty(aim.at_point, rows)
+            self._point.add(line_of, rows.motion, moved.distance_mm * 1e3, at_point[:, 0], aim.at_point)
+        turned = ~rows.singular  # the others are listed as not corrected
+        orientation_corrected = aim.scope.orientation and self._bench.thesis is None
+        if orientation_corrected and aim.at_axis is not None and np.any(turned):
+            uncertainty = (
+                at_point if at_point is not None and aim.at_axis is aim.at_point else _uncertainty(aim.at_axis, rows)
+            )
             size = moved.angle_rad[turned] * 1e6
-            self._axis.add(of[turned], rows.motion[turned], size, known[turned, 1], aim.at_axis)
+            self._axis.add(line_of[turned], rows.motion[turned], size, uncertainty[turned, 1], aim.at_axis)
 
-    # --- what is made of it ------------------------------------------------------------------------------------------
+    # --- results -----------------------------------------------------------------------------------------------------
 
-    def _of_control(self) -> ControlNote | None:
-        """What the control does by itself at the poses the classes are told apart at."""
+    def _control_note(self) -> ControlNote | None:
+        """Return the share that the control's own tables correct, at the sampled poses; None if the calibration has no tables."""
         section, alone = self._bench.calibration.control, self._bench.control_alone
         if section is None:
             return None
@@ -257,36 +268,36 @@ class CompensationAccount:
         axes = tuple(dict.fromkeys(table.axis.name for table in self._bench.calibration.corrections))
         return ControlNote(section.errors_are, files, axes, _rms(share), float(share.max(initial=0.0)))
 
-    def _classes(self, *, whole: bool) -> Iterator[ClassShare]:
-        """The shares of the classes; ``whole`` where every block is corrected."""
+    def _classes(self, *, all_corrected: bool) -> Iterator[ClassShare]:
+        """Yield the share of each class; ``all_corrected``: whether every block is corrected."""
         before, before_from, after, after_from = self._sample.poses()
         nominal = self._bench.space.nominal
-        meant, reached = nominal.forward(before), nominal.forward(after)
+        nominal_poses, reached = nominal.forward(before), nominal.forward(after)
         for name, alone in self._aim.by_class.items():
             alone_before = alone.forward(before, before_from)
-            share = np.linalg.norm(alone_before.point_mm - meant.point_mm, axis=1) * 1e3
-            turn = angle_between_rad(alone_before.axis, meant.axis) * 1e6
+            share = np.linalg.norm(alone_before.point_mm - nominal_poses.point_mm, axis=1) * 1e3
+            turn = angle_between_rad(alone_before.axis, nominal_poses.axis) * 1e6
             corrected = None if self._bench.thesis is not None else name in self._aim.scope.classes
-            left = np.linalg.norm(alone.forward(after, after_from).point_mm - reached.point_mm, axis=1) * 1e3
+            residual = np.linalg.norm(alone.forward(after, after_from).point_mm - reached.point_mm, axis=1) * 1e3
             yield ClassShare(
                 name=name,
                 corrected=corrected,
                 before_rms_um=_rms(share),
                 before_max_um=float(share.max(initial=0.0)),
                 before_max_urad=float(turn.max(initial=0.0)),
-                left_rms_um=_rms(left) if corrected is False else 0.0 if corrected and whole else None,
+                left_rms_um=_rms(residual) if corrected is False else 0.0 if corrected and all_corrected else None,
             )
 
 
 def _add(tally: CompensationTally, found: ComparedPoses, lines: np.ndarray) -> None:
-    """Distances (µm), angles and tilts (µrad) of some poses to a tally."""
-    tilts = np.abs(tilt(found.leaning).T / URAD) if lines.size else np.zeros((2, 0))
+    """Add distances (µm), angles and tilts (µrad) of compared poses to a tally."""
+    tilts = np.abs(tilt(found.axis_in_nominal_frame).T / URAD) if lines.size else np.zeros((2, 0))
     size = np.stack([found.distance_mm * 1e3, found.angle_rad * 1e6, *tilts])
     tally.add(size, np.einsum("ij,ij->i", size, size), lines)
 
 
-def _known(tool: ToolUncertainty, rows: Rows) -> np.ndarray:
-    """(rows, 2, 4) U of the point and its standard uncertainties, µm; of the axis and the rotation, µrad; NaN if nothing is known."""
+def _uncertainty(tool: ToolUncertainty, rows: Rows) -> np.ndarray:
+    """Return (rows, 2, 4): U and three standard uncertainties of the tool point (µm) and of its orientation (µrad); NaN if unknown."""
     if not tool.parameters:
         return np.full((len(rows.motion), 2, 4), np.nan)
 

@@ -1,7 +1,7 @@
-"""Smooth functions of where the axes stand, at the ends of very many short blocks: evaluated at some, interpolated between these.
+"""Interpolation of a smooth function of axis positions along a path of many short blocks.
 
-What is known of it where the axes stand one block further is nearly what is known here. So the path is taken in stretches of many
-blocks; where axes leave the straight line between the ends of one, or the function does, it is halved, down to single blocks.
+The function is evaluated at a few nodes, first far apart. Where the axes between two nodes leave the straight line, or the function is
+not linear within `ACCURACY`, the interval is halved, down to single blocks.
 """
 
 from __future__ import annotations
@@ -12,21 +12,22 @@ from typing import Final
 import numpy as np
 
 FEW: Final = 2048
-"""Places up to which each is evaluated."""
+"""Up to this number of points the function is evaluated at each."""
 LONGEST: Final = 256
-"""Places a stretch to begin with."""
+"""Points per interval at the start."""
 ACCURACY: Final = 0.01
-"""Of the largest of the numbers that belong together: by how much a value in the middle of a stretch may miss the line between its
-ends. It becomes an end itself, which leaves a quarter of that."""
+"""Largest deviation from linearity in the middle of an interval, relative to the largest value of its group. The middle then becomes
+a node, which reduces the remaining error to a quarter.
+"""
 
 
 def interpolated(values: Callable[[np.ndarray], np.ndarray], places: np.ndarray, straight: np.ndarray) -> np.ndarray:
-    """A function along a path.
+    """Return a function's values along a path, evaluated at some points and interpolated linearly between them.
 
     Args:
-        values: of (k,) indices of places, different ones, the (k, groups, m) values; those of a group have one unit.
-        places: (n, axes) along a path, n > 0.
-        straight: (axes,) how far from the straight line between two places those between them may be for it to be one.
+        values: function of (k,) distinct indices of points that returns (k, groups, m) values; those of a group have one unit.
+        places: (n, axes) points along a path, n > 0.
+        straight: (axes,) deviation from the straight line between two points up to which the path counts as straight.
 
     Returns:
         (n, groups, m) values.
@@ -61,14 +62,14 @@ def interpolated(values: Callable[[np.ndarray], np.ndarray], places: np.ndarray,
 
 
 def _between(begin: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of stretches all places inside: which stretch each is in, and its index."""
+    """Return all points inside intervals: the interval each is in, and its index."""
     inside = end - begin - 1
     of = np.repeat(np.arange(len(begin)), inside)
     return of, np.arange(len(of)) + np.repeat(begin + 1 - np.cumsum(inside) + inside, inside)
 
 
 def _on_line(values: np.ndarray, way: np.ndarray, at: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Values at places by the straight line between two others, at the share of the way there."""
+    """Return values at points, interpolated linearly between two others by the distance travelled."""
     length = way[end] - way[begin]
     share = (way[at] - way[begin]) / np.where(length > 0.0, length, 1.0)
     share = share.reshape(-1, *[1] * (values.ndim - 1))
@@ -76,7 +77,7 @@ def _on_line(values: np.ndarray, way: np.ndarray, at: np.ndarray, begin: np.ndar
 
 
 def _straight(scaled: np.ndarray, way: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """(stretches,) whether all places inside (there are some) lie within one of the line between the ends."""
+    """Return (intervals,) whether all points inside (at least one) lie within one unit of the line between the end points."""
     of, between = _between(begin, end)
     off = np.abs(_on_line(scaled, way, between, begin[of], end[of]) - scaled[between]).max(axis=1)
     return np.maximum.reduceat(off, np.searchsorted(of, np.arange(len(begin)))) <= 1.0

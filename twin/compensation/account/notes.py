@@ -1,4 +1,4 @@
-"""What a reader of the account must know beside the numbers."""
+"""Notes of the report: settings that were ignored, conditions that change, assumptions about backlash."""
 
 from __future__ import annotations
 
@@ -13,27 +13,23 @@ from twin.compensation.solving import Corrected
 from twin.machine.conditions import TIME, Listening
 
 WARM_UP_S: Final = 600.0
-"""Over which it is said how far a warm-up goes on."""
+"""Time over which the further change of a thermal effect is reported, s."""
 
 
-def of_setup(bench: Bench, *, all_tcp: bool, any_tcp: bool) -> Iterator[LineNote]:
-    """Offsets the user gave that this program has no words for: better said than silently ignored.
-
-    Args:
-        bench: machine, calibration, options.
-        all_tcp: whether all words of the program are tool-tip coordinates.
-        any_tcp: whether any are.
-    """
+def setup_notes(bench: Bench, *, all_tcp: bool, any_tcp: bool) -> Iterator[LineNote]:
+    """Yield a note for every work offset or origin that was given but does not apply to this program."""
     setup = bench.options.setup
     if all_tcp and any(setup.work_offset.get(name) for name in bench.space.axes.linear):
-        text = "work offsets of linear axes are not used: the words are tool-tip coordinates (--work-origin)"
+        text = (
+            "work offsets of linear axes are ignored: the words are tool-tip coordinates, which the work origin shifts"
+        )
         yield LineNote(1, text)
     if not any_tcp and any(setup.work_origin_mm):
-        yield LineNote(1, "the work origin is not used: the words are axis positions (--work-offset)")
+        yield LineNote(1, "the work origin is ignored: the words are axis positions, which work offsets shift")
 
 
-def of_channels(bench: Bench) -> Iterator[LineNote]:
-    """What a reader must know of temperatures and time."""
+def condition_notes(bench: Bench) -> Iterator[LineNote]:
+    """Yield notes on temperatures and time: values that no effect uses, and effects that still change considerably."""
     conditions = bench.options.conditions
     for name in conditions.unused(bench.calibration):
         yield LineNote(1, f"{name} was given and the calibration does not need it")
@@ -46,32 +42,36 @@ def of_channels(bench: Bench) -> Iterator[LineNote]:
         grown = np.sqrt(sum((after[i] - before[i]) ** 2 for i in before if i < 3))
         if np.any(grown >= 0.1):
             size, minutes = f"{float(grown[0]):.1f} µm", f"{WARM_UP_S / 60:g}"
-            yield LineNote(1, f"{effect.name} goes on by {size} in the {minutes} minutes after --time")
+            yield LineNote(
+                1, f"{effect.name} changes by a further {size} in the {minutes} minutes after the given time"
+            )
 
 
-def of_sides(corrected: Corrected) -> Iterator[LineNote]:
-    """Where the side an axis comes from is not known, and what taking up a reversal looks like."""
+def approach_notes(corrected: Corrected) -> Iterator[LineNote]:
+    """Yield notes on axes whose approach direction is unknown, and on axes that overshoot while a positive reversal is taken up."""
     bench, rows = corrected.pieces.bench, corrected.own
-    for axis in corrected.pieces.aim.lost.axes:
+    for axis in corrected.pieces.aim.backlash.axes:
         name = bench.machine.axes[axis].name
         blocks = np.unique(rows.motion[(rows.approach[:, axis] == 0.0) & ~rows.untouched])
         if blocks.size:
-            where = "here" if len(blocks) == 1 else f"in {len(blocks)} blocks from here on"
+            where = "in this block" if len(blocks) == 1 else f"in {len(blocks)} blocks from here on"
             yield LineNote(
                 int(corrected.lines[blocks[0]]),
-                f"the program has not said from which side {name} comes {where}: taken as the middle of its reversal",
+                f"approach direction of {name} unknown {where}: the middle of its reversal value is assumed",
             )
-        if bench.lost.size[axis] > 0.0 and np.any(rows.taken):
+        if bench.backlash.size[axis] > 0.0 and np.any(rows.backlash_move):
             yield LineNote(
                 1,
-                f"the reversal of {name} is positive (it jumps ahead when it turns): taking it up moves {name} beyond the "
-                "turning point for a moment, by its size and three increments",
+                f"the reversal value of {name} is positive (the axis jumps ahead when it reverses): compensating it moves {name} "
+                "briefly beyond the reversal point, by that value plus three least increments",
             )
 
 
-def of_reversals(bench: Bench, aim: CorrectionAim, taken_up: np.ndarray) -> Iterator[ReversalNote]:
-    """What was done about every reversal of the calibration; ``taken_up`` (axes,): at how many turns."""
-    for i in np.flatnonzero(bench.lost.size).tolist():
+def reversal_notes(bench: Bench, aim: CorrectionAim, taken_up: np.ndarray) -> Iterator[ReversalNote]:
+    """Yield how each reversal of the calibration was treated; ``taken_up`` (axes,): number of reversals at which it was taken up."""
+    for i in np.flatnonzero(bench.backlash.size).tolist():
         axis = bench.machine.axes[i]
         unit, scale = ("um", 1e3) if axis.linear else ("urad", axis.scale * 1e6)
-        yield ReversalNote(axis.name, unit, float(bench.lost.size[i] * scale), i in aim.lost.axes, int(taken_up[i]))
+        yield ReversalNote(
+            axis.name, unit, float(bench.backlash.size[i] * scale), i in aim.backlash.axes, int(taken_up[i])
+        )

@@ -1,4 +1,4 @@
-"""What a compensation did and what it leaves, for a person and for a program."""
+"""Report of a compensation as text, HTML and JSON."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ IN_SCOPE: Final = {True: "corrected", False: "not in scope", None: ""}
 @final
 @dataclass(frozen=True)
 class Deviation:
-    """How far the tool is from where it was meant to be, over all ends and dense points between them.
+    """Deviation of the tool from its nominal pose, over all end points and the dense points between them.
 
     Attributes:
         rms_um, max_um: distance at the functional point.
         rms_urad, max_urad: angle of the tool axis.
         worst_line: program line of the largest distance.
-        points: how many poses.
-        tilt_rms_urad, tilt_max_urad: how it leans about x and about y of the tool frame, largest by amount
+        points: number of poses.
+        tilt_rms_urad, tilt_max_urad: tilt about x and about y of the tool frame, RMS and largest amount
             (`twin.kinematics.forward.Poses.tilt_urad`).
     """
 
@@ -46,7 +46,7 @@ class Deviation:
 
     @classmethod
     def of(cls, tally: CompensationTally) -> Deviation:
-        """Of distances, angles, and both tilts."""
+        """Return the deviation from a tally of distances, angles and both tilts."""
         rms, angle_rms, x_rms, y_rms = tally.rms
         largest, angle, x, y = tally.largest.diagonal().tolist()
         line = int(tally.lines[0])
@@ -56,14 +56,15 @@ class Deviation:
 @final
 @dataclass(frozen=True)
 class ClassShare:
-    """The share of one ISO/TR 16907 class.
+    """Share of one ISO/TR 16907 class in the error.
 
     Attributes:
         name: the class.
-        corrected: whether the scope has it; None where the method does not work by class. Blocks that are not are in the account.
-        before_rms_um, before_max_um: what its error motions alone do at the functional point.
-        before_max_urad: what they do to the tool axis.
-        left_rms_um: what of it stays at the functional point; None as above, and where blocks that are not corrected keep some of it.
+        corrected: whether the class is in scope; None if the method does not work by class. Blocks that are not corrected are listed in
+            the report.
+        before_rms_um, before_max_um: error of its error motions alone at the functional point.
+        before_max_urad: their error of the tool axis.
+        left_rms_um: residual at the functional point; None as above, and where blocks that are not corrected retain some of it.
     """
 
     name: str
@@ -77,31 +78,31 @@ class ClassShare:
 @final
 @dataclass(frozen=True)
 class LineNote:
-    """A remark on one program line."""
+    """Note on one program line."""
 
     line: int
     text: str
 
 
 def grouped(notes: Sequence[LineNote]) -> list[str]:
-    """One line for all notes of the same text."""
+    """Return one line per text, with the line numbers of all notes of that text."""
     found: dict[str, list[int]] = {}
-    for one in notes:
-        found.setdefault(one.text, []).append(one.line)
+    for line_note in notes:
+        found.setdefault(line_note.text, []).append(line_note.line)
     return [f"{line_numbers(lines)}: {text}" for text, lines in found.items()]
 
 
 @final
 @dataclass(frozen=True)
 class ReversalNote:
-    """What was done about the reversal of one axis.
+    """Treatment of the reversal value (backlash) of one axis.
 
     Attributes:
         axis: its name.
         unit: ``um`` or ``urad``.
-        size: its size, in ``unit``.
-        corrected: whether the scope has it.
-        taken_up: at how many turns of the axis moves were added that take it up.
+        size: the reversal value, in ``unit``.
+        corrected: whether it is in scope.
+        taken_up: number of reversals at which a move was inserted that takes it up.
     """
 
     axis: str
@@ -114,15 +115,15 @@ class ReversalNote:
 @final
 @dataclass(frozen=True)
 class ControlNote:
-    """What the control corrects by itself, so that the program is not corrected for it a second time.
+    """Errors that the control corrects by its own tables, so that the program must not correct them again.
 
     Attributes:
-        errors_are: ``uncorrected``: the tables take out of the calibration's errors what follows; ``remaining``: the errors are what
-            they leave.
+        errors_are: ``uncorrected``: the tables reduce the calibration's errors as stated below; ``remaining``: the calibration's errors
+            were measured with the tables active.
         tables: the files.
-        axes: what they move; empty where they are part of the errors.
-        rms_um, max_um: how far they move the tool over the program; None likewise.
-        caution: what is to be minded beside; nothing if empty.
+        axes: axes they correct; empty if the errors are the remaining ones.
+        rms_um, max_um: displacement of the tool by the tables over the program; None if the errors are the remaining ones.
+        caution: a further condition; empty if none.
     """
 
     errors_are: str
@@ -134,37 +135,37 @@ class ControlNote:
 
     @property
     def sentence(self) -> str:
-        """As the report says it."""
+        """Statement in the report."""
         files = ", ".join(self.tables)
         if self.rms_um is None or self.max_um is None:
             return (
-                f"these errors were measured with its tables on ({files}): leave them on; "
-                f"the program is corrected for what they leave{'. ' if self.caution else ''}{self.caution}"
+                f"these errors were measured with its tables active ({files}): keep them active; "
+                f"the program corrects only the remaining errors{'. ' if self.caution else ''}{self.caution}"
             )
         return (
-            f"corrects by itself ({files}; moves {' '.join(self.axes)}): {self.rms_um:.3f} µm RMS, {self.max_um:.3f} µm at most "
-            "at the tool; the program is corrected for what that leaves and is right only with these tables on"
+            f"its tables ({files}; axes {' '.join(self.axes)}) correct {self.rms_um:.3f} µm RMS, {self.max_um:.3f} µm at most "
+            "at the tool; the program corrects only the remaining errors and is valid only with these tables active"
         )
 
 
 @final
 @dataclass(frozen=True)
 class Report:
-    """A compensation's account of itself; every field is in the JSON under its name.
+    """Report of a compensation; every field is in the JSON report under its name.
 
     Attributes:
+        warnings: warnings on the origin of the calibration's numbers; they also stand at the head of the program.
         largest_correction: by axis, in mm or degrees, and that unit.
-        rounding_um: largest distance that rounding to the least increment leaves at a block's end.
-        solver_um: largest distance the solver leaves there.
+        rounding_um: largest distance caused by rounding to the least increment at a block end point.
+        solver_um: largest distance left by the solver there.
         not_corrected: blocks that could not be corrected, or not within the tolerance, by reason.
-        notes: lines passed through as written, and assumptions.
-        uncertainty: of the correction, from the calibration's covariance.
-        cutting: how many moves cut: all but rapids.
+        notes: lines passed through unchanged, and assumptions.
+        uncertainty: uncertainty of the correction, from the calibration's covariance.
+        cutting: number of cutting moves: all but rapids.
         idle: whether there is nothing to correct: no error motion of the calibration is in scope.
-        conditions: temperatures (``T_X_degC``) and time (``time_s``) over the program that its effects were taken at.
-        reversals: by axis; the side each axis comes from follows from the program.
-        control: what the control corrects by itself; None where the calibration says nothing of it.
-        warnings: of where the calibration's numbers come from; they stand at the head of the program, too.
+        conditions: temperatures (``T_X_degC``) and time (``time_s``) at which the effects were evaluated, over the whole program.
+        reversals: treatment of backlash by axis; approach directions follow from the program.
+        control: errors that the control corrects itself; None if the calibration has no tables of the control.
     """
 
     program: str
@@ -198,44 +199,44 @@ class Report:
 
     @property
     def illustrative(self) -> bool:
-        """Whether some of the errors are drawn, not measured."""
+        """Whether some of the errors are illustrative, not measured."""
         return ILLUSTRATIVE in self.warnings
 
     @property
     def complete(self) -> bool:
-        """Whether something was corrected, and nothing that cuts is off by more than the tolerance (exit status 0, else 3)."""
-        return not (self.nothing_corrected or any(one.missed for one in self.not_corrected))
+        """Whether something was corrected and no cutting block is out of tolerance (exit status 0, else 3)."""
+        return not (self.nothing_corrected or any(shortfall.missed for shortfall in self.not_corrected))
 
     @property
     def strictly_complete(self) -> bool:
-        """Whether everything was corrected: rapids and the orientation, too."""
+        """Whether everything was corrected, rapids and the orientation included."""
         return not (self.nothing_corrected or self.not_corrected)
 
     @property
     def nothing_corrected(self) -> bool:
-        """Whether the program is written as it came."""
+        """Whether the program is written unchanged."""
         return self.rewritten == 0
 
     @property
     def headline(self) -> str:
-        """What came of it, in one line."""
+        """Result in one line."""
         if self.idle:
             return NO_ERRORS
-        outside = self._lines_of(lambda one: one.lines if one.kind == "range" else ())
+        outside = self._lines_of(lambda shortfall: shortfall.lines if shortfall.kind == "range" else ())
         hint = "; is the work offset missing?" if 2 * outside > self.moves else ""
         if self.nothing_corrected:
             return f"NOTHING CORRECTED: {outside:,} of {several(self.moves, 'block')} would leave the range of an axis{hint}"
-        missed = self._lines_of(lambda one: one.missed)
+        missed = self._lines_of(lambda shortfall: shortfall.missed)
         if missed:
-            return f"NOT ALL CORRECTED: {missed:,} of {self.cutting:,} cutting blocks stay off by more than the tolerance{hint}"
-        left = self._lines_of(lambda one: one.lines)
-        return f"corrected, but for {left:,} of {several(self.moves, 'block')} (listed below)" if left else "corrected"
+            return f"NOT ALL CORRECTED: {missed:,} of {self.cutting:,} cutting blocks remain out of tolerance{hint}"
+        left = self._lines_of(lambda shortfall: shortfall.lines)
+        return f"corrected, except {left:,} of {several(self.moves, 'block')} (listed below)" if left else "corrected"
 
     def _lines_of(self, lines: Callable[[Shortfall], Sequence[int]]) -> int:
-        return len({line for one in self.not_corrected for line in lines(one)})
+        return len({line for shortfall in self.not_corrected for line in lines(shortfall)})
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON."""
+        """Return the JSON report."""
         largest = self.largest_correction.items()
         return {
             "schema": SCHEMA,
@@ -293,8 +294,8 @@ class Report:
             ("control", "" if self.control is None else self.control.sentence),
             ("method", self._how),
             ("program", f"{several(self.moves, 'move')}: {blocks}"),
-            ("largest move of an axis", self._largest_moves),
-            ("rounding leaves", f"up to {self.rounding_um:.2f} µm at a block's end"),
+            ("largest shift of an axis", self._largest_moves),
+            ("error of rounding", f"up to {self.rounding_um:.2f} µm at a block end point"),
         ]
         parts = (
             note(self.headline, loud=not self.complete),
@@ -308,7 +309,7 @@ class Report:
         return card(title, *parts, illustrative=self.illustrative, wrong=not self.complete).text
 
     def to_text(self) -> str:
-        """The report as a machinist reads it."""
+        """Return the report as text."""
         unknown = self.uncertainty.unknown
         tilts = [f"{' / '.join(f'{about:.1f}' for about in one.tilt_rms_urad)}" for _, one in self._errors]
         out = [
@@ -320,9 +321,9 @@ class Report:
             *([] if self.control is None else [f"  control       {self.control.sentence}"]),
             f"  method        {self._how}",
             f"  program       {self.lines} lines, {self.moves} moves: {self.rewritten} rewritten, "
-            f"{self.split} split where {self.tolerance_um:g} µm between ends asked for it (+{self.added} blocks)",
+            f"{self.split} split to stay within {self.tolerance_um:g} µm between end points (+{self.added} blocks)",
             *self._channels_text(),
-            f"  largest move  {self._largest_moves}",
+            f"  largest shift {self._largest_moves}",
             "",
             f"  error at the tool over {self.before.points} poses   RMS        max      tool axis RMS   max",
             *(
@@ -330,11 +331,11 @@ class Report:
                 f"(line {one.worst_line})   {one.rms_urad:8.1f} {one.max_urad:8.1f} µrad"
                 for words, one in self._errors
             ),
-            f"    the tool axis's tilt about x / y of the tool, RMS: before {tilts[0]}, after {tilts[1]} µrad",
-            f"    rounding leaves up to {self.rounding_um:.3f} µm at a block's end, the solver {self.solver_um:.1e} µm",
+            f"    tilt of the tool axis about x / y of the tool frame, RMS: before {tilts[0]}, after {tilts[1]} µrad",
+            f"    residual at block end points: up to {self.rounding_um:.3f} µm by rounding, {self.solver_um:.1e} µm by the solver",
             *self._uncertainty_text(),
             "",
-            "  by class (ISO/TR 16907)   before RMS     max        left",
+            "  by class (ISO/TR 16907)   before RMS     max        after RMS",
             *self._classes_text(),
         ]
         lists = (("not corrected", [one.text for one in self.not_corrected]), ("notes", grouped(self.notes)))
@@ -344,32 +345,36 @@ class Report:
         return "\n".join(out) + "\n"
 
     def _channels_text(self) -> list[str]:
-        """What the effects that need more than positions were given."""
-        given = [
-            f"{value:g} s on the clock of the measured table" if name == TIME else f"{name[2:-5]} {value:g} °C"
+        """Return lines on temperatures, time and backlash."""
+        channels = [
+            f"time {value:g} s of the measured table" if name == TIME else f"{name[2:-5]} {value:g} °C"
             for name, value in self.conditions.items()
         ]
-        out = [f"  taken at      {', '.join(given)}, over the whole program"] if given else []
-        for one in self.reversals:
-            done = f"taken up by extra moves at {one.taken_up} turns of {one.axis}" if one.corrected else "not in scope"
-            out.append(f"  reversal      {one.axis} {one.size:.1f} {readable(one.unit)}: {done}")
+        out = [f"  conditions    {', '.join(channels)}, over the whole program"] if channels else []
+        for reversal in self.reversals:
+            done = (
+                f"taken up by extra moves at {reversal.taken_up} reversals of {reversal.axis}"
+                if reversal.corrected
+                else "not in scope"
+            )
+            out.append(f"  backlash      {reversal.axis} {reversal.size:.1f} {readable(reversal.unit)}: {done}")
         return out
 
     def _uncertainty_text(self) -> list[str]:
-        """What "after" is worth: it is what the calibration itself predicts."""
-        known = [one for one in self.uncertainty if one.known]
+        """Return lines on the uncertainty of the correction, which limits how well the predicted error is known."""
+        known = [correction for correction in self.uncertainty if correction.known]
         if not known:
             return []
-        out = ["", f"  {DEFINITION}; not in it: rounding, repeatability, temperature"]
-        return out + [line for one in known for line in one.to_text(SHOWN)]
+        out = ["", f"  {DEFINITION}; without rounding, repeatability and temperature"]
+        return out + [line for correction in known for line in correction.to_text(SHOWN)]
 
     def _classes_text(self) -> list[str]:
-        corrected = "corrected" if not self.not_corrected else "corrected, but for the blocks below"
+        corrected = "corrected" if not self.not_corrected else "corrected, except the blocks below"
         out = []
-        for one in self.classes:
-            kept = "" if one.left_rms_um is None else f"{_um(one.left_rms_um)} (not in scope)"
-            left = corrected if one.corrected else kept
-            out.append(f"    {one.name:<22}{_um(one.before_rms_um)} {_um(one.before_max_um)}  {left}")
+        for share in self.classes:
+            kept = "" if share.left_rms_um is None else f"{_um(share.left_rms_um)} (not in scope)"
+            left = corrected if share.corrected else kept
+            out.append(f"    {share.name:<22}{_um(share.before_rms_um)} {_um(share.before_max_um)}  {left}")
         return out
 
 

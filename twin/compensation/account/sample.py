@@ -1,4 +1,4 @@
-"""Some of the poses of a program, spread over all of it though its end is not in sight."""
+"""Sample of a program's poses, spread evenly over a program whose length is not known in advance."""
 
 from __future__ import annotations
 
@@ -9,54 +9,55 @@ import numpy as np
 from twin.compensation.comparison import Commands
 
 CLASS_POSES: Final = 5000
-"""Poses at which the shares of the classes are taken: a share needs no more, the total is over all."""
+"""Poses at which the shares of the classes are evaluated: enough for a share. Totals are taken over all poses."""
 LEAST_SHARE: Final = 1e-9
-"""Of the blocks: where one block alone has more poses than that, it has them."""
+"""Smallest share of the blocks. If a single block has more than `CLASS_POSES` poses, all of them are kept."""
 GOLDEN: Final = (5.0**0.5 - 1.0) / 2.0
-"""Blocks whose number times this has a fraction below a share are that share of all blocks, spread as evenly as can be, and in step
-with nothing that a program repeats (H. Weyl, Math. Ann. 77, 1916; V. Sós, 1958)."""
+"""A block is in a sample of share s if the fractional part of its number times this is below s. Such a sample is spread as evenly as
+possible and is not in step with anything a program repeats (H. Weyl, Math. Ann. 77, 1916; V. Sós, 1958).
+"""
 
 
-class Seen(NamedTuple):
-    """Places on the way.
+class SimulatedPoints(NamedTuple):
+    """Simulated points of a program.
 
     Attributes:
-        motion: (n,) which motion each is on.
-        meant, given: commands as meant and as given.
-        meant_from, given_from: (n, axes) sides axes come from there, where the machine makes one of it.
-        counts: (n,) whether it is a place to be at; None: all.
+        motion: (n,) motion each point is on.
+        nominal, written: nominal commands and written commands.
+        nominal_sides, written_sides: (n, axes) approach directions at these commands; None if the machine does not depend on them.
+        valid: (n,) whether the point counts as a nominal position; None for all.
     """
 
     motion: np.ndarray
-    meant: Commands
-    given: Commands
-    meant_from: np.ndarray | None = None
-    given_from: np.ndarray | None = None
-    counts: np.ndarray | None = None
+    nominal: Commands
+    written: Commands
+    nominal_sides: np.ndarray | None = None
+    written_sides: np.ndarray | None = None
+    valid: np.ndarray | None = None
 
 
 @final
 class Sample:
-    """The poses of a share of the blocks."""
+    """Poses of an evenly spread share of the blocks; the share is halved whenever there are more than `CLASS_POSES`."""
 
     def __init__(self) -> None:
         self._share = 1.0
         self._parts: list[tuple[np.ndarray, ...]] = []
         self._count = 0
 
-    def add(self, first: int, seen: Seen, keep: np.ndarray) -> None:
-        """Take what falls to the share of some places.
+    def add(self, first: int, points: SimulatedPoints, keep: np.ndarray) -> None:
+        """Add those points that belong to the sample.
 
         Args:
-            first: the number of the first motion among those of the program.
-            seen: the places.
-            keep: (n,) which of them count.
+            first: number of the first motion within the program.
+            points: the points.
+            keep: (n,) which of them are valid.
         """
-        place = np.mod((first + seen.motion) * GOLDEN, 1.0)
+        place = np.mod((first + points.motion) * GOLDEN, 1.0)
         which = np.flatnonzero((place < self._share) & keep)
         poses = []
-        for commands, sides in ((seen.meant, seen.meant_from), (seen.given, seen.given_from)):
-            written = commands.written(which)
+        for commands, sides in ((points.nominal, points.nominal_sides), (points.written, points.written_sides)):
+            written = commands.as_array(which)
             poses += [written, np.zeros(written.shape) if sides is None else sides[which]]
         self._take((place[which], *poses))
         while (
@@ -75,5 +76,5 @@ class Sample:
         self._count += len(keep)
 
     def poses(self) -> tuple[np.ndarray, ...]:
-        """(n, axes) each: commands as meant, sides axes come from, commands as given, sides."""
+        """Return four (n, axes) arrays: nominal commands, their approach directions, written commands, their approach directions."""
         return tuple(np.concatenate(arrays) for arrays in list(zip(*self._parts, strict=True))[1:])

@@ -1,4 +1,4 @@
-"""What a compensation could not correct: one entry a reason, with all lines and the worst of them."""
+"""Blocks that were not corrected: one entry per reason, with all line numbers and the worst case."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from twin.display import readable, several
 
 SHOWN: Final = 8
-"""Line numbers that a text shows before it counts the rest; JSON has them all."""
+"""Line numbers printed before the rest is counted; the JSON report has all."""
 
 Kind = Literal["range", "orientation", "tolerance"]
 
@@ -22,13 +22,13 @@ class Shortfall:
     """Blocks that could not be corrected, or not within the tolerance, for one reason.
 
     Attributes:
-        kind: ``range``: an axis would leave its range; ``orientation``: the tool axis stays off; ``tolerance``: the point does.
-        reason: why.
-        lines: all of them, line numbers of the input.
-        missed: those that the exit status counts: the point of a cutting block is off by more than the tolerance, or an orientation
-            that was asked for.
-        worst_line: the line where it is worst.
-        worst: the size there, in ``unit``.
+            kind: ``range``: an axis would leave its range; ``orientation``, ``tolerance``: the tool axis or the point keeps an error.
+        reason: why they were not corrected.
+        lines: line numbers of all of them in the input.
+        missed: line numbers that affect the exit status: the point of a cutting block is out of tolerance, or an orientation that was
+            requested is not reached.
+        worst_line: line of the worst case.
+        worst: its size, in ``unit``.
         unit: ``um`` or ``urad`` at the tool; ``mm`` or ``deg`` beyond an axis's range.
     """
 
@@ -42,12 +42,12 @@ class Shortfall:
 
     @property
     def text(self) -> str:
-        """In one line, for a person."""
+        """Summary in one line."""
         size = f"{self.worst:{'.2f' if self.unit in ('um', 'urad') else '.4g'}} {readable(self.unit)}"
         return f"{several(len(self.lines), 'block')} ({line_numbers(self.lines)}): {self.reason}; worst {size} (line {self.worst_line})"
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON."""
+        """Return the entry of the JSON report."""
         return {
             "kind": self.kind,
             "reason": self.reason,
@@ -59,13 +59,13 @@ class Shortfall:
 
 
 class FoundShortfalls(NamedTuple):
-    """Blocks that could not be corrected for one reason.
+    """Blocks found that could not be corrected, for one reason.
 
     Attributes:
-        kind, reason, unit: as of `Shortfall`.
+        kind, reason, unit: as in `Shortfall`.
         lines: (n,) line numbers.
-        sizes: (n,) how far off each is, in ``unit``.
-        missed: (n,) whether the exit status counts it.
+        sizes: (n,) remaining error of each, in ``unit``.
+        missed: (n,) whether it affects the exit status.
     """
 
     kind: Kind
@@ -78,14 +78,14 @@ class FoundShortfalls(NamedTuple):
 
 @final
 class ShortfallTally:
-    """Shortfalls in the making: blocks come a stretch of program at a time."""
+    """Collects shortfalls by reason, stretch by stretch."""
 
     def __init__(self) -> None:
         self._found: dict[tuple[Kind, str, str], list[tuple[np.ndarray, np.ndarray]]] = {}
         self._worst: dict[tuple[Kind, str, str], tuple[float, int]] = {}
 
     def add(self, found: FoundShortfalls) -> None:
-        """Add blocks."""
+        """Add the blocks found for one reason."""
         if not found.lines.size:
             return
         key = found.kind, found.reason, found.unit
@@ -95,16 +95,16 @@ class ShortfallTally:
             self._worst[key] = float(found.sizes[at]), int(found.lines[at])
 
     def shortfalls(self) -> tuple[Shortfall, ...]:
-        """Return all of them, those with most blocks first."""
+        """Return all of them, the reason with the most blocks first."""
         found = []
         for (kind, reason, unit), parts in self._found.items():
             lines, missed = (tuple(np.unique(np.concatenate(part)).tolist()) for part in zip(*parts, strict=True))
             worst, worst_line = self._worst[kind, reason, unit]
             found.append(Shortfall(kind, reason, lines, missed, worst_line, worst, unit))
-        return tuple(sorted(found, key=lambda one: -len(one.lines)))
+        return tuple(sorted(found, key=lambda shortfall: -len(shortfall.lines)))
 
 
 def line_numbers(lines: Sequence[int]) -> str:
-    """``line 3``, ``lines 3, 5, 7 … and 1,810 more``."""
+    """Return line numbers as text: ``line 3``; ``lines 3, 5, 7 … and 1,810 more``."""
     more = f" … and {len(lines) - SHOWN:,} more" if len(lines) > SHOWN else ""
     return f"line{'' if len(lines) == 1 else 's'} {', '.join(str(line) for line in lines[:SHOWN])}{more}"

@@ -1,4 +1,4 @@
-"""Root mean squares and largest values over a program, stretch by stretch."""
+"""Running root mean squares and maxima over a program, stretch by stretch."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 
 @final
 class CompensationTally:
-    """Sums of squares, and where each of some quantities is largest.
+    """Running sums of squares, and the place at which each quantity is largest.
 
     Args:
-        quantities: how many.
-        squares: of how many numbers squares are summed.
+        quantities: number of quantities.
+        squares: number of sums of squares.
 
     Attributes:
-        count: how many places were added.
-        largest: (quantities, quantities) all of them at the place where each is largest; 0 of nothing.
-        lines: (quantities,) the program line of that place.
+        count: number of places added.
+        largest: (quantities, quantities) all quantities at the place where each is largest; 0 if nothing was added.
+        lines: (quantities,) program line of that place.
     """
 
     def __init__(self, quantities: int, squares: int) -> None:
@@ -28,12 +28,12 @@ class CompensationTally:
         self._squares = np.zeros(squares)
 
     def add(self, values: np.ndarray, squares: np.ndarray, lines: np.ndarray) -> None:
-        """Take some places.
+        """Add places.
 
         Args:
-            values: (quantities, n) at each.
-            squares: (squares,) the sums over them.
-            lines: (n,) the program line each belongs to.
+            values: (quantities, n) values at each place.
+            squares: (squares,) sums of squares over the places.
+            lines: (n,) program line of each place.
         """
         if not lines.size:
             return
@@ -46,5 +46,5 @@ class CompensationTally:
 
     @property
     def rms(self) -> list[float]:
-        """Root mean squares."""
+        """Root mean squares over all places."""
         return np.sqrt(self._squares / max(self.count, 1)).tolist()

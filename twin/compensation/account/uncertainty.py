@@ -1,8 +1,8 @@
-"""The correction of a program beside its own uncertainty: what may be called an improvement, and what may not.
+"""Correction of a program compared with its own uncertainty: which corrections are a proven improvement.
 
-A correction no larger than its uncertainty U is one that a machine without any error would be given as well, one time in twenty or
-more often: it is not shown to be an improvement. Just above U the error is shown to be there, and taking it off makes it smaller with
-probability Φ(U/2u): 84 % if what is uncertain lies along the correction, 92 % if it is equal in all directions; more from there on.
+A machine without any error would be given a correction of up to its expanded uncertainty U in 95 % of cases. A correction no larger
+than U is therefore not shown to be an improvement. Just above U the error is significant, and removing it reduces it with probability
+Φ(U/2u): 84 % if the uncertainty lies along the correction, 92 % if it is equal in all directions; more for larger corrections.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
 
 BELOW: Final = np.dtype([("line", int), ("correction", float), ("expanded", float)])
 NAMED = 8
-"""Names without uncertainty that the text shows before it counts the rest; JSON has them all."""
+"""Names without uncertainty that the text prints before it counts the rest; the JSON report has all."""
 
 
 @final
 @dataclass(frozen=True)
 class ToolCorrection:
-    """What was corrected at the block ends, of the tool point or of the tool axis.
+    """Correction of the tool point or of the tool axis at block end points, with its uncertainty.
 
     Attributes:
         of: ``tool point`` or ``tool axis``.
-        unit: ``um`` or ``urad``; of every number below.
-        blocks: how many blocks.
-        rms, max: length of the correction.
-        max_expanded, max_line: U there, and the line.
-        expanded_rms: U over the program; NaN if unknown.
-        expanded_max, expanded_max_line: the largest.
+        unit: ``um`` or ``urad``, for every number below.
+        blocks: number of blocks.
+        rms, max: RMS and largest length of the correction.
+        max_expanded, max_line: U at the largest correction, and its line.
+        expanded_rms: RMS of U over the program; NaN if unknown.
+        expanded_max, expanded_max_line: largest U, and its line.
         standard_rms: standard uncertainties (k = 1) along or about x, y, z of the work frame, RMS over the program.
-        below: blocks whose correction is no larger than its own U: ``line``, ``correction`` and ``expanded`` of each, RMS over the ends
-            of its pieces.
-        known: whether anything that was corrected has an uncertainty.
-        without_uncertainty: what of it has none: if some has, U is a lower bound.
+        below: blocks whose correction is no larger than its own U: ``line``, ``correction`` and ``expanded`` of each, RMS over the end
+            points of its pieces.
+        known: whether any of the corrected errors has an uncertainty.
+        without_uncertainty: corrected errors without uncertainty; if there are any, U is a lower bound.
     """
 
     of: str
@@ -60,12 +60,12 @@ class ToolCorrection:
 
     @property
     def label(self) -> str:
-        """As the report calls it."""
+        """Label in the report."""
         return "correction" if self.unit == "um" else "orientation"
 
     @property
     def shown(self) -> bool | None:
-        """Whether it is shown to be an improvement; None where its uncertainty is not known, or only in part."""
+        """Whether the correction exceeds its uncertainty; None if that uncertainty is unknown, or known only in part."""
         if not self.known:
             return None
         if self.rms <= self.expanded_rms:
@@ -74,20 +74,20 @@ class ToolCorrection:
 
     @property
     def headline(self) -> str:
-        """The one sentence about it."""
+        """Summary in one sentence."""
         sign = readable(self.unit)
         if not self.known:
-            return f"{self.rms:.1f} {sign} RMS at the block ends, its uncertainty unknown"
+            return f"{self.rms:.1f} {sign} RMS at the block end points, its uncertainty unknown"
         size, expanded = rounded(self.rms, self.expanded_rms)
         least = " at least" if self.without_uncertainty else ""
         if self.shown is False:
             return f"not shown to be an improvement: correction {size} {sign}, its uncertainty U{least} {expanded} {sign} (RMS)"
         if self.shown is None:
-            return f"{size} {sign} RMS at the block ends, U at least {expanded} {sign}"
-        return f"{size} ± {expanded} {sign} RMS at the block ends (± U, 95 %)"
+            return f"{size} {sign} RMS at the block end points, U at least {expanded} {sign}"
+        return f"{size} ± {expanded} {sign} RMS at the block end points (± U, 95 %)"
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON; null where it is not known."""
+        """Return the entry of the JSON report; unknown values are null."""
         end = f"_{self.unit}"
         found = {
             "known": self.known,
@@ -104,15 +104,15 @@ class ToolCorrection:
             "expanded_max_line": self.expanded_max_line if self.known else None,
             "standard_rms" + end: self.standard_rms,
             "below": [
-                dict(zip(("line", "correction" + end, "expanded" + end), one, strict=True))
-                for one in self.below.tolist()
+                dict(zip(("line", "correction" + end, "expanded" + end), block, strict=True))
+                for block in self.below.tolist()
             ],
             "without_uncertainty": self.without_uncertainty,
         }
         return dict(json_form(found))
 
     def to_text(self, shown: int) -> list[str]:
-        """Lines of the report below the headline; at most ``shown`` of a list."""
+        """Return the lines of the report below the headline, with at most ``shown`` entries of a list."""
         if not self.known:
             return []
         sign = readable(self.unit)
@@ -125,12 +125,12 @@ class ToolCorrection:
         ]
         if len(self.below):
             out.append(
-                f"    {self.of}: correction no larger than its own uncertainty in {len(self.below)} of {self.blocks} blocks; "
-                "not shown to be improved:"
+                f"    {self.of}: correction not larger than its own uncertainty in {len(self.below)} of {self.blocks} blocks, "
+                "which are not shown to be improved:"
             )
-            for one in self.below[:shown]:
-                size, expanded = rounded(one.correction, one.expanded)
-                out.append(f"      line {one.line}: correction {size} {sign}, U {expanded} {sign}")
+            for block in self.below[:shown]:
+                size, expanded = rounded(block.correction, block.expanded)
+                out.append(f"      line {block.line}: correction {size} {sign}, U {expanded} {sign}")
             if len(self.below) > shown:
                 out.append(f"      … and {len(self.below) - shown} more (all in the JSON report)")
         return out
@@ -138,7 +138,7 @@ class ToolCorrection:
 
 @final
 class CorrectionTally:
-    """A `ToolCorrection` in the making: block ends come a stretch of program at a time, those of one block together.
+    """Collects a `ToolCorrection`; block end points are added stretch by stretch, those of one block together.
 
     Args:
         of: ``tool point`` or ``tool axis``.
@@ -156,19 +156,19 @@ class CorrectionTally:
     def add(
         self, lines: np.ndarray, blocks: np.ndarray, size: np.ndarray, known: np.ndarray, tool: ToolUncertainty
     ) -> None:
-        """Take some ends.
+        """Add end points.
 
         Args:
             lines: (n,) program lines.
-            blocks: (n,) which block each end belongs to, ascending.
+            blocks: (n,) block of each end point, ascending.
             size: (n,) length of the correction, n > 0.
-            known: (n, 4) its U, and standard uncertainties; NaN where ``tool`` knows nothing.
-            tool: where these come from.
+            known: (n, 4) its U and three standard uncertainties; NaN if ``tool`` knows none.
+            tool: source of these uncertainties.
         """
         expanded, standard = known[:, 0], known[:, 1:]
         first = np.flatnonzero(np.append(True, blocks[1:] != blocks[:-1]))
         count = np.diff(np.append(first, len(blocks)))
-        of_block, u_of_block = (np.sqrt(np.add.reduceat(one**2, first) / count) for one in (size, expanded))
+        of_block, u_of_block = (np.sqrt(np.add.reduceat(values**2, first) / count) for values in (size, expanded))
         below = of_block <= u_of_block
         columns = [lines[first[below]], of_block[below], u_of_block[below]]
         self._below.append(np.rec.fromarrays(columns, dtype=BELOW))
@@ -178,7 +178,7 @@ class CorrectionTally:
         self._known, self._without = bool(tool.parameters), tool.without_uncertainty
 
     def correction(self) -> ToolCorrection | None:
-        """Of all that was added; None of nothing."""
+        """Return the correction over everything added; None if nothing was."""
         if not self._tally.count:
             return None
         rms, expanded_rms, x, y, z = self._tally.rms
@@ -205,25 +205,25 @@ class CorrectionTally:
 @final
 @dataclass(frozen=True)
 class Corrections:
-    """Of point and axis; None where the scope does not correct it."""
+    """Corrections of tool point and tool axis; None for one that is not in scope."""
 
     point: ToolCorrection | None
     axis: ToolCorrection | None
 
     def __iter__(self) -> Iterator[ToolCorrection]:
-        """Those there are."""
-        return (one for one in (self.point, self.axis) if one is not None)
+        """Iterate over those that are in scope."""
+        return (correction for correction in (self.point, self.axis) if correction is not None)
 
     @property
     def unknown(self) -> str | None:
-        """What is not known of their uncertainty; None if all of it is."""
-        missing = dict.fromkeys(name for one in self for name in one.without_uncertainty)
+        """Statement of the errors without known uncertainty; None if every uncertainty is known."""
+        missing = dict.fromkeys(name for correction in self for name in correction.without_uncertainty)
         if not missing:
             return None
         names = ", ".join(list(missing)[:NAMED]) + (f" and {len(missing) - NAMED} more" if len(missing) > NAMED else "")
-        what = "known in part" if any(one.known for one in self) else "unknown"
+        what = "known only in part" if any(correction.known for correction in self) else "unknown"
         return f"uncertainty of the correction: {what} (no covariance in the calibration: {names})"
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the entry of the JSON report."""
         return {"definition": DEFINITION, "unknown": self.unknown, **json_form(self)}

@@ -1,4 +1,4 @@
-"""What became of a program: what is about to be written, read back and executed densely, beside the input."""
+"""Build the report of a refitted program: the output read back, executed densely and compared with the input."""
 
 from __future__ import annotations
 
@@ -11,98 +11,103 @@ import numpy as np
 from twin.compensation.account import LineNote, Report
 from twin.compensation.compensator import Compensation
 from twin.compensation.fewer_blocks.emit import Shortened
-from twin.compensation.fewer_blocks.fewer import Fewer, Fitted
-from twin.compensation.fewer_blocks.report import PathReport, RunReport, Shares, UncertaintyContribution
-from twin.compensation.fewer_blocks.verify import Executed, apart_mm, execute_words
-from twin.compensation.toolpath import Path
+from twin.compensation.fewer_blocks.report import PathReport, RunReport, ToleranceShares, UncertaintyContribution
+from twin.compensation.fewer_blocks.run_refitter import RefittedRun, RunRefitter
+from twin.compensation.fewer_blocks.verify import Executed, execute_words, path_distance_mm
+from twin.compensation.toolpath import ToolPath
 from twin.nc.blocks import Program, Reading
 from twin.nc.dialect import Dialect
 
 
 @final
 @dataclass(frozen=True)
-class Job:
-    """The input and what was made of it.
+class RefitJob:
+    """The input of a refit and its results.
 
     Attributes:
         program: as read.
-        reading: what it says.
+        reading: its moves.
         path: its motions.
         fitted: its runs.
-        shares: of the tolerance.
-        short: the program with fewer blocks.
-        text: what is about to be written.
-        dialect: its language.
-        result: the compensation, or what was posted without one; None where there is neither.
-        asked: whether the machine's errors were to be compensated.
+        shares: division of the tolerance.
+        shortened: the program with fewer blocks.
+        text: the output.
+        dialect: language of the output.
+        result: the compensation, or the posted program without one; None if there is neither.
+        compensation_requested: whether the machine's errors were to be compensated.
     """
 
     program: Program
     reading: Reading
-    path: Path
-    fitted: tuple[Fitted, ...]
-    shares: Shares
-    short: Shortened
+    path: ToolPath
+    fitted: tuple[RefittedRun, ...]
+    shares: ToleranceShares
+    shortened: Shortened
     text: str
     dialect: Dialect
     result: Compensation | None
-    asked: bool
+    compensation_requested: bool
 
 
-def account(fewer: Fewer, job: Job) -> PathReport:
-    """Execute what is about to be written on the machine with its errors, and tell.
+def account(refitter: RunRefitter, job: RefitJob) -> PathReport:
+    """Execute the output on the machine with its errors, and return the report.
 
     Args:
-        fewer: made the blocks; its bench has the whole tolerance.
-        job: the input and what was made of it.
+        refitter: made the fewer blocks; its bench has the whole tolerance.
+        job: the input and the results.
     """
-    bench, errors = fewer.bench, fewer.bench.calibration
+    bench, errors = refitter.bench, refitter.bench.calibration
     tolerance = bench.options.tolerance_mm
-    runs = tuple(_runs(fewer, job))
-    notes = [LineNote(one.line + 1, one.text) for one in (*job.reading.notices, *job.path.passed)]
+    runs = tuple(_runs(refitter, job))
+    notes = [LineNote(notice.line + 1, notice.text) for notice in (*job.reading.notices, *job.path.notices)]
     if not runs:
-        notes.insert(0, LineNote(1, "no run of short feed blocks: nothing was refitted"))
-    compensation = job.result.report if job.result is not None and fewer.compensated else None
+        notes.insert(0, LineNote(1, "no run of short feed blocks found: nothing was refitted"))
+    compensation = job.result.report if job.result is not None and refitter.compensated else None
     return PathReport(
         program=job.program.source,
         machine=bench.machine.name,
         calibration=str(errors.path or "none"),
-        warnings=errors.warnings if fewer.compensated else (),
+        warnings=errors.warnings if refitter.compensated else (),
         shares=job.shares,
-        lever_mm=fewer.lever,
-        angle_deg=float(np.degrees(tolerance / fewer.lever)),
+        lever_mm=refitter.lever,
+        angle_deg=float(np.degrees(tolerance / refitter.lever)),
         runs=runs,
         not_met=tuple(
-            LineNote(run.first_line, f"{run.total_um:.2f} µm from the input's path, to line {run.last_line}")
+            LineNote(
+                run.first_line,
+                f"executed path up to {run.total_um:.2f} µm from the input path, to line {run.last_line}",
+            )
             for run in runs
             if run.total_um > tolerance * 1e3 * (1.0 + 1e-9)
         ),
         notes=tuple(notes),
         contributions=tuple(_contributions(runs, compensation)),
         compensation=compensation,
-        compensation_asked=job.asked,
+        compensation_requested=job.compensation_requested,
     )
 
 
-def _runs(fewer: Fewer, job: Job) -> Iterator[RunReport]:
-    """The runs, executed: as the input means them, as they were shortened, and as they are about to be written."""
-    space, nominal = fewer.space, fewer.space.nominal
-    members = {line for one in job.fitted for line in one.places.run.lines}
-    moves, short_moves = job.reading.moves, job.short.reading.moves
+def _runs(refitter: RunRefitter, job: RefitJob) -> Iterator[RunReport]:
+    """Yield the report of each run, from executing the input, the shortened program and the output."""
+    space, nominal = refitter.space, refitter.space.nominal
+    members = {line for run in job.fitted for line in run.end_points.run.lines}
+    moves, short_moves = job.reading.moves, job.shortened.reading.moves
     in_run = np.array([move.line in members for move in short_moves])
-    meant = execute_words(job.program, job.reading, space, nominal, np.array([move.line in members for move in moves]))
-    exact = execute_words(job.short.program, job.short.reading, space, nominal, in_run)
+    nominal_path = execute_words(
+        job.program, job.reading, space, nominal, np.array([move.line in members for move in moves])
+    )
+    exact = execute_words(job.shortened.program, job.shortened.reading, space, nominal, in_run)
     rewrites = () if job.result is None else job.result.rewrites
     becomes = {id(rewrite.move): len(rewrite.positions) for rewrite in rewrites}
     counts = np.array([becomes.get(id(move), 1) for move in short_moves], dtype=int)
     begins = np.cumsum(counts) - counts
-    done = _done(fewer, job, np.repeat(in_run, counts), begins)
+    done = _done(refitter, job, np.repeat(in_run, counts), begins)
     ins = {move.line: i for i, move in enumerate(moves)}
     outs = {move.line: i for i, move in enumerate(short_moves)}
-    lever, tolerance = fewer.lever, fewer.bench.options.tolerance_mm
-    for one in job.fitted:
-        lines = one.places.run.lines
-        kept = np.flatnonzero(one.places.kept)
+    lever, tolerance = refitter.lever, refitter.bench.options.tolerance_mm
+    for run in job.fitted:
+        lines = run.end_points.run.lines
+        kept = np.flatnonzero(run.end_points.kept)
         first, last = outs[lines[kept[0]]], outs[lines[kept[-1]]]
         executed = done.between(int(begins[first]), int(begins[last] + counts[last] - 1))
         yield RunReport(
@@ -110,40 +115,41 @@ def _runs(fewer: Fewer, job: Job) -> Iterator[RunReport]:
             last_line=lines[-1] + 1,
             blocks=len(lines),
             blocks_out=len(kept),
-            corners=one.corners,
-            control_points=one.control_points,
-            degrees=tuple(f"{'t' if p.basis.kind == 'trigonometric' else ''}{p.degree}" for p in one.pieces),
-            fit_share_um=one.figures.share_mm * 1e3,
-            fit_um=one.figures.fit_mm * 1e3,
-            chord_um=one.figures.chord_mm * 1e3,
-            path_um=one.figures.path_mm * 1e3,
-            machine_um=apart_mm(executed, exact.between(first, last), lever, tolerance) * 1e3,
-            total_um=apart_mm(executed, meant.between(ins[lines[0]], ins[lines[-1]]), lever, tolerance) * 1e3,
-            why=one.why,
+            corners=run.corners,
+            control_points=run.control_points,
+            degrees=tuple(f"{'t' if p.basis.kind == 'trigonometric' else ''}{p.degree}" for p in run.pieces),
+            fit_share_um=run.tolerance_use.share_mm * 1e3,
+            fit_um=run.tolerance_use.fit_mm * 1e3,
+            chord_um=run.tolerance_use.chord_mm * 1e3,
+            path_um=run.tolerance_use.path_mm * 1e3,
+            machine_um=path_distance_mm(executed, exact.between(first, last), lever, tolerance) * 1e3,
+            total_um=path_distance_mm(executed, nominal_path.between(ins[lines[0]], ins[lines[-1]]), lever, tolerance)
+            * 1e3,
+            why=run.why,
         )
 
 
-def _done(fewer: Fewer, job: Job, dense: np.ndarray, begins: np.ndarray) -> Executed:
-    """What is about to be written, executed; ``begins``: the first move of it that each shortened one became."""
-    again = job.dialect.read(job.text.encode("latin-1"), job.program.source)
-    tcp = fewer.bench.options.tcp and not fewer.posted
-    reading = job.dialect.moves(again, fewer.space.axes, tcp=tcp)
-    done = execute_words(again, reading, fewer.space, fewer.bench.full, dense)
+def _done(refitter: RunRefitter, job: RefitJob, dense: np.ndarray, begins: np.ndarray) -> Executed:
+    """Return the executed output; ``begins``: index of the first output move of each move of the shortened program."""
+    read_back = job.dialect.read(job.text.encode("latin-1"), job.program.source)
+    tcp = refitter.bench.options.tcp and not refitter.posted
+    reading = job.dialect.moves(read_back, refitter.space.axes, tcp=tcp)
+    executed = execute_words(read_back, reading, refitter.space, refitter.bench.real, dense)
     if job.result is None:
-        return done
-    # While a reversal is taken up the tool is in no place of its own.
+        return executed
+    # A move that only takes up backlash has no nominal position.
     moves = job.result.moves
     place = np.arange(len(moves)) - np.searchsorted(moves, moves)
-    return done.without((begins[moves] + place)[job.result.taken])
+    return executed.without((begins[moves] + place)[job.result.backlash_move])
 
 
 def _contributions(runs: tuple[RunReport, ...], compensation: Report | None) -> Iterator[UncertaintyContribution]:
-    """What the uncertainty at a place of the path is made of."""
+    """Yield the uncertainty budget at a point of the path."""
     path = max((run.path_um for run in runs), default=0.0)
     between_ends = max((run.machine_um for run in runs), default=0.0)
     yield UncertaintyContribution.within("path: fit and chords", path, "largest distance from the input")
     yield UncertaintyContribution.within(
-        "compensation between ends, rounding", between_ends, "largest distance from the blocks"
+        "compensation between end points, rounding", between_ends, "largest distance from the blocks"
     )
     known = None if compensation is None else compensation.uncertainty.point
     if known is not None:

@@ -1,8 +1,8 @@
-"""The program with fewer blocks: the kept blocks of a run say the new places, the others go.
+"""Write the program with fewer blocks: the remaining blocks of a run get the new end points, the others are removed.
 
-A run of k blocks becomes m ≤ k places. Every one of the k is given the place its turn has come to, so that several in a row say the
-same; the text is written so, with whatever the language needs to say it, and then the blocks that move nothing are taken out. What is
-left says of every axis what it means, whether its words are absolute or incremental, and a comment in a run stays about where it was.
+A run of k blocks becomes m ≤ k blocks. Each of the k blocks first gets the end point reached by then, so that several consecutive ones
+have the same end point. The text is rewritten with these by the program's language, and blocks without motion are then removed. The
+remaining text is thus correct for absolute and incremental words, and comments in a run stay near their place.
 """
 
 from __future__ import annotations
@@ -23,33 +23,33 @@ from twin.nc.dialect import Dialect
 
 @final
 @dataclass(frozen=True)
-class Places:
-    """A run and the places its blocks are to end at.
+class RunEndPoints:
+    """A run with new end points for its blocks.
 
     Attributes:
         run: as found.
-        words: (m, axes) where the blocks of the output end, not rounded.
-        given: (n,) which of them each block of the run is given, not decreasing.
-        changed: (n,) whether a block's text is to be written anew.
+        words: (m, axes) end points of the output blocks, not rounded.
+        assigned: (n,) index of the end point assigned to each block of the run, not decreasing.
+        changed: (n,) whether a block's text is rewritten.
     """
 
     run: Run
     words: np.ndarray
-    given: np.ndarray
+    assigned: np.ndarray
     changed: np.ndarray
 
     @property
     def kept(self) -> np.ndarray:
-        """(n,) whether each block stays: the first that is given a place."""
-        return np.append(True, np.diff(self.given) > 0)
+        """(n,) whether each block remains: the first one of each end point."""
+        return np.append(True, np.diff(self.assigned) > 0)
 
 
 class Shortened(NamedTuple):
     """A program with fewer blocks.
 
     Attributes:
-        program: with the blocks of runs rewritten, those taken out left as empty lines (lines keep their numbers).
-        reading: what it says, its places as exact as they were found.
+        program: the program with rewritten runs; removed blocks are empty lines, so that line numbers are kept.
+        reading: its moves, with unrounded end points.
     """
 
     program: Program
@@ -60,26 +60,26 @@ def shortened(
     program: Program,
     dialect: Dialect,
     reading: Reading,
-    runs: Sequence[Places],
+    runs: Sequence[RunEndPoints],
     bench: Bench,
     *,
     posted: bool = False,
     others: Sequence[tuple[Move, np.ndarray]] = (),
 ) -> Shortened:
-    """A program with runs of blocks replaced by fewer.
+    """Return a program with its runs of blocks replaced by fewer blocks.
 
     Args:
         program: as read.
         dialect: its language.
-        reading: what it says.
-        runs: what becomes of its runs.
-        bench: the machine, set up.
-        posted: whether it is to be written in axis words, whatever it is in: places of runs are then axis positions, with straight
-            ways of the axes between them.
-        others: further moves to be written at their increments, with their words.
+        reading: its moves.
+        runs: new end points of its runs.
+        bench: machine, calibration and options.
+        posted: whether axis words are written even for tool-tip input; end points of runs are then axis positions, with straight
+            lines between them.
+        others: further moves to be rewritten rounded to their increments, with their words.
 
     Raises:
-        OutputError: the text does not come out with a line for a line: a defect of `twin`.
+        OutputError: the number of lines changed: a defect of `twin`.
     """
     space, increment = bench.space, bench.printed_increment(dialect, posted=posted)
     by_line = {move.line: move for move in reading.moves}
@@ -89,24 +89,24 @@ def shortened(
         for move, words in others
     ]
     exact: dict[int, np.ndarray] = {}
-    gone: set[int] = set()
+    removed: set[int] = set()
     for places in runs:
         lines = places.run.lines
         first = by_line[lines[0]]
         printed = rounded(places.words, np.full(len(places.words), first.tcp), space, increment)
         for block in np.flatnonzero(places.changed):
-            rewrites.append(_rewrite(by_line[lines[block]], printed[places.given[block]], space, turns, vectors))
+            rewrites.append(_rewrite(by_line[lines[block]], printed[places.assigned[block]], space, turns, vectors))
         for block in np.flatnonzero(places.kept & places.changed):
-            exact[lines[block]] = places.words[places.given[block]]
-        gone |= {lines[block] for block in np.flatnonzero(~places.kept)}
+            exact[lines[block]] = places.words[places.assigned[block]]
+        removed |= {lines[block] for block in np.flatnonzero(~places.kept)}
     text = dialect.rewrite(program, space.axes, reading, rewrites) if rewrites else program.text
     written = dialect.read(text.encode("latin-1"), program.source)
     if len(written.texts) != len(program.texts):
-        raise OutputError(f"{program.source}: {len(written.texts)} lines written for {len(program.texts)}")
+        raise OutputError(f"{program.source}: {len(written.texts)} lines in the output, {len(program.texts)} expected")
     left = Program(
         program.source,
         program.dialect,
-        tuple("" if index in gone else line for index, line in enumerate(written.texts)),
+        tuple("" if index in removed else line for index, line in enumerate(written.texts)),
     )
     found = dialect.moves(left, space.axes, tcp=bench.options.tcp)
     moves = tuple(_exactly(move, exact, space, posted=posted) if move.line in exact else move for move in found.moves)
@@ -114,7 +114,7 @@ def shortened(
 
 
 def rounded(words: np.ndarray, tcp: np.ndarray, space: WordSpace, increment: np.ndarray) -> np.ndarray:
-    """(n, axes) words at their increments: rotary ones first, then linear ones that take the tool to the same point with those."""
+    """Return (n, axes) words rounded to their increments: rotary words first, then linear words that keep the tool point."""
     found = np.round(words / increment) * increment
     turned = np.flatnonzero(~tcp & (found[:, 3:] != words[:, 3:]).any(axis=1))
     if turned.size:
@@ -129,7 +129,7 @@ def rounded(words: np.ndarray, tcp: np.ndarray, space: WordSpace, increment: np.
 
 
 def _rewrite(move: Move, words: np.ndarray, space: WordSpace, turns: bool, decimals: int) -> Rewrite:
-    """A move's new end; rotary words only where the program has them."""
+    """Return a move's new end point; rotary words only if the program has them."""
     position = np.array(words)[None]
     vectors = None
     if move.vector is not None:
@@ -144,7 +144,7 @@ def _axis(words: np.ndarray, move: Move, space: WordSpace) -> np.ndarray:
 
 
 def _exactly(move: Move, exact: Mapping[int, np.ndarray], space: WordSpace, *, posted: bool) -> Move:
-    """A move with its end as it was found."""
+    """Return a move with its unrounded end point."""
     words = exact[move.line]
     if posted and move.tcp:
         return move._replace(tcp=False, vector=None, position=tuple(space.switched(words[None], tcp=False)[0].tolist()))

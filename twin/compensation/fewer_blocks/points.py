@@ -1,4 +1,4 @@
-"""Points of a curve as a program: one straight block a point, to be refitted like any other."""
+"""Read points of a curve as a program with one straight block per point, to be refitted like any other."""
 
 from __future__ import annotations
 
@@ -20,40 +20,41 @@ SUFFIX: Final = ".csv"
 
 
 def is_points(path: Path) -> bool:
-    """Whether a file is a table of points, by its name."""
+    """Return whether a file is a table of points, by its name."""
     return path.suffix.lower() == SUFFIX
 
 
 def points_program(
     path: Path, axes: AxisWords, dialects: Sequence[Dialect], written: Dialect, feed: float | None
 ) -> tuple[Program, Dialect]:
-    """The program that goes through the points of a table, in a straight block each.
+    """Return a program with one straight block per point of a table, and its language.
 
     Args:
-        path: the table: ``x_mm,y_mm,z_mm``, then nothing, or one column ``<axis>_deg`` a rotary axis, or the tool vector ``i,j,k``;
+        path: the table: ``x_mm,y_mm,z_mm``, then nothing, dialect column ``<axis>_deg`` per rotary axis, or the tool vector ``i,j,k``;
             ``#`` begins a comment.
         axes: the machine's words.
-        dialects: the languages there are.
+        dialects: all languages.
         written: the language of the output.
-        feed: mm/min, or None: no feed is said.
+        feed: mm/min; None for no feed word.
 
     Returns:
         The program and its language: that of the output, but cutter locations for points with a tool vector.
 
     Raises:
-        InputError: with line and value, where it is no such table; rotary axes for an output that has no words for them.
+        InputError: with line and value, if it is no such table; rotary axes for an output language without words for them.
     """
     header, lines, values = _table(path, axes)
     vectors = header[3:] == VECTOR
     if written.cutter_locations and len(header) > 3 and not vectors:
         raise InputError(
-            "rotary axes in cutter locations",
-            expected="columns i,j,k, or -o with .nc or .h",
+            "rotary axis columns cannot be written as cutter locations",
+            expected="columns i,j,k, or an output file ending in .nc or .h",
             file=path,
             line=lines[0] - 1,
             value=",".join(header),
+            setting="output",
         )
-    dialect = next(one for one in dialects if one.cutter_locations) if vectors else written
+    dialect = next(dialect for dialect in dialects if dialect.cutter_locations) if vectors else written
     if vectors:
         size = np.linalg.norm(values[:, 3:], axis=1)
         wrong = np.flatnonzero(np.abs(size - 1.0) > 1e-3)
@@ -61,7 +62,7 @@ def points_program(
             at = int(wrong[0])
             raise InputError(
                 "not a tool vector",
-                expected="i,j,k of length one",
+                expected="i,j,k of unit length",
                 file=path,
                 line=lines[at],
                 value=",".join(f"{v:g}" for v in values[at, 3:]),
@@ -71,10 +72,10 @@ def points_program(
 
 
 def _table(path: Path, axes: AxisWords) -> tuple[tuple[str, ...], list[int], np.ndarray]:
-    """Header, line of every row, and (n, columns) numbers."""
+    """Return header, line number of every row, and (n, columns) values."""
     rotary = tuple(f"{name}_deg" for name in axes.rotary)
     known = [POINT, *([POINT + rotary] if rotary else []), *([POINT + VECTOR] if rotary else [])]
-    expected = "header " + " or ".join(",".join(one) for one in known)
+    expected = "header " + " or ".join(",".join(columns) for columns in known)
     header: tuple[str, ...] | None = None
     lines: list[int] = []
     rows: list[list[float]] = []
@@ -89,8 +90,8 @@ def _table(path: Path, axes: AxisWords) -> tuple[tuple[str, ...], list[int], np.
             continue
         if len(cells) != len(header):
             raise InputError(
-                f"{len(cells)} values in a row",
-                expected=f"{len(header)}: {','.join(header)}",
+                f"row with {len(cells)} values",
+                expected=f"{len(header)} values: {','.join(header)}",
                 file=path,
                 line=number,
                 value=text,
@@ -98,9 +99,9 @@ def _table(path: Path, axes: AxisWords) -> tuple[tuple[str, ...], list[int], np.
         rows.append([_number(cell, name, path, number) for cell, name in zip(cells, header, strict=True)])
         lines.append(number)
     if header is None:
-        raise InputError("no header", expected=expected, file=path)
+        raise InputError("no header row", expected=expected, file=path)
     if len(rows) < 2:
-        raise InputError(f"{len(rows)} points", expected="two or more", file=path)
+        raise InputError(f"only {len(rows)} points", expected="two or more", file=path)
     return header, lines, np.array(rows)
 
 
@@ -110,7 +111,9 @@ def _number(cell: str, column: str, path: Path, line: int) -> float:
     except ValueError:
         value = float("nan")
     if not abs(value) < 1e6:
-        raise InputError(f"{column} is no coordinate", expected="a number below 1e6", file=path, line=line, value=cell)
+        raise InputError(
+            f"{column} is not a coordinate", expected="a number below 1e6", file=path, line=line, value=cell
+        )
     return value
 
 

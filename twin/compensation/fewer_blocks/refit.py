@@ -1,15 +1,15 @@
-"""A program or a table of points in, the program out that follows the same path with fewer blocks and lands within a tolerance of it.
+"""Refit a program or a table of points with fewer blocks within a tolerance.
 
-The tolerance holds for the path the machine with its errors executes beside the path the input means, both ways. It is shared out: what
-rounding may take, what the machine may err between the ends of a block, and the path itself; of that the curve gets as little as
-saves blocks, the blocks the rest. What comes out is read back and executed densely before anybody sees it.
+The tolerance holds between the path that the machine with its errors executes and the path of the input, in both directions. It is
+divided between rounding, compensation between block end points, and the path itself. Of the share of the path the curve gets the
+smallest part that saves blocks, and the blocks get the rest. The output is read back and executed densely before it is returned.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Final, final
 
 import numpy as np
@@ -18,13 +18,13 @@ from twin._common.errors import InputError
 from twin.compensation.bench import Bench, Options, Progress
 from twin.compensation.checked import motionless
 from twin.compensation.compensator import Compensation, Compensator
-from twin.compensation.fewer_blocks.account import Job, account
+from twin.compensation.fewer_blocks.account import RefitJob, account
 from twin.compensation.fewer_blocks.emit import Shortened, shortened
-from twin.compensation.fewer_blocks.fewer import Fewer
 from twin.compensation.fewer_blocks.points import is_points, points_program
-from twin.compensation.fewer_blocks.report import PathReport, Shares
+from twin.compensation.fewer_blocks.report import PathReport, ToleranceShares
+from twin.compensation.fewer_blocks.run_refitter import RunRefitter
 from twin.compensation.fewer_blocks.runs import Run, find_runs
-from twin.compensation.toolpath import Path, follow
+from twin.compensation.toolpath import ToolPath, follow
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import DIALECTS, dialect_for, read_program
@@ -41,7 +41,7 @@ class Refit:
 
     Attributes:
         text: the program, to be written as latin-1.
-        report: what was done.
+        report: its report.
     """
 
     text: str
@@ -58,8 +58,8 @@ class Refitter:
     Args:
         machine: the machine.
         calibration: its errors.
-        options: as of `twin.compensation.Options`; ``tolerance_mm`` is the whole tolerance.
-        compensated: whether the output is compensated; else it is meant for the machine as drawn.
+        options: as in `twin.compensation.Options`; ``tolerance_mm`` is the whole tolerance.
+        compensated: whether the output is compensated; otherwise it is for the machine without errors.
 
     Raises:
         InputError: the machine cannot run programs.
@@ -70,7 +70,7 @@ class Refitter:
     ) -> None:
         chosen = Options(tolerance_mm=DEFAULT_TOLERANCE_MM) if options is None else options
         self.bench = Bench(machine, calibration if compensated else Calibration.zero(machine), chosen)
-        self.asked = compensated
+        self.compensation_requested = compensated
         self.compensated = compensated and not self.bench.calibration.empty
 
     def refit(
@@ -89,11 +89,11 @@ class Refitter:
             dialect: its language.
             progress: called with a stage and the fraction done.
             into: the language to write; another than the program's own only for cutter locations, which are then posted.
-            printed: whether every block is to be written at the least increments, fitted or not: for points.
+            printed: whether every block is written rounded to the least increments, fitted or not; used for points.
 
         Raises:
-            InputError: the program cannot be read, or has something in it that must not pass; a tolerance that rounding alone uses up.
-            OutputError: the text produced does not say what was meant.
+            InputError: the program cannot be read, or contains something that must not pass; rounding alone exceeds the tolerance.
+            OutputError: the output, read back, differs from the intended positions.
         """
         say = progress or (lambda stage, fraction: None)
         say("reading", 0.0)
@@ -101,7 +101,7 @@ class Refitter:
         written_in = dialect if into is None else into
         posted = written_in.name != dialect.name
         increment = self.bench.printed_increment(dialect, posted=posted)
-        fewer = Fewer(self.bench, increment, compensated=self.compensated, posted=posted, printed=printed)
+        refitter = RunRefitter(self.bench, increment, compensated=self.compensated, posted=posted, printed=printed)
         reading = dialect.moves(program, space.axes, tcp=self.bench.options.tcp)
         path = follow(program, reading, space)
         if not path.motions:
@@ -110,26 +110,28 @@ class Refitter:
         fitted = []
         for i, run in enumerate(runs):
             say("fitting", 0.05 + 0.5 * i / len(runs))
-            fitted.append(fewer.of(run, path))
+            fitted.append(refitter.refit(run, path))
         say("writing", 0.55)
         others = _others(path, runs) if printed else ()
-        places = [one.places for one in fitted]
+        places = [one.end_points for one in fitted]
         short = shortened(program, dialect, reading, places, self.bench, posted=posted, others=others)
-        shares = min((one.shares for one in fitted), key=lambda one: one.path, default=fewer.shares(False))
+        shares = min((one.shares for one in fitted), key=lambda one: one.path, default=refitter.shares(False))
         result = self._result(short, dialect, shares, say, into=into) if self.compensated or posted else None
         text = short.program.text if result is None else result.text
         if not posted:
             text = dialect.renumbered(program, text)
         say("checking", 0.9)
-        job = Job(program, reading, path, tuple(fitted), shares, short, text, written_in, result, self.asked)
-        report = account(fewer, job)
+        job = RefitJob(
+            program, reading, path, tuple(fitted), shares, short, text, written_in, result, self.compensation_requested
+        )
+        report = account(refitter, job)
         say("done", 1.0)
         return Refit(text, report)
 
     def _result(
-        self, short: Shortened, dialect: Dialect, shares: Shares, say: Progress, *, into: Dialect | None
+        self, short: Shortened, dialect: Dialect, shares: ToleranceShares, say: Progress, *, into: Dialect | None
     ) -> Compensation:
-        """The shortened program compensated where that is asked for, posted where it is to be another language."""
+        """Return the shortened program compensated, posted, or both, as requested."""
         share = shares.compensation if self.compensated else shares.tolerance
         options = replace(self.bench.options, tolerance_mm=share * 1e-3)
         compensator = Compensator(self.bench.machine, self.bench.calibration, options)
@@ -142,57 +144,61 @@ class Refitter:
         )
 
 
-def _others(path: Path, runs: Sequence[Run]) -> list[tuple[Move, np.ndarray]]:
-    """Moves that are in no run, and where they end."""
+def _others(path: ToolPath, runs: Sequence[Run]) -> list[tuple[Move, np.ndarray]]:
+    """Return moves outside all runs, with their end points."""
     members = {line for run in runs for line in run.lines}
     return [(m.move, m.end) for m in path.motions if m.move.line not in members and not m.move.machine]
 
 
 def refit(
-    program: str | FilePath,
+    program: str | Path,
     machine: Machine,
     calibration: Calibration | None = None,
     *,
     options: Options | None = None,
     compensated: bool = True,
-    output: str | FilePath | None = None,
+    output: str | Path | None = None,
     feed: float | None = None,
     progress: Progress | None = None,
 ) -> Refit:
-    """Refit the program of a file (or one that comes with twin), or the points of a table.
+    """Refit the program of a file (or a sample program of twin), or the points of a table.
 
     Args:
         program: its path; ``.csv`` is a table of points (`twin.compensation.fewer_blocks.points`).
         machine: the machine it runs on.
         calibration: the machine's errors; the machine file's own if None.
-        options: as of `Refitter`.
+        options: as for `Refitter`.
         compensated: whether the output is compensated.
-        output: the name of the output, for its language; the program's own, ISO for points, if None.
+        output: name of the output, which determines its language; if None that of the program, ISO for points.
         feed: mm/min of a program made of points.
         progress: called with a stage and the fraction done.
 
     Raises:
         InputError: the input cannot be read, or the output's language does not fit it.
-        OutputError: as `Refitter.refit`.
+        OutputError: as for `Refitter.refit`.
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     refitter = Refitter(machine, errors, options, compensated=compensated)
-    source = FilePath(program)
+    source = Path(program)
     points = is_points(source)
-    target = dialect_for(FilePath(output)) if output is not None else None
+    target = dialect_for(Path(output)) if output is not None else None
     if points:
         target = target or DIALECTS[0]
         read, dialect = points_program(source, refitter.bench.space.axes, DIALECTS, target, feed)
     else:
         if feed is not None:
             raise InputError(
-                "--feed for a program", expected="--feed with points only: a program has its own", value=feed
+                "a feed was given for a program",
+                expected="a feed for points only; a program has its own",
+                value=feed,
+                setting="feed",
             )
         read, dialect = read_program(source)
     if target is not None and not dialect.can_post_to(target):
         raise InputError(
             f"a {dialect.name} program cannot be written as {target.name}",
-            expected=f"-o with {' '.join(dialect.suffixes)}",
+            expected=f"a file name ending in {' '.join(dialect.suffixes)}",
             file=output,
+            setting="output",
         )
     return refitter.refit(read, dialect, progress, into=target, printed=points)

@@ -1,6 +1,6 @@
-"""What became of a program's runs, what of the tolerance each part used, and what the uncertainty of the path is made of.
+"""Report of a refitted program: its runs, the use of the tolerance, and the uncertainty budget of the path.
 
-Díaz Pérez et al. (2019), eq. 15: the error at a place of a trajectory is that of the system plus that of the trajectory's definition.
+Díaz Pérez et al. (2019), eq. 15: the error at a point of a trajectory is that of the system plus that of the trajectory's definition.
 Their table 2 combines standard uncertainties as ISO/TR 230-9 does: U = k √Σu², k = 2; an error known by its limits ±a counts as a/√3
 (JCGM 100:2008, 4.3.7).
 """
@@ -20,21 +20,21 @@ from twin.display import UNKNOWN, bar, card, note, pairs, several, table
 
 SCHEMA = "twin.path/1"
 SHOWN = 8
-"""Lines of a list that the text shows before it counts the rest; JSON has them all."""
+"""Lines of a list that the text prints before it counts the rest; the JSON report has all."""
 EXPANSION_FACTOR: Final = 2.0
 PARTS: Final = ("fit", "chord", "path", "machine", "total")
-"""What the tolerance is used for."""
+"""Steps that use the tolerance."""
 
 
 @final
 @dataclass(frozen=True)
 class UncertaintyContribution:
-    """One contribution to an uncertainty.
+    """One contribution to an uncertainty budget.
 
     Attributes:
-        name: what it is.
-        standard_um: standard uncertainty (k = 1), µm; NaN where it is not known.
-        how: where the number comes from.
+        name: its name.
+        standard_um: standard uncertainty (k = 1), µm; NaN if unknown.
+        how: origin of the number.
     """
 
     name: str
@@ -43,25 +43,25 @@ class UncertaintyContribution:
 
     @classmethod
     def within(cls, name: str, limit_um: float, how: str) -> UncertaintyContribution:
-        """Of an error that lies anywhere within ± a limit."""
+        """Return the contribution of an error with a rectangular distribution within ± ``limit_um``."""
         return cls(name, limit_um / sqrt(3.0), f"{how}: ± {limit_um:.3f} µm/√3")
 
 
 def combined(contributions: Sequence[UncertaintyContribution]) -> float:
-    """U = k √Σu² in µm; NaN where a contribution is not known."""
-    return EXPANSION_FACTOR * sqrt(sum(one.standard_um**2 for one in contributions))
+    """Return the expanded uncertainty U = k √Σu² in µm; NaN if a contribution is unknown."""
+    return EXPANSION_FACTOR * sqrt(sum(contribution.standard_um**2 for contribution in contributions))
 
 
 @final
 @dataclass(frozen=True)
-class Shares:
-    """How the tolerance is shared out, µm.
+class ToleranceShares:
+    """Division of the tolerance, µm.
 
     Attributes:
-        tolerance: all of it.
-        rounding: what rounding to the least increments may take, of point and of rotary words at the lever together.
-        compensation: error the machine may make between the ends of a block.
-        path: left for the path itself: the curve beside the input, and the blocks beside the curve, together.
+        tolerance: the whole tolerance.
+        rounding: share of rounding to the least increments, of the point and of the rotary words at the lever together.
+        compensation: share of the error between block end points.
+        path: share of the path: deviation of the curve from the input and of the blocks from the curve, together.
     """
 
     tolerance: float
@@ -73,21 +73,21 @@ class Shares:
 @final
 @dataclass(frozen=True)
 class RunReport:
-    """One run.
+    """Report of one run.
 
     Attributes:
-        first_line, last_line: of the input.
-        blocks, blocks_out: how many it had, and how many say it now, before compensation.
-        corners: how many of its vertices stay corners, its ends not counted.
-        control_points: of all its curves; a block left as it is counts one.
-        degrees: of its curves, one after the other; ``t`` before one of sines (an arc).
-        fit_share_um: what the curve was given of the path's share.
-        fit_um: how far curve and input are apart, both ways, at the tool.
-        chord_um: how far the blocks are from the curve.
-        path_um: how far the blocks are from the input: fit and chord together.
-        machine_um: compensation between the ends and rounding together: how far the executed path is from the blocks.
-        total_um: how far the executed path is from the input's, both ways; what is held against the tolerance.
-        why: why it was left as it is; empty where it was not.
+        first_line, last_line: lines of the input.
+        blocks, blocks_out: number of blocks in the input, and after refitting, before compensation.
+        corners: number of vertices kept as corners, without the end points of the run.
+        control_points: control points of all its curves; a block left unchanged counts one.
+        degrees: degrees of its curves in order, with ``t`` for a trigonometric one (an arc).
+        fit_share_um: tolerance of the curve within the share of the path.
+        fit_um: largest distance between curve and input at the tool, in both directions.
+        chord_um: largest distance between blocks and curve.
+        path_um: largest distance between blocks and input: fit and chord together.
+        machine_um: largest distance between executed path and blocks: compensation between end points and rounding together.
+        total_um: largest distance between executed path and input, in both directions; compared with the tolerance.
+        why: why it was left unchanged; empty if it was refitted.
     """
 
     first_line: int
@@ -109,25 +109,25 @@ class RunReport:
 @final
 @dataclass(frozen=True)
 class PathReport:
-    """The account of one refitted program; every field is in the JSON under its name.
+    """Report of one refitted program; every field is in the JSON report under its name.
 
     Attributes:
-        warnings: of where the calibration's numbers come from; none where the program is not compensated.
-        shares: of the tolerance, where the path has least of it (runs that turn rotary axes round them, too).
-        lever_mm: what a rotary word's deviation is multiplied by: at the tool axis, so far from the tip, it makes that.
-        angle_deg: the rotary words' own tolerance: the tolerance at the lever.
-        blocks_out: feed blocks of the output in the runs' place, before compensation split any.
-        not_met: runs whose executed path leaves the tolerance.
-        contributions: what the uncertainty of the path is made of.
-        compensation: the compensation's own account, None without one.
-        compensation_asked: whether the machine's errors were to be compensated.
+        warnings: warnings on the origin of the calibration's numbers; none if the program is not compensated.
+        shares: division of the tolerance, for the run with the smallest share for its path: one with rotary motion, if any.
+        lever_mm: distance from the tool tip at which the tool axis must keep the tolerance.
+        angle_deg: resulting tolerance of the rotary words: the tolerance divided by the lever.
+        blocks_out: feed blocks of the output in place of the runs, before compensation split any.
+        not_met: runs whose executed path exceeds the tolerance.
+        contributions: uncertainty budget of the path.
+        compensation: report of the compensation; None without one.
+        compensation_requested: whether the machine's errors were to be compensated.
     """
 
     program: str
     machine: str
     calibration: str
     warnings: tuple[SourceWarning, ...]
-    shares: Shares
+    shares: ToleranceShares
     lever_mm: float
     angle_deg: float
     runs: tuple[RunReport, ...]
@@ -135,48 +135,48 @@ class PathReport:
     notes: tuple[LineNote, ...]
     contributions: tuple[UncertaintyContribution, ...]
     compensation: Report | None
-    compensation_asked: bool = False
+    compensation_requested: bool = False
 
     @property
     def illustrative(self) -> bool:
-        """Whether some of the errors compensated for are drawn, not measured."""
+        """Whether some of the compensated errors are illustrative, not measured."""
         return ILLUSTRATIVE in self.warnings
 
     @property
     def blocks(self) -> int:
-        """Blocks of all runs."""
+        """Number of blocks of all runs in the input."""
         return sum(run.blocks for run in self.runs)
 
     @property
     def blocks_out(self) -> int:
-        """Blocks they became."""
+        """Number of blocks of all runs after refitting."""
         return sum(run.blocks_out for run in self.runs)
 
     @property
     def expanded_um(self) -> float:
-        """U (k = 2) of a place of the path, NaN where a contribution is not known."""
+        """U (k = 2) of a point of the path, µm; NaN if a contribution is unknown."""
         return combined(self.contributions)
 
     @property
     def complete(self) -> bool:
-        """Whether everything asked for was met (the exit status says so)."""
-        compensated = not self.compensation_asked if self.compensation is None else self.compensation.complete
+        """Whether every requirement was met; determines the exit status."""
+        compensated = not self.compensation_requested if self.compensation is None else self.compensation.complete
         return compensated and not self.not_met
 
     @property
     def strictly_complete(self) -> bool:
-        """Whether everything was met and corrected: rapids and the orientation, too."""
+        """Whether everything was met and corrected, rapids and the orientation included."""
         return self.complete and (self.compensation is None or self.compensation.strictly_complete)
 
     @property
     def headline(self) -> str | None:
-        """What came of the compensation, in one line; None if it was not asked for."""
+        """Result of the compensation in one line; None if none was requested."""
         if self.compensation is not None:
             return self.compensation.headline
-        return NO_ERRORS if self.compensation_asked else None
+        return NO_ERRORS if self.compensation_requested else None
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON."""
+        """Return the JSON report."""
         uncertainty = {
             "coverage_factor": EXPANSION_FACTOR,
             "expanded_um": self.expanded_um,
@@ -210,45 +210,45 @@ class PathReport:
     def _repr_html_(self) -> str:
         used, shares = self.used(), self.shares
         rows = [
-            ("blocks from the input's path", shares.path, used["path"]),
-            ("compensation between the ends, rounding", shares.compensation + shares.rounding, used["machine"]),
-            ("executed path from the input's", shares.tolerance, used["total"]),
+            ("blocks from input path", shares.path, used["path"]),
+            ("compensation between end points, rounding", shares.compensation + shares.rounding, used["machine"]),
+            ("executed path from input path", shares.tolerance, used["total"]),
         ]
         cells = [(words, f"{share:.3f}", f"{most:.3f}", bar(most / shares.tolerance)) for words, share, most in rows]
         u = self.expanded_um
-        told = [
+        facts = [
             ("blocks", f"{self.blocks:,} in {several(len(self.runs), 'run')}, now {self.blocks_out:,}"),
             (
-                "U of a place of the path (k = 2)",
+                "U of a point of the path (k = 2)",
                 f"{u:.2g} µm" if u == u else f"{UNKNOWN}: the calibration has no covariance",
             ),
         ]
-        lists = (("not met", self.not_met, True), ("to know", self.notes, False))
+        lists = (("not met", self.not_met, True), ("note", self.notes, False))
         notes = [
             note(f"{of}, line {one.line}: {one.text}", loud=loud) for of, those, loud in lists for one in those[:SHOWN]
         ]
         title = f"{Path(self.program).name} on {self.machine} with fewer blocks"
         headers = (f"of {shares.tolerance:g} µm", "share, µm", "used, µm", "")
-        parts = (pairs(told), table(headers, cells, right=(1, 2)), *notes)
+        parts = (pairs(facts), table(headers, cells, right=(1, 2)), *notes)
         return card(title, *parts, illustrative=self.illustrative, wrong=not self.complete).text
 
     def used(self) -> dict[str, float]:
-        """The most that each part took of the tolerance, over all runs, µm."""
+        """Return by step the largest part of the tolerance used, over all runs, µm."""
         return {part: max((getattr(run, f"{part}_um") for run in self.runs), default=0.0) for part in PARTS}
 
     def to_text(self) -> str:
-        """The report as a machinist reads it."""
+        """Return the report as text."""
         used, shares, u = self.used(), self.shares, self.expanded_um
-        unknown = "unknown (the calibration has none), and"
+        unknown = "unknown (the calibration has no covariance),"
         fitted = [run for run in self.runs if not run.why]
         headline = "" if self.headline is None else f": {self.headline}"
-        calibration = ["  not compensated: on the machine as drawn"]
+        calibration = ["  not compensated: executed on the machine without errors"]
         if self.compensation is not None:
             calibration = [f"  calibration   {self.calibration}"]
             calibration += [f"                {text}" for text in texts(self.warnings)]
         fit_share = max((run.fit_share_um for run in self.runs), default=0.0)
         added = 0 if self.compensation is None else self.compensation.added
-        more = f" (+{added} where compensation splits or takes up a reversal)" if added else ""
+        more = f" (+{added} by splitting and backlash moves in the compensation)" if added else ""
         out = [
             f"{self.program} on {self.machine}{headline}",
             *calibration,
@@ -258,16 +258,16 @@ class PathReport:
             f"  rotary words  {self.angle_deg:.4f}°: the tolerance at {self.lever_mm:g} mm from the tip",
             "",
             f"  of {shares.tolerance:g} µm                                  share     used",
-            f"    curve from the input                      {fit_share:8.3f} {used['fit']:8.3f} µm",
-            f"    blocks from the curve                            – {used['chord']:8.3f}",
-            f"    both together: blocks from the input      {shares.path:8.3f} {used['path']:8.3f}",
-            f"    compensation between the ends, rounding   {shares.compensation + shares.rounding:8.3f} {used['machine']:8.3f}",
-            f"    executed path from the input's            {shares.tolerance:8.3f} {used['total']:8.3f}",
+            f"    curve from input path                     {fit_share:8.3f} {used['fit']:8.3f} µm",
+            f"    blocks from curve                                – {used['chord']:8.3f}",
+            f"    both together: blocks from input path     {shares.path:8.3f} {used['path']:8.3f}",
+            f"    compensation between end points, rounding {shares.compensation + shares.rounding:8.3f} {used['machine']:8.3f}",
+            f"    executed path from input path             {shares.tolerance:8.3f} {used['total']:8.3f}",
             "",
-            f"  uncertainty at a place of the path: {unknown if u != u else f'U (k = 2) {u:.2f} µm,'} made of (k = 1)",
+            f"  uncertainty at a point of the path: {unknown if u != u else f'U (k = 2) {u:.2f} µm,'} contributions (k = 1)",
             *(f"    {one.name:<44}{_um(one.standard_um)}  {one.how}" for one in self.contributions),
         ]
-        kept = tuple(
+        unchanged = tuple(
             LineNote(run.first_line, f"{run.blocks} blocks to line {run.last_line}: {run.why}")
             for run in self.runs
             if run.why
@@ -276,7 +276,7 @@ class PathReport:
         lists = (
             ("not met", grouped(self.not_met)),
             ("not corrected", [] if compensation is None else [one.text for one in compensation.not_corrected]),
-            ("left as they were", grouped(kept)),
+            ("left unchanged", grouped(unchanged)),
             ("notes", grouped(self.notes)),
         )
         for title, lines in lists:

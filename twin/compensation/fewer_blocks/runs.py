@@ -1,7 +1,7 @@
-"""Runs: which blocks of a program are one smooth path cut short, and where it has corners.
+"""Find runs, sequences of blocks that approximate one smooth path, and their corners.
 
-A run is made of straight feed blocks one after the other that say nothing but where to go, in one mode and at one feed. Between them
-there may be comments. A curve is fitted from corner to corner.
+A run consists of consecutive straight feed blocks that contain nothing but positions, in one mode and at one feed; comments between
+them are allowed. Curves are fitted from corner to corner.
 """
 
 from __future__ import annotations
@@ -12,31 +12,31 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.fewer_blocks.fit import PARTS, Polyline
-from twin.compensation.toolpath import Path, PathMotion, WordSpace
+from twin.compensation.toolpath import PathMotion, ToolPath, WordSpace
 from twin.nc.blocks import Kind, Program
 from twin.nc.dialect import Dialect
 
 FEWEST: Final = 3
-"""Blocks of a run: in two there is nothing to save."""
-LONE_BEND_RAD: Final = np.radians(15.0)
-"""A bend that stands alone is a corner from here on …"""
-LONE: Final = 3.0
-"""… where the bends beside it are smaller by this factor: those of a curve are alike."""
-LONG: Final = 10.0
-"""A block longer than this many of the run's middle ones is a line of its own, not part of a curve."""
+"""Least number of blocks of a run: two cannot be reduced."""
+ISOLATED_BEND_RAD: Final = np.radians(15.0)
+"""Least isolated bend that is a corner …"""
+ISOLATED_FACTOR: Final = 3.0
+"""… a bend is isolated if its neighbours are smaller by this factor; along a curve they are similar."""
+LONG_FACTOR: Final = 10.0
+"""A block longer than this many median blocks of the run is a line of its own, not part of a curve."""
 SAME_MM: Final = 1e-9
-"""Places nearer to each other are one."""
+"""Distance below which positions are equal."""
 
 
 @final
 @dataclass(frozen=True)
 class Run:
-    """Blocks one after the other.
+    """Consecutive blocks of a run.
 
     Attributes:
-        motions: their indices in ``Path.motions``, in order.
-        lines: index of each one's line in the program.
-        words: (n+1, axes) where the first starts, and all ends.
+        motions: their indices in ``ToolPath.motions``, in order.
+        lines: index of each block's line in the program.
+        words: (n+1, axes) start of the first block, and end points of all.
     """
 
     motions: range
@@ -44,8 +44,8 @@ class Run:
     words: np.ndarray
 
 
-def find_runs(program: Program, dialect: Dialect, path: Path, space: WordSpace) -> list[Run]:
-    """The runs of a program, in order."""
+def find_runs(program: Program, dialect: Dialect, path: ToolPath, space: WordSpace) -> list[Run]:
+    """Return the runs of a program, in order."""
     plain = _plain_lines(program, dialect, path, space.axes.names)
     passed = {passage.before for passage in path.passages}
     per_line: dict[int, int] = {}
@@ -77,15 +77,16 @@ def find_runs(program: Program, dialect: Dialect, path: Path, space: WordSpace) 
 
 
 def corners(line: Polyline, allowed_mm: float) -> list[int]:
-    """Vertices of a run at which a curve ends and another begins, its two ends among them.
+    """Return the vertices of a run at which one curve ends and the next begins, including both end points.
 
-    A vertex is a corner if the smooth path from the middle of one block to the middle of the next would pass it by more than the
-    fit may (twice that much for a curve on both sides of its polyline), if its bend stands alone, or if a block beside it is so long
-    that it is a line of its own. That path, tangent to both blocks, passes at ¼ of the shorter times the sine of half the bend.
+    A vertex is a corner in three cases. First, the smooth path from the middle of one block to the middle of the next would miss it by
+    more than the fit allows (twice that much, because a curve may lie on both sides of its polyline). Second, its bend is isolated.
+    Third, a neighbouring block is so long that it is a line of its own. The smooth path, tangent to both blocks, misses the vertex by ¼
+    of the shorter block times the sine of half the bend.
 
     Args:
-        line: the run; blocks that are not straight at the tool bend by the directions in which they end.
-        allowed_mm: how far a curve may leave the run.
+        line: the run; bends of blocks that are not straight at the tool are measured between their end directions.
+        allowed_mm: largest distance allowed between curve and run.
     """
     size = line.size
     way = np.diff(line.dense_tool, axis=0)
@@ -93,33 +94,33 @@ def corners(line: Polyline, allowed_mm: float) -> list[int]:
     half_sine = np.linalg.norm(unit[PARTS::PARTS] - unit[PARTS - 1 : -1 : PARTS], axis=1) / 2.0
     bend = 2.0 * np.arcsin(np.clip(half_sine, 0.0, 1.0))
     rounded = np.minimum(size[:-1], size[1:]) * half_sine / 4.0
-    beside = np.maximum(np.append(0.0, bend[:-1]), np.append(bend[1:], 0.0))
-    lone = (bend >= LONE_BEND_RAD) & (bend >= LONE * beside)
-    long = size > LONG * np.median(size)
-    found = (rounded > 2.0 * allowed_mm) | lone | long[:-1] | long[1:]
+    neighbour = np.maximum(np.append(0.0, bend[:-1]), np.append(bend[1:], 0.0))
+    isolated = (bend >= ISOLATED_BEND_RAD) & (bend >= ISOLATED_FACTOR * neighbour)
+    long = size > LONG_FACTOR * np.median(size)
+    found = (rounded > 2.0 * allowed_mm) | isolated | long[:-1] | long[1:]
     return [0, *(np.flatnonzero(found) + 1).tolist(), len(size)]
 
 
 def _straight(motion: PathMotion) -> bool:
-    """Whether a block goes straight from a known place, and only there."""
+    """Return whether a block is one straight move from a known position and nothing else."""
     move = motion.move
     return move.kind is Kind.LINEAR and not move.machine and move.normal is None and motion.interpolated
 
 
 def _follows(before: PathMotion, motion: PathMotion) -> bool:
-    """Whether a block goes on where the one before ended, in the same words."""
+    """Return whether a block begins where the one before ended, in the same kind of words."""
     same = before.move.tcp == motion.move.tcp and (before.move.vector is None) == (motion.move.vector is None)
     return same and bool(np.array_equal(before.end, motion.start))
 
 
-def _plain_lines(program: Program, dialect: Dialect, path: Path, names: tuple[str, ...]) -> dict[int, str]:
-    """Lines that say nothing but where to go, and the feed in force there; none while the feed is a time."""
+def _plain_lines(program: Program, dialect: Dialect, path: ToolPath, names: tuple[str, ...]) -> dict[int, str]:
+    """Return the lines that contain only positions, with the feed in force; none in inverse-time feed mode."""
     moving = {motion.move.line for motion in path.motions}
     found: dict[int, str] = {}
     feed, timed = "", False
     for index, text in enumerate(program.texts):
-        said, times = dialect.feed_word(text)
-        feed, timed = said or feed, timed if times is None else times
+        new_feed, times = dialect.feed_word(text)
+        feed, timed = new_feed or feed, timed if times is None else times
         if index in moving and not timed and dialect.is_motion_only(text, names):
             found[index] = feed
     return found

@@ -1,4 +1,4 @@
-"""The output executed on the machine with errors, beside the input's path: from the text alone, densely."""
+"""Independent check: the output text executed densely on the machine with errors and compared with the input path."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.compensation.backlash import LostMotion
-from twin.compensation.fewer_blocks.distance import apart, lengths
+from twin.compensation.backlash import Backlash
+from twin.compensation.fewer_blocks.distance import largest_distance, lengths
 from twin.compensation.toolpath import PathMotion, WordSpace, follow
 from twin.kinematics.forward import Kinematics
 from twin.nc.blocks import Program, Reading
 
 PLACES: Final = 7
-"""Places a block at which it is looked at: no multiple of those that fit and chords looked at."""
+"""Points per block at which the path is evaluated; deliberately no multiple of the numbers used by fit and chords."""
 NEAR: Final = 0.25
-"""Share of the tolerance below which a nearer place on the other path does not matter."""
+"""Share of the tolerance below which a closer point on the other path is not searched for."""
 TURN_STEP_DEG: Final = 0.25
 LINEAR_STEP_MM: Final = 5.0
 
@@ -24,12 +24,12 @@ LINEAR_STEP_MM: Final = 5.0
 @final
 @dataclass(frozen=True)
 class Executed:
-    """A program run on a machine, block by block.
+    """A program executed on a machine, block by block.
 
     Attributes:
-        block: (n,) index of each place's move among those of the program.
-        words: (n, axes) what is commanded there, in words.
-        point_mm: (n, 3) where the tool is, in the work frame.
+        block: (n,) index of each point's move among those of the program.
+        words: (n, axes) commanded words.
+        point_mm: (n, 3) tool points in the work frame.
     """
 
     block: np.ndarray
@@ -37,12 +37,12 @@ class Executed:
     point_mm: np.ndarray
 
     def without(self, blocks: np.ndarray) -> Executed:
-        """But for some moves."""
+        """Return the points without those of some moves."""
         keep = ~np.isin(self.block, blocks)
         return Executed(self.block[keep], self.words[keep], self.point_mm[keep])
 
     def between(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
-        """Words and points of the moves from one to another, both included."""
+        """Return words and points of the moves from ``first`` to ``last``, both included."""
         part = slice(*np.searchsorted(self.block, [first, last + 1]))
         return self.words[part], self.point_mm[part]
 
@@ -50,21 +50,21 @@ class Executed:
 def execute_words(
     program: Program, reading: Reading, space: WordSpace, real: Kinematics, dense: np.ndarray
 ) -> Executed:
-    """Run a program as its control would, straight in words.
+    """Execute a program as its control would, on straight lines in words.
 
     Args:
         program: as read.
-        reading: what it says.
-        space: the machine's words.
-        real: the machine, with the errors it has.
-        dense: (moves,) which are looked at from where they begin, not only at their ends.
+        reading: its moves.
+        space: conversion between words and commands.
+        real: the machine with its errors.
+        dense: (moves,) which moves are evaluated along their whole length, not only at their end points.
     """
     path = follow(program, reading, space)
     moves = path.columns.move
     motions = zip(path.motions, dense[moves].tolist(), strict=True)
     words, of = path.dense([_fractions(motion) if looked_at else np.array([1.0]) for motion, looked_at in motions])
     commands = space.commands(words, path.columns.tcp[of])
-    sides = LostMotion(real.calibration).sides(path, of, commands)
+    sides = Backlash(real.calibration).sides(path, of, commands)
     point = real.reached(commands * space.machine.scale, sides)[1] * 1e3
     return Executed(moves[of], words, point)
 
@@ -77,15 +77,16 @@ def _fractions(motion: PathMotion) -> np.ndarray:
     return np.arange(int(np.ceil(steps)) + 1) / np.ceil(steps)
 
 
-def apart_mm(
+def path_distance_mm(
     one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray], lever_mm: float, tolerance_mm: float
 ) -> float:
-    """The largest distance between two executed paths, both ways, mm; each is its words and its points.
+    """Return the largest distance between two executed paths in both directions, mm; each is given by words and points.
 
-    A place is first looked for about as far along, where the rotary words count too: a tool that stands and turns goes on.
+    The nearest point is first searched at about the same distance along the path. Rotary words count towards this distance, so that it
+    also increases while a tool only turns.
     """
     at = [_shares(words, points, lever_mm) for words, points in (one, other)]
-    return apart(one[1], at[0], other[1], at[1], NEAR * tolerance_mm, tolerance_mm, anywhere=True)
+    return largest_distance(one[1], at[0], other[1], at[1], NEAR * tolerance_mm, tolerance_mm, anywhere=True)
 
 
 def _shares(words: np.ndarray, points: np.ndarray, lever_mm: float) -> np.ndarray:

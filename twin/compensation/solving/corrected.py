@@ -1,6 +1,6 @@
-"""A program, or a stretch of it, corrected: solved, and split where the machine would leave the meant path between two ends.
+"""Correct a program, or a stretch of it: solve all end points, and split blocks where the path between them leaves the tolerance.
 
-With reversals a block is cut where such an axis turns round inside it, too (`twin.compensation.solving.reversals`).
+If an axis has backlash, a block is also cut where that axis reverses inside it (`twin.compensation.solving.reversals`).
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.compensation.bench import Progress
-from twin.compensation.solving.between import Between
+from twin.compensation.solving.path_errors import PathErrors
 from twin.compensation.solving.pieces import Pieces
-from twin.compensation.solving.reversals import taken_up
+from twin.compensation.solving.reversals import insert_backlash_moves
 from twin.compensation.solving.rows import Rows
 from twin.compensation.toolpath import check_domains
 from twin.kinematics.inverse import SLACK
@@ -24,43 +24,43 @@ from twin.machine.effects.empirical import check_ranges
 from twin.nc.iso.bulk import NewPositions
 
 LARGEST_SPLIT: Final = 4096
-"""Pieces a block may be split into; an error that needs more is not one that splitting cures."""
+"""Most pieces per block; an error that needs more cannot be reduced by splitting."""
 MOST_ROUNDS: Final = 16
-"""Times that blocks are split again."""
+"""Most rounds of splitting."""
 ARC_POINTS: Final = 64
-"""Points of an arc at which it is compared with the ranges, for the message."""
+"""Points of an arc that are compared with the axis ranges, for the message."""
 
 
 @final
 @dataclass(frozen=True)
 class Corrected:
-    """A program, or a stretch of it, corrected.
+    """A corrected program, or a stretch of it.
 
     Attributes:
-        pieces: what it was cut into.
-        between: what happens between the ends of these.
-        rows: the commands for the ends.
-        context: how many of its motions, the first ones, belong to the stretch before.
+        pieces: the program cut into pieces.
+        path_errors: the errors between their end points.
+        rows: the commands at the end points.
+        context: number of its first motions that belong to the stretch before.
     """
 
     pieces: Pieces
-    between: Between
+    path_errors: PathErrors
     rows: Rows
     context: int
 
     @cached_property
     def lines(self) -> np.ndarray:
-        """(motions,) their line numbers."""
+        """(motions,) line numbers."""
         return self.pieces.path.columns.line + 1
 
     @cached_property
     def own(self) -> Rows:
-        """The rows behind the context."""
+        """The rows after the context."""
         return self.rows.where(slice(int(np.searchsorted(self.rows.motion, self.context)), None))
 
     @cached_property
     def new(self) -> NewPositions:
-        """What replaces the motions behind the context; nothing does of those that stay as written."""
+        """Positions that replace the motions after the context; none for motions left as written."""
         pieces, rows = self.pieces, self.rows
         count = pieces.count(rows)
         first = np.cumsum(count) - count
@@ -69,102 +69,102 @@ class Corrected:
         elif not pieces.posted:
             count[rows.motion[rows.untouched]] = 0
         positions = np.array(rows.printed)
-        # No rotary words: the vector says it, or the program has none.
+        # No rotary words: a vector gives the orientation, or the program has none.
         bare = pieces.by_vector[rows.motion] | (not pieces.aim.turns)
         positions[np.ix_(bare, range(3, positions.shape[1]))] = np.nan
         return NewPositions(first[self.context :], count[self.context :], positions, rows.vectors)
 
     @property
     def rewritten(self) -> int:
-        """How many motions are given new words."""
+        """Number of motions with new words."""
         return int(np.count_nonzero(self.new.count))
 
 
-def replacing(stretches: Sequence[Corrected], moves: int, axes: int) -> NewPositions:
-    """What replaces the moves of a program, or of a part of it, corrected in stretches.
+def new_positions(stretches: Sequence[Corrected], moves: int, axes: int) -> NewPositions:
+    """Return the positions that replace the moves of a program, or of a part of it, corrected in stretches.
 
     Args:
-        stretches: one behind the other.
-        moves: how many moves it has.
-        axes: how many words a position has.
+        stretches: consecutive stretches.
+        moves: number of moves.
+        axes: number of words per position.
     """
     first, count = np.zeros((2, moves), dtype=int)
     begin = 0
-    for one in stretches:
-        own = one.pieces.path.columns.move[one.context :]
-        first[own], count[own] = one.new.first + begin, one.new.count
-        begin += len(one.new.positions)
-    positions = np.concatenate([np.zeros((0, axes)), *(one.new.positions for one in stretches)])
-    vectors = np.concatenate([np.zeros((0, 3)), *(one.new.vectors for one in stretches)])
+    for stretch in stretches:
+        own = stretch.pieces.path.columns.move[stretch.context :]
+        first[own], count[own] = stretch.new.first + begin, stretch.new.count
+        begin += len(stretch.new.positions)
+    positions = np.concatenate([np.zeros((0, axes)), *(stretch.new.positions for stretch in stretches)])
+    vectors = np.concatenate([np.zeros((0, 3)), *(stretch.new.vectors for stretch in stretches)])
     return NewPositions(first, count, positions, vectors)
 
 
-def corrected(pieces: Pieces, say: Progress, *, context: int = 0) -> Corrected:
-    """Solve all blocks, splitting where the error between two ends exceeds the tolerance.
+def correct(pieces: Pieces, say: Progress, *, context: int = 0) -> Corrected:
+    """Solve all blocks, and split those whose error between end points exceeds the tolerance.
 
     Args:
         pieces: the program, or a stretch of it.
         say: called with a stage and the fraction done.
-        context: how many of its motions, the first ones, belong to the stretch before.
+        context: number of its first motions that belong to the stretch before.
 
     Raises:
-        InputError: a position that the calibration does not cover; an arc that cannot be compensated whole.
+        InputError: a position that the calibration does not cover; an arc that cannot be compensated as a whole.
     """
     bench, lines = pieces.bench, pieces.path.columns.line + 1
     commands = pieces.space.commands(pieces.end[context:], pieces.tcp[context:])
-    check_domains(bench.full, pieces.source, lines[context:], commands)
-    between = Between(pieces)
+    check_domains(bench.real, pieces.source, lines[context:], commands)
+    path_errors = PathErrors(pieces)
     rows = pieces.ends(np.arange(len(pieces.legs.motion)))
     if not pieces.idle:
         if bench.thesis is None:
-            rows = _whole(pieces, between, _split(pieces, between, rows, say))
+            rows = _whole(pieces, path_errors, _split(pieces, path_errors, rows, say))
         _check_arcs(pieces, rows)
         if bench.thesis is None:
             _check_ranges(pieces, rows)
-            if pieces.aim.lost.axes:
-                between.forget()
-                rows = taken_up(pieces, rows)
-    return Corrected(pieces, between, rows, context)
+            if pieces.aim.backlash.axes:
+                path_errors.forget()
+                rows = insert_backlash_moves(pieces, rows)
+    return Corrected(pieces, path_errors, rows, context)
 
 
-def _split(pieces: Pieces, between: Between, rows: Rows, say: Progress) -> Rows:
-    """Split blocks until the machine keeps to the path between their ends, or splitting does not help."""
+def _split(pieces: Pieces, path_errors: PathErrors, rows: Rows, say: Progress) -> Rows:
+    """Split blocks until the path between their end points is within tolerance, or splitting no longer helps."""
     legs, tolerance = pieces.legs, pieces.bench.options.tolerance_mm
     candidates = np.flatnonzero(pieces.interpolated[legs.motion])
     for step in range(1, MOST_ROUNDS + 1):
         if not candidates.size:
             break
         say("splitting", min(0.7, 0.2 + 0.05 * step))
-        worst = between.largest(candidates, rows)
+        worst = path_errors.leg_errors_mm(candidates, rows)
         stuck = np.zeros(len(pieces.start), dtype=bool)
         stuck[rows.motion[rows.clamped | rows.untouched]] = True
         failing = (worst > tolerance) & ~stuck[legs.motion[candidates]] & (legs.count[candidates] < LARGEST_SPLIT)
         candidates = candidates[failing]
         if not candidates.size:
             break
-        # The error between ends is quadratic in length.
+        # The error between end points is quadratic in length.
         factor = np.clip(1.1 * np.sqrt(worst[failing] / tolerance), 1.3, 16.0)
         legs.count[candidates] = np.minimum(np.ceil(legs.count[candidates] * factor).astype(int), LARGEST_SPLIT)
-        between.forget(candidates)
+        path_errors.forget(candidates)
         rows = rows.replaced(candidates, pieces.ends(candidates))
     return rows
 
 
-def _whole(pieces: Pieces, between: Between, rows: Rows) -> Rows:
-    """Leave blocks that leave the range on their way as written, whole."""
+def _whole(pieces: Pieces, path_errors: PathErrors, rows: Rows) -> Rows:
+    """Restore blocks that leave an axis's range between their end points: left as written, in one piece."""
     legs = pieces.legs
     kept = pieces.left_as_written(rows)
     if not np.any(pieces.count(rows)[kept] > 1):
         return rows
     again = np.flatnonzero(kept[legs.motion])
-    legs.whole(np.flatnonzero(kept))
-    between.forget(again)
+    legs.merge(np.flatnonzero(kept))
+    path_errors.forget(again)
     rows = rows.replaced(again, pieces.ends(again))
     return replace(rows, untouched=rows.untouched | kept[rows.motion])
 
 
 def _check_arcs(pieces: Pieces, rows: Rows) -> None:
-    """Raise `InputError` if an arc is left as written: it would not begin where the compensated block before it ends."""
+    """Raise `InputError` if an arc would be left as written: it would not begin where the compensated block before it ends."""
     arcs = rows.motion[rows.untouched & ~pieces.straight[rows.motion]]
     if not arcs.size:
         return
@@ -189,7 +189,7 @@ def _check_arcs(pieces: Pieces, rows: Rows) -> None:
 
 
 def _check_ranges(pieces: Pieces, rows: Rows) -> None:
-    """Raise `InputError` if a corrected block leaves, between its ends, the range of an effect without a known cause."""
+    """Raise `InputError` if a corrected block leaves the range of an empirical effect between its end points."""
     calibration = pieces.bench.calibration
     if calibration.empirical:
         nominal = rows.nominal[~rows.untouched]

@@ -1,7 +1,7 @@
-"""Legs: what a motion is cut into before it is cut into pieces, so that no axis with a reversal turns round inside a piece.
+"""Legs: parts of motions within which no axis with backlash reverses; legs are then cut into pieces.
 
-A straight motion of axis words is one leg. On an arc, and where the control makes axis positions of tool-tip coordinates while the tool
-turns, an axis can come to a standstill and go back inside the block.
+A straight motion of axis words is one leg. On an arc, and in tool-tip coordinates while the tool turns, an axis can reverse inside the
+block.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.bench import Bench
-from twin.compensation.solving.rows import counted
+from twin.compensation.solving.rows import repeat_with_index
 from twin.compensation.toolpath import PathMotion
 
 STEP_DEG: Final = 2.0
-"""How finely an arc or a turn of the tool is searched for turning points, degrees."""
-BEHIND: Final = 1e-4
-"""Half the way over which a velocity is taken, as a share of the motion."""
-STANDING: Final = 1e-8
-"""mm or degrees over that way: less is the solver's own noise, and an axis that stands still."""
+"""Step of the search for reversals on an arc or a turn of the tool, degrees."""
+HALF_INTERVAL: Final = 1e-4
+"""Half the interval for numerical velocities, as a fraction of the motion."""
+AT_REST: Final = 1e-8
+"""Displacement (mm, degrees) over that interval below which an axis stands still; the solver's numerical noise is smaller."""
 HALVINGS: Final = 24
-"""2 degrees halved so often are 1e-7 of a degree."""
+"""Bisection steps: 2 degrees become 1e-7 of a degree."""
 
 
 @final
@@ -33,9 +33,9 @@ class Legs:
     """Parts of motions, in order.
 
     Attributes:
-        motion: (legs,) which motion each is of.
-        begin, end: (legs,) fractions of it.
-        count: (legs,) how many pieces each is in; 0 for one that another stands for.
+        motion: (legs,) motion of each leg.
+        begin, end: (legs,) fractions of that motion.
+        count: (legs,) number of pieces; 0 for a leg merged into another.
     """
 
     motion: np.ndarray
@@ -45,7 +45,7 @@ class Legs:
 
     @classmethod
     def of(cls, motions: int, turning: tuple[np.ndarray, np.ndarray]) -> Legs:
-        """Of so many motions, cut at fractions of some of them (two arrays, motion and fraction)."""
+        """Create the legs of ``motions`` motions, cut at the points ``turning``: (k,) motions and (k,) fractions."""
         motion = np.concatenate([np.arange(motions), turning[0]])
         begin = np.concatenate([np.zeros(motions), turning[1]])
         order = np.lexsort((begin, motion))
@@ -54,46 +54,46 @@ class Legs:
         end = np.where(last, 1.0, np.append(begin[1:], 1.0))
         return cls(motion, begin, end, np.ones(len(motion), dtype=int))
 
-    def whole(self, motions: np.ndarray) -> None:
-        """Make some motions one leg in one piece again."""
+    def merge(self, motions: np.ndarray) -> None:
+        """Merge the legs of some motions into one leg in one piece."""
         mine = np.isin(self.motion, motions)
         last = mine & (self.end == 1.0)
         self.begin[last], self.count[mine], self.count[last] = 0.0, 0, 1
 
     def ends(self, legs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of all pieces of some legs: leg, and the fraction of the motion at which the piece ends."""
-        of, number = counted(legs, self.count[legs])
+        """Return the leg of every piece of some legs, and the fraction of the motion at the piece's end point."""
+        of, number = repeat_with_index(legs, self.count[legs])
         share = (number + 1) / self.count[of]
         return of, np.where(share == 1.0, self.end[of], self.at(of, share))
 
     def at(self, legs: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """Fractions of the motions at shares of legs."""
+        """Return the fractions of the motions at fractions of legs."""
         return np.asarray(self.begin[legs] + share * (self.end[legs] - self.begin[legs]))
 
 
 def turning_points(
     bench: Bench, motions: Sequence[PathMotion], which: np.ndarray, axes: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where axes turn round inside motions.
+    """Return the points at which axes reverse inside motions.
 
     Args:
-        bench: the machine as drawn and the set-up.
-        motions: all of them.
-        which: indices of those the control interpolates.
-        axes: indices of the axes that matter.
+        bench: the machine without errors, and the set-up.
+        motions: all motions.
+        which: indices of the interpolated ones.
+        axes: indices of the axes to consider.
 
     Returns:
-        (k,) motion and (k,) fraction, in order; none nearer to another or to an end of its motion than two least increments of every
-        word, which is nearer than words can say.
+        (k,) motion and (k,) fraction, in order. Points closer than two least increments to another one or to an end point of the
+        motion are omitted, because rounded words cannot represent them.
     """
     curved = np.array([i for i in which if _can_turn(motions[i])] if axes else [], dtype=int)
     if not curved.size:
         return np.zeros(0, dtype=int), np.zeros(0)
     counts = np.array([_steps(motions[i]) for i in curved])
-    of, index = counted(curved, counts + 1)
+    of, index = repeat_with_index(curved, counts + 1)
     grid = index / np.repeat(counts, counts + 1)
     found_of, found_at = [], []
-    velocity = np.where(np.abs(v := _velocity(bench, motions, of, grid)) > STANDING, np.sign(v), 0.0)
+    velocity = np.where(np.abs(v := _velocity(bench, motions, of, grid)) > AT_REST, np.sign(v), 0.0)
     for axis in axes:
         moving = np.flatnonzero(velocity[:, axis])
         first, last = moving[:-1], moving[1:]
@@ -106,7 +106,7 @@ def turning_points(
             low, high = np.where(before, middle, low), np.where(before, high, middle)
         found_of.append(of[first])
         found_at.append((low + high) / 2.0)
-    return _apart(bench, motions, np.concatenate(found_of), np.concatenate(found_at))
+    return _resolvable(bench, motions, np.concatenate(found_of), np.concatenate(found_at))
 
 
 def _can_turn(motion: PathMotion) -> bool:
@@ -120,7 +120,7 @@ def _steps(motion: PathMotion) -> int:
 
 
 def _velocity(bench: Bench, motions: Sequence[PathMotion], of: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """(n, axes) difference of commands just behind and just before fractions of motions, these in order."""
+    """Return (n, axes) differences of commands just after and just before fractions of motions, in ascending order."""
     bounds = np.append(np.flatnonzero(np.diff(of, prepend=-1)), len(of))
     tcp = np.array([motions[i].move.tcp for i in of])
 
@@ -128,14 +128,14 @@ def _velocity(bench: Bench, motions: Sequence[PathMotion], of: np.ndarray, fract
         words = np.concatenate([motions[of[i]].along(at[i:j]) for i, j in pairwise(bounds)])
         return bench.space.commands(words, tcp)
 
-    before, behind = np.clip(fraction - BEHIND, 0.0, 1.0), np.clip(fraction + BEHIND, 0.0, 1.0)
+    before, behind = np.clip(fraction - HALF_INTERVAL, 0.0, 1.0), np.clip(fraction + HALF_INTERVAL, 0.0, 1.0)
     return commands(behind) - commands(before)
 
 
-def _apart(
+def _resolvable(
     bench: Bench, motions: Sequence[PathMotion], of: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Those in order, without any that words cannot tell from the one before or from an end of its motion."""
+    """Return the points in order, without those that rounded words cannot distinguish from the one before or from an end point."""
     kept: list[tuple[int, float]] = []
     for motion in np.unique(of).tolist():
         places = np.sort(at[of == motion])
@@ -145,4 +145,4 @@ def _apart(
             if all(np.any(np.abs(here - there) >= 2.0 * bench.increment) for there in (last, words[-1])):
                 kept.append((motion, place))
                 last = here
-    return np.array([one[0] for one in kept], dtype=int), np.array([one[1] for one in kept], dtype=float)
+    return np.array([point[0] for point in kept], dtype=int), np.array([point[1] for point in kept], dtype=float)

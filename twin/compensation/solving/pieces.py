@@ -1,7 +1,7 @@
-"""Tool path → correction: a program, or a stretch of it, cut into pieces, and the commands for their ends.
+"""A program, or a stretch of it, cut into pieces, with the commands for their end points.
 
-Nominal pose → commands that reach it → rotary words at their least increment → linear axes solved again for what was rounded
-→ linear words at theirs.
+For each end point: nominal pose → commands that reach it → rotary words rounded to the least increment → linear axes solved again for
+the rounded rotary axes → linear words rounded.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from twin._common.arrays import every
 from twin.compensation.bench import Bench, CorrectionAim
 from twin.compensation.solving.legs import Legs, turning_points
 from twin.compensation.solving.rows import Rows
-from twin.compensation.toolpath import Path
+from twin.compensation.toolpath import ToolPath
 from twin.kinematics.forward import Poses, angle_between_rad
 from twin.kinematics.inverse import SLACK
 from twin.nc.dialect import Dialect
 
-ORIENTED_RAD: Final = 1e-9
-"""Less is the solver's own noise."""
+ORIENTATION_NOISE_RAD: Final = 1e-9
+"""Orientation residual below which it is numerical noise of the solver."""
 
 
 @final
@@ -30,28 +30,28 @@ class Pieces:
     """One program, or a stretch of it, cut into pieces.
 
     Args:
-        bench: machine, calibration, options.
+        bench: machine, calibration and options.
         path: the program as motions.
-        aim: what is corrected.
-        dialect: its language.
+        aim: errors to correct.
+        dialect: the program's language.
         source: its name, for messages.
-        posted: whether axis words come out whatever went in (cutter locations written for a control).
+        posted: whether axis words are written even for tool-tip input (cutter locations posted for a control).
 
     Attributes:
-        idle: whether no error motion is in scope: arcs stay arcs, and the program is written as it came.
-        increment: (axes,) least increments of the words that come out.
-        vector_decimals: decimals of a tool vector that comes out.
-        legs: the motions, cut where an axis with a reversal in scope turns round inside, and how many pieces each is in.
-        tcp: (motions,) whether the words that went in are tool-tip coordinates.
-        tcp_out: (motions,) whether those that come out are.
-        start, end: (motions, axes) words as meant.
-        straight: (motions,) whether it is no arc.
-        by_vector: (motions,) whether a tool vector comes out.
+        idle: whether no error motion is in scope: arcs stay arcs, and the program is written unchanged.
+        increment: (axes,) least increments of the output words.
+        vector_decimals: decimals of an output tool vector.
+        legs: the motions, cut where an axis with backlash in scope reverses, and the number of pieces of each.
+        tcp: (motions,) whether the input words are tool-tip coordinates.
+        tcp_out: (motions,) whether the output words are.
+        start, end: (motions, axes) nominal words.
+        straight: (motions,) whether the motion is not an arc.
+        by_vector: (motions,) whether the output has a tool vector.
         interpolated: (motions,) whether the control follows a line or arc from a known start.
     """
 
     def __init__(
-        self, bench: Bench, path: Path, aim: CorrectionAim, dialect: Dialect, *, source: str, posted: bool = False
+        self, bench: Bench, path: ToolPath, aim: CorrectionAim, dialect: Dialect, *, source: str, posted: bool = False
     ) -> None:
         self.bench, self.path, self.aim, self.source, self.posted = bench, path, aim, source, posted
         self.space = bench.space
@@ -66,9 +66,9 @@ class Pieces:
         self.by_vector = np.zeros(len(columns), dtype=bool)
         self.by_vector[[i for i, move in columns.special.items() if move.vector is not None and not posted]] = True
         self.interpolated = ~columns.rapid & every(np.isfinite(self.start))
-        # From outside the range there is no meant path to keep to; such a start is reported with its own block.
+        # From outside the range there is no nominal path; such a start is reported with its own block.
         self.interpolated &= ~bench.outside(self.space.commands(self.start, self.tcp))
-        turning = turning_points(bench, path.motions, np.flatnonzero(self.interpolated), aim.lost.axes)
+        turning = turning_points(bench, path.motions, np.flatnonzero(self.interpolated), aim.backlash.axes)
         self.legs = Legs.of(len(columns), turning)
         if not self.idle:
             whole = np.ones(len(columns), dtype=int)
@@ -79,12 +79,12 @@ class Pieces:
 
     @cached_property
     def ways(self) -> tuple[np.ndarray, np.ndarray]:
-        """(motions, axes) words each motion is meant to start from, its end where they are not known, and how far it goes."""
+        """(motions, axes) nominal words at the start of each motion (its end point if the start is unknown), and the displacement."""
         begin = np.where(np.isfinite(self.start), self.start, self.end)
         return begin, self.end - begin
 
     def words_at(self, of: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-        """(n, axes) meant words at fractions of motions."""
+        """Return (n, axes) nominal words at fractions of motions."""
         begin, way = self.ways
         words = begin.take(of, axis=0) + fraction[:, None] * way.take(of, axis=0)
         whole = np.flatnonzero(fraction == 1.0)
@@ -96,28 +96,28 @@ class Pieces:
         return words
 
     def count(self, rows: Rows) -> np.ndarray:
-        """(motions,) how many blocks each motion becomes."""
+        """Return (motions,) the number of output blocks of each motion."""
         return np.bincount(rows.motion, minlength=len(self.start))
 
     def left_as_written(self, rows: Rows) -> np.ndarray:
-        """(motions,) whether any end of each is left as written."""
+        """Return (motions,) whether any end point of each is left as written."""
         found = np.zeros(len(self.start), dtype=bool)
         found[rows.motion[rows.untouched]] = True
         return found
 
-    # --- the commands for ends of pieces -----------------------------------------------------------------------------
+    # --- commands for end points of pieces ---------------------------------------------------------------------------
 
     def ends(self, legs: np.ndarray) -> Rows:
-        """Solve for the ends of all pieces of some legs."""
+        """Solve for the end points of all pieces of some legs."""
         return self.solve(*self.legs.ends(legs))
 
     def solve(self, leg: np.ndarray, fraction: np.ndarray, approach: np.ndarray | None = None) -> Rows:
-        """Solve at fractions of the motions of legs.
+        """Solve for points at fractions of the motions of legs.
 
         Args:
             leg: (n,) the legs.
-            fraction: (n,) of their motions.
-            approach: (n, axes) sides that axes come from; not known if None.
+            fraction: (n,) fractions of their motions.
+            approach: (n, axes) approach directions; unknown if None.
         """
         limits = self.bench.limits
         of = self.legs.motion[leg]
@@ -127,21 +127,21 @@ class Pieces:
         untouched = self.bench.outside(nominal)
         safe = np.where(untouched[:, None], np.clip(nominal, limits[:, 0], limits[:, 1]), nominal)
         target = self.space.nominal.forward(safe)
-        vectors, orientation_left = np.full((len(of), 3), np.nan), np.zeros(len(of))
+        vectors, orientation_residual_rad = np.full((len(of), 3), np.nan), np.zeros(len(of))
         if self.bench.thesis is not None:
             exact = self.bench.thesis.commands(safe)
         else:
-            commands, orientation_left = self.oriented(target, safe, sides)
+            commands, orientation_residual_rad = self.oriented(target, safe, sides)
             commands, vectors = self._rotary_as_printed(commands, of)
             exact = self.aim.point_inverse.solve(target, commands, rotary=False, approach=sides).positions
         no, nowhere = np.zeros(len(of), dtype=bool), np.zeros(sides.shape)
         rows = Rows(
             leg=leg,
             motion=of,
-            taken=no,
+            backlash_move=no,
             approach=sides,
-            turned=nowhere.astype(bool),
-            beyond=nowhere,
+            reverses=nowhere.astype(bool),
+            overshoot=nowhere,
             fraction=fraction,
             words=words,
             nominal=nominal,
@@ -151,17 +151,17 @@ class Pieces:
             commands=exact,
             printed=words,
             vectors=vectors,
-            orientation_left=orientation_left,
-            singular=orientation_left > 0.0,
+            orientation_residual_rad=orientation_residual_rad,
+            singular=orientation_residual_rad > 0.0,
             clamped=no,
             untouched=untouched,
         )
         return self.printed(rows)
 
     def oriented(self, target: Poses, start: np.ndarray, sides: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """(n, axes) start with the rotary axes where they repair the orientation, and (n,) radians that are left of it.
+        """Return (n, axes) start commands with the rotary axes turned to correct the orientation, and (n,) the residual in radians.
 
-        The rotary axes do so wherever they can, even if a linear axis has not the travel that the point would need.
+        The rotary axes do so wherever they can, even if a linear axis lacks the travel that the point would then need.
         """
         commands = np.array(start)
         inverse, real = self.aim.orientation_inverse, self.aim.orientation
@@ -173,7 +173,9 @@ class Pieces:
         turned = solution.positions[:, rotary]
         able = ((turned >= low - SLACK) & (turned <= high + SLACK)).all(axis=1)
         commands[np.ix_(able, rotary)] = turned[able]
-        left = np.where(solution.orientation_residual_rad > ORIENTED_RAD, solution.orientation_residual_rad, 0.0)
+        left = np.where(
+            solution.orientation_residual_rad > ORIENTATION_NOISE_RAD, solution.orientation_residual_rad, 0.0
+        )
         unable = np.flatnonzero(~able)
         if unable.size:
             reached = real.forward(commands[unable], None if sides is None else sides[unable])
@@ -181,9 +183,9 @@ class Pieces:
         return commands, left
 
     def printed(self, rows: Rows) -> Rows:
-        """Rows with what ``exact`` comes to in words at their increments."""
+        """Return the rows with ``exact`` converted to words and rounded to their increments."""
         limits, increment = self.bench.limits, self.increment
-        wanted = rows.exact + rows.beyond
+        wanted = rows.exact + rows.overshoot
         clipped = np.clip(wanted, limits[:, 0], limits[:, 1])
         clamped = ~every(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.bench.increment)
         tcp_out = self.tcp_out[rows.motion]
@@ -198,7 +200,7 @@ class Pieces:
         )
 
     def _rotary_as_printed(self, commands: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rotary axes where the printed words will put them; tool vectors where the program gives those."""
+        """Return commands with the rotary axes at the rounded words, and tool vectors for programs that use these."""
         rotary, space = list(self.bench.machine.rotary), self.space
         commands = np.array(commands)
         offset, increment = space.offset[3:], self.increment[3:]

@@ -1,7 +1,7 @@
-"""Reversals taken up: every axis is commanded for the side it comes from, and a move of its own takes up what a turn costs.
+"""Backlash compensation: every axis is commanded for its approach direction, and inserted moves take up the backlash at reversals.
 
-Wherever an axis turns round, between blocks or inside one, the move takes up the reversal before the way back begins: that start needs
-the new side's command, not the old one's.
+Where an axis reverses, between blocks or inside one, the inserted move takes up the backlash before the way back begins, because that
+starting point needs the command for the new direction.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ import numpy as np
 from twin.compensation.solving.pieces import Pieces
 from twin.compensation.solving.rows import Rows
 
-RETURN: Final = 3.0
-"""Least increments by which an axis is taken beyond a place and back so that it has turned: rounding may take one of them."""
+OVERSHOOT: Final = 3.0
+"""Least increments by which an axis is moved beyond a position and back so that it has reversed; rounding may remove one of them."""
 
 
-def taken_up(pieces: Pieces, rows: Rows) -> Rows:
-    """The same pieces with every axis commanded for the side it comes from, and the moves that take up what a turn costs."""
-    wanted = _wanted(pieces, rows)
-    sides = pieces.aim.lost.turned(pieces.path, rows.motion, wanted)
+def insert_backlash_moves(pieces: Pieces, rows: Rows) -> Rows:
+    """Return the rows with every axis commanded for its approach direction, and with the moves inserted that take up backlash."""
+    intended = _intended(pieces, rows)
+    sides = pieces.aim.backlash.commanded_sides(pieces.path, rows.motion, intended)
     turned = np.append(np.zeros_like(sides[:1], dtype=bool), sides[1:] != sides[:-1], axis=0)
-    at = _before_which(pieces, rows, wanted, turned)
+    at = _rows_to_insert_before(pieces, rows, intended, turned)
     begin = np.where(rows.motion[at] == rows.motion[at - 1], rows.fraction[at - 1], 0.0)
-    # Where an axis jumps ahead when it turns, it goes beyond what takes that up and back, so that it has turned.
-    ahead = turned[at] & (pieces.aim.lost.size >= pieces.bench.machine_increment)
-    beyond = np.where(ahead, -RETURN * pieces.bench.machine_increment * sides[at], 0.0)
+    # An axis that jumps ahead when it reverses is moved beyond that position and back, so that it has reversed.
+    ahead = turned[at] & (pieces.aim.backlash.size >= pieces.bench.machine_increment)
+    beyond = np.where(ahead, -OVERSHOOT * pieces.bench.machine_increment * sides[at], 0.0)
     over = np.flatnonzero(ahead.any(axis=1))
     of = np.concatenate([np.arange(len(rows.leg)), at, at[over]])
     order = np.lexsort((np.repeat([2, 1, 0], [len(rows.leg), len(at), len(over)]), of))
@@ -36,26 +36,28 @@ def taken_up(pieces: Pieces, rows: Rows) -> Rows:
     found = pieces.solve(rows.leg[of][order], fraction, sides[of][order])
     found = replace(
         found,
-        taken=(np.arange(len(of)) >= len(rows.leg))[order],
-        turned=np.concatenate([turned, turned[at], np.zeros_like(turned[over])])[order],
-        beyond=np.concatenate([np.zeros_like(sides), np.zeros_like(beyond), beyond[over]])[order],
+        backlash_move=(np.arange(len(of)) >= len(rows.leg))[order],
+        reverses=np.concatenate([turned, turned[at], np.zeros_like(turned[over])])[order],
+        overshoot=np.concatenate([np.zeros_like(sides), np.zeros_like(beyond), beyond[over]])[order],
         untouched=found.untouched | pieces.left_as_written(rows)[found.motion],
     )
-    found = _ratcheted(pieces, pieces.printed(found).distinct(), found.approach, pieces.bench.machine.rotary)
-    return _ratcheted(pieces, _followed(pieces, found), found.approach, pieces.bench.machine.linear).distinct()
+    found = _without_steps_back(pieces, pieces.printed(found).distinct(), found.approach, pieces.bench.machine.rotary)
+    return _without_steps_back(
+        pieces, _linear_axes_solved_again(pieces, found), found.approach, pieces.bench.machine.linear
+    ).distinct()
 
 
-def _before_which(pieces: Pieces, rows: Rows, wanted: np.ndarray, turned: np.ndarray) -> np.ndarray:
-    """Rows in front of which a move takes up a reversal.
+def _rows_to_insert_before(pieces: Pieces, rows: Rows, intended: np.ndarray, turned: np.ndarray) -> np.ndarray:
+    """Return the rows before which a move is inserted that takes up backlash.
 
-    Not on a rapid, and not behind a line passed through: there the axis is taken to its new side on its way to the end; unless it
-    jumps ahead when it turns, and its way is too short to show it.
+    None is inserted on a rapid or after a passed-through line: there the axis reaches its new side on the way to the end point, unless
+    it jumps ahead when it reverses and its way is too short for that.
     """
-    size = pieces.aim.lost.size
+    size = pieces.aim.backlash.size
     at = np.flatnonzero(turned.any(axis=1))
     motion = rows.motion[at]
     passed = np.array([passage.before for passage in pieces.path.passages], dtype=int)
-    short = (np.abs(wanted[at] - wanted[at - 1]) < size + RETURN * pieces.bench.machine_increment) & turned[at]
+    short = (np.abs(intended[at] - intended[at - 1]) < size + OVERSHOOT * pieces.bench.machine_increment) & turned[at]
     start = pieces.start[motion]
     known = np.isfinite(start).all(axis=1) & ~pieces.bench.outside(pieces.space.commands(start, pieces.tcp[motion]))
     free = pieces.interpolated[motion] | (known & (short & (size > 0.0)).any(axis=1))
@@ -63,42 +65,45 @@ def _before_which(pieces: Pieces, rows: Rows, wanted: np.ndarray, turned: np.nda
     return at[free]
 
 
-def _wanted(pieces: Pieces, rows: Rows) -> np.ndarray:
-    """(rows, axes) where the axes are really to be: compensated for everything but reversals, and not rounded."""
+def _intended(pieces: Pieces, rows: Rows) -> np.ndarray:
+    """Return (rows, axes) the intended axis positions: compensated for everything but backlash, not rounded."""
     start = np.clip(rows.nominal, *pieces.bench.limits.T)
     commands, _ = pieces.oriented(rows.target, start, None)
     solved = pieces.aim.point_inverse.solve(rows.target, commands, rotary=False).positions
     return np.where(rows.untouched[:, None], rows.nominal, solved)
 
 
-def _followed(pieces: Pieces, rows: Rows) -> Rows:
-    """What is printed may take a rotary axis to its new side in part only: the linear axes follow what it does."""
+def _linear_axes_solved_again(pieces: Pieces, rows: Rows) -> Rows:
+    """Solve the linear axes again for rotary axes that, as printed, reach their new side only in part."""
     rotary = list(pieces.bench.machine.rotary)
-    if not set(rotary) & set(pieces.aim.lost.axes):
+    if not set(rotary) & set(pieces.aim.backlash.axes):
         return rows
     sides, start = np.array(rows.approach), np.array(rows.exact)
-    there = ~rows.beyond.any(axis=1)
-    real = pieces.aim.lost.sides(pieces.path, rows.motion, rows.commands)
+    there = ~rows.overshoot.any(axis=1)
+    real = pieces.aim.backlash.sides(pieces.path, rows.motion, rows.commands)
     for axis in rotary:
         sides[there, axis] = real[there, axis]
-        start[:, axis] = (rows.commands - rows.beyond)[:, axis]
+        start[:, axis] = (rows.commands - rows.overshoot)[:, axis]
     exact = pieces.aim.point_inverse.solve(rows.target, start, rotary=False, approach=sides).positions
     return pieces.printed(replace(rows, exact=exact, approach=sides))
 
 
-def _ratcheted(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tuple[int, ...]) -> Rows:
-    """Axes that do not step back, by rounding, on the way to their side: play would swallow it, a control might turn."""
+def _without_steps_back(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tuple[int, ...]) -> Rows:
+    """Return the rows without small steps back caused by rounding.
+
+    Backlash would absorb such a step, or a control might see a reversal.
+    """
     increment = pieces.increment
     commands = rows.commands.copy()
     fixed = rows.untouched | rows.clamped | (pieces.by_vector[rows.motion] & (axes == pieces.bench.machine.rotary))
-    for axis in set(pieces.aim.lost.axes) & set(axes):
+    for axis in set(pieces.aim.backlash.axes) & set(axes):
         passed = [passage.before for passage in pieces.path.passages if passage.moved[axis]]
         breaks = [*np.searchsorted(rows.motion, passed), *np.flatnonzero(fixed), *(np.flatnonzero(fixed) + 1)]
         starts = np.unique([0, *breaks, *np.flatnonzero(np.diff(sides[:, axis])) + 1, len(sides)])
         for first, last in pairwise(starts.tolist()):
             if sides[first, axis] != 0.0:
                 way = commands[first:last, axis] * sides[first, axis]
-                commands[first:last, axis] = _not_back(way, abs(pieces.aim.lost.size[axis])) * sides[first, axis]
+                commands[first:last, axis] = _not_back(way, abs(pieces.aim.backlash.size[axis])) * sides[first, axis]
     which = np.flatnonzero((commands != rows.commands).any(axis=1) & ~fixed)
     tcp_out = pieces.tcp_out[rows.motion[which]]
     printed, final_commands = rows.printed.copy(), rows.commands.copy()
@@ -112,7 +117,7 @@ def _ratcheted(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tuple[int, .
 
 
 def _not_back(way: np.ndarray, most: float) -> np.ndarray:
-    """A way up with its steps back left out, if they are smaller than ``most``: larger ones are no rounding."""
+    """Return a rising sequence with steps back below ``most`` removed; larger ones are not caused by rounding."""
     out = []
     top = way[0]
     for place in way.tolist():

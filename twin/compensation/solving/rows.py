@@ -1,4 +1,4 @@
-"""Ends of pieces of blocks as arrays: what is solved for them, and where pieces go."""
+"""End points of pieces as arrays: targets, solved commands and printed words, and the ways of pieces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from twin.kinematics.forward import Poses
 
 SAMPLE_SPACING: Final = (10.0, 3.0)
-"""No two samples further apart than this: mm of linear and degrees of rotary motion."""
+"""Largest distance between two samples: mm of linear and degrees of rotary motion."""
 SAME: Final = 1e-9
 """Words closer than this are printed alike."""
 
@@ -19,32 +19,32 @@ SAME: Final = 1e-9
 @final
 @dataclass(frozen=True)
 class Rows:
-    """Ends of pieces, n of them, in the order of the program.
+    """n end points of pieces, in the order of the program.
 
     Attributes:
-        leg, motion: (n,) which leg and which motion each belongs to.
-        taken: (n,) whether it only takes up a reversal, standing at its fraction.
-        approach: (n, axes) sides that axes come from, which it is solved for.
-        turned: (n, axes) whether they turn round in front of it.
-        beyond: (n, axes) by how much it goes too far on purpose, mm and degrees.
-        fraction: (n,) of its motion.
-        words, nominal: (n, axes) as meant, in words and in commands.
-        target_mm, target_rotation: (n, 3) and (n, 3, 3) the pose meant there.
+        leg, motion: (n,) leg and motion of each end point.
+        backlash_move: (n,) whether the row is an inserted move that only takes up backlash, at its fraction of the motion.
+        approach: (n, axes) approach directions for which it is solved.
+        reverses: (n, axes) whether each axis reverses before it.
+        overshoot: (n, axes) intentional overshoot, mm and degrees.
+        fraction: (n,) fraction of its motion.
+        words, nominal: (n, axes) nominal words and commands.
+        target_mm, target_rotation: (n, 3) and (n, 3, 3) nominal pose.
         exact: (n, axes) compensated commands before linear words were rounded.
-        commands, printed: (n, axes) compensated commands as printed, and the words printed.
-        vectors: (n, 3) tool vectors printed; NaN where there is none.
-        orientation_left: (n,) radians that the rotary axes do not repair.
-        singular: (n,) whether that is more than the solver's own noise.
+        commands, printed: (n, axes) compensated commands as printed, and the printed words.
+        vectors: (n, 3) printed tool vectors; NaN where there is none.
+        orientation_residual_rad: (n,) orientation residual in radians that the rotary axes do not correct.
+        singular: (n,) whether that residual exceeds the solver's numerical noise.
         clamped: (n,) whether an axis stops at its limit.
-        untouched: (n,) whether it is left as written, being out of range.
+        untouched: (n,) whether it is left as written because it is out of range.
     """
 
     leg: np.ndarray
     motion: np.ndarray
-    taken: np.ndarray
+    backlash_move: np.ndarray
     approach: np.ndarray
-    turned: np.ndarray
-    beyond: np.ndarray
+    reverses: np.ndarray
+    overshoot: np.ndarray
     fraction: np.ndarray
     words: np.ndarray
     nominal: np.ndarray
@@ -54,33 +54,33 @@ class Rows:
     commands: np.ndarray
     printed: np.ndarray
     vectors: np.ndarray
-    orientation_left: np.ndarray
+    orientation_residual_rad: np.ndarray
     singular: np.ndarray
     clamped: np.ndarray
     untouched: np.ndarray
 
     @property
     def target(self) -> Poses:
-        """The poses meant."""
+        """Nominal poses."""
         return Poses(self.target_mm, self.target_rotation)
 
     def where(self, keep: np.ndarray | slice) -> Rows:
-        """Some of the rows, (n,) booleans or a stretch of them."""
+        """Return a selection of the rows: (n,) booleans or a slice."""
         return _of_each(lambda column: column[keep], self)
 
     def replaced(self, legs: np.ndarray, new: Rows) -> Rows:
-        """The rows with those of some legs exchanged, still in order."""
+        """Return the rows with those of some legs replaced, still in order."""
         keep = ~np.isin(self.leg, legs)
         order = np.argsort(np.concatenate([self.leg[keep], new.leg]), kind="stable")
         return _of_each(lambda mine, others: np.concatenate([mine[keep], others])[order], self, new)
 
     def distinct(self) -> Rows:
-        """The rows without moves that take up what words cannot tell from the place before, or from the one behind."""
+        """Return the rows without inserted moves that, as printed, equal the position before or after."""
         rows = self
         for behind in (False, True):
             vectors = np.nan_to_num(rows.vectors)
             alike = (np.abs(np.diff(rows.printed, axis=0)) < SAME).all(axis=1) & ~np.diff(vectors, axis=0).any(axis=1)
-            rows = rows.where(~(rows.taken & (np.append(alike, False) if behind else np.append(False, alike))))
+            rows = rows.where(~(rows.backlash_move & (np.append(alike, False) if behind else np.append(False, alike))))
         return rows
 
 
@@ -89,13 +89,13 @@ def _of_each(make: Callable[..., np.ndarray], *rows: Rows) -> Rows:
 
 
 class Ways(NamedTuple):
-    """Where pieces go.
+    """Start and displacement of pieces.
 
     Attributes:
-        begin: (rows, axes) words that each piece starts from.
-        way: (rows, axes) how far it goes.
-        rows: (pieces,) the rows that are ends of pieces.
-        first: (legs,) which of these each leg begins with.
+        begin: (rows, axes) words at the start of each piece.
+        way: (rows, axes) displacement.
+        rows: (pieces,) rows that are end points of pieces.
+        first: (legs,) index in ``rows`` of each leg's first piece.
     """
 
     begin: np.ndarray
@@ -104,19 +104,19 @@ class Ways(NamedTuple):
     first: np.ndarray
 
 
-def counted(things: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each of (n,) things as often as it counts, and 0, 1, 2 … within each."""
+def repeat_with_index(things: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Repeat each of (n,) items by its count, and number the repetitions 0, 1, 2 … within each."""
     return np.repeat(things, count), np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
 
 
 def spacings(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """(n,) how many times `SAMPLE_SPACING` it is from (n, axes) words to others."""
+    """Return (n,) the distance between (n, axes) words and others, in units of `SAMPLE_SPACING`."""
     limits = np.repeat(SAMPLE_SPACING, [3, start.shape[1] - 3])
     return np.maximum.reduce([np.abs(b - a) / limit for a, b, limit in zip(start.T, end.T, limits, strict=True)])
 
 
 def even_cuts(sizes: np.ndarray, most: float) -> list[int]:
-    """Where to cut things of (n,) sizes in as few portions as can be that make no more than about ``most`` each, and alike."""
+    """Return where to cut items of (n,) sizes into the fewest portions of about equal size, none much larger than ``most``."""
     total = np.cumsum(sizes)
     count = int(np.ceil(total[-1] / most)) if len(total) else 0
     return np.unique(np.searchsorted(total, total[-1] * np.arange(1, count) / count)).tolist() if count > 1 else []

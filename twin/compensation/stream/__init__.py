@@ -1,4 +1,4 @@
-"""Programs of any length, in bounded memory."""
+"""Compensation of programs of any length in bounded memory."""
 
 from twin.compensation.stream.streamed import Streamed
 

@@ -1,4 +1,4 @@
-"""A program of any length as read: stretches of whole lines, several to a part that is solved at once."""
+"""Read a program of any length: stretches of whole lines, several of which form a part that is solved together."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ from twin.nc.iso.stream import IsoReader, Stretch
 from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
 
 STRETCH_BYTES: Final = 1 << 18
-"""Read, written and read back at once: little enough that what is made of it stays in cache."""
+"""Bytes read, written and read back at once: few enough for the data derived from them to stay in cache."""
 PART_LINES: Final = 60_000
-"""Lines solved at once: the parts of a long program are alike, and none has fewer, so that solving is compiled
-(`twin.compute.native`); nor many more, since they take memory."""
+"""Lines solved together. All parts of a long program are about equally long, and none is shorter than this, so that compiled solving
+pays off (`twin.compute.native`); longer parts would only need more memory.
+"""
 
 
 @final
 class ProgramFile:
-    """The file of a program.
+    """File of a program.
 
     Args:
-        path: where it is.
+        path: its path.
 
     Attributes:
         size: bytes.
-        lines: about how many lines.
+        lines: approximate number of lines.
 
     Raises:
-        InputError: it cannot be read, or is no program at all.
+        InputError: it cannot be read, or is not a program.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,17 +50,17 @@ class ProgramFile:
         check.finish()
 
     def begins(self) -> tuple[str, Style]:
-        """Its line ending, and the style of its numbers."""
+        """Return its line ending and the style of its numbers."""
         lines = (line for data in self.stretches() for line in lines_in(data))
         first = next(lines)
         return ending(first) or "\n", style_in(chain((first,), lines), Style(point=True))
 
     def stretches(self) -> Iterator[bytes]:
-        """Whole lines."""
+        """Yield the file in stretches of whole lines."""
         left = b""
         for block in self._blocks():
             data = left + block
-            # A return at the very end may be half of a line's ending.
+            # A carriage return as the last byte may be half of a line ending.
             cut = max(data.rfind(b"\n"), data.rfind(b"\r", 0, len(data) - 1)) + 1
             if cut:
                 yield data[:cut]
@@ -78,7 +79,7 @@ class ProgramFile:
             ) from error
 
 
-class Read(NamedTuple):
+class ReadStretch(NamedTuple):
     """A stretch as read: its lines and its moves."""
 
     stretch: Stretch
@@ -91,37 +92,37 @@ class ProgramPart:
     """Stretches as read, to be solved together.
 
     Attributes:
-        read: each of them.
-        motions: their motions, behind the last one of the part before; of moves counted through all of the part.
-        context: how many those of the part before are: 1, or 0 at the first.
-        aim: what is corrected; None as long as nothing moved.
+        read: the stretches.
+        motions: their motions, preceded by the last one of the part before; moves are counted through the whole part.
+        context: number of motions from the part before: 1, or 0 for the first part.
+        aim: errors to correct; None until a motion has been read.
     """
 
-    read: Sequence[Read]
+    read: Sequence[ReadStretch]
     motions: MotionColumns
     context: int
     aim: CorrectionAim | None
 
     @property
     def moves(self) -> int:
-        """How many moves."""
-        return sum(len(one.moves) for one in self.read)
+        """Number of moves."""
+        return sum(len(stretch.moves) for stretch in self.read)
 
 
 @final
 class PartReader:
-    """Reads a program, part by part.
+    """Reads a program part by part.
 
     Args:
-        bench: machine, calibration, options.
+        bench: machine, calibration and options.
         source: the program.
-        turns: whether it moves rotary axes; None: as its first motions say.
+        turns: whether it moves rotary axes; None to decide from its first motions.
 
     Attributes:
-        lines: how many were read so far.
-        changed: whether it moves rotary axes only later on, so that all is to be done again.
+        lines: number of lines read so far.
+        turns_later: whether rotary motion appears only later, so that the program must be compensated again from its start.
         drills: whether it has a drilling cycle.
-        failed: why it cannot be read to its end; None if it can.
+        failed: the error that ended reading; None if there is none.
     """
 
     def __init__(self, bench: Bench, source: ProgramFile, turns: bool | None) -> None:
@@ -132,23 +133,23 @@ class PartReader:
         self._notices: list[Notice] = []
         self._turns = False
         self.lines = 0
-        self.changed = self.drills = False
+        self.turns_later = self.drills = False
         self.failed: InputError | None = None
 
     @property
     def notices(self) -> list[Notice]:
-        """What a reader of the account must know of the lines read so far."""
-        return [*self._notices, *self._follower.passed]
+        """Notices on the lines read so far."""
+        return [*self._notices, *self._follower.notices]
 
     def parts(self) -> Iterator[ProgramPart]:
-        """The program as read; where it `failed`, all that was read before."""
+        """Yield the program as read; if reading `failed`, everything before."""
         a_part = self._source.lines / max(self._source.lines // PART_LINES, 1)
-        full, read = a_part, list[Read]()
+        full, read = a_part, list[ReadStretch]()
         motions = [MotionColumns.of({}, len(self._bench.space.axes.names))]
         try:
             for data in self._source.stretches():
                 read.append(self._read(data))
-                motions.append(self._followed(read[-1], sum(len(one.moves) for one in read[:-1])))
+                motions.append(self._followed(read[-1], sum(len(stretch.moves) for stretch in read[:-1])))
                 if self.lines >= full:
                     full += a_part
                     part = self._part(read, motions)
@@ -158,22 +159,22 @@ class PartReader:
             self.failed = error
         yield self._part(read, motions)
 
-    def _part(self, read: list[Read], motions: list[MotionColumns]) -> ProgramPart:
+    def _part(self, read: list[ReadStretch], motions: list[MotionColumns]) -> ProgramPart:
         return ProgramPart(read, MotionColumns.joined(motions), len(motions[0]), self._aim)
 
-    def _read(self, data: bytes) -> Read:
+    def _read(self, data: bytes) -> ReadStretch:
         stretch = Stretch(data, self.lines, self._bench.space.axes.names)
         self.lines += len(stretch)
         moves = self._reader.read(stretch)
         self._notices += self._reader.notices()
         self.drills = self._reader.drills
-        return Read(stretch, moves)
+        return ReadStretch(stretch, moves)
 
-    def _followed(self, read: Read, before: int) -> MotionColumns:
-        """The motions of a stretch; ``before``: moves of its part that come first."""
+    def _followed(self, read: ReadStretch, before: int) -> MotionColumns:
+        """Return the motions of a stretch; ``before``: number of earlier moves in its part."""
         motions = self._follower.columns(read.moves, self._reader.lost_positions(), read.stretch.text_of)
         self._turns = self._turns or read.moves.turns(self._bench.space.axes.rotary)
         if self._aim is None and len(motions):
             self._aim = self._bench.aim(turns=self._turns)
-        self.changed = self._turns and self._aim is not None and not self._aim.turns
+        self.turns_later = self._turns and self._aim is not None and not self._aim.turns
         return replace(motions, move=motions.move + before)

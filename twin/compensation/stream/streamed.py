@@ -1,8 +1,8 @@
-"""Programs of any length: compensated part by part, from file to file, in bounded memory.
+"""Compensate a program of any length part by part, from file to file, in bounded memory.
 
-Each part is read, solved, written, read back, compared with what was meant, and accounted for, as a whole program is
-(`twin.compensation.compensator`), with all modal state carried on. What one part needs of the one before it is its last motion: that
-is where the first block of the next one begins. Text comes and goes in stretches, several to a part.
+Each part is read, solved, written, read back, compared with the intended positions and added to the report, like a whole program
+(`twin.compensation.compensator`), with all modal state carried on. A part needs from the one before it only the last motion, at whose
+end point its first block begins. Text is read and written in stretches, several per part.
 """
 
 from __future__ import annotations
@@ -21,32 +21,33 @@ import numpy as np
 from twin.compensation.account import CompensationAccount, Report
 from twin.compensation.bench import Bench, Progress
 from twin.compensation.checked import motionless
-from twin.compensation.solving import Corrected, Pieces, corrected, replacing
-from twin.compensation.solving.between import SAMPLES_A_PIECE
+from twin.compensation.solving import Corrected, Pieces, correct, new_positions
+from twin.compensation.solving.path_errors import SAMPLES_A_PIECE
 from twin.compensation.solving.rows import even_cuts, spacings
 from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
-from twin.compensation.toolpath import Path as ToolPath
+from twin.compensation.toolpath import ToolPath
 from twin.nc.iso.bulk import NewPositions
 
 POSES: Final = 12 * PART_LINES
-"""Solved and checked at once before any block is split: six of each of the short blocks in the longest part. Of longer blocks fewer
-are."""
+"""Poses solved and checked at once before any block is split: six for each short block of the longest part. Longer blocks need more
+poses, so fewer of them are solved at once.
+"""
 AHEAD: Final = 1
-"""Parts that are read while an earlier one is being solved."""
+"""Parts read ahead while an earlier one is solved."""
 
 
 Solved = tuple[NewPositions, Sequence[Corrected]]
-"""A part as solved: what replaces its moves, and what the account is made of."""
+"""A solved part: the positions that replace its moves, and the data for the report."""
 
 
 @final
 class Streamed:
-    """One ISO program, from file to file.
+    """Compensation of one ISO program from file to file.
 
     Args:
-        bench: machine, calibration, options; a calibration without reversals, since the side an axis comes from is not settled
-            before its next turn, which may be any number of blocks away.
+        bench: machine, calibration and options. The calibration must have no backlash, because an approach direction is not known
+            before the axis's next reversal, any number of blocks later.
         source: the program.
         progress: called with a stage and the fraction done.
 
@@ -61,18 +62,18 @@ class Streamed:
         self._account: CompensationAccount | None = None
 
     def run(self, out: BinaryIO) -> Report | None:
-        """Compensate.
+        """Compensate the program.
 
         Args:
-            out: takes the program.
+            out: output stream.
 
         Returns:
-            The account; None if the program has what only can be done in one piece: a drilling cycle.
+            The report; None if the program has a drilling cycle, which can only be processed in one piece.
 
         Raises:
-            InputError: the program cannot be read, or something in it must not pass uncompensated. Of several such things
-                that in the first stretch that has one.
-            OutputError: what was written does not say what was meant.
+            InputError: the program cannot be read, or contains something that must not pass uncompensated. If there are several such
+                errors, the one in the first stretch is raised.
+            OutputError: the output, read back, differs from the intended positions.
         """
         for turns in (None, True):
             _empty(out)
@@ -89,7 +90,7 @@ class Streamed:
                 raise reader.failed
             if reader.drills:
                 return None
-            if not reader.changed:
+            if not reader.turns_later:
                 break
         if self._account is None:
             raise motionless(str(self._source.path))
@@ -103,16 +104,16 @@ class Streamed:
         return report
 
     def _solved(self, reader: PartReader) -> Generator[tuple[ProgramPart, NewPositions], None, None]:
-        """Parts and what replaces their moves; it ends early where the reader does.
+        """Yield parts and the positions that replace their moves; ends early if reading does.
 
-        Reading and writing, solving, and accounting each go through the parts in order, on threads of their own.
+        Reading and writing, solving, and reporting run through the parts in order, each on its own thread.
         """
         waiting: deque[tuple[ProgramPart, Future[Solved], Future[None]]] = deque()
         accounted: Future[None] | None = None
         with ThreadPoolExecutor(1) as solving, ThreadPoolExecutor(1) as accounting:
             try:
                 for part in chain(reader.parts(), (None,)):
-                    if reader.changed or reader.drills:
+                    if reader.turns_later or reader.drills:
                         return
                     if part is not None:
                         solved = solving.submit(self._solve, part)
@@ -121,7 +122,7 @@ class Streamed:
                         first, solved, account = waiting.popleft()
                         new, _ = solved.result()
                         if accounted is not None:
-                            accounted.result()  # no more than one behind: what it takes is memory
+                            accounted.result()  # at most one part behind, to bound the memory
                         accounted = account
                         yield first, new
                 if accounted is not None:
@@ -131,7 +132,7 @@ class Streamed:
                 accounting.shutdown(cancel_futures=True)
 
     def _solve(self, part: ProgramPart) -> Solved:
-        """What replaces the moves of a part.
+        """Return the positions that replace the moves of a part, and its corrected stretches.
 
         Raises:
             InputError: a position that the calibration does not cover.
@@ -144,12 +145,12 @@ class Streamed:
                 motions = part.motions.part(begin - context, end)
                 path = ToolPath(motions, motions)
                 pieces = Pieces(self._bench, path, part.aim, ISO, source=str(self._source.path))
-                cuts.append(corrected(pieces, _silent, context=context))
+                cuts.append(correct(pieces, _silent, context=context))
                 begin = end
-        return replacing(cuts, part.moves, len(self._bench.space.axes.names)), cuts
+        return new_positions(cuts, part.moves, len(self._bench.space.axes.names)), cuts
 
     def _add(self, solved: Future[Solved]) -> None:
-        """Account for a part."""
+        """Add a part to the report."""
         for cut in solved.result()[1]:
             if self._account is None:
                 self._account = CompensationAccount(self._bench, cut.pieces.aim, str(self._source.path))
@@ -162,11 +163,11 @@ def _empty(out: BinaryIO) -> None:
 
 
 def _silent(stage: str, fraction: float) -> None:
-    """Stages of one stretch are not worth telling."""
+    """Ignore the progress of a single stretch."""
 
 
 def _ends(part: ProgramPart, tolerance_mm: float) -> list[int]:
-    """Where to cut the motions of a part so that each cut has no more than some `POSES` to check before any block is split."""
+    """Return where to cut the motions of a part so that each cut has at most about `POSES` poses before any block is split."""
     motions = part.motions
     long = spacings(motions.start, motions.end)
     poses = 1.0 + np.maximum(SAMPLES_A_PIECE, np.where(np.isfinite(long), long, 0.0))

@@ -1,4 +1,4 @@
-"""A program of any length written, stretch by stretch, and read back."""
+"""Write a program of any length stretch by stretch, and read it back."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from twin._common.errors import InputError
 from twin._common.provenance import program_comments
 from twin.compensation.bench import Bench
 from twin.compensation.checked import check, unreadable
-from twin.compensation.stream.parts import ProgramFile, ProgramPart, Read
+from twin.compensation.stream.parts import ProgramFile, ProgramPart, ReadStretch
 from twin.nc.header import HEAD_LINES
 from twin.nc.iso.bulk import NewPositions
 from twin.nc.iso.dialect import Iso
@@ -20,16 +20,16 @@ ISO: Final = Iso()
 
 @final
 class PartWriter:
-    """Writes a program, part by part.
+    """Writes a program part by part.
 
     Args:
-        bench: machine, calibration, options.
-        source: the program as it came.
-        out: takes what comes out.
+        bench: machine, calibration and options.
+        source: the original program.
+        out: output stream.
 
     Attributes:
-        moves: how many were written.
-        bytes: how much was read of what was written.
+        moves: number of moves written.
+        bytes: bytes of the original program that have been written.
     """
 
     def __init__(self, bench: Bench, source: ProgramFile, out: BinaryIO) -> None:
@@ -38,7 +38,7 @@ class PartWriter:
         self._out = out
         self._checker = IsoReader(self._name, self._axes, tcp=bench.options.tcp)
         self._rewriter: IsoRewriter | None = None
-        self._held: list[bytes] = []
+        self._pending: list[bytes] = []
         self._head: bytes | None = b""
         self._lines = self.moves = self.bytes = 0
 
@@ -46,7 +46,7 @@ class PartWriter:
         """Write a part, and read back what was written.
 
         Raises:
-            OutputError: it does not say what was meant.
+            OutputError: it differs from the intended positions.
         """
         first = 0
         for read in part.read:
@@ -55,31 +55,33 @@ class PartWriter:
             self._write(read, replace(new, first=new.first[own], count=new.count[own]), idle=idle)
             first = own.stop
 
-    def _write(self, read: Read, new: NewPositions, *, idle: bool) -> None:
+    def _write(self, read: ReadStretch, new: NewPositions, *, idle: bool) -> None:
         stretch, moves = read
         if self._rewriter is None and not len(moves):
-            self._held.append(stretch.scan.data)  # the first move tells who does the kinematics in front of it
+            self._pending.append(
+                stretch.scan.data
+            )  # the mode of the lines before the first move is that of the first move
             return
         if self._rewriter is None:
             newline, style = self._begins
             self._rewriter = IsoRewriter(self._name, self._axes, newline, style, tcp=bool(moves.tcp[0]))
-            if self._held:
-                stretch = Stretch(b"".join(self._held) + stretch.scan.data, 0, self._axes.names)
-                self._held = []
+            if self._pending:
+                stretch = Stretch(b"".join(self._pending) + stretch.scan.data, 0, self._axes.names)
+                self._pending = []
         data = stretch.scan.data if idle else self._rewriter.write(stretch, moves, new)
         written = Stretch(data, self._lines, self._axes.names)
         try:
-            again = self._checker.read(written)
+            read_back = self._checker.read(written)
         except InputError as error:
             raise unreadable(self._name, error) from error
         self._lines += len(written)
-        check(self._name, moves.line + 1, new, again.position)
+        check(self._name, moves.line + 1, new, read_back.position)
         self._put(data, last=False)
         self.moves += len(moves)
         self.bytes += len(stretch.scan.data)
 
     def _put(self, data: bytes, *, last: bool) -> None:
-        """Write, the first lines not before all of them are there: then with the comments at the head of the program."""
+        """Write data; the first lines are held until the head is complete and then written with the warning comments."""
         if self._head is None:
             self._out.write(data)
             return
@@ -90,5 +92,5 @@ class PartWriter:
             self._head = None
 
     def finish(self) -> None:
-        """Write what waits for more lines."""
+        """Write the lines still held."""
         self._put(b"", last=True)

@@ -1,16 +1,16 @@
-"""From what a program says to what the axes are told: words, commands, and the path between two blocks."""
+"""Tool path of a program: conversion between words and axis commands, and the motions between blocks."""
 
 from twin.compensation.toolpath.follow import Follower, follow
-from twin.compensation.toolpath.motions import MotionColumns, Passage, Path, PathMotion
+from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ToolPath
 from twin.compensation.toolpath.words import Setup, WordSpace, axis_words, check_domains, outside_range, turns_tool
 
 __all__ = [
     "Follower",
     "MotionColumns",
     "Passage",
-    "Path",
     "PathMotion",
     "Setup",
+    "ToolPath",
     "WordSpace",
     "axis_words",
     "check_domains",

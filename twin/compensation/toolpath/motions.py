@@ -1,4 +1,4 @@
-"""A program as motions: moves whose ends are known, one by one or in columns."""
+"""Motions of a program: moves with known end points, one by one or in columns."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 from twin.nc.blocks import Kind, Move, Notice
 
 COLUMNS: Final = ("move", "line", "rapid", "tcp", "start", "end")
-"""Arrays of `MotionColumns`."""
+"""Names of the arrays of `MotionColumns`."""
 
 
 @final
 @dataclass(frozen=True)
 class PathMotion:
-    """One move with its ends known, in words of its own mode.
+    """One move with known end points, in words of its own mode.
 
     Attributes:
         move: the move as read.
-        start: (axes,) words where it starts; NaN where the program has not said yet.
-        end: (axes,) words where it ends; rotary words also where the program gave a tool vector.
+        start: (axes,) words of the start point; NaN where the program has not given them.
+        end: (axes,) words of the end point; with rotary words also where the program gave a tool vector.
     """
 
     move: Move
@@ -31,16 +31,16 @@ class PathMotion:
 
     @property
     def interpolated(self) -> bool:
-        """Whether the control follows a line or arc here (a rapid's path is the control's own affair)."""
+        """Whether the control follows a line or arc from a known start; the path of a rapid move is not known."""
         return self.move.kind is not Kind.RAPID and bool(np.isfinite(self.start).all())
 
     def along(self, fractions: np.ndarray) -> np.ndarray:
-        """(k, axes) words at fractions (0…1]: straight, or on the arc, rotary words and pitch in proportion."""
+        """Return (k, axes) words at fractions (0…1]: on the line or arc, with rotary words and pitch in proportion."""
         words = self.start + fractions[:, None] * (self.end - self.start)
         arc = self.move.arc
         if arc is not None:
             plane = list(arc.plane[:2])
-            # A centre printed to the increment leaves start and end radius unlike: go from one to the other.
+            # With a centre rounded to the increment, start and end radius differ: the radius changes linearly.
             first, last = self.start[plane] - arc.centre_mm, self.end[plane] - arc.centre_mm
             radius = np.hypot(*first) + fractions * (np.hypot(*last) - np.hypot(*first))
             begin, finish = np.arctan2(first[1], first[0]), np.arctan2(last[1], last[0])
@@ -51,7 +51,7 @@ class PathMotion:
         return np.asarray(words)
 
     def chords(self, tolerance_mm: float) -> int:
-        """How many chords stay within a tolerance of it: 1 for a line."""
+        """Return the number of chords that stay within a tolerance of the motion: 1 for a line."""
         arc = self.move.arc
         if arc is None:
             return 1
@@ -63,15 +63,15 @@ class PathMotion:
 @final
 @dataclass(frozen=True)
 class MotionColumns(Sequence[PathMotion]):
-    """Motions in columns; a motion is made where somebody asks for it.
+    """Motions in columns; `PathMotion` objects are created on access.
 
     Attributes:
-        move: (n,) index of each one's move among those it was followed with.
+        move: (n,) index of each motion's move among the moves converted with it.
         line: (n,) index of its line.
         rapid: (n,) whether it is a rapid.
         tcp: (n,) whether its words are tool-tip coordinates.
-        start, end: (n, axes) as of `PathMotion`.
-        special: by index, the moves with more to them: arcs and tool vectors.
+        start, end: (n, axes) as in `PathMotion`.
+        special: by index, moves with further data: arcs and tool vectors.
     """
 
     move: np.ndarray
@@ -84,28 +84,28 @@ class MotionColumns(Sequence[PathMotion]):
 
     @classmethod
     def of(cls, motions: dict[int, PathMotion], width: int) -> MotionColumns:
-        """Of motions by the index of their move; ``width``: how many axes."""
+        """Create columns from motions by the index of their move; ``width``: number of axes."""
         moves = [motion.move for motion in motions.values()]
         return cls(
             np.array([*motions], dtype=int),
-            np.array([one.line for one in moves], dtype=int),
-            np.array([one.kind is Kind.RAPID for one in moves], dtype=bool),
-            np.array([one.tcp for one in moves], dtype=bool),
+            np.array([move.line for move in moves], dtype=int),
+            np.array([move.kind is Kind.RAPID for move in moves], dtype=bool),
+            np.array([move.tcp for move in moves], dtype=bool),
             np.array([motion.start for motion in motions.values()]).reshape(-1, width),
             np.array([motion.end for motion in motions.values()]).reshape(-1, width),
-            {i: one for i, one in enumerate(moves) if one.arc is not None or one.vector is not None},
+            {i: move for i, move in enumerate(moves) if move.arc is not None or move.vector is not None},
         )
 
     @classmethod
     def joined(cls, parts: Sequence[MotionColumns]) -> MotionColumns:
-        """One or more, one behind the other."""
+        """Concatenate one or more column sets."""
         begins = np.cumsum([0, *map(len, parts)]).tolist()
         special = {at + i: move for at, part in zip(begins, parts, strict=False) for i, move in part.special.items()}
         columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
         return cls(special=special, **columns)
 
     def part(self, begin: int, end: int) -> MotionColumns:
-        """Some of them, one behind the other."""
+        """Return the motions from index ``begin`` up to ``end``."""
         special = {i - begin: move for i, move in self.special.items() if begin <= i < end}
         return MotionColumns(special=special, **{name: getattr(self, name)[begin:end] for name in COLUMNS})
 
@@ -130,12 +130,12 @@ class MotionColumns(Sequence[PathMotion]):
 @final
 @dataclass(frozen=True)
 class Passage:
-    """Axes moved between two motions by a line that is left as written.
+    """Axis positions after a line between two motions that is passed through unchanged.
 
     Attributes:
-        before: index of the motion that comes next.
-        commands: (axes,) where the moved axes go, mm and degrees, command order; NaN where that is not known.
-        moved: (axes,) which they are.
+        before: index of the next motion.
+        commands: (axes,) new positions of the moved axes, mm and degrees, command order; NaN where unknown.
+        moved: (axes,) whether each axis was moved.
     """
 
     before: int
@@ -145,26 +145,26 @@ class Passage:
 
 @final
 @dataclass(frozen=True)
-class Path:
+class ToolPath:
     """A program as motions.
 
     Attributes:
-        motions: those with every position known.
+        motions: motions with all positions known.
         columns: the same in columns.
-        passed: notices on lines that move but are left as written, and on what was assumed.
-        passages: what those lines, and lines that leave an axis in a place unknown, do to the axes.
+        notices: notices on lines that move axes but are passed through unchanged, and on assumptions.
+        passages: axis positions after those lines, and after lines that leave an axis at an unknown position.
     """
 
     motions: Sequence[PathMotion]
     columns: MotionColumns
-    passed: tuple[Notice, ...] = ()
+    notices: tuple[Notice, ...] = ()
     passages: tuple[Passage, ...] = ()
 
     def dense(self, fractions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Words at fractions of all motions; those whose start is not known are looked at where they end.
+        """Return words at fractions of all motions; of a motion with unknown start, only those of the end point.
 
         Args:
-            fractions: of each motion.
+            fractions: those of each motion.
 
         Returns:
             (n, axes) words, and (n,) the index of the motion each belongs to.

@@ -1,8 +1,9 @@
-"""Words and commands: what a program's numbers mean to the axes of one machine.
+"""Words and commands: conversion between a program's numbers and axis positions of one machine.
 
-*Words* are a program's numbers made absolute (order `AxisWords.names`: x, y, z, then rotary axes). *Commands* are axis
-coordinates (command order). In mode ``axis`` words are commands less the work offset; in mode ``tcp`` the first three are the tool
-tip in the work frame and the control finds the commands by the nominal inverse. Between blocks the control moves straight in words.
+*Words* are a program's numbers made absolute, in the order of `AxisWords.names`: x, y, z, then rotary axes. *Commands* are axis
+coordinates in command order. In mode ``axis`` words are commands less the work offset. In mode ``tcp`` the first three words are the
+tool tip in the work frame, and the control finds the commands by the nominal inverse. Between blocks the control moves on straight
+lines in words.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ from twin.nc.blocks import AxisWords, Move
 @final
 @dataclass(frozen=True)
 class Setup:
-    """How the workpiece is set up.
+    """Set-up of the workpiece.
 
     Attributes:
         work_offset: added to axis words, by axis name, mm and degrees.
-        work_origin_mm: where the program's zero is in the work frame, for tool-tip coordinates.
-        start_deg: where rotary axes stand before the program says so; 0 where not given.
+        work_origin_mm: the program's zero in the work frame, for tool-tip coordinates.
+        start_deg: positions of rotary axes before the program names them, by axis name; 0 if missing.
     """
 
     work_offset: Mapping[str, float] = field(default_factory=dict)
@@ -46,7 +47,7 @@ class Setup:
         x, y, z = self.work_origin_mm
         offsets = ", ".join(f"{name} {value:g}" for name, value in self.work_offset.items())
         rows = [
-            ("added to axis words (mm, °)", offsets or "nothing"),
+            ("work offset of axis words (mm, °)", offsets or "none"),
             ("program zero in the work frame", f"x {x:g}, y {y:g}, z {z:g} mm"),
             ("rotary axes start at", ", ".join(f"{name} {value:g}°" for name, value in self.start_deg.items()) or "0°"),
         ]
@@ -54,10 +55,10 @@ class Setup:
 
 
 def axis_words(machine: Machine) -> AxisWords:
-    """The words of a machine's programs: its linear axes in the order x, y, z of the work frame.
+    """Return the words of a machine's programs, with its linear axes in the order x, y, z of the work frame.
 
     Raises:
-        InputError: the machine is not one that runs programs.
+        InputError: the machine cannot run programs.
     """
     machine.check_programs()
     data = machine.model.createData()
@@ -79,7 +80,7 @@ def axis_words(machine: Machine) -> AxisWords:
         order[along] = axis.name
     if sorted(order) != [0, 1, 2]:
         raise InputError(
-            "not three linear axes across each other",
+            "the machine does not have three perpendicular linear axes",
             expected="a five-axis machine, to run programs",
             file=machine.path,
         )
@@ -93,24 +94,24 @@ def axis_words(machine: Machine) -> AxisWords:
 
 
 def turns_tool(moves: Iterable[Move], axes: AxisWords) -> bool:
-    """Whether any of a program's moves turns the tool: names a rotary axis or gives a vector."""
+    """Return whether any move names a rotary axis or gives a tool vector."""
     rotary = set(axes.rotary)
     return any(move.vector is not None or move.named & rotary for move in moves)
 
 
 @final
 class WordSpace:
-    """Words to commands and back, for one machine, tool length and setup.
+    """Conversion between words and commands, for one machine, tool length and set-up.
 
     Args:
         machine: the machine.
-        setup: offsets.
-        tool_length_mm: the tool.
+        setup: work offsets and origin.
+        tool_length_mm: tool length; None for the machine file's own.
 
     Attributes:
         axes: the axis words.
         nominal: the machine without errors.
-        order: (axes,) column of the commands each word is.
+        order: (axes,) column of the commands that belongs to each word.
     """
 
     def __init__(self, machine: Machine, setup: Setup, tool_length_mm: float | None) -> None:
@@ -125,11 +126,11 @@ class WordSpace:
 
     @cached_property
     def branches(self) -> Branches:
-        """Rotary positions for tool vectors."""
+        """Rotary solutions for tool vectors."""
         return Branches(self.nominal)
 
     def commands(self, words: np.ndarray, tcp: np.ndarray) -> np.ndarray:
-        """(n, axes) commands the control makes of (n, axes) words; ``tcp`` (n,) says in which mode each stands."""
+        """Return the (n, axes) commands that the control derives from (n, axes) words; ``tcp``: (n,) mode of each."""
         shifted = words + self.offset
         if np.any(tcp):
             rows = np.flatnonzero(tcp & np.isfinite(words).all(axis=1))
@@ -145,12 +146,12 @@ class WordSpace:
         return commands
 
     def switched(self, words: np.ndarray, *, tcp: bool) -> np.ndarray:
-        """(n, axes) words in the mode that ``tcp`` says, of (n, axes) words in the other one."""
+        """Return (n, axes) words converted from the other mode to the mode ``tcp``."""
         into = np.full(len(words), tcp)
         return self.words(self.commands(words, ~into), into)
 
     def words(self, commands: np.ndarray, tcp: np.ndarray) -> np.ndarray:
-        """(n, axes) words that make the control give (n, axes) commands."""
+        """Return the (n, axes) words from which the control derives (n, axes) commands; ``tcp``: (n,) mode of each."""
         words = commands[:, self.order] - self.offset
         rows = np.flatnonzero(tcp & np.isfinite(commands).all(axis=1))
         if rows.size:
@@ -159,20 +160,20 @@ class WordSpace:
 
 
 def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
-    """(n,) whether commands (mm, degrees) leave an axis's range; NaN does."""
+    """Return (n,) whether commands (mm, degrees) leave an axis's range; True for NaN."""
     limits = machine.limits / machine.scale[:, None]
     slack = 1e-9
     return ~every((commands >= limits[:, 0] - slack) & (commands <= limits[:, 1] + slack))
 
 
 def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np.ndarray) -> None:
-    """A position the axis has and its curves or an empirical effect do not know is an error, not an extrapolation.
+    """Raise `InputError` for a position within the axis's range that its curves or an empirical effect do not cover: no extrapolation.
 
     Args:
         real: the machine with its calibration.
         source: the program's name, for the message.
         lines: (n,) program line number of each command.
-        commands: (n, axes) mm and degrees; those out of range are somebody else's to report.
+        commands: (n, axes) mm and degrees; those outside an axis's range are not checked here.
 
     Raises:
         InputError: with line, value and domain.

@@ -1,4 +1,4 @@
-"""Fewer blocks for a run: a curve from corner to corner, and blocks along it, within what the tolerance leaves for the path."""
+"""Fewer blocks for a run: a curve from corner to corner, cut into blocks, within the path's share of the tolerance."""
 
 from __future__ import annotations
 
@@ -12,42 +12,46 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.compensation.bench import Bench
 from twin.compensation.fewer_blocks.chords import between, few_blocks
-from twin.compensation.fewer_blocks.distance import apart
-from twin.compensation.fewer_blocks.emit import Places
+from twin.compensation.fewer_blocks.distance import largest_distance
+from twin.compensation.fewer_blocks.emit import RunEndPoints
 from twin.compensation.fewer_blocks.fit import CurvePiece, Fitter, Polyline, Tool
-from twin.compensation.fewer_blocks.report import Shares
+from twin.compensation.fewer_blocks.report import ToleranceShares
 from twin.compensation.fewer_blocks.runs import SAME_MM, Run, corners
-from twin.compensation.toolpath import Path
+from twin.compensation.toolpath import ToolPath
 
 LEVER_MM: Final = 100.0
-"""Where a tool has no length: how far from the tip the tool axis is held to the tolerance."""
+"""Distance from the tip at which the tool axis must keep the tolerance if the tool has no length."""
 COMPENSATION: Final = (0.1, 1e-3)
-"""The machine's share between ends: of what rounding leaves, and mm at most. It falls with the square of a block's length."""
+"""Share of the compensation between end points: fraction of the tolerance after rounding, and largest value in mm. The error
+between end points falls with the square of a block's length.
+"""
 FIT: Final = (0.25, 0.5, 0.75)
-"""What a curve may have of the path's share, tried in this order …"""
+"""Fractions of the path's share that a curve may use, tried in this order …"""
 ENOUGH: Final = 0.5
-"""… until there are no more control points than this share of the blocks that come out, and of the two together than this share of the
-blocks there were. A curve must leave a polyline by half the height of its chords, and points by what they were rounded to: where that
-is much, a curve needs more of the tolerance."""
+"""… until the control points are no more than this fraction of the output blocks, and both together no more than this fraction of the
+input blocks. A curve deviates from a polyline by at least half the height of its chords, and from points by their rounding; where
+these are large, the curve needs more of the tolerance.
+"""
 POWERS: Final = (0.0, 0.5, 1.0)
-"""Parameters tried: as the points come, as the root of the way between them, as the way. Points cut at equal steps of a curve's own
-parameter give it back (the cycloid at its cusps); points cut anyhow need the way."""
+"""Exponents of the parameter that are tried: equal steps per point, root of the distance, distance. Points taken at equal steps of a
+curve's own parameter need the first (a cycloid at its cusps); irregular points need the last.
+"""
 TRIAL: Final = 600
 """Blocks of a stretch on which the parameter is chosen."""
 NEAR: Final = 0.05
-"""Share of the path's share below which it does not matter where blocks and curve are still closer."""
+"""Fraction of the path's share below which a smaller distance between blocks and curve is not searched for."""
 STEPS: Final = 16
-"""Places a block at which a fitted curve is looked at."""
+"""Points per block at which a fitted curve is evaluated."""
 
 
-class Figures(NamedTuple):
-    """What a run's curves and blocks took of the tolerance, the largest of its stretches.
+class ToleranceUse(NamedTuple):
+    """Use of the tolerance by a run's curves and blocks, the largest over its stretches.
 
     Attributes:
-        share_mm: what the curve was allowed.
-        fit_mm: how far curve and input are apart, both ways, at the tool.
-        chord_mm: how far blocks and curve are.
-        path_mm: how far blocks and input are.
+        share_mm: tolerance of the curve.
+        fit_mm: distance between curve and input at the tool, in both directions.
+        chord_mm: distance between blocks and curve.
+        path_mm: distance between blocks and input.
     """
 
     share_mm: float = 0.0
@@ -58,45 +62,45 @@ class Figures(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Fitted:
-    """What became of one run.
+class RefittedRun:
+    """One refitted run.
 
     Attributes:
-        places: where its blocks end now.
-        shares: of the tolerance.
-        corners: how many of its vertices stayed corners, its ends not counted.
+        end_points: new end points of its blocks.
+        shares: division of the tolerance.
+        corners: number of vertices kept as corners, without the end points of the run.
         pieces: its curves.
-        figures: what they took.
-        why: why it was left as it is; empty where it was not.
+        tolerance_use: their use of the tolerance.
+        why: why it was left unchanged; empty if it was refitted.
     """
 
-    places: Places
-    shares: Shares
+    end_points: RunEndPoints
+    shares: ToleranceShares
     corners: int
     pieces: tuple[CurvePiece, ...]
-    figures: Figures
+    tolerance_use: ToleranceUse
     why: str
 
     @property
     def control_points(self) -> int:
-        """Of its curves, and one a block left as it is."""
-        standing = len(self.places.given) - sum(piece.blocks for piece in self.pieces)
-        return sum(piece.degree for piece in self.pieces) + standing + 1
+        """Control points of its curves, plus one for each unchanged block."""
+        unchanged = len(self.end_points.assigned) - sum(piece.blocks for piece in self.pieces)
+        return sum(piece.degree for piece in self.pieces) + unchanged + 1
 
 
 @final
-class Fewer:
-    """Makes fewer blocks of runs.
+class RunRefitter:
+    """Refits runs with fewer blocks.
 
     Args:
-        bench: the machine, set up; its options have the whole tolerance.
-        increment: (axes,) least increments of the words that come out.
-        compensated: whether the machine's share of the tolerance is kept free.
-        posted: whether axis words come out whatever went in.
-        printed: whether every block is to be written anew, fitted or not.
+        bench: machine, calibration and options, with the whole tolerance.
+        increment: (axes,) least increments of the output words.
+        compensated: whether a share of the tolerance is reserved for the compensation between end points.
+        posted: whether axis words are written even for tool-tip input.
+        printed: whether every block is written anew, fitted or not.
 
     Raises:
-        InputError: a tolerance that rounding alone uses up.
+        InputError: rounding alone exceeds the tolerance.
     """
 
     def __init__(
@@ -112,29 +116,30 @@ class Fewer:
         self.lever = length if length > 0.0 else LEVER_MM
         self.shares(False)
 
-    def shares(self, turning: bool) -> Shares:
-        """The tolerance shared out, for runs that turn rotary axes or do not.
+    def shares(self, turning: bool) -> ToleranceShares:
+        """Return the division of the tolerance; ``turning``: for runs that turn rotary axes.
 
         Raises:
-            InputError: rounding alone uses it up.
+            InputError: rounding alone exceeds the tolerance.
         """
         half = self.increment / 2.0
         half[3:] = np.radians(half[3:]) * self.lever if turning else 0.0
         rounding = float(np.linalg.norm(half))
         tolerance = self.bench.options.tolerance_mm
-        left = tolerance - rounding
-        if left <= 0.0:
+        available = tolerance - rounding
+        if available <= 0.0:
             raise InputError(
-                "--tolerance is no more than rounding takes",
-                expected=f"more than {rounding:.6f} mm: half a least increment of every axis"
-                + (f", rotary ones {self.lever:g} mm from the tip" if turning else ""),
+                "the tolerance does not exceed the rounding error",
+                expected=f"more than {rounding:.6f} mm, half a least increment of every axis"
+                + (f" (rotary axes at {self.lever:g} mm from the tip)" if turning else ""),
                 value=tolerance,
+                setting="tolerance",
             )
-        machine = min(COMPENSATION[0] * left, COMPENSATION[1]) if self.compensated else 0.0
-        return Shares(tolerance * 1e3, rounding * 1e3, machine * 1e3, (left - machine) * 1e3)
+        machine = min(COMPENSATION[0] * available, COMPENSATION[1]) if self.compensated else 0.0
+        return ToleranceShares(tolerance * 1e3, rounding * 1e3, machine * 1e3, (available - machine) * 1e3)
 
-    def of(self, run: Run, path: Path) -> Fitted:
-        """Fewer blocks for one run, where there are any."""
+    def refit(self, run: Run, path: ToolPath) -> RefittedRun:
+        """Return one run with fewer blocks where possible."""
         first = path.motions[run.motions[0]].move
         turning = _turns(run)
         posted = self.posted and first.tcp
@@ -144,24 +149,24 @@ class Fewer:
         tool = self._tool(turning, first.tcp)
         modes = np.full(len(run.words), first.tcp)
         if np.any(self.bench.outside(self.space.commands(run.words, modes))):
-            return self._as_it_is(run, shares, "it leaves the range of an axis")
+            return self._unchanged(run, shares, "outside the range of an axis")
         places = tool(run.words)
         moving = np.append(True, np.linalg.norm(np.diff(places, axis=0), axis=1) > SAME_MM)
         moving[-1] |= not moving[1:].any()
         vertices = run.words[moving]
         if len(vertices) < 3:
-            return self._as_it_is(run, shares, "it does not move the tool")
+            return self._unchanged(run, shares, "the tool does not move")
         ids = np.cumsum(moving)[1:] - 1
         line = Polyline.of(vertices, tool)
-        allowed -= _coarseness(line, tool)
+        allowed -= _curvature_error_mm(line, tool)
         if allowed <= 0.0:
-            return self._as_it_is(run, shares, "its blocks are too far from straight at the tool")
+            return self._unchanged(run, shares, "the blocks deviate too far from straight lines at the tool")
         cuts = corners(line, allowed)
         words: list[np.ndarray] = []
-        given = np.zeros(len(run.lines), dtype=int)
+        assigned = np.zeros(len(run.lines), dtype=int)
         changed = np.full(len(run.lines), self.printed)
         pieces: list[CurvePiece] = []
-        figures = Figures()
+        figures = ToleranceUse()
         for number, (begin, end) in enumerate(pairwise(cuts)):
             blocks = np.flatnonzero((ids <= end) & ((ids > begin) | (number == 0)))
             found = self._stretch(vertices[begin : end + 1], tool, allowed, posted=posted) if end - begin > 2 else None
@@ -170,16 +175,16 @@ class Fewer:
             base = sum(map(len, words))
             if found is None:
                 words.append(run.words[1:][blocks])
-                given[blocks] = base + np.arange(len(blocks))
+                assigned[blocks] = base + np.arange(len(blocks))
                 continue
             words.append(found[0])
-            given[blocks] = base + np.arange(len(blocks)) * len(found[0]) // len(blocks)
+            assigned[blocks] = base + np.arange(len(blocks)) * len(found[0]) // len(blocks)
             changed[blocks] = True
             pieces += found[1]
-            figures = Figures(*map(max, figures, found[2]))
-        why = "" if pieces else "no fewer blocks keep to the tolerance"
-        return Fitted(
-            Places(run, np.concatenate(words), given, changed),
+            figures = ToleranceUse(*map(max, figures, found[2]))
+        why = "" if pieces else "fewer blocks would exceed the tolerance"
+        return RefittedRun(
+            RunEndPoints(run, np.concatenate(words), assigned, changed),
             shares,
             len(cuts) - 2,
             tuple(pieces),
@@ -188,27 +193,30 @@ class Fewer:
         )
 
     def _beyond(self, words: np.ndarray, *, tcp: bool) -> bool:
-        """Whether words lead beyond an axis's range or the domain of its error motions."""
+        """Return whether words leave an axis's range or the domain of its error motions."""
         commands = self.space.commands(words, np.full(len(words), tcp))
         lower, upper = self.bench.limits.T
         return bool(np.any((commands < lower) | (commands > upper)))
 
-    def _as_it_is(self, run: Run, shares: Shares, why: str) -> Fitted:
+    def _unchanged(self, run: Run, shares: ToleranceShares, why: str) -> RefittedRun:
         count = len(run.lines)
-        places = Places(run, run.words[1:], np.arange(count), np.full(count, self.printed))
-        return Fitted(places, shares, 0, (), Figures(), why)
+        places = RunEndPoints(run, run.words[1:], np.arange(count), np.full(count, self.printed))
+        return RefittedRun(places, shares, 0, (), ToleranceUse(), why)
 
     def _stretch(
         self, words: np.ndarray, tool: Tool, allowed: float, *, posted: bool
-    ) -> tuple[np.ndarray, list[CurvePiece], Figures] | None:
-        """The fewest blocks and control points found for a stretch without corners: the blocks' ends, the curve, what they take."""
+    ) -> tuple[np.ndarray, list[CurvePiece], ToleranceUse] | None:
+        """Return the block end points, curve and use of the tolerance with the fewest blocks and control points.
+
+        None if no blocks are saved.
+        """
         best, least = None, np.inf
-        for part in FIT:
-            line, pieces = self._curve(words, tool, part * allowed)
+        for fraction in FIT:
+            line, pieces = self._curve(words, tool, fraction * allowed)
             if all(piece.blocks == 1 for piece in pieces):
                 continue
-            curve, at = Fitter(line, tool, part * allowed).curve(pieces, STEPS)
-            # Blocks are straight in the words that come out.
+            curve, at = Fitter(line, tool, fraction * allowed).curve(pieces, STEPS)
+            # Blocks are straight in the output words.
             straight, out = (
                 (partial(self.space.switched, tcp=False), self._tool(True, False)) if posted else (_same, tool)
             )
@@ -218,15 +226,15 @@ class Fewer:
                 continue
             least = cost
             dense, dense_at = between(np.concatenate([straight(words[:1]), found[0]]), found[1], STEPS)
-            chord = apart(out(dense), dense_at, tool(curve), at, NEAR * allowed, allowed, anywhere=True)
-            figures = Figures(part * allowed, max(piece.fit_mm for piece in pieces), chord, found[2])
+            chord = largest_distance(out(dense), dense_at, tool(curve), at, NEAR * allowed, allowed, anywhere=True)
+            figures = ToleranceUse(fraction * allowed, max(piece.fit_mm for piece in pieces), chord, found[2])
             best = (self.space.switched(found[0], tcp=True) if posted else found[0]), pieces, figures
             if cost <= ENOUGH * (len(words) - 1) and _cost(pieces) <= ENOUGH * len(found[0]):
                 break
         return best
 
     def _curve(self, words: np.ndarray, tool: Tool, allowed: float) -> tuple[Polyline, list[CurvePiece]]:
-        """The curve with the fewest control points, over the parameters."""
+        """Return the curve with the fewest control points over all parameters tried."""
         powers: tuple[float, ...] = POWERS
         if len(words) > 2 * TRIAL:
             costs = [_cost(Fitter(Polyline.of(words[:TRIAL], tool, power), tool, allowed).pieces()) for power in POWERS]
@@ -236,9 +244,9 @@ class Fewer:
         return min(found, key=lambda one: _cost(one[1]))
 
     def _tool(self, turning: bool, tcp: bool) -> Tool:
-        """Words to places at the tool, mm: the point in the work frame, and the rotary words at the lever."""
+        """Return the function from words to coordinates at the tool, mm: the point in the work frame, and rotary words at the lever."""
         if not turning:
-            return lambda words: words[:, :3]  # the work frame stands to the axes as it is
+            return lambda words: words[:, :3]  # the work frame keeps its orientation to the axes
 
         def place(words: np.ndarray) -> np.ndarray:
             point = words[:, :3]
@@ -250,8 +258,8 @@ class Fewer:
         return place
 
 
-def _coarseness(line: Polyline, tool: Tool) -> float:
-    """How far a line is from the polyline of the places it is looked at, mm: nothing where its blocks are straight at the tool."""
+def _curvature_error_mm(line: Polyline, tool: Tool) -> float:
+    """Return the largest deviation in mm of blocks, between their dense points, from straight lines at the tool."""
     middle = tool((line.dense[1:] + line.dense[:-1]) / 2.0)
     return float(np.linalg.norm(middle - (line.dense_tool[1:] + line.dense_tool[:-1]) / 2.0, axis=1).max())
 

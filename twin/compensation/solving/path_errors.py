@@ -1,0 +1,244 @@
+"""Dense check of the path between the end points of pieces: real tool points compared with nominal ones."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from twin._common.arrays import every
+from twin.compensation.comparison import Commands
+from twin.compensation.solving.pieces import Pieces
+from twin.compensation.solving.rows import SAME, Rows, Ways, even_cuts, repeat_with_index, spacings
+
+SAMPLES_A_PIECE: Final = 5
+"""Least number of interior points at which a piece is simulated; long pieces have more."""
+POSES: Final = 100_000
+"""Points checked at once, to bound the memory."""
+
+
+class Samples(NamedTuple):
+    """Dense points inside the pieces of legs.
+
+    Attributes:
+        leg: (pieces,) leg of each piece.
+        number: (pieces,) index of the piece within its leg.
+        piece: (n,) piece of each point.
+        within: (n,) fraction of that piece.
+    """
+
+    leg: np.ndarray
+    number: np.ndarray
+    piece: np.ndarray
+    within: np.ndarray
+
+
+@final
+class PathErrors:
+    """Errors of a program, or of a stretch of it, between the end points of its pieces.
+
+    Args:
+        pieces: the program cut into pieces.
+    """
+
+    def __init__(self, pieces: Pieces) -> None:
+        self._pieces, self._space = pieces, pieces.space
+        self._cached_mm = np.full(len(pieces.legs.motion), np.nan)
+
+    def forget(self, legs: np.ndarray | slice = slice(None)) -> None:
+        """Discard cached errors of some legs."""
+        self._cached_mm[legs] = np.nan
+
+    def motion_errors_mm(self, rows: Rows) -> np.ndarray:
+        """Return (motions,) the largest error (mm) inside each motion, as in `leg_errors_mm`; 0 where no path is defined."""
+        motion = self._pieces.legs.motion
+        legs = np.flatnonzero(self._pieces.interpolated[motion])
+        unknown = legs[np.isnan(self._cached_mm[legs])]
+        if unknown.size:
+            self.leg_errors_mm(unknown, rows)
+        return self._by_motion(legs, self._cached_mm[legs])
+
+    def motion_errors_as_run_mm(self, motions: np.ndarray, rows: Rows) -> np.ndarray:
+        """Return (motions,) the largest error (mm) inside some motions, each starting from the actual axis positions."""
+        legs = np.flatnonzero(np.isin(self._pieces.legs.motion, motions))
+        return self._by_motion(legs, self._distances(legs, rows, as_run=True))[motions]
+
+    def _by_motion(self, legs: np.ndarray, of_legs: np.ndarray) -> np.ndarray:
+        found = np.zeros(len(self._pieces.start))
+        np.maximum.at(found, self._pieces.legs.motion[legs], of_legs)
+        return found
+
+    def leg_errors_mm(self, legs: np.ndarray, rows: Rows) -> np.ndarray:
+        """Return (legs,) the largest distance (mm) of the real from the nominal point between the end points of each leg's pieces.
+
+        Linear words are taken before rounding, so that blocks are not split because of rounding.
+        """
+        self._cached_mm[legs] = self._distances(legs, rows, as_run=False)
+        return self._cached_mm[legs]
+
+    def _distances(self, legs: np.ndarray, rows: Rows, *, as_run: bool) -> np.ndarray:
+        words = self._space.words(rows.exact, self._pieces.tcp_out[rows.motion])
+        ways = self.ways(rows, words, as_run=as_run)
+        parts = [self._portion(part, rows, ways) for part in self.portions(legs)]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def _portion(self, legs: np.ndarray, rows: Rows, ways: Ways) -> np.ndarray:
+        samples, aim = self.samples(legs), self._pieces.aim
+        sides = self._sides(samples, rows, ways) if aim.point.directed else None
+        distance = aim.comparison.distance_mm(
+            self.nominal_commands(samples), self.written_commands(samples, ways), sides
+        )
+        # A leg merged into another has no pieces and no points.
+        points = self._points_per_piece(legs) * self._pieces.legs.count[legs]
+        worst = np.maximum.reduceat(np.append(distance, 0.0), np.cumsum(points) - points)
+        return np.where(points > 0, worst, 0.0)
+
+    def _sides(self, samples: Samples, rows: Rows, ways: Ways) -> np.ndarray:
+        """Return (n, axes) approach directions inside pieces."""
+        row = _rows_of(samples, ways)
+        sides = rows.approach[row[samples.piece]]
+        for axis in set(self._pieces.aim.backlash.axes) & set(self._pieces.bench.machine.rotary):
+            # A rotary axis may be partly through its play at either end point. After an unobserved reversal it is fully through.
+            last = np.maximum(row - 1, 0)
+            unseen = rows.reverses[row, axis] & ~rows.backlash_move[last]
+            before = np.where(unseen, rows.approach[row, axis], rows.approach[last, axis])[samples.piece]
+            sides[:, axis] = before + samples.within * (sides[:, axis] - before)
+        return np.asarray(sides)
+
+    # --- dense points ------------------------------------------------------------------------------------------------
+
+    def portions(self, legs: np.ndarray) -> list[np.ndarray]:
+        """Split legs into portions of about equal size with at most about `POSES` samples."""
+        return (
+            np.split(legs, even_cuts(self._points_per_piece(legs) * self._pieces.legs.count[legs], POSES))
+            if legs.size
+            else []
+        )
+
+    def samples(self, legs: np.ndarray) -> Samples:
+        """Return dense points inside the pieces of legs of interpolated motions."""
+        pieces = self._pieces.legs.count[legs]
+        leg, number = repeat_with_index(legs, pieces)
+        points = np.repeat(self._points_per_piece(legs), pieces)
+        piece, point = repeat_with_index(np.arange(len(leg)), points)
+        return Samples(leg, number, piece, (point + 0.5) / points[piece])
+
+    def _points_per_piece(self, legs: np.ndarray) -> np.ndarray:
+        """Return (legs,) the number of dense points per piece of each leg."""
+        all_legs = self._pieces.legs
+        share = all_legs.end[legs] - all_legs.begin[legs]
+        points = np.ceil(self._spacings[all_legs.motion[legs]] * share / np.maximum(all_legs.count[legs], 1))
+        return np.maximum(SAMPLES_A_PIECE, points).astype(int)
+
+    @cached_property
+    def _spacings(self) -> np.ndarray:
+        """(motions,) length of each motion in units of the largest distance between samples."""
+        return spacings(self._pieces.start, self._pieces.end)
+
+    def fractions(self, samples: Samples) -> np.ndarray:
+        """Return (n,) the fraction of the motion at each point."""
+        first, last = self._fractions(samples)
+        return np.asarray(first[samples.piece] + samples.within * (last - first)[samples.piece])
+
+    def _fractions(self, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+        """Return (pieces,) and (pieces,) the fractions of the motion at which each piece begins and ends."""
+        share = 1.0 / self._pieces.legs.count[samples.leg]
+        begin, end = (self._pieces.legs.at(samples.leg, (samples.number + i) * share) for i in (0, 1))
+        return begin, end
+
+    def nominal_commands(self, samples: Samples) -> Commands:
+        """Return the nominal commands, which the control derives from the original program."""
+        motion = self._pieces.legs.motion[samples.leg]
+        first, last = self._fractions(samples)
+        if np.all(self._pieces.straight[motion]):
+            begin, way = (words.take(motion, axis=0) for words in self._pieces.ways)
+            if np.any(first != 0.0) or np.any(last != 1.0):
+                begin, way = begin + first[:, None] * way, (last - first)[:, None] * way
+            return self._on_lines(begin, way, samples, self._pieces.tcp[motion])
+        of = motion[samples.piece]
+        words = self._pieces.words_at(of, self.fractions(samples))
+        return Commands(self._space.commands(words, self._pieces.tcp[of]))
+
+    def written_commands(self, samples: Samples, ways: Ways) -> Commands:
+        """Return the commands at the points if pieces follow the ways given."""
+        row = _rows_of(samples, ways)
+        tcp = self._pieces.tcp_out[self._pieces.legs.motion[samples.leg]]
+        return self._on_lines(ways.begin.take(row, axis=0), ways.way.take(row, axis=0), samples, tcp)
+
+    def _on_lines(self, begin: np.ndarray, way: np.ndarray, samples: Samples, tcp: np.ndarray) -> Commands:
+        """Return points on straight lines in (pieces, axes) words; ``tcp``: (pieces,) mode."""
+        if not np.any(tcp):
+            way = way[:, np.argsort(self._space.order)]
+            return Commands(self._space.commands(begin, tcp), way, samples.piece, samples.within)
+        words = begin[samples.piece] + samples.within[:, None] * way[samples.piece]
+        return Commands(self._space.commands(words, tcp[samples.piece]))
+
+    # --- ways of pieces ----------------------------------------------------------------------------------------------
+
+    def ways(self, rows: Rows, end_words: np.ndarray, *, as_run: bool = False) -> Ways:
+        """Return the way of each piece, with its end point at the words ``end_words``.
+
+        With ``as_run``, a motion after a line left as written starts at its actual position. For splitting it is assumed to start
+        compensated, because splitting cannot correct its starting point.
+        """
+        first = np.append(True, rows.motion[1:] != rows.motion[:-1])
+        begin = np.concatenate([end_words[:1], end_words[:-1]])
+        begin[first] = self._start_words(rows, end_words, as_run=as_run)[rows.motion[first]]
+        ends = np.flatnonzero(~rows.backlash_move)
+        first_of_leg = np.searchsorted(rows.leg[ends], np.arange(len(self._pieces.legs.motion)))
+        return Ways(begin, end_words - begin, ends, first_of_leg)
+
+    def starts_uncorrected(self, rows: Rows) -> np.ndarray:
+        """Return (motions,) whether each begins at an uncorrected position, left by the motion before or by a line between them."""
+        off = np.zeros(len(self._pieces.start), dtype=bool)
+        off[1:] = (rows.untouched | rows.clamped)[self._ends_of(rows)[:-1]] | ~self._follows[1:]
+        return off & self._pieces.interpolated
+
+    def _ends_of(self, rows: Rows) -> np.ndarray:
+        """Return (motions,) the last row of each motion."""
+        return np.searchsorted(rows.motion, np.arange(len(self._pieces.start)), side="right") - 1
+
+    def _start_words(self, rows: Rows, end_words: np.ndarray, *, as_run: bool) -> np.ndarray:
+        """Return (motions, axes) words at the start of each motion: the last ones of the motion before, if it continues from there."""
+        pieces = self._pieces
+        begin = np.full_like(pieces.start, np.nan)
+        begin[1:] = end_words[self._ends_of(rows)[:-1]]
+        separate = np.flatnonzero(~self._follows & every(np.isfinite(pieces.start)))
+        if separate.size:
+            sides = rows.approach[np.searchsorted(rows.motion, separate)]
+            rows = pieces.solve(np.searchsorted(pieces.legs.motion, separate), np.zeros(len(separate)), sides)
+            commands = self._actual_start(separate, rows.nominal, begin) if as_run else rows.exact
+            begin[separate] = self._space.words(commands, pieces.tcp_out[separate])
+        return begin
+
+    def _actual_start(self, separate: np.ndarray, nominal: np.ndarray, begin: np.ndarray) -> np.ndarray:
+        """Return (n, axes) actual commands at the start of some motions.
+
+        Axes moved by a line left as written between two motions stand where that line put them.
+
+        Args:
+            separate: (n,) the motions.
+            nominal: (n, axes) nominal commands at their start.
+            begin: (motions, axes) words at the end of the motion before.
+        """
+        standing = np.array(nominal)
+        after = separate > 0
+        before = separate[after] - 1
+        expected = self._space.commands(self._pieces.end[before], self._pieces.tcp[before])
+        reached = self._space.commands(begin[separate[after]], self._pieces.tcp_out[before])
+        standing[after] = np.where(np.abs(expected - nominal[after]) < SAME, reached, nominal[after])
+        return standing
+
+    @cached_property
+    def _follows(self) -> np.ndarray:
+        """(motions,) whether each begins where the one before ends, in words of the same mode."""
+        start, end, tcp = self._pieces.start, self._pieces.end, self._pieces.tcp
+        follows = np.zeros(len(start), dtype=bool)
+        follows[1:] = (tcp[1:] == tcp[:-1]) & every(start[1:] == end[:-1])
+        return follows
+
+
+def _rows_of(samples: Samples, ways: Ways) -> np.ndarray:
+    """Return (pieces,) the row of each piece's end point."""
+    return np.asarray(ways.rows[ways.first[samples.leg] + samples.number])
