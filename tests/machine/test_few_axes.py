@@ -98,12 +98,12 @@ def test_a_drill_comes_nearer_with_its_tables(kind: str, drill: Path, capsys: py
     np.testing.assert_allclose(after[:, 1], before[:, 1], atol=0.01)  # nothing moves that way
     told = json.loads((drill.parent / "told.json").read_text())
     shares = {one["name"]: (one["share"], one["why"]) for one in told["errors"]}
-    assert shares["E_AX"] == ("no", "no linear axis moves the point that way")
+    assert shares["E_AX"] == ("no", "no linear axis moves the point in its direction")
     assert shares["E_YX"][0] == "no" and shares["E_XX"] == shares["E_ZZ"] == ("whole", "")
     # No program runs on it, so none is spoken of.
     assert told["error_at_tool"]["with_tables_and_program"] is None
     text = (drill.parent / "tables" / "README.txt").read_text()
-    assert text in capsys.readouterr().out and "program compensated" not in text and "With these tables on" in text
+    assert text in capsys.readouterr().out and "NC program" not in text and "While these tables are switched on" in text
 
     files = [
         path for path in (drill.parent / "tables").iterdir() if path.name not in ("README.txt", "calibration.yaml")
