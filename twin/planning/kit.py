@@ -1,4 +1,4 @@
-"""What there is to measure with: instruments, where they may stand, reflectors, and how long everything takes."""
+"""Kit file: instruments, possible station positions, reflectors, and times of the operations."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from twin.uncertainty.budget import volume
 
 SCHEMA: Final = "twin.kit/1"
 ACCEPTANCE_DEG: Final = 30.0
-"""Of a spherically mounted corner cube, either side of its axis (Leica red ring reflector, data sheet)."""
+"""Acceptance angle of a spherically mounted reflector, either side of its axis (Leica red ring reflector, data sheet)."""
 DISTANCE_MM: Final = 2000.0
-"""From the middle of the work to a station where nobody says where it may stand."""
+"""Distance of a default station from the middle of the working volume, mm."""
 TRAVEL_MM_S: Final = 100.0
 TRAVEL_DEG_S: Final = 15.0
 
@@ -36,13 +36,13 @@ class _Entries(BaseModel):
 
 @final
 class Seconds(_Entries):
-    """How long things take.
+    """Times of the operations in seconds.
 
     Attributes:
-        point: to settle and read.
-        aim: to turn a reflector towards the instrument by hand, wherever it would look past it.
-        target: to go from one reflector to another.
-        station: to set the instrument up in another place.
+        point: settling and reading.
+        aim: turning a reflector towards the instrument by hand when it is outside the acceptance angle.
+        target: changing from one reflector to another.
+        station: setting the instrument up in another place.
     """
 
     point: Annotated[float, Field(gt=0)] = 15.0
@@ -57,7 +57,7 @@ class _StationEntry(_Entries):
     known: bool = False
 
     def station(self, middle: np.ndarray) -> Station:
-        """As it says; looking at the middle of the work if it does not say where to."""
+        """Return the station; without ``turn_deg`` it faces the middle of the working volume."""
         if self.turn_deg is None:
             return looking_at(self.origin_mm, middle)
         return Station(self.origin_mm, _three(np.array(self.turn_deg) * DEG))
@@ -79,7 +79,7 @@ class _TargetEntry(_Entries):
         return value
 
     def target(self) -> Target:
-        """With a unit vector."""
+        """Return the target, with its facing as a unit vector."""
         facing = None
         if self.facing != "aimed":
             way = np.array(self.facing, dtype=float)
@@ -106,10 +106,10 @@ class Target:
 
     Attributes:
         carrier: ``tool`` or ``work``.
-        place_mm: where it sits on its carrier, about: the plan need not be met to the millimetre.
-        known: whether an evaluation may take the place as exactly known.
-        facing: (3,) unit vector on its carrier along which it looks; None: it is turned towards the instrument by hand.
-        acceptance_rad: how far off its axis a beam may come.
+        place_mm: nominal position on its carrier; it need not be met to the millimetre.
+        known: whether an evaluation may treat the position as exactly known.
+        facing: (3,) unit vector of its axis on its carrier; None: it is turned towards the instrument by hand.
+        acceptance_rad: largest angle between its axis and the beam.
     """
 
     carrier: Literal["tool", "work"]
@@ -122,18 +122,18 @@ class Target:
 @final
 @dataclass(frozen=True)
 class Kit:
-    """What a measurement can be made with.
+    """Equipment for a measurement.
 
     Attributes:
-        source: where it is written, in words.
-        instruments: those to choose from.
-        stations: where one may stand, by name.
-        stations_known: names of those whose pose an evaluation may take as exactly known.
-        targets: by name.
-        seconds: how long things take.
-        speeds: (axes,) of travel, mm/s and degrees/s.
-        ranges: (axes, 2) that may be used, mm and degrees; a turn of an unlimited axis.
-        opaque: whether the machine's own shapes stop the beam.
+        source: origin of the kit, in words.
+        instruments: instruments to choose from.
+        stations: possible stations by name.
+        stations_known: names of the stations whose pose an evaluation may treat as exactly known.
+        targets: reflectors by name.
+        seconds: times of the operations.
+        speeds: (axes,) travel speed, mm/s and degrees/s.
+        ranges: (axes, 2) usable ranges, mm and degrees; one turn for an unlimited axis.
+        opaque: whether the machine's shapes block the beam.
     """
 
     source: str
@@ -148,25 +148,25 @@ class Kit:
 
     @property
     def known(self) -> frozenset[str]:
-        """Names of the stations and targets that an evaluation is told exactly."""
+        """Names of the stations and targets that an evaluation treats as exactly known."""
         return self.stations_known | {name for name, target in self.targets.items() if target.known}
 
     @property
     def numbers(self) -> int:
-        """How many numbers a reading has, of the instrument that reads fewest."""
+        """Number of coordinates per reading, for the instrument that reads fewest."""
         return min(int(np.isfinite(one.read(np.ones((1, 3)))).sum()) for one in self.instruments)
 
     @property
     def setting(self) -> Setting:
-        """Stations and places as a simulation has them."""
+        """Stations and target positions for a simulation."""
         return Setting(self.stations, {name: target.place_mm for name, target in self.targets.items()})
 
     @classmethod
     def load(cls, path: str | Path, machine: Machine) -> Kit:
-        """From a file (``schema: twin.kit/1``).
+        """Read a kit file (``schema: twin.kit/1``).
 
         Raises:
-            InputError: with file, line and value, on whatever does not fit the schema or the machine.
+            InputError: the file does not fit the schema or the machine; with file, line and value.
         """
         file = Path(path)
         entries, lines = load_yaml(file, _KitFile, SCHEMA)
@@ -175,7 +175,7 @@ class Kit:
             meant = nearest(str(value), known)
             return InputError(what, expected=expected, file=file, line=lines.get(place), value=value, nearest=meant)
 
-        # What the schema cannot know.
+        # Checks beyond the schema.
         by_name = {one.name: one for one in INSTRUMENTS}
         for i, name in enumerate(entries.instruments):
             if name not in by_name:
@@ -190,12 +190,12 @@ class Kit:
             i = machine.names.index(name)
             if not ranges[i, 0] <= lower < upper <= ranges[i, 1]:
                 expected = f"lower, upper within {ranges[i, 0]:g} … {ranges[i, 1]:g}"
-                raise fail(("ranges", name), "a range the machine does not have", expected, [lower, upper])
+                raise fail(("ranges", name), "range exceeds that of the machine", expected, [lower, upper])
             ranges[i] = lower, upper
         for name, entry in entries.targets.items():
             if entry.facing != "aimed" and np.linalg.norm(entry.facing) == 0.0:
                 place = ("targets", name, "facing")
-                raise fail(place, "no direction", "aimed, or x, y, z on its carrier", entry.facing)
+                raise fail(place, "facing is a zero vector", "aimed, or x, y, z on its carrier", entry.facing)
         middle = _middle(machine)
         return cls(
             source=entries.source or str(file),
@@ -211,9 +211,10 @@ class Kit:
 
     @classmethod
     def default(cls, machine: Machine) -> Kit:
-        """Where nobody says what there is.
+        """Return the default kit, used if no kit file is given.
 
-        A laser tracker that may stand in front, on either side, and high up; three reflectors below the nose, three above the table.
+        A laser tracker that may stand in front, on either side or high up; three reflectors below the spindle nose and three above
+        the table.
         """
         middle = _middle(machine)
         corners = {
@@ -235,7 +236,7 @@ class Kit:
                 carrier: Literal["tool", "work"] = "tool" if letter == "T" else "work"
                 reflectors[f"{letter}{k + 1}"] = Target(carrier, place, False, None, ACCEPTANCE_DEG * DEG)
         return cls(
-            source="twin's own guess: name what you have in a kit file",
+            source="assumed by twin: describe your equipment in a kit file",
             instruments=(INSTRUMENTS[0],),
             stations=MappingProxyType(stations),
             stations_known=frozenset(),
@@ -248,27 +249,27 @@ class Kit:
 
 
 def bundled_kit(name: str | Path) -> Path:
-    """A kit file by its path, or one that comes with `twin` by its bare name.
+    """Return the path of a kit file, given by its path or by the bare name of one that comes with `twin`.
 
     Raises:
-        InputError: neither; the message lists what comes with `twin`.
+        InputError: there is no such file; the message lists those that come with `twin`.
     """
     return find_bundled(name, ".kit.yaml", "a kit file (schema twin.kit/1)")
 
 
 def whole_ranges(machine: Machine) -> np.ndarray:
-    """(axes, 2) mm and degrees; a turn of an unlimited axis."""
+    """Return the full ranges (axes, 2) in mm and degrees; one turn for an unlimited axis."""
     return np.array([axis.domain for axis in machine.axes])
 
 
 def looking_at(origin_mm: tuple[float, float, float], point_mm: np.ndarray) -> Station:
-    """A station upright at some place, its x towards a point."""
+    """Return an upright station at a position, its x axis towards a point."""
     away = point_mm - np.array(origin_mm)
     return Station(origin_mm, (0.0, 0.0, float(np.radians(np.round(np.degrees(np.arctan2(away[1], away[0])))))))
 
 
 def _middle(machine: Machine) -> np.ndarray:
-    """(3,) between the tool and the work over the volume, base frame, mm."""
+    """Return the mean position (3,) of tool and work over the volume, base frame, mm."""
     poses = volume(machine, 50)
     data = machine.model.createData()
     found: list[Any] = []
