@@ -31,7 +31,7 @@ from twin.measurement.simulate import Setting, Station, simulate
 from twin.measurement.table import Measurements
 from twin.numerics.observability import observability
 from twin.planning import Forecast, Kit, Plan, duration, judge, plan
-from twin.planning.aims import Aim, AtTool, Everything, Weakest, aim_of
+from twin.planning.aims import Aim, DOptimality, EOptimality, LinearAim, aim_of
 from twin.planning.candidates import candidates
 from twin.planning.design import Exchange, covariance_of, gains
 from twin.planning.forecast import forecast
@@ -378,7 +378,7 @@ def random_rows(rng: np.random.Generator, count: int, size: int = 6) -> np.ndarr
 def test_a_gain_is_by_how_much_the_aim_falls(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rows, prior = random_rows(rng, 12), np.diag(rng.uniform(0.5, 2.0, 6))
-    aim = AtTool(rng.normal(size=(20, 3, 6)))
+    aim = LinearAim(rng.normal(size=(20, 3, 6)))
     covariance = covariance_of(prior, rows[:3])
     found = gains(rows, covariance, aim.weight(covariance))
     for i in range(12):
@@ -386,23 +386,23 @@ def test_a_gain_is_by_how_much_the_aim_falls(seed: int) -> None:
         assert found[i] == pytest.approx(aim.value(covariance) ** 2 - aim.value(after) ** 2, rel=1e-9)
 
 
-@pytest.mark.parametrize("kind", [Everything, Weakest])
-def test_weights_are_derivatives_of_their_aims(kind: type[Everything] | type[Weakest]) -> None:
+@pytest.mark.parametrize("kind", [DOptimality, EOptimality])
+def test_weights_are_derivatives_of_their_aims(kind: type[DOptimality] | type[EOptimality]) -> None:
     """D: of twice the mean logarithm times the directions; E: of the largest eigenvalue, where the others lie far below."""
     rng = np.random.default_rng(3)
     machine = np.linalg.qr(rng.normal(size=(6, 4)))[0].T
     root = rng.normal(size=(6, 6)) @ np.diag([9.0, 1.0, 0.5, 0.5, 0.3, 0.2])
     covariance = root @ root.T
-    aim: Aim = Everything(machine) if kind is Everything else Weakest(machine, np.eye(6))
+    aim: Aim = DOptimality(machine) if kind is DOptimality else EOptimality(machine, np.eye(6))
     change = rng.normal(size=(6, 6)) * 1e-6
     change = change + change.T
 
     def value(at: np.ndarray) -> float:
-        return 2.0 * len(machine) * aim.value(at) if kind is Everything else aim.value(at) ** 2
+        return 2.0 * len(machine) * aim.value(at) if kind is DOptimality else aim.value(at) ** 2
 
     moved = (value(covariance + change) - value(covariance - change)) / 2.0
     # E: the eighth power of the next eigenvalue over the largest is what the others still count.
-    assert np.sum(aim.weight(covariance) * change) == pytest.approx(moved, rel=1e-4 if kind is Everything else 0.05)
+    assert np.sum(aim.weight(covariance) * change) == pytest.approx(moved, rel=1e-4 if kind is DOptimality else 0.05)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -410,9 +410,9 @@ def test_a_choice_against_all_there_are(seed: int) -> None:
     """Four of eight: within 10 % of the best of all seventy, and never worse than what it began with."""
     rng = np.random.default_rng(seed)
     rows, prior = random_rows(rng, 8), np.diag(rng.uniform(0.01, 0.1, 6))
-    aim = AtTool(rng.normal(size=(20, 3, 6)))
+    aim = LinearAim(rng.normal(size=(20, 3, 6)))
     order = rng.permutation(8)
-    found = Exchange(prior, rows, np.ones(8), aim, most=1).of(4, order, least=1)
+    found = Exchange(prior, rows, np.ones(8), aim, most=1).choose(4, order, least=1)
     assert len(found) == len({*found.tolist()}) == 4
     value = aim.value(covariance_of(prior, rows[found]))
     every = sorted(aim.value(covariance_of(prior, rows[list(some)])) for some in combinations(range(8), 4))
@@ -431,7 +431,7 @@ def test_a_choice_beats_an_even_spread(tmp_path: Path, wanted: str) -> None:
     rows = model.rows
     aim = aim_of(model, names, 100.0)
     order = rng.permutation(len(every))
-    found = Exchange(model.prior, rows, np.ones(len(rows)), aim).of(120, order, least=36)
+    found = Exchange(model.prior, rows, np.ones(len(rows)), aim).choose(120, order, least=36)
     spread = [aim.value(covariance_of(model.prior, rows[rng.permutation(len(rows))[:120]])) for _ in range(5)]
     chosen = aim.value(covariance_of(model.prior, rows[found]))
     if wanted == "everything":
@@ -456,7 +456,9 @@ def test_readings_that_pay_little_time_are_preferred() -> None:
     rng = np.random.default_rng(8)
     one = random_rows(rng, 6)
     rows, cost = np.repeat(one, 2, axis=0), np.tile([30.0, 15.0], 6)
-    found = Exchange(np.eye(6), rows, cost, AtTool(rng.normal(size=(9, 3, 6))), most=1).of(6, np.arange(12), least=1)
+    found = Exchange(np.eye(6), rows, cost, LinearAim(rng.normal(size=(9, 3, 6))), most=1).choose(
+        6, np.arange(12), least=1
+    )
     assert np.sum(cost[found] == 15.0) >= 4
 
 
@@ -471,13 +473,13 @@ def test_more_time_tells_more(tmp_path: Path) -> None:
 
 def test_refusals(dmu50: Machine, tmp_path: Path) -> None:
     machine, own = kits.slides(tmp_path)
-    with pytest.raises(InputError, match="nothing of that name to reduce"):
+    with pytest.raises(InputError, match="no such uncertainty to minimise"):
         plan(dmu50, minutes=60, reduce="E_C0W")
-    with pytest.raises(InputError, match="no time to measure anything"):
+    with pytest.raises(InputError, match="time budget is too short"):
         plan(machine, own, minutes=16.0)
     places = {"T": ("tool", (0.0, 0.0, 0.0)), "W": ("work", (20.0, 0.0, 0.0))}
     tight = replace(kits.kit(machine, {"S": (0, -2000, 0)}, places), ranges=np.array([[0.0, 40.0], [-40.0, 0.0]]))
-    with pytest.raises(InputError, match="hardly any pose"):
+    with pytest.raises(InputError, match="too few poses keep"):
         plan(machine, tight, minutes=60.0)
 
 

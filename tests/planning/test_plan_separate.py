@@ -24,7 +24,7 @@ from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements, joined, load
 from twin.planning import Plan, separate
-from twin.planning.separate import Named, form_meant
+from twin.planning.separate import NamedCause, cause_form
 from twin.samples import thesis_plan
 
 TRACKER = LaserTracker()
@@ -156,11 +156,11 @@ def test_the_sizes_meant_are_judged(dmu50: Machine, calibration: Calibration) ->
 @pytest.mark.parametrize(
     ("one", "what"),
     [
-        ("warp X", "no cause that a plan can look for"),
-        ("reversal W", "no cause that a plan can look for"),
-        ("cross_axis E_AX", "no cause that a plan can look for"),
-        ("station_drift 1", "no cause that a plan can look for"),
-        ("refraction_scale", "no cause that a plan can look for"),
+        ("warp X", "not a cause that a plan can separate"),
+        ("reversal W", "not a cause that a plan can separate"),
+        ("cross_axis E_AX", "not a cause that a plan can separate"),
+        ("station_drift 1", "not a cause that a plan can separate"),
+        ("refraction_scale", "not a cause that a plan can separate"),
         ("reversal X colour=1", "no such parameter"),
         ("reversal X size=five", "no number"),
         ("", "no effect"),
@@ -183,13 +183,13 @@ def test_the_form_that_is_meant_has_the_time_constant_given(dmu50: Machine, tmp_
     table = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=None), dmu50)
     known = Calibration.default(dmu50)
     span = float(np.ptp(table.time_s))
-    _, bent = form_meant(Named.parse(f"thermal_drift Z time_constant={span / 5.0}"), dmu50, table, known)
+    _, bent = cause_form(NamedCause.parse(f"thermal_drift Z time_constant={span / 5.0}"), dmu50, table, known)
     assert bent.fixed["time_constant"] == pytest.approx(span / 5.0, rel=0.06)
-    _, straight = form_meant(Named.parse("thermal_drift Z"), dmu50, table, known)
+    _, straight = cause_form(NamedCause.parse("thermal_drift Z"), dmu50, table, known)
     assert not straight.fixed
-    _, straight = form_meant(Named.parse("thermal_drift Z rate=3"), dmu50, table, known)
+    _, straight = cause_form(NamedCause.parse("thermal_drift Z rate=3"), dmu50, table, known)
     assert not straight.fixed
-    _, bent = form_meant(Named.parse("thermal_drift Z amplitude=3"), dmu50, table, known)
+    _, bent = cause_form(NamedCause.parse("thermal_drift Z amplitude=3"), dmu50, table, known)
     assert bent.fixed
     with pytest.raises(InputError, match="no such parameter"):
-        form_meant(Named.parse("thermal_drift Z amplitude=3 rate=3"), dmu50, table, known)
+        cause_form(NamedCause.parse("thermal_drift Z amplitude=3 rate=3"), dmu50, table, known)

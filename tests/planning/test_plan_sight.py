@@ -60,7 +60,7 @@ def test_a_shape_stops_the_beams_that_pass_through_it(
     stations = {f"S{i}": rng.uniform(-400.0, 400.0, 3) for i in range(10)}
     targets = {f"T{i}": (("tool", "work")[i % 2], rng.uniform(-300.0, 300.0, 3)) for i in range(BEAMS // 40)}
     positions = rng.uniform(-300.0, 300.0, (4, 1))
-    seen = Sight(machine, kits.kit(machine, stations, targets)).sees(positions)
+    seen = Sight(machine, kits.kit(machine, stations, targets)).visible(positions)
     decided, blocked = 0, 0
     for station, eye in stations.items():
         for name, (side, place) in targets.items():
@@ -81,10 +81,10 @@ def test_a_box_between_station_and_reflector(tmp_path: Path) -> None:
     machine = kits.bench(tmp_path, '<origin xyz="0.5 0 0.05"/><geometry><box size="0.002 1 0.1"/></geometry>')
     own = kits.kit(machine, {"S": (1000.0, 0.0, 150.0)}, {"T": ("tool", (0.0, 0.0, 50.0)), "W": ("work", (0, 0, 100))})
     # At the wall the beam is 50 + 100·(500 − x)/(1000 − x) mm up; 2 mm of wall are 0.2 mm of beam.
-    seen = Sight(machine, own).sees(np.array([[-50.0], [-5.0], [5.0], [50.0]]))
+    seen = Sight(machine, own).visible(np.array([[-50.0], [-5.0], [5.0], [50.0]]))
     assert seen["S", "T"].tolist() == [True, True, False, False]
     glass = kits.kit(machine, {"S": (1000.0, 0.0, 150.0)}, {"T": ("tool", (0.0, 0.0, 50.0))}, opaque=False)
-    assert Sight(machine, glass).sees(np.array([[50.0]]))["S", "T"].all()
+    assert Sight(machine, glass).visible(np.array([[50.0]]))["S", "T"].all()
 
 
 def test_a_shape_that_moves_with_the_slide(tmp_path: Path) -> None:
@@ -96,9 +96,9 @@ def test_a_shape_that_moves_with_the_slide(tmp_path: Path) -> None:
     (tmp_path / "bed").mkdir()
     riding = kits.bench(tmp_path, moving=plate)
     standing = kits.bench(tmp_path / "bed", plate)
-    assert Sight(riding, kits.kit(riding, stations, targets)).sees(at)["S", "T"].tolist() == [False] * 3
-    assert Sight(riding, kits.kit(riding, stations, targets)).sees(at)["back", "T"].all()
-    assert Sight(standing, kits.kit(standing, stations, targets)).sees(at)["S", "T"].tolist() == [False, False, True]
+    assert Sight(riding, kits.kit(riding, stations, targets)).visible(at)["S", "T"].tolist() == [False] * 3
+    assert Sight(riding, kits.kit(riding, stations, targets)).visible(at)["back", "T"].all()
+    assert Sight(standing, kits.kit(standing, stations, targets)).visible(at)["S", "T"].tolist() == [False, False, True]
 
 
 def test_a_mesh_counts_as_the_box_around_it(tmp_path: Path) -> None:
@@ -109,7 +109,7 @@ def test_a_mesh_counts_as_the_box_around_it(tmp_path: Path) -> None:
     )
     stations = {"through": (20.0, 20.0, 500.0), "past it": (90.0, 90.0, 500.0), "clear": (150.0, 90.0, 500.0)}
     targets = {"T": ("work", (20.0, 20.0, -200.0)), "U": ("work", (90.0, 90.0, -200.0))}
-    seen = Sight(machine, kits.kit(machine, stations, targets)).sees(np.zeros((1, 1)))
+    seen = Sight(machine, kits.kit(machine, stations, targets)).visible(np.zeros((1, 1)))
     assert not seen["through", "T"][0] and not seen["past it", "U"][0] and seen["clear", "U"][0]
 
 
@@ -122,7 +122,7 @@ def test_a_reflector_accepts_a_beam_within_its_angle(tmp_path: Path) -> None:
     )
     expected = 300.0 / (1000.0 - x) <= np.tan(np.radians(20.0))
     assert 10 < expected.sum() < 50
-    assert np.array_equal(Sight(machine, own).sees(x[:, None])["S", "T"], expected)
+    assert np.array_equal(Sight(machine, own).visible(x[:, None])["S", "T"], expected)
 
 
 def test_a_reflector_on_the_table_turns_with_it(dmu50: Machine) -> None:
@@ -133,7 +133,7 @@ def test_a_reflector_on_the_table_turns_with_it(dmu50: Machine) -> None:
     c = np.arange(0.0, 360.0, 7.0)
     positions = np.zeros((len(c), 5))
     positions[:, 4] = c
-    seen = Sight(dmu50, own).sees(positions)["S", "W"]
+    seen = Sight(dmu50, own).visible(positions)["S", "W"]
     assert np.array_equal(seen, np.cos(np.radians(c)) >= np.cos(np.radians(50.0)))
 
 
@@ -152,14 +152,14 @@ def test_the_margin_between_two_reflectors(tmp_path: Path) -> None:
     machine = kits.bench(tmp_path)
     own = kits.kit(machine, {"S": (0, 2000, 0)}, {"T": ("tool", (0, 0, 0)), "W": ("work", (0, 60, 0))})
     clearance = Clearance(machine, own)
-    assert not clearance.known
+    assert not clearance.has_shapes
     needed = np.sqrt((2.0 * REFLECTOR_MM + MARGIN_MM) ** 2 - 60.0**2)
     for x in (needed - 0.1, -needed + 0.1, 0.0):
-        assert not clearance.free(np.array([x]))
+        assert not clearance.is_clear(np.array([x]))
     for x in (needed + 0.1, -needed - 0.1):
-        assert clearance.free(np.array([x]))
-    assert not clearance.free_move(np.array([-200.0]), np.array([200.0]))
-    assert clearance.free_move(np.array([-300.0]), np.array([-needed - 1.0]))
+        assert clearance.is_clear(np.array([x]))
+    assert not clearance.is_move_clear(np.array([-200.0]), np.array([200.0]))
+    assert clearance.is_move_clear(np.array([-300.0]), np.array([-needed - 1.0]))
 
 
 # ---- a plan of the DMU 50
@@ -171,7 +171,7 @@ def made(half: Plan) -> Plan:
 
 
 class Shapes:
-    """Everything drawn on either side, found by the names of the URDF's links, and the reflectors as balls."""
+    """DOptimality drawn on either side, found by the names of the URDF's links, and the reflectors as balls."""
 
     def __init__(self, machine: Machine, kit: Kit) -> None:
         self.machine, self.kit = machine, kit

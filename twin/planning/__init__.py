@@ -4,21 +4,22 @@
     twin plan --judge thesis_plan.csv
     twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv
 
-A kit file (`--kit`, `schema: twin.kit/1`) lists the instruments, the possible station positions, the reflectors and the times for each
+A kit file (`--kit`, `schema: twin.kit/1`) lists the instruments, the possible station positions, the reflectors and the time of each
 operation. Copy `urdf/dmu50.kit.yaml`, which is `--kit dmu50`. Without a kit file `twin` assumes a laser tracker at one of four places
 and three reflectors on each side.
 
-Candidate poses are drawn over the axis ranges. A pose is kept if the shapes in the URDF stay at least 25 mm away from the other side. A
-reading is kept if no shape blocks the beam and the reflector accepts it. The derivatives of each reading with respect to every unknown of
-`identify` are known beforehand, and with them the gain of taking it. `--reduce tool` (default) minimises the uncertainty of the tool
-centre point over the volume, `everything` is D-optimal, `weakest` E-optimal; names of errors minimise their uncertainty. Several station
-positions are tried. The readings are put in the order that takes least time, with a time for each; every axis is approached from both
-directions. Moves with too little clearance are listed (exit status 3: retract there). The report predicts the uncertainty of every error
-and at the tool, gives the observability indices O1–O5, and lists the errors that are not identifiable and what each is confounded with.
+Candidate poses are drawn over the axis ranges. A pose is kept if the shapes of the tool side in the URDF stay at least 25 mm away from
+those of the work side. A reading is kept if no shape blocks the beam and the reflector accepts it. The derivatives of each reading with
+respect to every unknown of `identify` are known beforehand, and so is the gain of taking it. `--reduce tool` (default) minimises the
+uncertainty of the tool centre point over the volume, `everything` is D-optimal, `weakest` E-optimal; with names of errors their
+uncertainty is minimised. Several station positions are tried. The readings are ordered to take little time, with a time for each; every
+axis is approached from both directions. Moves with too little clearance are listed (exit status 3: retract there). The report predicts
+the uncertainty of every error and at the tool, gives the observability indices O1–O5, and lists the errors that are not identifiable
+and what each is confounded with.
 
-`--judge` predicts the same for an existing plan, and how long it takes with the kit's times. The thesis's 840 readings take 4.6 hours. A
-plan for the same time predicts 2.1 µm standard uncertainty at the tool (RMS over the volume, tool 120 mm) instead of 23.6 µm. Simulated
-and identified, the error of the tool point is 1.7 µm instead of 14.5 µm (`notebooks/03_plan_a_measurement.ipynb`).
+`--judge` predicts the same for an existing plan, and how long it takes with the kit's times. The thesis's 840 readings take 4.6 hours.
+A plan for the same time predicts 2.1 µm standard uncertainty at the tool (RMS over the volume, tool 120 mm) instead of 23.6 µm.
+Simulated and identified, the error of the tool point is 1.7 µm instead of 14.5 µm (`notebooks/03_plan_a_measurement.ipynb`).
 
 `--separate` plans a measurement that distinguishes two causes. Both are in one model and are estimated together; the report gives
 the smallest size of each at which the measurement favours the right one by odds of 100:1 or better in 19 of 20 cases. If

@@ -1,8 +1,8 @@
 """Optimality criteria of a plan: uncertainty of the tool point, D-optimality, E-optimality, or of a few errors by name.
 
-Each criterion gives the weight matrix M of the unknowns in `twin.planning.design`: the variance of the tool point over the volume (L- or
-I-optimality), the inverse of the covariance of the machine's unknowns (D, the determinant), the projector on the least certain direction
-(E), or the variance of a few errors by name.
+Each criterion gives the weight matrix M of the unknowns in `twin.planning.design`. It is that of the variance of the tool point over the
+volume (L- or I-optimality), the inverse of the covariance of the machine's unknowns (D, the determinant), the projector on the least
+certain direction (E), or that of the variance of a few errors by name.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Aim(ABC):
 
 
 @final
-class AtTool(Aim):
+class LinearAim(Aim):
     """RMS standard uncertainty of quantities linear in the unknowns, for example of the tool point over the volume in µm.
 
     Args:
@@ -67,7 +67,7 @@ class AtTool(Aim):
 
 
 @final
-class Everything(Aim):
+class DOptimality(Aim):
     """D-optimality: mean logarithm of the standard uncertainties of the machine's unknowns over all directions.
 
     Args:
@@ -91,11 +91,11 @@ class Everything(Aim):
 
 
 @final
-class Weakest(Aim):
+class EOptimality(Aim):
     """E-optimality: largest standard uncertainty over all directions, relative to the prior.
 
     Args:
-        machine: see `Everything`.
+        machine: see `DOptimality`.
         prior: (f, f) prior precision.
     """
 
@@ -132,13 +132,15 @@ def aim_of(model: PlanModel, names: Sequence[str], tool_length_mm: float | None)
     """
     lost = {one.name for one in model.hidden}
     # Directions that no candidate determines keep their prior variance: project them out, or they would dominate the criterion.
-    silent = model.free.T @ model.told.spectrum.silent
+    silent = model.free.T @ model.determinability.spectrum.silent
     seen = np.eye(model.free.shape[1]) - silent @ silent.T
     columns = [i for i, column in enumerate(model.unknowns.columns) if column.entity not in lost]
     own = model.plausible[columns, None] * model.free[columns]
     (first, *_) = names
     if first == "tool":
-        return AtTool(model.at_tool(volume(model.machine, POSES, SEED), model.tool_length(tool_length_mm), lost) @ seen)
+        return LinearAim(
+            model.at_tool(volume(model.machine, POSES, SEED), model.tool_length(tool_length_mm), lost) @ seen
+        )
     if first in AIMS:
         if first == "weakest":
             # Directions constrained by the prior stay as they are, whatever is read: leave them out.
@@ -146,16 +148,16 @@ def aim_of(model: PlanModel, names: Sequence[str], tool_length_mm: float | None)
             own = own[reach > OPEN * model.plausible[columns] ** 2] @ seen
         basis = np.linalg.svd(own, full_matrices=False)
         machine = basis.Vh[basis.S > 1e-9 * basis.S[0]]
-        return Everything(machine) if first == "everything" else Weakest(machine, model.prior)
-    wanted = [
+        return DOptimality(machine) if first == "everything" else EOptimality(machine, model.prior)
+    chosen = [
         k
         for k, i in enumerate(columns)
         if any(fnmatch.fnmatchcase(model.unknowns.columns[i].entity, pattern) for pattern in names)
     ]
-    if not wanted:
+    if not chosen:
         raise InputError(
             "no reading possible with this kit depends on these errors",
             expected="errors that readings depend on; more targets, known target positions or other stations may help",
             value=" ".join(names),
         )
-    return AtTool((own[wanted] @ seen)[None], "errors", "µm and µrad")
+    return LinearAim((own[chosen] @ seen)[None], "errors", "µm and µrad")

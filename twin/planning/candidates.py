@@ -19,12 +19,12 @@ from twin.planning.sight import Sight
 from twin.uncertainty.budget import latin_hypercube
 
 POSES: Final = 240
-TRIES: Final = 8
+BATCHES: Final = 8
 """Batches of poses drawn before planning gives up for lack of clearance."""
 FEWEST: Final = 20
-ROUND: Final = 1.0
+ROUNDED_TO: Final = 1.0
 """Commands are rounded to this, mm or degrees, for readability."""
-AT_AN_END: Final = 0.4
+SHARE_AT_LIMIT: Final = 0.4
 """Share of poses with one axis at a limit of its range, where curves are least certain."""
 
 
@@ -34,17 +34,17 @@ class Session:
     """A state of the machine in which readings are taken.
 
     Attributes:
-        words: instruction for bringing the machine into this state.
+        instruction: instruction for bringing the machine into this state.
         start_s: earliest start on the clock of ``time_s``.
         temperatures: °C of axes and sensors, by name.
     """
 
-    words: str
+    instruction: str
     start_s: float = 0.0
     temperatures: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
 
-ALWAYS: Final = (Session("as it is"),)
+ANY_STATE: Final = (Session("as it is"),)
 """Single session for plans in which the machine's state does not matter."""
 
 
@@ -61,7 +61,7 @@ class Candidates:
 
     plan: Measurements
     session: np.ndarray
-    sessions: tuple[Session, ...] = ALWAYS
+    sessions: tuple[Session, ...] = ANY_STATE
 
     def select(self, rows: np.ndarray) -> Candidates:
         """Return the candidates with these indices; an index may repeat."""
@@ -75,13 +75,13 @@ def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int
         machine: the machine.
         kit: instruments, stations and targets.
         rng: random generator for poses and directions of approach.
-        levels: number of positions of each axis, equally spaced over its range (`Task.levels`); None: any multiple of `ROUND`.
+        levels: number of positions of each axis, equally spaced over its range (`Task.levels`); None: any multiple of `ROUNDED_TO`.
 
     Raises:
         InputError: too few poses have clearance, or a reflector is visible from no station.
     """
     positions = _safe_poses(machine, kit, rng, levels)
-    seen = Sight(machine, kit).sees(positions)
+    seen = Sight(machine, kit).visible(positions)
     sides = rng.choice([-1.0, 1.0], positions.shape)
     rows: list[tuple[int, str, str]] = []
     for name in kit.targets:
@@ -108,9 +108,9 @@ def _safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, levels: in
     found: list[np.ndarray] = []
     low, high = kit.ranges.T
     unlimited = np.array([axis.lower is None for axis in machine.axes])
-    for _ in range(TRIES):
+    for _ in range(BATCHES):
         drawn = latin_hypercube(kit.ranges, POSES, rng)
-        ended = np.flatnonzero(rng.random(POSES) < AT_AN_END)
+        ended = np.flatnonzero(rng.random(POSES) < SHARE_AT_LIMIT)
         axis = rng.choice(np.flatnonzero(~unlimited), len(ended)) if not unlimited.all() else ended[:0]
         for row, i in zip(ended, axis, strict=False):
             drawn[row, i] = low[i] if rng.random() < 0.5 else high[i]
@@ -119,14 +119,14 @@ def _safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, levels: in
             step = (high - low) / np.where(unlimited, levels, levels - 1)
             drawn = low + np.round((drawn - low) / step) * step
             drawn = np.where(unlimited, low + np.mod(drawn - low, high - low), drawn)
-        whole = np.clip(np.round(drawn / ROUND) * ROUND, low, high)
-        found += [pose for pose in whole if clearance.free(pose)]
+        whole = np.clip(np.round(drawn / ROUNDED_TO) * ROUNDED_TO, low, high)
+        found += [pose for pose in whole if clearance.is_clear(pose)]
         if len(found) >= POSES:
             break
     if len(found) < FEWEST:
         raise InputError(
             "too few poses keep the tool side clear of the work side",
-            expected=f"at least {FEWEST} of {TRIES * POSES} poses: shorter holders, or narrower `ranges` in the kit",
+            expected=f"at least {FEWEST} of {BATCHES * POSES} poses: shorter holders, or narrower `ranges` in the kit",
             value=len(found),
         )
     return np.unique(np.array(found[:POSES]), axis=0)

@@ -41,24 +41,24 @@ class Clearance:
         self.kit = kit
 
     @cached_property
-    def known(self) -> bool:
+    def has_shapes(self) -> bool:
         """Whether the URDF has shapes on either side; if not, only the reflectors are kept clear of each other."""
         return any(self._side(shape.joint) is not None for shape in machine_shapes(self.machine))
 
-    def free(self, position: np.ndarray) -> bool:
+    def is_clear(self, position: np.ndarray) -> bool:
         """Return whether a pose (axes,), mm and degrees, has clearance."""
         model, data, own = self._pairs
         q = self.machine.configuration(position * self.machine.scale)
         return not pin.computeCollisions(self.machine.model, data, model, own, q, True)
 
-    def free_move(self, start: np.ndarray, end: np.ndarray) -> bool:
+    def is_move_clear(self, start: np.ndarray, end: np.ndarray) -> bool:
         """Return whether the straight move between two poses has clearance, end points included; all axes move together."""
         way = np.abs(end - start)
         size = np.array([STEP_MM if axis.linear else STEP_DEG for axis in self.machine.axes])
         count = int(np.ceil((way / size).max(initial=0.0))) + 1
         # Check from the middle outwards: collisions are most likely there.
         parts = sorted(np.linspace(0.0, 1.0, count + 1), key=lambda part: abs(part - 0.5))
-        return all(self.free(start + part * (end - start)) for part in parts)
+        return all(self.is_clear(start + part * (end - start)) for part in parts)
 
     @cached_property
     def _pairs(self) -> tuple[pin.GeometryModel, pin.Data, pin.GeometryData]:

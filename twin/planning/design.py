@@ -19,11 +19,11 @@ from twin.planning.aims import Aim
 from twin.planning.candidates import Candidates
 from twin.planning.task import Say
 
-AFRESH: Final = 50
+RECOMPUTED_AFTER: Final = 50
 """Number of choices after which the covariance is recomputed, as updates accumulate rounding errors."""
-DRAWN: Final = 128
+SAMPLED: Final = 128
 """Number of random candidates from which each reading is chosen."""
-EXCHANGED: Final = (0.9, 0.3, 0.3)
+EXCHANGED_SHARES: Final = (0.9, 0.3, 0.3)
 """Shares of a plan exchanged in successive rounds."""
 
 
@@ -47,14 +47,14 @@ class DesignProblem:
 
     Attributes:
         instrument: the instrument.
-        every: the candidate readings.
+        candidates: the candidate readings.
         prior: (f, f) prior precision of the unknowns' coordinates.
         rows: (n, 3, f) derivatives of the whitened readings.
         aim: the criterion to minimise.
     """
 
     instrument: Instrument
-    every: Candidates
+    candidates: Candidates
     prior: np.ndarray
     rows: np.ndarray
     aim: Aim
@@ -62,12 +62,12 @@ class DesignProblem:
     @property
     def plan(self) -> Measurements:
         """Table of the candidate readings, one row each."""
-        return self.every.plan
+        return self.candidates.plan
 
-    def at(self, stations: Sequence[str]) -> DesignProblem:
+    def from_stations(self, stations: Sequence[str]) -> DesignProblem:
         """Return the problem restricted to some stations."""
         inside = np.flatnonzero(np.isin(self.plan.station, stations))
-        return replace(self, every=self.every.select(inside), rows=self.rows[inside])
+        return replace(self, candidates=self.candidates.select(inside), rows=self.rows[inside])
 
     def value(self, rows: np.ndarray) -> float:
         """Return the criterion after the readings with these indices."""
@@ -95,11 +95,11 @@ class Exchange:
     cost: np.ndarray
     aim: Aim
     most: int = 4
-    exchanged: tuple[float, ...] = EXCHANGED
-    among: int = DRAWN
+    exchanged: tuple[float, ...] = EXCHANGED_SHARES
+    among: int = SAMPLED
     say: Say | None = None
 
-    def of(self, count: int, first: np.ndarray, least: int) -> np.ndarray:
+    def choose(self, count: int, first: np.ndarray, least: int) -> np.ndarray:
         """Return the indices of the chosen readings in order of choice; an index may repeat.
 
         Args:
@@ -113,8 +113,12 @@ class Exchange:
             # A reading of a target whose position nothing determines carries no information, so the choice cannot begin with none.
             # It begins with part of an even spread; an exchange that does not reduce the criterion is dropped.
             fewer = max(1, round(share * count))
-            chosen = self._kept(best, fewer) if number else best[: max(count - fewer, min(least, count))]
-            self._grow(chosen, count, number / len(self.exchanged))
+            chosen = (
+                self._without_least_informative(best, fewer)
+                if number
+                else best[: max(count - fewer, min(least, count))]
+            )
+            self._add_readings(chosen, count, number / len(self.exchanged))
             reached = self._value(chosen)
             if reached < value:
                 best, value = chosen, reached
@@ -124,7 +128,7 @@ class Exchange:
         """Return the criterion after some readings."""
         return self.aim.value(covariance_of(self.prior, self.rows[chosen]))
 
-    def _grow(self, chosen: list[int], count: int, done: float) -> None:
+    def _add_readings(self, chosen: list[int], count: int, done: float) -> None:
         """Add readings: each time the one of a random sample with the largest gain per second.
 
         (Stochastic greedy; Mirzasoleiman et al. 2015.)
@@ -134,7 +138,7 @@ class Exchange:
         rng = np.random.default_rng(begun)
         covariance, weight = np.zeros((0, 0)), np.zeros((0, 0))
         while len(chosen) < count:
-            if (len(chosen) - begun) % AFRESH == 0:
+            if (len(chosen) - begun) % RECOMPUTED_AFTER == 0:
                 covariance = covariance_of(self.prior, self.rows[chosen])
                 weight = self.aim.weight(covariance)
                 if self.say is not None:
@@ -147,9 +151,9 @@ class Exchange:
             best = int(drawn[np.argmax(gains(self.rows[drawn], covariance, weight) / self.cost[drawn])])
             chosen.append(best)
             taken[best] += 1
-            covariance = _after(covariance, self.rows[best])
+            covariance = _updated(covariance, self.rows[best])
 
-    def _kept(self, chosen: list[int], fewer: int) -> list[int]:
+    def _without_least_informative(self, chosen: list[int], fewer: int) -> list[int]:
         """Return the readings without the ``fewer`` least informative ones."""
         picked = self.rows[chosen]
         covariance = covariance_of(self.prior, picked)
@@ -175,7 +179,7 @@ def gains(rows: np.ndarray, covariance: np.ndarray, weight: np.ndarray) -> np.nd
     return np.asarray(np.einsum("nii->n", np.linalg.solve(own, moved)))
 
 
-def _after(covariance: np.ndarray, row: np.ndarray) -> np.ndarray:
+def _updated(covariance: np.ndarray, row: np.ndarray) -> np.ndarray:
     """Return the covariance after one more reading."""
     spread = covariance @ row.T
     found = covariance - spread @ np.linalg.solve(row @ spread + np.eye(3), spread.T)

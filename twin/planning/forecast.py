@@ -17,7 +17,7 @@ from twin.machine.effects import split_name, unit_of
 from twin.numerics.observability import Determinability, Observability, observability
 from twin.planning.aims import POSES, SEED
 from twin.planning.design import covariance_of
-from twin.planning.model import Hidden, PlanModel
+from twin.planning.model import NotIdentifiable, PlanModel
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty, UncertaintyMap
 from twin.uncertainty.budget import volume
 
@@ -46,10 +46,10 @@ class Forecast:
     @property
     def readings(self) -> int:
         """Number of coordinates read."""
-        return self.model.told.measurements
+        return self.model.determinability.measurements
 
     @property
-    def hidden(self) -> tuple[Hidden, ...]:
+    def hidden(self) -> tuple[NotIdentifiable, ...]:
         """Errors that the readings do not determine, with the reason."""
         return self.model.hidden
 
@@ -96,9 +96,7 @@ class Forecast:
         return found
 
     def _repr_html_(self) -> str:
-        return card(
-            "Predicted uncertainties", *self.shown(), small=f"{self.readings:,} coordinates to be read"
-        ).text
+        return card("Predicted uncertainties", *self.shown(), small=f"{self.readings:,} coordinates to be read").text
 
     def shown(self) -> list[Html]:
         """Return the parts of the HTML display."""
@@ -118,7 +116,8 @@ class Forecast:
             ),
             table(("axis", "standard uncertainty (k = 1); for a curve the largest over its range"), rows),
             table(
-                ("not identifiable from these readings", "reason"), [(", ".join(names), text) for text, names in why.items()]
+                ("not identifiable from these readings", "reason"),
+                [(", ".join(names), text) for text, names in why.items()],
             ),
             note(f"O1 {o.o1:.3g}, O2 {o.o2:.3g}, O3 {o.o3:.3g}, O4 {o.o4:.3g}, O5 {o.o5:.3g} (observability)"),
             note(DEFINITION),
@@ -189,18 +188,18 @@ def forecast(model: PlanModel, tool_length_mm: float | None = None) -> Forecast:
         model=model,
         covariance=covariance_of(model.prior, model.rows),
         determined=determined,
-        observability=_observability(model.told, {*determined}),
+        observability=_observability(model.determinability, {*determined}),
         tool_length_mm=model.tool_length(tool_length_mm),
         positions=volume(model.machine, POSES, SEED),
     )
 
 
-def _observability(told: Determinability, names: Collection[str]) -> Observability:
+def _observability(found: Determinability, names: Collection[str]) -> Observability:
     """Return the observability of the machine's determined unknowns in plausible units, everything else projected out."""
-    mine = np.array([one.name.split(" ")[0] in names for one in told.unknowns])
+    mine = np.array([one.name.split(" ")[0] in names for one in found.unknowns])
     if not mine.any():
-        return observability(np.zeros(1), told.measurements)
-    covariance = told.spectrum.covariance(silent=False) / np.outer(told.spectrum.scale, told.spectrum.scale)
+        return observability(np.zeros(1), found.measurements)
+    covariance = found.spectrum.covariance(silent=False) / np.outer(found.spectrum.scale, found.spectrum.scale)
     values = np.linalg.eigvalsh(covariance[np.ix_(mine, mine)])
     # Directions fixed by the datum have no variance and are not unknown.
-    return observability(1.0 / np.sqrt(values[values > 1e-14 * values[-1]]), told.measurements)
+    return observability(1.0 / np.sqrt(values[values > 1e-14 * values[-1]]), found.measurements)

@@ -59,8 +59,8 @@ class _StationEntry(_Entries):
     def station(self, middle: np.ndarray) -> Station:
         """Return the station; without ``turn_deg`` it faces the middle of the working volume."""
         if self.turn_deg is None:
-            return looking_at(self.origin_mm, middle)
-        return Station(self.origin_mm, _three(np.array(self.turn_deg) * DEG))
+            return station_facing(self.origin_mm, middle)
+        return Station(self.origin_mm, _triple(np.array(self.turn_deg) * DEG))
 
 
 class _TargetEntry(_Entries):
@@ -83,7 +83,7 @@ class _TargetEntry(_Entries):
         facing = None
         if self.facing != "aimed":
             way = np.array(self.facing, dtype=float)
-            facing = _three(way / np.linalg.norm(way))
+            facing = _triple(way / np.linalg.norm(way))
         return Target(self.carrier, self.place_mm, self.known, facing, self.acceptance_deg * DEG)
 
 
@@ -152,7 +152,7 @@ class Kit:
         return self.stations_known | {name for name, target in self.targets.items() if target.known}
 
     @property
-    def numbers(self) -> int:
+    def coordinates_per_reading(self) -> int:
         """Number of coordinates per reading, for the instrument that reads fewest."""
         return min(int(np.isfinite(one.read(np.ones((1, 3)))).sum()) for one in self.instruments)
 
@@ -185,12 +185,12 @@ class Kit:
                 if name not in machine.by_name:
                     known = machine.names
                     raise fail((key, name), "no such axis", f"one of {', '.join(known)}", name, known)
-        ranges = whole_ranges(machine)
+        ranges = full_ranges(machine)
         for name, (lower, upper) in entries.ranges.items():
             i = machine.names.index(name)
             if not ranges[i, 0] <= lower < upper <= ranges[i, 1]:
                 expected = f"lower, upper within {ranges[i, 0]:g} … {ranges[i, 1]:g}"
-                raise fail(("ranges", name), "range exceeds that of the machine", expected, [lower, upper])
+                raise fail(("ranges", name), "the range is not within that of the machine", expected, [lower, upper])
             ranges[i] = lower, upper
         for name, entry in entries.targets.items():
             if entry.facing != "aimed" and np.linalg.norm(entry.facing) == 0.0:
@@ -226,13 +226,13 @@ class Kit:
         stations = {}
         for name, way in corners.items():
             direction = np.array(way) / np.linalg.norm(way)
-            stations[name] = looking_at(_three(np.round(middle + DISTANCE_MM * direction, -1)), middle)
+            stations[name] = station_facing(_triple(np.round(middle + DISTANCE_MM * direction, -1)), middle)
         reflectors = {}
         for k in range(3):
             angle = np.radians(30.0 + 120.0 * k)
             across = np.array([np.cos(angle), np.sin(angle)])
             for letter, radius, height in (("T", 110.0, -40.0 - 35.0 * k), ("W", 170.0, 30.0 + 30.0 * k)):
-                place = _three(np.round([*(radius * across), height]) + 0.0)
+                place = _triple(np.round([*(radius * across), height]) + 0.0)
                 carrier: Literal["tool", "work"] = "tool" if letter == "T" else "work"
                 reflectors[f"{letter}{k + 1}"] = Target(carrier, place, False, None, ACCEPTANCE_DEG * DEG)
         return cls(
@@ -243,7 +243,7 @@ class Kit:
             targets=MappingProxyType(dict(sorted(reflectors.items()))),
             seconds=Seconds(),
             speeds=np.array([_speed(axis.linear) for axis in machine.axes]),
-            ranges=whole_ranges(machine),
+            ranges=full_ranges(machine),
             opaque=True,
         )
 
@@ -257,12 +257,12 @@ def bundled_kit(name: str | Path) -> Path:
     return find_bundled(name, ".kit.yaml", "a kit file (schema twin.kit/1)")
 
 
-def whole_ranges(machine: Machine) -> np.ndarray:
+def full_ranges(machine: Machine) -> np.ndarray:
     """Return the full ranges (axes, 2) in mm and degrees; one turn for an unlimited axis."""
     return np.array([axis.domain for axis in machine.axes])
 
 
-def looking_at(origin_mm: tuple[float, float, float], point_mm: np.ndarray) -> Station:
+def station_facing(origin_mm: tuple[float, float, float], point_mm: np.ndarray) -> Station:
     """Return an upright station at a position, its x axis towards a point."""
     away = point_mm - np.array(origin_mm)
     return Station(origin_mm, (0.0, 0.0, float(np.radians(np.round(np.degrees(np.arctan2(away[1], away[0])))))))
@@ -283,6 +283,6 @@ def _speed(linear: bool) -> float:
     return TRAVEL_MM_S if linear else TRAVEL_DEG_S
 
 
-def _three(values: Any) -> tuple[float, float, float]:
+def _triple(values: Any) -> tuple[float, float, float]:
     x, y, z = (float(value) for value in values)
     return x, y, z

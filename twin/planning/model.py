@@ -35,7 +35,7 @@ from twin.numerics.spatial import rotation_exp
 
 FALL: Final = 0.7
 """Ratio of prior variances of successive orthonormal functions of a curve: decreases more slowly than for a smooth curve."""
-MOST: Final = 13
+MOST_FUNCTIONS: Final = 13
 """Most functions of a curve, as in `identify`."""
 EXPECTED_UM: Final = 5.0
 """RMS of a curve, µm or µrad, if no calibration has it: typical of a machine in good order."""
@@ -46,14 +46,14 @@ LEAST_UM: Final = 0.5
 """Smallest prior size of a curve, µm or µrad: errors a calibration leaves out are not zero."""
 
 
-NAMED: Final = 5
+MOST_NAMED: Final = 5
 """Most unknowns named in a reason."""
 VAGUE: Final = "the readings determine it no better than its plausible size"
 
 
 @final
 @dataclass(frozen=True)
-class Hidden:
+class NotIdentifiable:
     """Error that is not identifiable from the readings of a plan.
 
     Attributes:
@@ -79,8 +79,8 @@ class PlanModel:
         plausible: (p,) plausible size of every unknown; the coordinates used here are in these units.
         free: (p, f) directions that the datum leaves free, in these units: the basis of the coordinates.
         prior: (f, f) prior precision of the coordinates.
-        about: (columns,) expected errors, µm and µrad, about which the model is linearised. The derivatives with respect to target
-            positions on their carrier depend on expected angles.
+        linearised_at: (columns,) expected errors, µm and µrad, about which the model is linearised. An expected angle that is not zero
+            makes target positions on their carrier observable, which no reading determines exactly.
     """
 
     machine: Machine
@@ -92,7 +92,7 @@ class PlanModel:
     plausible: np.ndarray
     free: np.ndarray
     prior: np.ndarray
-    about: np.ndarray
+    linearised_at: np.ndarray
 
     @classmethod
     def of(
@@ -119,7 +119,7 @@ class PlanModel:
         offsets: list[str] | None = None
         while True:
             model = cls._with_constants(machine, plan, setting, instrument, expected, known, offsets)
-            unseen = offset_unseen(model.unknowns, model.told.unseen) if model.unknowns.offsets else None
+            unseen = offset_unseen(model.unknowns, model.determinability.unseen) if model.unknowns.offsets else None
             if unseen is None:
                 return model
             offsets = [name for name in model.unknowns.offsets if name != unseen]
@@ -141,25 +141,27 @@ class PlanModel:
             axis.name: bases_for(rotary=not axis.linear, endless=axis.lower is None or axis.name in turning)[0]
             for axis in machine.axes
         }
-        spaces, constants = spaces_for(machine, plan.positions, bases=bases, most=MOST, wanted=lambda name: True)
-        told = as_told(plan, known)
-        unknowns = Unknowns(
-            machine, spaces, constants, axes_told(machine, told), None if offsets is None else sorted(offsets)
+        spaces, constants = spaces_for(
+            machine, plan.positions, bases=bases, most=MOST_FUNCTIONS, wanted=lambda name: True
         )
-        setup = setup_of(told, setting, instrument)
+        evaluated = as_evaluated(plan, known)
+        unknowns = Unknowns(
+            machine, spaces, constants, axes_told(machine, evaluated), None if offsets is None else sorted(offsets)
+        )
+        setup = setup_of(evaluated, setting, instrument)
         plausible = np.concatenate([unknowns.plausible, setup.plausible])
         free = free_directions(unknowns.datum, len(unknowns), len(setup))
         precision = np.ones(len(plausible))
-        about = np.zeros(len(unknowns))
+        linearised_at = np.zeros(len(unknowns))
         for space in spaces:
             columns = unknowns.of(space.name)
             precision[columns] = unknowns.plausible[columns] ** 2 / _sizes(space, expected) ** 2
             if space.name in expected.curves:
-                about[columns] = _parts(space, expected.curves[space.name])
+                linearised_at[columns] = _parts(space, expected.curves[space.name])
         for name, value in (*expected.squareness.items(), *expected.location.items()):
-            about[unknowns.of(name)] = value
+            linearised_at[unknowns.of(name)] = value
         prior = free.T @ (precision[:, None] * free)
-        return cls(machine, plan, instrument, unknowns, setting, setup, plausible, free, prior, about)
+        return cls(machine, plan, instrument, unknowns, setting, setup, plausible, free, prior, linearised_at)
 
     @cached_property
     def rows(self) -> np.ndarray:
@@ -176,7 +178,7 @@ class PlanModel:
         network = Network(self.machine, readings, self.instrument, self.unknowns)
         found = np.empty((len(readings), 3, self.free.shape[1]))
         for start in range(0, len(readings), PIECE):
-            piece = network.piece(self.about, self.setup, np.arange(start, min(start + PIECE, len(readings))))
+            piece = network.piece(self.linearised_at, self.setup, np.arange(start, min(start + PIECE, len(readings))))
             found[piece.rows] = (piece.jacobian * self.plausible) @ self.free
         return found
 
@@ -185,7 +187,7 @@ class PlanModel:
         return np.asarray(self.plausible[: len(self.unknowns), None] * (self.free[: len(self.unknowns)] @ coordinates))
 
     def at_tool(self, positions: np.ndarray, tool_length_mm: float, without: Collection[str] = ()) -> np.ndarray:
-        """Return the derivatives (n, 3, f) in µm of the tool point in the work frame by the coordinates, errors ``without`` left out."""
+        """Return the derivatives (n, 3, f), µm, of the tool point in the work frame by the coordinates, without some errors."""
         kinematics = Kinematics(self.machine, Calibration.zero(self.machine), tool_length_mm=tool_length_mm)
         by_error = kinematics.sensitivities(positions).error[:, :3]
         shapes = self.unknowns.shapes(np.asarray(positions))
@@ -202,7 +204,7 @@ class PlanModel:
         return given_mm if given_mm is not None else self.machine.tool_length_mm or 100.0
 
     @cached_property
-    def told(self) -> Determinability:
+    def determinability(self) -> Determinability:
         """Determinability of every unknown from the readings, relative to its plausible size."""
         flat = self.rows.reshape(-1, self.rows.shape[-1])
         triangle = np.linalg.qr(flat, mode="r") if len(flat) > flat.shape[1] else flat
@@ -215,11 +217,11 @@ class PlanModel:
         )
 
     @cached_property
-    def hidden(self) -> tuple[Hidden, ...]:
+    def hidden(self) -> tuple[NotIdentifiable, ...]:
         """Errors of which not even the lowest order is determined; `identify` would leave them out."""
-        unseen = dict(zip(self.told.names, self.told.unseen, strict=True))
+        unseen = dict(zip(self.determinability.names, self.determinability.unseen, strict=True))
         # The machine's own unknowns come first.
-        names = dict(zip(self.unknowns.columns, self.told.names, strict=False))
+        names = dict(zip(self.unknowns.columns, self.determinability.names, strict=False))
         found = []
         for name in self.unknowns.entities:
             space = self.curves.get(name)
@@ -227,8 +229,10 @@ class PlanModel:
             lowest = [names[column] for column in (columns if space is None else columns[: len(space.groups()[0])])]
             worst = max(lowest, key=lambda one: unseen[one])
             if unseen[worst] > UNSEEN:
-                direction = self.told.moving(worst)
-                found.append(Hidden(name, VAGUE if direction is None else str(direction.shortened(NAMED))))
+                direction = self.determinability.moving(worst)
+                found.append(
+                    NotIdentifiable(name, VAGUE if direction is None else str(direction.shortened(MOST_NAMED)))
+                )
         return tuple(found)
 
     @cached_property
@@ -264,7 +268,7 @@ def _parts(space: CurveSpace, curve: Curve) -> np.ndarray:
     return np.asarray(((w * curve(q)) @ space.functions(q))[space.first :])
 
 
-def as_told(plan: Measurements, known: Collection[str]) -> Measurements:
+def as_evaluated(plan: Measurements, known: Collection[str]) -> Measurements:
     """Return the plan as an evaluation will see it: poses and positions only where they are exactly known."""
     station = np.array([name in known for name in plan.station])[:, None]
     target = np.array([name in known for name in plan.target])[:, None]
@@ -277,10 +281,10 @@ def as_told(plan: Measurements, known: Collection[str]) -> Measurements:
 
 def setup_of(plan: Measurements, setting: Setting, instrument: Instrument) -> SetUp:
     """Return the set-up at the planned poses and positions; known are only those the plan gives to an evaluation."""
-    told = SetUp.told(plan, lengths_only=instrument.lengths_only)
+    known = SetUp.told(plan, lengths_only=instrument.lengths_only)
     return replace(
-        told,
-        rotation=rotation_exp(np.array([setting.stations[name].turn_rad for name in told.stations])),
-        origin=np.array([setting.stations[name].origin_mm for name in told.stations]) * MM,
-        place=np.array([setting.places_mm[name] for name in told.targets]) * MM,
+        known,
+        rotation=rotation_exp(np.array([setting.stations[name].turn_rad for name in known.stations])),
+        origin=np.array([setting.stations[name].origin_mm for name in known.stations]) * MM,
+        place=np.array([setting.places_mm[name] for name in known.targets]) * MM,
     )

@@ -59,15 +59,17 @@ def plan(
         task.say("drawing candidates", 0.0)
         every = candidates(machine, task.kit, task.rng, task.levels)
         models = [task.model(every.plan, instrument) for instrument in task.kit.instruments]
-        aims = [aim_of(one, task.wanted, tool_length_mm) for one in models]
+        aims = [aim_of(one, task.reduce, tool_length_mm) for one in models]
         problems = [
             DesignProblem(one.instrument, every, one.prior, one.rows, aim)
             for one, aim in zip(models, aims, strict=True)
         ]
         filled = fill(task, problems)
         task.say("predicting", 0.95)
-        told = forecast(task.model(filled.route.plan, filled.stands[0].readings.instrument), tool_length_mm)
-        return Plan.of(task, " ".join(task.wanted), filled, forecast=told)
+        predicted = forecast(
+            task.model(filled.route.plan, filled.station_choices[0].problem.instrument), tool_length_mm
+        )
+        return Plan.of(task, " ".join(task.reduce), filled, forecast=predicted)
 
 
 def judge(

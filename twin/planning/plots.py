@@ -45,7 +45,9 @@ def plot_places(table: Measurements, machine: Machine, *, title: str = "") -> Fi
     """
     if not (np.isfinite(table.place_mm).all() and np.isfinite(table.station_pose).all()):
         raise InputError(
-            "positions of stations or targets are missing", expected="place_… and station_… in every row", file=table.source
+            "positions of stations or targets are missing",
+            expected="place_… and station_… in every row",
+            file=table.source,
         )
     points = Observation(machine).points_mm(Calibration.zero(machine), table, table.place_mm)
     figure = blank(12.0, 6.2)
@@ -74,29 +76,29 @@ def plot_places(table: Measurements, machine: Machine, *, title: str = "") -> Fi
 
 
 def plot_uncertainties(
-    foretold: Mapping[str, Forecast], found: Mapping[str, Identification] | None = None, *, title: str = ""
+    forecasts: Mapping[str, Forecast], found: Mapping[str, Identification] | None = None, *, title: str = ""
 ) -> Figure:
     """Plot the standard uncertainty of every error for up to three plans: open markers predicted, filled markers identified.
 
     Args:
-        foretold: forecasts by the name of the plan.
+        forecasts: forecasts by the name of the plan.
         found: identifications from the measured plans, by the same names.
         title: heading of the figure.
 
     Raises:
         InputError: no forecast, or more than three.
     """
-    if not 1 <= len(foretold) <= len(STYLES):
-        raise InputError("number of plans for one figure", expected=f"1 to {len(STYLES)}", value=len(foretold))
-    every = list(dict.fromkeys(name for one in foretold.values() for name in one.errors))
+    if not 1 <= len(forecasts) <= len(STYLES):
+        raise InputError("number of plans for one figure", expected=f"1 to {len(STYLES)}", value=len(forecasts))
+    every = list(dict.fromkeys(name for one in forecasts.values() for name in one.errors))
     figure = blank(12.0, 5.8)
     below = 0
     for plot, (limit, unit) in zip(figure.subplots(2, 1), PANELS, strict=True):
         names = [name for name in every if below <= split_name(name)[0] < limit]
         below = limit
-        for (label, one), (colour, marker) in zip(foretold.items(), STYLES, strict=False):
-            foretell = {"markerfacecolor": "white", "label": f"{label}: predicted"}
-            _marks(plot, names, one.errors, colour, marker, 7, **foretell)
+        for (label, one), (colour, marker) in zip(forecasts.items(), STYLES, strict=False):
+            style = {"markerfacecolor": "white", "label": f"{label}: predicted"}
+            _marks(plot, names, one.errors, colour, marker, 7, **style)
             if found is not None and label in found:
                 _marks(plot, names, _stated(found[label]), colour, marker, 4, label=f"{label}: identified")
         plot.set_yscale("log")
@@ -107,7 +109,7 @@ def plot_uncertainties(
         plot.grid(color="#dddddd", linewidth=0.6, which="both", axis="y")
         plot.set_axisbelow(True)
         plot.spines[["top", "right"]].set_visible(False)
-    legend: dict[str, Any] = {"loc": "outside lower center", "fontsize": 9, "ncols": 2 * len(foretold)}
+    legend: dict[str, Any] = {"loc": "outside lower center", "fontsize": 9, "ncols": 2 * len(forecasts)}
     figure.legend(*figure.axes[0].get_legend_handles_labels(), **legend)
     heading(figure, title or "Standard uncertainty of every error (for a curve the largest over its range)")
     return figure

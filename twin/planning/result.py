@@ -15,7 +15,7 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 from twin.planning.clearance import Clearance
-from twin.planning.fill import Filled
+from twin.planning.fill import FilledPlan
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit
 from twin.planning.route import Route
@@ -67,24 +67,24 @@ class Separation:
     Attributes:
         names: names of the two causes.
         sizes: (value, unit) smallest size of each that is distinguished from the other with odds of `ODDS`:1.
-        meant: size of each as given by the user, in the same unit; NaN if none was given.
+        given_sizes: size of each as given by the user, in the same unit; NaN if none was given.
     """
 
     names: tuple[str, str]
     sizes: tuple[tuple[float, str], tuple[float, str]]
-    meant: tuple[float, float]
+    given_sizes: tuple[float, float]
 
     def lines(self) -> list[str]:
         """Return the text lines: smallest distinguishable size of each cause, compared with the size given."""
         found = [
             f"the two causes are distinguished with odds of {ODDS}:1 or better in 19 of 20 measurements, both estimated together:"
         ]
-        for name, (size, unit), meant in zip(self.names, self.sizes, self.meant, strict=True):
+        for name, (size, unit), given in zip(self.names, self.sizes, self.given_sizes, strict=True):
             shown = unit.replace("um", "µm").replace("urad", "µrad")
             text = f"  {name}, if it is {size:.3g} {shown} or more"
-            if meant == meant:
-                share = abs(meant) / size
-                text += f"; the given {abs(meant):.3g} {shown} are {'enough' if share >= 1.0 else 'NOT ENOUGH'} ({share:.2g} times that)"
+            if given == given:
+                share = abs(given) / size
+                text += f"; given: {abs(given):.3g} {shown}, {'enough' if share >= 1.0 else 'NOT ENOUGH'} ({share:.2g} times that)"
             found.append(text)
         return found
 
@@ -93,8 +93,8 @@ class Separation:
         return {
             "odds": ODDS,
             "causes": [
-                {"name": name, "least_size": size, "unit": unit, "meant": None if meant != meant else meant}
-                for name, (size, unit), meant in zip(self.names, self.sizes, self.meant, strict=True)
+                {"name": name, "least_size": size, "unit": unit, "meant": None if given != given else given}
+                for name, (size, unit), given in zip(self.names, self.sizes, self.given_sizes, strict=True)
             ],
         }
 
@@ -134,22 +134,22 @@ class Plan:
         cls,
         task: Task,
         aim: str,
-        filled: Filled,
+        filled: FilledPlan,
         *,
         forecast: Forecast | None = None,
         separation: Separation | None = None,
     ) -> Plan:
         """Return the plan for the best of the station choices, with its route."""
-        best = filled.stands[0]
+        best = filled.station_choices[0]
         alternatives = tuple(
-            Alternative(one.readings.instrument.name, one.stations, one.points, one.value, one.readings.aim.unit)
-            for one in filled.stands
+            Alternative(one.problem.instrument.name, one.stations, one.points, one.value, one.problem.aim.unit)
+            for one in filled.station_choices
         )
         return cls(
             task.machine,
             task.kit,
             aim,
-            best.readings.instrument,
+            best.problem.instrument,
             best.stations,
             filled.route,
             forecast,
@@ -184,7 +184,7 @@ class Plan:
             "approach_… is the direction of approach of each axis: overrun the position by more than the reversal value and return",
             "planned_… are approximate positions, which no evaluation treats as known; place_… and station_… count as exactly known",
         ]
-        if self._clearance.known:
+        if self._clearance.has_shapes:
             found.append(
                 "poses and straight moves keep the tool side clear of the work side for the shapes in the URDF and the reflectors. "
                 "Holders, clamps and workpiece are not checked: make a dry run first"
@@ -202,8 +202,8 @@ class Plan:
 
     def save(self, path: str | Path) -> None:
         """Write the plan atomically as a measurement table without coordinates."""
-        meant = {*self.kit.stations, *self.kit.targets} - self.kit.known
-        self.table.save(path, self.machine, comment=self.comment(), planned=meant)
+        planned = {*self.kit.stations, *self.kit.targets} - self.kit.known
+        self.table.save(path, self.machine, comment=self.comment(), planned=planned)
 
     def comment(self) -> str:
         """Return the comment lines of the file."""
@@ -220,8 +220,8 @@ class Plan:
         parts = ((words, self.route.spent[key]) for key, words in SPENT.items())
         whole = max(self.route.seconds, 1.0)
         rows = [(words, f"{seconds / 60:.0f}", bar(seconds / whole)) for words, seconds in parts]
-        told = [("aim", self.aim), ("instrument", self.instrument.name), ("stations", ", ".join(self.stations))]
-        told.append(("kit", self.kit.source))
+        facts = [("aim", self.aim), ("instrument", self.instrument.name), ("stations", ", ".join(self.stations))]
+        facts.append(("kit", self.kit.source))
         tried = [
             (one.instrument, ", ".join(one.stations), f"{one.points:,}", f"{one.value:.3g} {one.unit}")
             for one in self.alternatives[:SHOWN]
@@ -231,11 +231,16 @@ class Plan:
         headers = ("instrument", "stations", "readings", "uncertainty to minimise")
         return card(
             f"Plan for {self.machine.name}",
-            pairs(told),
+            pairs(facts),
             table(("time for", "minutes", ""), rows, right=(1,)),
             *separation,
             *forecast,
-            table(headers, tried, right=(2, 3), title="Station choices compared (after a first choice of readings), best first"),
+            table(
+                headers,
+                tried,
+                right=(2, 3),
+                title="stations compared (after a first choice of readings), best first",
+            ),
             *(note(notice, loud=notice.startswith(("RETRACT", "THE URDF"))) for notice in self.notices()),
             small=f"{several(len(self.table), 'reading')}, {self.minutes:.0f} minutes",
             wrong=not self.complete,

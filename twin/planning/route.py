@@ -20,7 +20,7 @@ from twin.planning.task import Task
 
 PASSES: Final = 2
 """Number of passes over a station's readings, so that drift can be separated from repeatable errors."""
-TRIED: Final = 12
+MOST_TRIED: Final = 12
 """Number of nearest readings tried for one that a straight move reaches with clearance."""
 
 
@@ -58,7 +58,7 @@ def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
         if plan.station[row] != here:
             here = str(plan.station[row])
             clock.set_up()
-        clock.take(row, str(plan.round[row]), *(float(part[0]) for part in clock.way(np.array([row]))))
+        clock.take(row, str(plan.round[row]), *(float(part[0]) for part in clock.seconds_to(np.array([row]))))
     return sum(clock.spent.values())
 
 
@@ -82,7 +82,7 @@ def route(task: Task, chosen: Candidates, stations: Sequence[str], *, clear: boo
             continue
         clock.wait(one.start_s)
         if len(sessions) > 1:
-            begun.append((len(clock.order), one.words))
+            begun.append((len(clock.order), one.instruction))
         for station in stations:
             rows = np.flatnonzero((plan.station == station) & (session == k))
             if not len(rows):
@@ -93,7 +93,7 @@ def route(task: Task, chosen: Candidates, stations: Sequence[str], *, clear: boo
             for part in np.array_split(rng.permutation(rows), PASSES):
                 if len(part):
                     number += 1
-                    clock.through(part, str(number))
+                    clock.visit(part, str(number))
     order = np.array(clock.order)
     ordered = replace(
         plan.select(order),
@@ -129,18 +129,20 @@ class _Clock:
         self._spend("station", self.kit.seconds.station)
         self.facing = {}
 
-    def through(self, rows: np.ndarray, name: str) -> None:
+    def visit(self, rows: np.ndarray, name: str) -> None:
         """Take all of some rows, each time the one that is reached first."""
         left = list(rows)
         while left:
             candidates = np.array(left)
-            travel, target, aim = self.way(candidates)
+            travel, target, aim = self.seconds_to(candidates)
             nearest = np.argsort(travel + target + aim, kind="stable")
             taken = int(nearest[0])
             if self.order and self.clearance is not None:
                 here, clearance = self.plan.positions[self.order[-1]], self.clearance
                 clear = (
-                    int(k) for k in nearest[:TRIED] if clearance.free_move(here, self.plan.positions[candidates[k]])
+                    int(k)
+                    for k in nearest[:MOST_TRIED]
+                    if clearance.is_move_clear(here, self.plan.positions[candidates[k]])
                 )
                 found = next(clear, None)
                 if found is None:
@@ -160,7 +162,7 @@ class _Clock:
         self.rounds.append(name)
         self.times.append(self.now)
 
-    def way(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def seconds_to(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the seconds for travel, for changing the target and for aiming, from the present state to each of some rows."""
         targets = self.plan.target[rows]
         if self.order:

@@ -33,12 +33,12 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, usual
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
-from twin.planning.aims import AtTool
-from twin.planning.candidates import ALWAYS, Candidates, Session, candidates
+from twin.planning.aims import LinearAim
+from twin.planning.candidates import ANY_STATE, Candidates, Session, candidates
 from twin.planning.design import DesignProblem, covariance_of
 from twin.planning.fill import fill
 from twin.planning.kit import Kit
-from twin.planning.model import as_told, setup_of
+from twin.planning.model import as_evaluated, setup_of
 from twin.planning.result import ODDS, Plan, Separation
 from twin.planning.task import Say, Task
 
@@ -48,7 +48,7 @@ LAMBDA: Final = (POWER + float(np.sqrt(POWER**2 + 2.0 * np.log(ODDS)))) ** 2
 """s²/Var needed to distinguish a cause: the log-likelihood ratio is normal with mean λ/2 and variance λ."""
 WARM_K: Final = 5.0
 """Temperature rise of a sensor in its session, K."""
-HOLD: Final = 1e-4
+SETUP_PRECISION: Final = 1e-4
 """Prior precision of the set-up, relative to that of its plausible size."""
 LATER_S: Final = 4.0 * 3600.0
 """Seconds after a cold start when most of a drift has passed."""
@@ -56,7 +56,7 @@ LATER_S: Final = 4.0 * 3600.0
 
 @final
 @dataclass(frozen=True)
-class Named:
+class NamedCause:
     """Cause as named by the user.
 
     Attributes:
@@ -69,7 +69,7 @@ class Named:
     numbers: Mapping[str, float]
 
     @classmethod
-    def parse(cls, text: str) -> Named:
+    def parse(cls, text: str) -> NamedCause:
         """Read a cause such as ``cross_axis E_AX by Z``, ``reversal:Y`` or ``pitch_error X amplitude=2 period=10``.
 
         Raises:
@@ -123,13 +123,15 @@ def separate(
             too short.
     """
     with threadpool_limits(limits=1, user_api="blas"):
-        causes = (Named.parse(first), Named.parse(second))
+        causes = (NamedCause.parse(first), NamedCause.parse(second))
         if causes[0].text == causes[1].text:
-            raise InputError("the two causes are the same", expected="two effects, or one effect in two places", value=second)
+            raise InputError(
+                "the two causes are the same", expected="two effects, or one effect in two places", value=second
+            )
         task = Task.of(machine, kit, minutes, calibration, seed, say)
         if after is not None:
             rounds = max((int(name) for name in after.round if str(name).isdecimal()), default=0)
-            task = replace(task, kit=_beside(task.kit, after), first_round=1 + rounds)
+            task = replace(task, kit=_with_new_names(task.kit, after), first_round=1 + rounds)
         task.say("drawing candidates", 0.0)
         every = _in_sessions(candidates(machine, task.kit, task.rng).plan, _sessions(causes))
         question = _Question(task, causes, after)
@@ -138,13 +140,13 @@ def separate(
         chosen = filled.route.plan
         last = question.cells(chosen)
         in_order = Candidates(chosen, np.zeros(len(chosen), dtype=int))
-        told = question.problem(filled.stands[0].readings.instrument, in_order, last)
+        final = question.problem(filled.station_choices[0].problem.instrument, in_order, last)
         aim = f"separate {causes[0].text} from {causes[1].text}"
-        separation = _separation(causes, last, covariance_of(told.prior, told.rows))
+        separation = _separation(causes, last, covariance_of(final.prior, final.rows))
         return Plan.of(task, aim, filled, separation=separation)
 
 
-Meant = tuple[Candidate, Cell]
+CauseForm = tuple[Candidate, Cell]
 """A cause and the form of it that is planned for."""
 
 
@@ -160,28 +162,28 @@ class _Question:
     """
 
     task: Task
-    causes: tuple[Named, Named]
+    causes: tuple[NamedCause, NamedCause]
     after: Measurements | None
 
-    def cells(self, plan: Measurements) -> tuple[Meant, Meant]:
+    def cells(self, plan: Measurements) -> tuple[CauseForm, CauseForm]:
         """Return the forms of both causes at the readings of a plan."""
-        first, second = (form_meant(one, self.task.machine, plan, self.task.expected) for one in self.causes)
+        first, second = (cause_form(one, self.task.machine, plan, self.task.expected) for one in self.causes)
         return first, second
 
-    def problem(self, instrument: Instrument, every: Candidates, cells: tuple[Meant, Meant]) -> DesignProblem:
+    def problem(self, instrument: Instrument, every: Candidates, cells: tuple[CauseForm, CauseForm]) -> DesignProblem:
         """Return the derivatives with respect to set-up, calibration errors and the two causes, with their prior precision."""
         problem = self._planned(instrument, every.plan)
         columns = [problem.signature(cell.columns) for _, cell in cells]
-        setup, doubt = len(problem.setup), len(problem.prior)
+        setup, calibration_errors = len(problem.setup), len(problem.prior)
         whole = np.concatenate([problem.nuisance, *columns], axis=1)
         total = whole.shape[1]
         # `twin diagnose` has no prior on the set-up: a target's position on its carrier may have to follow from machine angles alone.
-        prior = np.diag(np.where(np.arange(total) < setup, HOLD, 1.0))
+        prior = np.diag(np.where(np.arange(total) < setup, SETUP_PRECISION, 1.0))
         if self.after is not None:
-            prior[setup:, setup:] += self._told_already(instrument, self.after)
-        ends = np.cumsum([setup + doubt, *(block.shape[1] for block in columns)])
+            prior[setup:, setup:] += self._earlier_precision(instrument, self.after)
+        ends = np.cumsum([setup + calibration_errors, *(block.shape[1] for block in columns)])
         sizes = tuple(
-            _meant(one, cell) / float(np.mean([column.scale for column in cell[1].columns]))
+            _given_size(one, cell) / float(np.mean([column.scale for column in cell[1].columns]))
             for one, cell in zip(self.causes, cells, strict=True)
         )
         # Without given sizes both causes have equal weight, in units of their plausible size.
@@ -189,29 +191,29 @@ class _Question:
         both = np.zeros((total, total))
         for (begin, end), size in zip(pairwise(ends), safe, strict=True):
             both[range(begin, end), range(begin, end)] = 1.0 / size
-        aim = AtTool(both[None], "separate", "of the given sizes")
+        aim = LinearAim(both[None], "separate", "of the given sizes")
         return DesignProblem(instrument, every, prior, whole.reshape(-1, 3, total), aim)
 
     def _planned(self, instrument: Instrument, every: Measurements) -> Problem:
         machine, kit = self.task.machine, self.task.kit
         zero, rng = Calibration.zero(machine), np.random.default_rng(0)
         measured, _ = simulate(every, machine, zero, instrument, rng, setting=kit.setting, noise=False)
-        told = as_told(replace(measured, station_pose=every.station_pose, place_mm=every.place_mm), kit.known)
-        return self._problem(told, instrument, setup_of(told, kit.setting, instrument))
+        evaluated = as_evaluated(replace(measured, station_pose=every.station_pose, place_mm=every.place_mm), kit.known)
+        return self._problem(evaluated, instrument, setup_of(evaluated, kit.setting, instrument))
 
     def _problem(self, data: Measurements, instrument: Instrument, setup: SetUp) -> Problem:
         machine, known = self.task.machine, self.task.expected
         return Problem(Network(machine, data, instrument, Unknowns(machine, [], []), known), setup, known)
 
-    def _told_already(self, instrument: Instrument, after: Measurements) -> np.ndarray:
+    def _earlier_precision(self, instrument: Instrument, after: Measurements) -> np.ndarray:
         """Return the precision (k, k) of calibration errors and causes from earlier readings, their set-up projected out."""
         lengths_only = bool(np.isnan(after.point_mm[:, 1:]).all())
         kept, setup = fitting(self.task.machine, after, lengths_only=lengths_only)
         reader = instrument if lengths_only or not instrument.lengths_only else usual(lengths_only=False)
         problem = self._problem(kept, reader, setup)
         columns = [problem.signature(cell.columns) for _, cell in self.cells(kept)]
-        own, doubts = np.split(problem.nuisance, [len(problem.setup)], axis=1)
-        rest = np.concatenate([doubts, *columns], axis=1)
+        own, calibration_errors = np.split(problem.nuisance, [len(problem.setup)], axis=1)
+        rest = np.concatenate([calibration_errors, *columns], axis=1)
         # Part of a set-up may be undetermined: a frame and everything read in it can move together.
         basis, strength, _ = np.linalg.svd(own, full_matrices=False)
         basis = basis[:, strength > TOLD_APART * strength[0]]
@@ -219,7 +221,7 @@ class _Question:
         return np.asarray(left.T @ left)
 
 
-def _beside(kit: Kit, after: Measurements) -> Kit:
+def _with_new_names(kit: Kit, after: Measurements) -> Kit:
     """Return the kit with names not used in the earlier table: after a new set-up a station or reflector has new unknowns."""
 
     def fresh(name: str, taken: set[str]) -> str:
@@ -238,7 +240,7 @@ def _beside(kit: Kit, after: Measurements) -> Kit:
     )
 
 
-def _sessions(causes: Sequence[Named]) -> tuple[Session, ...]:
+def _sessions(causes: Sequence[NamedCause]) -> tuple[Session, ...]:
     """Return the sessions in which the two causes differ: cold, one sensor warm at a time, hours later; only where needed."""
     sensors: list[str] = []
     drifts = False
@@ -247,7 +249,7 @@ def _sessions(causes: Sequence[Named]) -> tuple[Session, ...]:
         sensors += [name[2:-5] for name in needed if name.startswith("T_")]
         drifts = drifts or TIME in needed
     if not sensors and not drifts:
-        return ALWAYS
+        return ANY_STATE
     names = tuple(dict.fromkeys(sensors))
     level = dict.fromkeys(names, 20.0)
     what = " and ".join(names)
@@ -276,7 +278,7 @@ def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> Candidat
     return Candidates(timed, session, sessions)
 
 
-def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Calibration) -> Meant:
+def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibration: Calibration) -> CauseForm:
     """Return the form of a cause with the given non-linear parameters; the simplest form if none are given.
 
     A drift is exponential if its ``amplitude`` or ``time_constant`` is given, else linear with a ``rate``.
@@ -322,13 +324,15 @@ def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Ca
     return found, min(cells, key=lambda cell: (off(cell), len(cell.columns) - plainest))
 
 
-def _meant(one: Named, cell: Meant) -> float:
+def _given_size(one: NamedCause, cell: CauseForm) -> float:
     """Return the given size of a cause; NaN if none was given."""
     linear = [value for name, value in one.numbers.items() if name not in cell[1].fixed and name != "phase"]
     return float(np.sqrt(np.sum(np.square(linear)))) if linear else float("nan")
 
 
-def _separation(causes: tuple[Named, Named], cells: tuple[Meant, Meant], covariance: np.ndarray) -> Separation:
+def _separation(
+    causes: tuple[NamedCause, NamedCause], cells: tuple[CauseForm, CauseForm], covariance: np.ndarray
+) -> Separation:
     """Return the smallest size of each cause that is distinguished, from the predicted covariance."""
     sizes: list[tuple[float, str]] = []
     start = len(covariance) - sum(len(cell.columns) for _, cell in cells)
@@ -341,5 +345,5 @@ def _separation(causes: tuple[Named, Named], cells: tuple[Meant, Meant], covaria
         worst = float(np.sqrt(LAMBDA * np.linalg.eigvalsh(own)[-1]))
         straight = candidate.drift is not None and not cell.fixed
         sizes.append((worst, "um/h" if straight else candidate.names[0][1]))
-    meant = tuple(_meant(one, cell) for one, cell in zip(causes, cells, strict=True))
-    return Separation((causes[0].text, causes[1].text), (sizes[0], sizes[1]), (meant[0], meant[1]))
+    given = tuple(_given_size(one, cell) for one, cell in zip(causes, cells, strict=True))
+    return Separation((causes[0].text, causes[1].text), (sizes[0], sizes[1]), (given[0], given[1]))

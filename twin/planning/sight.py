@@ -123,7 +123,7 @@ class Sight:
                     found[rows] = self.towards(of, self.kit.targets[target], self.kit.stations[station].origin_mm)
         return found
 
-    def sees(self, positions: np.ndarray) -> dict[tuple[str, str], np.ndarray]:
+    def visible(self, positions: np.ndarray) -> dict[tuple[str, str], np.ndarray]:
         """Return whether each target is visible (n,) by (station, target), at commands (n, axes) in mm and degrees."""
         poses = self.poses(positions)
         blocked = self._blocked(positions, poses) if self.kit.opaque else {}

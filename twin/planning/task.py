@@ -16,17 +16,17 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 from twin.planning.kit import Kit
-from twin.planning.model import MOST, PlanModel
+from twin.planning.model import MOST_FUNCTIONS, PlanModel
 
 Say = Callable[[str, float], None]
 AIMS: Final = ("tool", "everything", "weakest")
 MOST_READINGS: Final = 10_000
 """Limit of the number of readings: computing time grows with its square; a day allows some 5,000."""
-PAID: Final = 3.0
+NUMBERS_PER_FUNCTION: Final = 3.0
 """Coordinates read per function of a curve: two thirds of them for stations, reflectors and redundancy."""
-BEYOND: Final = 2
+REDUNDANT: Final = 2
 """Positions in excess of functions, for redundancy."""
-LEVELS: Final = 3 + BEYOND
+LEAST_LEVELS: Final = 3 + REDUNDANT
 """Fewest positions of an axis: three functions and redundancy."""
 FEWEST: Final = 12
 """Fewest readings of a plan: a station and two reflectors alone need four."""
@@ -44,7 +44,7 @@ class Task:
         expected: expected size of the errors, for the prior.
         seed: random seed.
         say: progress callback: stage and share done.
-        wanted: uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``).
+        reduce: uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``).
         first_round: number of the first round.
     """
 
@@ -54,7 +54,7 @@ class Task:
     expected: Calibration
     seed: int
     say: Say
-    wanted: tuple[str, ...]
+    reduce: tuple[str, ...]
     first_round: int = 1
 
     @classmethod
@@ -73,7 +73,7 @@ class Task:
         Raises:
             InputError: the time budget allows too many readings, or the machine has no error of a given name.
         """
-        wanted = _wanted(machine, reduce)
+        names = _names_to_minimise(machine, reduce)
         own = Kit.default(machine) if kit is None else kit
         longest = MOST_READINGS * own.seconds.point / 60.0
         if not minutes <= longest:
@@ -83,7 +83,7 @@ class Task:
                 value=minutes,
             )
         sizes = Calibration.default(machine) if expected is None else expected
-        return cls(machine, own, minutes, sizes, seed, say or (lambda stage, part: None), wanted)
+        return cls(machine, own, minutes, sizes, seed, say or (lambda stage, part: None), names)
 
     @cached_property
     def rng(self) -> np.random.Generator:
@@ -97,7 +97,7 @@ class Task:
     @property
     def levels(self) -> int | None:
         """Number of positions of each axis that the plan can afford; None: no limit needed."""
-        return levels_for(self.machine, self.expected_points, self.kit.numbers, self.expected)
+        return levels_for(self.machine, self.expected_points, self.kit.coordinates_per_reading, self.expected)
 
     @property
     def seconds(self) -> float:
@@ -125,13 +125,13 @@ def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibrat
     Returns:
         Number of positions, or None if no limit is needed.
     """
-    functions = int(readings * numbers / (PAID * len(machine.motion_names)))
+    functions = int(readings * numbers / (NUMBERS_PER_FUNCTION * len(machine.motion_names)))
     needed = max((len(curve.coefficients) for curve in expected.curves.values()), default=0)
-    levels = max(LEVELS, functions + BEYOND, needed + BEYOND)
-    return None if levels >= MOST + BEYOND else levels
+    levels = max(LEAST_LEVELS, functions + REDUNDANT, needed + REDUNDANT)
+    return None if levels >= MOST_FUNCTIONS + REDUNDANT else levels
 
 
-def _wanted(machine: Machine, reduce: str | Sequence[str]) -> tuple[str, ...]:
+def _names_to_minimise(machine: Machine, reduce: str | Sequence[str]) -> tuple[str, ...]:
     """Return the uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``).
 
     Raises:
