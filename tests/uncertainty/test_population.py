@@ -25,7 +25,7 @@ from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.budget import drawn_sides, volume
-from twin.uncertainty.population import BINS, TRIALS_A_TASK, Counts, Draws, draw_machines
+from twin.uncertainty.population import BINS, TRIALS_PER_TASK, Counts, Draws, draw_machines
 
 HERE = Workers(1)
 
@@ -106,7 +106,7 @@ def test_a_machine_is_the_same_however_many_follow(dmu50: Machine, uncertain: Ca
 
 def test_another_seed_is_another_million(dmu50: Machine, uncertain: Calibration) -> None:
     kinematics = Kinematics(dmu50, uncertain)
-    more = TRIALS_A_TASK + 1000  # two tasks
+    more = TRIALS_PER_TASK + 1000  # two tasks
     one, same, other = (draw_machines(kinematics, trials=more, poses=5, seed=s, workers=HERE) for s in (1, 1, 2))
     assert json.dumps(one.to_dict()) == json.dumps(same.to_dict())
     assert one.machines == more

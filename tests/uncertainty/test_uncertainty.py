@@ -23,7 +23,7 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
-from twin.uncertainty.at_tool import POSES_A_STEP, ToolUncertainty, radius_95
+from twin.uncertainty.at_tool import POSES_PER_STEP, ToolUncertainty, radius_95
 from twin.uncertainty.budget import error_budget, volume
 from twin.uncertainty.population import numerical_tolerance
 
@@ -226,9 +226,9 @@ def test_a_map_over_the_volume(dmu50: Machine, uncertain: Calibration) -> None:
 def test_many_poses_are_as_good_as_one(dmu50: Machine, uncertain: Calibration) -> None:
     """Across the seams of the steps the poses are worked off in."""
     tool = ToolUncertainty(Kinematics(dmu50, uncertain))
-    q = volume(dmu50, POSES_A_STEP + 300)
+    q = volume(dmu50, POSES_PER_STEP + 300)
     many = tool.at(q)
-    for i in (0, 255, 256, POSES_A_STEP - 1, POSES_A_STEP, len(q) - 1):
+    for i in (0, 255, 256, POSES_PER_STEP - 1, POSES_PER_STEP, len(q) - 1):
         assert many.covariance[i] == pytest.approx(tool.at(q[i]).covariance[0], rel=1e-9, abs=1e-12)
     with pytest.raises(ValueError, match="read-only"):
         many.covariance[0] = 0.0

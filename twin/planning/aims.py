@@ -1,8 +1,8 @@
 """Optimality criteria of a plan: uncertainty of the tool point, D-optimality, E-optimality, or of a few errors by name.
 
-Each criterion gives the weight matrix M of the unknowns in `twin.planning.design`. It is that of the variance of the tool point over the
-volume (L- or I-optimality), the inverse of the covariance of the machine's unknowns (D, the determinant), the projector on the least
-certain direction (E), or that of the variance of a few errors by name.
+Each criterion gives the weight matrix M of the unknowns in `twin.planning.design`. This is that of the variance of the tool point
+over the volume (L- or I-optimality), the inverse of the covariance of the machine's unknowns (D, the determinant), the projector on
+the least certain direction (E), or that of the variance of a few errors by name.
 """
 
 from __future__ import annotations
