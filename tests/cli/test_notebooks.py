@@ -84,7 +84,7 @@ def diagnosed(notebook: nbformat.NotebookNode) -> None:
 
 
 def planned(notebook: nbformat.NotebookNode) -> None:
-    """40 % less at the tool in the same hours at least, predicted and achieved; then two names, and after half an hour the right one."""
+    """At least 40 % less at the tool in the same time, predicted and achieved; then two causes, and after half an hour the right one."""
     text = told(notebook)
     display = text[text.index("Plan for DMU 50") :]
     assert all(words in display for words in ("minutes", "µm", "µrad", "not identifiable from these readings"))
@@ -93,7 +93,7 @@ def planned(notebook: nbformat.NotebookNode) -> None:
     (less,) = re.findall(r"predicted (\d+) % less, achieved (\d+) % less", text)
     assert all(int(share) >= 40 for share in less)
     assert text.index("ambiguous: cross_axis E_A") < text.index("explained: cross_axis E_AY by Z")
-    assert "enough (" in text and "NOT ENOUGH" not in text
+    assert "are enough" in text and "NOT ENOUGH" not in text
 
 
 def toured(notebook: nbformat.NotebookNode) -> None:

@@ -183,7 +183,7 @@ def test_on_the_line(
 
 
 @pytest.mark.parametrize("kind", [slow("heidenhain"), "siemens", "isg", "grid"])
-def test_an_axis_under_the_work(kind: str, tmp_path: Path) -> None:
+def test_an_axis_on_the_work_side(kind: str, tmp_path: Path) -> None:
     """The trunnion machine has Y on the work side: signs follow from its kinematics."""
     machine = Machine.load("trunnion_ac")
     calibration = drawn(machine, 6, rotary=kind == "isg")
@@ -253,7 +253,7 @@ def test_reversals_have_two_directions(kind: str, dmu50: Machine, tmp_path: Path
     assert carried["E_YX"] == ("no" if kind == "linuxcnc" else "whole")
 
 
-def test_what_a_format_cannot_carry_is_said(dmu50: Machine) -> None:
+def test_errors_a_format_cannot_correct_are_reported(dmu50: Machine) -> None:
     extra = (Reversal(dmu50.by_name["Y"], 5.0), CrossAxis("E_XZ", "Y", 30.0))
     bare = drawn(dmu50, 7, rotary=True).where(lambda name: name in ("E_XX", "E_AX", "E_C0Y", "E_XC", "E_CC", "E_CB"))
     calibration = replace(bare, extra=extra)
@@ -273,7 +273,7 @@ def test_what_a_format_cannot_carry_is_said(dmu50: Machine) -> None:
 
 
 @pytest.mark.slow
-def test_few_tables_go_to_what_takes_out_most(
+def test_few_tables_are_used_for_the_largest_corrections(
     dmu50: Machine, truth: dict[bool, tuple[Calibration, TruthMachine]]
 ) -> None:
     made = make(dmu50, truth[False][0], Request("siemens", tool_length_mm=LENGTH, most=8))
@@ -285,7 +285,9 @@ def test_few_tables_go_to_what_takes_out_most(
     assert any("no table available" in text for text in made.unmet)
 
 
-def test_a_step_that_is_too_wide_is_said(dmu50: Machine, truth: dict[bool, tuple[Calibration, TruthMachine]]) -> None:
+def test_a_step_that_is_too_wide_is_reported(
+    dmu50: Machine, truth: dict[bool, tuple[Calibration, TruthMachine]]
+) -> None:
     made = make(dmu50, truth[False][0], Request("linuxcnc", tool_length_mm=LENGTH, step=250.0))
     assert [one.content.nodes for one in made.tables] == [3, 3, 3]
     assert any("more than the tolerance" in text for text in made.unmet)
@@ -324,7 +326,7 @@ def test_new_tables_are_added_to_old_ones(kind: str, dmu50: Machine, tmp_path: P
         make(dmu50, first, replace(request, add=True))
 
 
-def test_tables_in_use_are_replaced_by_what_the_errors_alone_want(dmu50: Machine, tmp_path: Path) -> None:
+def test_tables_in_use_are_replaced_by_those_for_the_errors_alone(dmu50: Machine, tmp_path: Path) -> None:
     errors = drawn(dmu50, 4, rotary=False).where(lambda name: name == "E_XX")
     request = Request("linuxcnc", tool_length_mm=LENGTH)
     first = make(dmu50, errors, request)

@@ -28,7 +28,7 @@ def outputs_of(folder: Path, kind: str, machine: Machine) -> list[Path]:
 
 
 def written_by(made: ControlTables) -> tuple[str, ...]:
-    """Return the names of what is written into the folder; anything else in it does not belong to these tables."""
+    """Return the names of the files written into the folder; other files in it do not belong to these tables."""
     return (*made.files, README, CALIBRATION, *([ADDED] if made.increment else []))
 
 

@@ -120,7 +120,7 @@ class EOptimality(Aim):
 
 
 def aim_of(model: PlanModel, names: Sequence[str], tool_length_mm: float | None) -> Aim:
-    """Return the criterion, restricted to what the candidate readings together can determine.
+    """Return the criterion, restricted to the directions that the candidate readings together determine.
 
     Args:
         model: model of all candidate readings.

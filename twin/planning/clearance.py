@@ -81,7 +81,7 @@ class Clearance:
             place = frame.placement * pin.SE3(np.eye(3), np.array(target.place_mm) * MM)
             ball = pin.GeometryObject(f"reflector {name}", frame.parentJoint, place, coal.Sphere(REFLECTOR_MM * MM))
             index = model.addGeometryObject(ball)
-            # Axis ranges prevent collisions of the machine itself, not of what is mounted: check against all that moves relative to it.
+            # Axis ranges prevent collisions of the machine itself, not of reflectors: check against all that moves relative to them.
             pairs |= {(index, other) for other, joint in drawn if joint != frame.parentJoint}
             pairs |= {
                 (index, other) for other in reflectors if model.geometryObjects[other].parentJoint != frame.parentJoint

@@ -62,7 +62,7 @@ class Alternative:
 @final
 @dataclass(frozen=True)
 class Separation:
-    """How well a plan distinguishes two causes.
+    """Sizes at which a plan distinguishes two causes.
 
     Attributes:
         names: names of the two causes.
@@ -84,7 +84,7 @@ class Separation:
             text = f"  {name}, if it is {size:.3g} {shown} or more"
             if given == given:
                 share = abs(given) / size
-                text += f"; given: {abs(given):.3g} {shown}, {'enough' if share >= 1.0 else 'NOT ENOUGH'} ({share:.2g} times that)"
+                text += f"; {abs(given):.3g} {shown} are {'enough' if share >= 1.0 else 'NOT ENOUGH'} ({share:.2g} times that)"
             found.append(text)
         return found
 
