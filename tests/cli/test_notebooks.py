@@ -84,7 +84,7 @@ def diagnosed(notebook: nbformat.NotebookNode) -> None:
 
 
 def planned(notebook: nbformat.NotebookNode) -> None:
-    """At least 40 % less at the tool in the same time, predicted and achieved; then two causes, and after half an hour the right one."""
+    """At least 40 % less at the tool in the same time, predicted and achieved; then two causes, and then the right one."""
     text = told(notebook)
     display = text[text.index("Plan for DMU 50") :]
     assert all(words in display for words in ("minutes", "µm", "µrad", "not identifiable from these readings"))

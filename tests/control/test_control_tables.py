@@ -122,7 +122,7 @@ def test_over_the_volume(
     assert account.remains.program.max_um < 0.01
     assert {one.share for one in account.carried} == {"whole"}
     # The check on the machine is of a displacement, which a gauge can measure.
-    assert "µm) with a dial gauge" in account.to_text()
+    assert "µm): move the axis over its range and measure the error with a dial gauge" in account.to_text()
 
 
 @pytest.mark.parametrize("kind", ["isg", "siemens"])

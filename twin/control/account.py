@@ -75,8 +75,9 @@ class Account:
             "",
             *_rows(made.tables),
             "",
-            "  between nodes: largest deviation of the model from the interpolation between nodes; read back: largest deviation of the "
-            "file, read again, from the model at random positions, and in brackets the limit for it.",
+            "  Y by X: correction of Y as a function of the position of X; times Z: multiplied by the position of Z.\n"
+            "  between nodes: largest deviation of the model from the interpolation between nodes.\n"
+            "  read back: largest deviation of the file, read again, from the model at random positions; in brackets its limit.",
             "",
             *self.remains.to_lines(),
         ]
@@ -187,9 +188,10 @@ def _trial(made: ControlTables) -> str:
         return ""
     against = "dial gauge or interferometer" if best.unit == "um" else "reference encoder or polygon and autocollimator"
     return (
-        f"Before cutting, check the sign: measure the axis with the largest correction ({best.name}, up to {best.largest:.1f} "
-        f"{displayed_unit(best.unit)}) with a {against}, first with the tables off, then with the tables on. The error must become "
-        "smaller. If it doubles, the control interprets the sign the opposite way: switch the tables off."
+        f"Before cutting, check the sign with the largest correction ({best.name}, up to {best.largest:.1f} "
+        f"{displayed_unit(best.unit)}): move the axis over its range and measure the error with a {against}, first with the tables "
+        "off, then with the tables on. The error must become smaller. If it doubles, the control interprets the sign the opposite "
+        "way: switch the tables off."
     )
 
 
