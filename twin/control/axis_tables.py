@@ -92,7 +92,7 @@ class AxisTables(Design[Terms]):
                 nodes = nodes_at(truth, np.array(kept))
             found += _planned(required, axis, columns, nodes, truth, period_of(axis) if form.wraps else None)
         most = None if form.tables is None else request.most or form.tables
-        within, left = _strongest(found, most)
+        within, left_out = _strongest(found, most)
 
         def compared(back: Terms) -> tuple[Table, ...]:
             return tuple(
@@ -101,7 +101,7 @@ class AxisTables(Design[Terms]):
 
         correction = Terms(tuple(one.term for one in within), machine)
         contents = correction.contents()
-        return TablePlan(correction, compared, left)
+        return TablePlan(correction, compared, left_out)
 
     def share(
         self, required: RequiredCorrections, effect: Effect, others: Sequence[Axis], request: Request
@@ -224,8 +224,8 @@ def _strongest(found: Sequence[Planned], most: int | None) -> tuple[tuple[Planne
         if most is None or used + need <= most:
             kept.add(i)
             used += need
-    left = tuple(f"{one.term.name}: {one.term.peak:.1f}" for i, one in enumerate(found) if i not in kept)
-    return tuple(one for i, one in enumerate(found) if i in kept), left
+    left_out = tuple(f"{one.term.name}: {one.term.peak:.1f}" for i, one in enumerate(found) if i not in kept)
+    return tuple(one for i, one in enumerate(found) if i in kept), left_out
 
 
 def _table(one: Planned, content: Content, back: Terms, required: RequiredCorrections, request: Request) -> Table:

@@ -45,11 +45,11 @@ def account_of(
     """
     with scratch_folder() as folder:
         section = _section(made, _write(made.increment or made.files, folder, made.request.form))
-        left = remaining_errors(made.required, known.with_control(section))
+        remaining = remaining_errors(made.required, known.with_control(section))
     request = made.request
     return Account(
         made,
-        left,
+        remaining,
         corrected_shares(
             made.required, replace(request, products=request.products and not made.left_out), design_of(request.form)
         ),

@@ -156,9 +156,9 @@ def compared(
     remaining = calibration.control is not None and calibration.control.errors_are == "remaining"
     required = RequiredCorrections(machine, calibration, at, tool_length_mm, frozenset(BASIC), conditions)
     section = ControlSection("uncorrected", tuple(TableEntry.of(file, kind, ()) for file in files))
-    left = None if remaining else remaining_errors(required, calibration.with_control(section))
+    error = None if remaining else remaining_errors(required, calibration.with_control(section))
     return Existing(
-        kind, tuple(files), correction, calibration, required, _differences(correction, required, form), left
+        kind, tuple(files), correction, calibration, required, _differences(correction, required, form), error
     )
 
 

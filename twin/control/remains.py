@@ -114,7 +114,7 @@ class Remains:
             f"{'':<52}{'by the model':>12}  {'± U (95 %)':>11}  {'expected':>9}  {'largest':>9}   tool axis tilt",
             f"{'':<52}{'RMS':>12}  {'RMS':>11}  {'RMS':>9}  {'by model':>9}   µrad RMS about x / y",
         ]
-        lines += [_row(name, left, u) for name, left in rows]
+        lines += [_row(name, error, u) for name, error in rows]
         if not np.isfinite(u.rms_um):
             lines.append(
                 "  U is unknown: the calibration gives no uncertainty. The error that really remains may have any size."
@@ -139,9 +139,9 @@ class Remains:
         return json_form(self, rename=names | {"at_limits": "poses_at_limits"})
 
 
-def _row(name: str, left: VolumeError, u: PointUncertainty) -> str:
-    about_x, about_y = left.tilt_rms_urad
-    numbers = f"{left.rms_um:>12.2f}  {_or_unknown(u.rms_um):>11}  {_or_unknown(left.expected_rms_um):>9}  {left.max_um:>9.2f}"
+def _row(name: str, error: VolumeError, u: PointUncertainty) -> str:
+    about_x, about_y = error.tilt_rms_urad
+    numbers = f"{error.rms_um:>12.2f}  {_or_unknown(u.rms_um):>11}  {_or_unknown(error.expected_rms_um):>9}  {error.max_um:>9.2f}"
     return f"  {name:<50}{numbers}   {about_x:.1f} / {about_y:.1f}"
 
 

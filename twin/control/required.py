@@ -123,9 +123,9 @@ class RequiredCorrections:
         q = known_volume(self.calibration)
         sides, goal = drawn_sides(q), self.nominal.forward(q).point_mm
         off = alone.forward(q, sides).point_mm - goal
-        left = off + (_derivatives(alone, q, sides) @ step_back(alone, q, sides, goal)[:, :, None])[:, :, 0]
+        uncorrected = off + (_derivatives(alone, q, sides) @ step_back(alone, q, sides, goal)[:, :, None])[:, :, 0]
         size = float(np.linalg.norm(off))
-        return float(np.linalg.norm(left)) / size if size > 0.0 else 0.0
+        return float(np.linalg.norm(uncorrected)) / size if size > 0.0 else 0.0
 
     def rotary_correction(self, axis: Axis, q: np.ndarray, side: int = 0) -> np.ndarray:
         """Return the correction (n,) in µrad of a rotary axis's command for its own angular positioning error."""

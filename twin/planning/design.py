@@ -144,10 +144,10 @@ class Exchange:
                 if self.say is not None:
                     part = (len(chosen) - begun) / max(count - begun, 1)
                     self.say("choosing", done + part / len(self.exchanged))
-            left = np.flatnonzero(taken < self.most)
-            if not len(left):
+            available = np.flatnonzero(taken < self.most)
+            if not len(available):
                 return
-            drawn = rng.choice(left, min(self.among, len(left)), replace=False)
+            drawn = rng.choice(available, min(self.among, len(available)), replace=False)
             best = int(drawn[np.argmax(gains(self.rows[drawn], covariance, weight) / self.cost[drawn])])
             chosen.append(best)
             taken[best] += 1

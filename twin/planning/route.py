@@ -131,9 +131,9 @@ class _Clock:
 
     def visit(self, rows: np.ndarray, name: str) -> None:
         """Take all of some rows, each time the one that is reached first."""
-        left = list(rows)
-        while left:
-            candidates = np.array(left)
+        remaining = list(rows)
+        while remaining:
+            candidates = np.array(remaining)
             travel, target, aim = self.seconds_to(candidates)
             nearest = np.argsort(travel + target + aim, kind="stable")
             taken = int(nearest[0])
@@ -149,7 +149,7 @@ class _Clock:
                     self.blocked.append(len(self.order))
                 else:
                     taken = found
-            row = left.pop(taken)
+            row = remaining.pop(taken)
             self.take(int(row), name, float(travel[taken]), float(target[taken]), float(aim[taken]))
 
     def take(self, row: int, name: str, travel: float, target: float, aim: float) -> None:

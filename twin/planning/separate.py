@@ -217,8 +217,8 @@ class _Question:
         # Part of a set-up may be undetermined: a frame and everything read in it can move together.
         basis, strength, _ = np.linalg.svd(own, full_matrices=False)
         basis = basis[:, strength > TOLD_APART * strength[0]]
-        left = rest - basis @ (basis.T @ rest)
-        return np.asarray(left.T @ left)
+        projected = rest - basis @ (basis.T @ rest)
+        return np.asarray(projected.T @ projected)
 
 
 def _with_new_names(kit: Kit, after: Measurements) -> Kit:
