@@ -135,8 +135,8 @@ def test_another_tool_than_the_tables_were_made_for(kind: str, dmu50: Machine, t
     longer = LENGTH + 80.0
     machine = TruthMachine(tmp_path / "errors.yaml", longer)
     q = positions(dmu50, 60)
-    told = Calibration.load(tmp_path / "tables" / "calibration.yaml", dmu50)
-    model = Kinematics(dmu50, told, tool_length_mm=longer).forward(q).point_mm
+    with_tables = Calibration.load(tmp_path / "tables" / "calibration.yaml", dmu50)
+    model = Kinematics(dmu50, with_tables, tool_length_mm=longer).forward(q).point_mm
     active = {
         name: text.replace(f"tool length {LENGTH:g} mm", f"tool length {longer:g} mm")
         for name, text in made.files.items()
@@ -312,11 +312,11 @@ def test_new_tables_are_added_to_old_ones(kind: str, dmu50: Machine, tmp_path: P
     assert made.unmet == ()
     (tmp_path / "new").mkdir()
     deliver(made, left, left, {}, tmp_path / "new")
-    told = Calibration.load(tmp_path / "new" / "calibration.yaml", dmu50)
-    assert told.control is not None and told.control.errors_are == "uncorrected"
+    with_tables = Calibration.load(tmp_path / "new" / "calibration.yaml", dmu50)
+    assert with_tables.control is not None and with_tables.control.errors_are == "uncorrected"
     before = read_tables(kind, [one.file for one in old.tables], dmu50)
-    part = read_tables(kind, [one.file for one in told.control.tables], dmu50)
-    whole = read_tables(kind, [tmp_path / "new" / one.file.name for one in told.control.tables], dmu50)
+    part = read_tables(kind, [one.file for one in with_tables.control.tables], dmu50)
+    whole = read_tables(kind, [tmp_path / "new" / one.file.name for one in with_tables.control.tables], dmu50)
     state = state_of(dmu50, positions(dmu50, 100))
     for axis in whole.axes:
         both = [one.shift(axis, state) for one in (before, part) if axis in one.axes]
@@ -349,10 +349,10 @@ def test_the_command(dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixtu
     shown = capsys.readouterr().out
     assert (out / "README.txt").read_text() in shown
     assert "not corrected: E_C0Y" in shown
-    told = json.loads((tmp_path / "a.json").read_text())
-    assert [one["table"] for one in told["tables"]] == ["X by X", "Y by Y"]
-    assert all(one["holds"] for one in told["tables"])
-    assert told["error_at_tool"]["with_tables"]["rms_um"] < told["error_at_tool"]["before"]["rms_um"]
+    report = json.loads((tmp_path / "a.json").read_text())
+    assert [one["table"] for one in report["tables"]] == ["X by X", "Y by Y"]
+    assert all(one["holds"] for one in report["tables"])
+    assert report["error_at_tool"]["with_tables"]["rms_um"] < report["error_at_tool"]["before"]["rms_um"]
     names = ["X.comp", "Y.comp", "joints.ini"]
     assert sorted(path.name for path in out.iterdir()) == sorted([*names, "README.txt", "calibration.yaml"])
 
@@ -434,9 +434,9 @@ def test_an_unknown_uncertainty_is_unknown_and_never_zero(dmu50: Machine) -> Non
         line for line in account.to_text().splitlines() if line.startswith(("  without tables", "  with the tables"))
     ]
     assert len(rows) == 3 and all(row.count("unknown") == 2 for row in rows)
-    told = json.loads(json.dumps(account.to_dict(), allow_nan=False))["error_at_tool"]
-    assert told["uncertainty"]["rms_um"] is None and told["uncertainty"]["max_um"] is None
-    assert {told[name]["expected_rms_um"] for name in ("before", "with_tables", "with_tables_and_program")} == {None}
+    report = json.loads(json.dumps(account.to_dict(), allow_nan=False))["error_at_tool"]
+    assert report["uncertainty"]["rms_um"] is None and report["uncertainty"]["max_um"] is None
+    assert {report[name]["expected_rms_um"] for name in ("before", "with_tables", "with_tables_and_program")} == {None}
     part = known_to(dmu50, 2.0, rest=False)
     text = account_of(make(dmu50, part, Request("siemens", tool_length_mm=LENGTH)), part, part, {}).to_text()
     assert "up to at least 3.92 µm" in text and "U is a lower bound: no uncertainty is given for E_XX[1]" in text
@@ -455,10 +455,10 @@ def test_the_report_gives_the_same_figures(length: float, dmu50: Machine, tmp_pa
     for one in report["control_tables"]:
         out = tmp_path / one["format"]
         assert run(["control", "--to", one["format"], "-o", str(out), *given, "--json", str(tmp_path / "c.json")]) == 0
-        told = json.loads((tmp_path / "c.json").read_text())
-        assert one == {key: told[key] for key in ("format", "at", "tool_length_mm", "error_at_tool")}
+        control = json.loads((tmp_path / "c.json").read_text())
+        assert one == {key: control[key] for key in ("format", "at", "tool_length_mm", "error_at_tool")}
     # And the same U as in the budget.
-    assert told["error_at_tool"]["uncertainty"]["rms_um"] == pytest.approx(
+    assert control["error_at_tool"]["uncertainty"]["rms_um"] == pytest.approx(
         report["budget"]["total"]["U_rms_um"], rel=1e-9
     )
     (step,) = [one for one in report["summary"]["steps"] if "axis tables" in one["title"]]

@@ -45,13 +45,13 @@ def rms(vectors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1))))
 
 
-class Carried:
+class CarriedOut:
     """A plan carried out on a machine with known errors: stated and achieved uncertainty at the tool."""
 
     def __init__(
-        self, machine: Machine, plan: Measurements, told: Forecast, truth: Calibration, seeds: Sequence[int]
+        self, machine: Machine, plan: Measurements, predicted: Forecast, truth: Calibration, seeds: Sequence[int]
     ) -> None:
-        self.machine, self.told = machine, told
+        self.machine, self.predicted = machine, predicted
         setting = Setting.drawn(plan, np.random.default_rng(0))
 
         def found(seed: int, noise: bool = True) -> Identification:
@@ -64,20 +64,20 @@ class Carried:
         self.achieved = float(np.sqrt(np.mean([rms(self._points(one) - perfect) ** 2 for one in every])))
         self.stated = float(np.sqrt(np.mean([self._stated(one) ** 2 for one in every])))
         self.ratio = {
-            row["name"]: np.array([self._u(one, row["name"]) for one in every]) / told.errors[row["name"]]
+            row["name"]: np.array([self._u(one, row["name"]) for one in every]) / predicted.errors[row["name"]]
             for row in every[0].rows()
-            if row["name"] in told.errors
+            if row["name"] in predicted.errors
         }
         self.unidentified = [{one.name for one in each.unidentified} for each in every]
 
     def _kinematics(self, one: Identification) -> Kinematics:
-        return Kinematics(self.machine, one.calibration, tool_length_mm=self.told.tool_length_mm)
+        return Kinematics(self.machine, one.calibration, tool_length_mm=self.predicted.tool_length_mm)
 
     def _points(self, one: Identification) -> np.ndarray:
-        return self._kinematics(one).forward(self.told.positions).point_mm * 1e3
+        return self._kinematics(one).forward(self.predicted.positions).point_mm * 1e3
 
     def _stated(self, one: Identification) -> float:
-        return rms(ToolUncertainty(self._kinematics(one)).at(self.told.positions).standard_um)
+        return rms(ToolUncertainty(self._kinematics(one)).at(self.predicted.positions).standard_um)
 
     def _u(self, one: Identification, name: str) -> float:
         row = next(row for row in one.rows() if row["name"] == name)
@@ -93,7 +93,7 @@ def test_predicted_uncertainty_agrees_with_stated_and_achieved(tmp_path: Path) -
     truth = random_calibration(machine, np.random.default_rng(5), 30.0)
     made = plan(machine, own, minutes=150.0, expected=truth)
     assert made.forecast is not None
-    done = Carried(machine, made.table, made.forecast, truth, range(1, 6))
+    done = CarriedOut(machine, made.table, made.forecast, truth, range(1, 6))
     assert done.unidentified == [set()] * 5 and made.forecast.hidden == ()
     for name, ratio in done.ratio.items():
         # The identification estimates the sizes given to the forecast: of 5 functions to within a third, and lever arms (0.2 m) from
@@ -123,12 +123,12 @@ def test_the_full_plan_is_better_when_carried_out(dmu50: Machine, calibration: C
     theirs = judge(whole, dmu50)
     made = plan(dmu50, minutes=duration(dmu50, Kit.default(dmu50), whole) / 60.0)
     assert made.forecast is not None
-    ours = Carried(dmu50, made.table, made.forecast, calibration, range(1, 5))
-    thesis = Carried(dmu50, whole, theirs, calibration, range(1, 5))
+    ours = CarriedOut(dmu50, made.table, made.forecast, calibration, range(1, 5))
+    thesis = CarriedOut(dmu50, whole, theirs, calibration, range(1, 5))
     assert made.forecast.tool_um < 0.6 * theirs.tool_um
     assert ours.stated < 0.6 * thesis.stated and ours.achieved < 0.6 * thesis.achieved
     for done, low in ((ours, 0.4), (thesis, 0.25)):
-        assert [{one.name for one in done.told.hidden}] * 4 == done.unidentified
+        assert [{one.name for one in done.predicted.hidden}] * 4 == done.unidentified
         for name, ratio in done.ratio.items():
             # An identification has priors of the sizes it finds, the forecast leaves all nine functions of the truth free: with two of
             # nine above the noise the ratio is √(2/9), for B and C of the thesis, with few readings, 1/3.
@@ -142,8 +142,8 @@ def test_the_half_plan_is_better_too(dmu50: Machine, calibration: Calibration, h
     whole = thesis_plan.plan(dmu50)
     first = whole.select(np.isin(whole.round, ["1", "2"]))
     assert half.forecast is not None
-    ours = Carried(dmu50, half.table, half.forecast, calibration, range(1, 4))
-    thesis = Carried(dmu50, first, judge(first, dmu50), calibration, range(1, 4))
+    ours = CarriedOut(dmu50, half.table, half.forecast, calibration, range(1, 4))
+    thesis = CarriedOut(dmu50, first, judge(first, dmu50), calibration, range(1, 4))
     assert ours.achieved < 0.6 * thesis.achieved and ours.stated < 0.6 * thesis.stated
 
 
@@ -203,7 +203,7 @@ def read(truth: TruthMachine, plan: Measurements, row: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def scattered(dmu50: Machine) -> tuple[Measurements, PlanModel]:
+def spread_out(dmu50: Machine) -> tuple[Measurements, PlanModel]:
     """90 readings over the volume, with their planning model."""
     rng = np.random.default_rng(11)
     high = np.array([500.0, 450.0, 0.0, 180.0, 359.0])
@@ -234,9 +234,9 @@ def weights(plan: Measurements, tmp: Path) -> np.ndarray:
     return found
 
 
-def test_information_of_a_reading_on_an_error(scattered: tuple[Measurements, PlanModel], tmp_path: Path) -> None:
+def test_information_of_a_reading_on_an_error(spread_out: tuple[Measurements, PlanModel], tmp_path: Path) -> None:
     """Products of whitened derivatives do not depend on a frame: they equal Jᵀ Σ⁻¹ J, reading by reading."""
-    of, model = scattered
+    of, model = spread_out
     rows = model.rows
     along = np.array([coordinates(model, name, degree) for name, degree in ERRORS]).T
     ours = np.einsum("nif,fk->nik", rows, along)
@@ -263,9 +263,9 @@ def coordinates(model: PlanModel, name: str, degree: int) -> np.ndarray:
     return found
 
 
-def test_the_covariance_is_that_of_bayes(scattered: tuple[Measurements, PlanModel]) -> None:
+def test_the_covariance_is_that_of_bayes(spread_out: tuple[Measurements, PlanModel]) -> None:
     """Compare with numpy's pseudo-inverse of prior and readings, and with the covariance of simulated estimates."""
-    _, model = scattered
+    _, model = spread_out
     rows = model.rows
     prior = np.linalg.cholesky(model.prior).T
     equations = np.concatenate([rows.reshape(-1, rows.shape[-1]), prior])
@@ -283,9 +283,9 @@ def test_the_covariance_is_that_of_bayes(scattered: tuple[Measurements, PlanMode
 
 
 def test_a_length_is_less_informative_than_three_coordinates(
-    scattered: tuple[Measurements, PlanModel], dmu50: Machine
+    spread_out: tuple[Measurements, PlanModel], dmu50: Machine
 ) -> None:
-    of, model = scattered
+    of, model = spread_out
     lengths = PlanModel.of(dmu50, of, model.setting, TrackingInterferometer(), Calibration.zero(dmu50))
     rows = lengths.rows
     assert np.all(rows[:, 1:] == 0.0) and np.all(np.any(rows[:, 0] != 0.0, axis=1))
@@ -309,7 +309,7 @@ def test_observability_of_a_plan(tmp_path: Path) -> None:
     every = candidates(machine, own, rng).plan
     model = PlanModel.of(machine, every, own.setting, LaserTracker(), Calibration.zero(machine))
     rows = model.rows
-    told = forecast(model)
+    predicted = forecast(model)
     flat = rows.reshape(-1, rows.shape[-1])
     normal = flat.T @ flat + np.eye(flat.shape[1])
     # Without rotary axes the datum fixes nothing: the coordinates are the unknowns.
@@ -317,10 +317,10 @@ def test_observability_of_a_plan(tmp_path: Path) -> None:
     mine = len(model.unknowns)
     reduced = normal[:mine, :mine] - normal[:mine, mine:] @ np.linalg.solve(normal[mine:, mine:], normal[mine:, :mine])
     values = np.sqrt(np.linalg.eigvalsh(reduced))
-    found = told.observability
+    found = predicted.observability
     assert found.o3 == pytest.approx(values[0], rel=0.02)
     assert found.o2 == pytest.approx(values[0] / values[-1], rel=0.02)
-    assert found.o1 == pytest.approx(np.exp(np.mean(np.log(values))) / np.sqrt(told.readings), rel=0.02)
+    assert found.o1 == pytest.approx(np.exp(np.mean(np.log(values))) / np.sqrt(predicted.readings), rel=0.02)
 
 
 # ---- errors that are not identifiable
@@ -329,23 +329,23 @@ def test_observability_of_a_plan(tmp_path: Path) -> None:
 def test_known_positions_make_errors_identifiable(dmu50: Machine) -> None:
     whole = thesis_plan.plan(dmu50)
     first = whole.select(whole.round == "1")
-    told = judge(first, dmu50)
-    assert {one.name for one in told.hidden} == {"E_X0B", "E_Y0B", "E_Y0C"}
-    for one in told.hidden:
+    predicted = judge(first, dmu50)
+    assert {one.name for one in predicted.hidden} == {"E_X0B", "E_Y0B", "E_Y0C"}
+    for one in predicted.hidden:
         assert "target" in one.reason and one.name in one.reason
-        assert one.name not in told.errors and one.name in told.to_text()
+        assert one.name not in predicted.errors and one.name in predicted.to_text()
     known = judge(first, dmu50, known={*first.target})
     assert known.hidden == () and {"E_X0B", "E_Y0B", "E_Y0C"} <= set(known.errors)
 
 
-@pytest.mark.parametrize("told", ["work", "tool work 1"])
+@pytest.mark.parametrize("predicted", ["work", "tool work 1"])
 def test_errors_not_identifiable_are_those_an_identification_leaves_out(
-    dmu50: Machine, calibration: Calibration, told: str
+    dmu50: Machine, calibration: Calibration, predicted: str
 ) -> None:
     """With the positions on one side or both, and the station's pose, exactly known."""
     whole = thesis_plan.plan(dmu50)
     first = whole.select(whole.round == "1")
-    names = {*first.target[np.isin(first.carrier, told.split())], *told.split()}
+    names = {*first.target[np.isin(first.carrier, predicted.split())], *predicted.split()}
     data, _ = simulate(first, dmu50, calibration, LaserTracker(), np.random.default_rng(0))
     of_station, of_target = (np.isin(column, list(names))[:, None] for column in (data.station, data.target))
     found = identify(
@@ -356,15 +356,15 @@ def test_errors_not_identifiable_are_those_an_identification_leaves_out(
         ),
         dmu50,
     )
-    foretold = judge(first, dmu50, known=names)
-    assert {one.name for one in foretold.hidden} == {one.name for one in found.unidentified}
+    predicted = judge(first, dmu50, known=names)
+    assert {one.name for one in predicted.hidden} == {one.name for one in found.unidentified}
 
 
 def test_axes_that_stand_still_have_no_errors(dmu50: Machine) -> None:
     whole = thesis_plan.plan(dmu50)
     x = whole.select((whole.round == "1") & np.all(whole.positions[:, 1:] == [0, 0, 0, 0], axis=1))
-    told = judge(x, dmu50)
-    assert {name[3] for name in told.errors} == {"X"}
+    predicted = judge(x, dmu50)
+    assert {name[3] for name in predicted.errors} == {"X"}
     with pytest.raises(InputError, match="no axis moves"):
         judge(x.select(x.positions[:, 0] == 0.0), dmu50)
 

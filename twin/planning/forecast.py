@@ -141,7 +141,10 @@ class Forecast:
             f"  O1 {o.o1:.3g}, O2 {o.o2:.3g}, O3 {o.o3:.3g}, O4 {o.o4:.3g}, O5 {o.o5:.3g}",
         ]
         if self.hidden:
-            lines += ["", "not identifiable from these readings:"]
+            lines += [
+                "",
+                "not identifiable from these readings; combinations with other unknowns that leave all readings unchanged:",
+            ]
             lines += [f"  {one.name}: {one.reason}" for one in self.hidden]
         return "\n".join(lines) + "\n"
 
