@@ -131,7 +131,7 @@ def test_what_a_format_or_a_machine_has_no_room_for(drill: Path, capsys: pytest.
     (drill.parent / "mine.yaml").write_text(ERRORS.replace("E_ZZ", "E_XZ"))
     assert control(drill, "siemens") == 2
     message = capsys.readouterr().err
-    assert "move the point the same way: 'X Z'" in message and "drill.yaml" in message
+    assert "linearly dependent directions: 'X Z'" in message and "drill.yaml" in message
 
 
 def test_a_joint_by_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -179,7 +179,7 @@ def test_judge_the_thesis(tmp_path: Path, dmu50: Machine, capsys: pytest.Capture
         (("-o", "p.csv", "--separate", "reversal W", "reversal Y"), "not a cause that a plan can separate"),
         (("-o", "p.csv", "--separate", "refraction_scale", "reversal Y"), "not a cause that a plan can separate"),
         (("-o", "p.csv", "--separate", "reversal X colour=3", "reversal Y"), "no such parameter"),
-        (("-o", "p.csv", "--separate", "reversal X size=big", "reversal Y"), "no number"),
+        (("-o", "p.csv", "--separate", "reversal X size=big", "reversal Y"), "not a number"),
         (("-o", "p.csv", "--kit", "nothing.yaml"), "nothing.yaml"),
         (("-o", "missing/p.csv"), "missing"),
         (("--judge", "nothing.csv"), "nothing.csv"),

@@ -171,7 +171,7 @@ def test_the_command(
     status, _, error = ended(*few)
     assert status == 2 and "dmu50.calibration.yaml" in error and "covariance" in error and error.count("\n") == 1
     for arguments, word in (
-        (["--trials", 10], "at least 1000"),
+        (["--trials", 10], "1000 … "),
         (["--poses", 0], "1 …"),
         (["--seed", -1], "0 or more"),
         (["--workers", 0], "at least 1"),

@@ -30,12 +30,12 @@ TRAVEL_MM_S: Final = 100.0
 TRAVEL_DEG_S: Final = 15.0
 
 
-class _Entries(BaseModel):
+class _KitEntries(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 @final
-class Seconds(_Entries):
+class Seconds(_KitEntries):
     """Times of the operations in seconds.
 
     Attributes:
@@ -51,7 +51,7 @@ class Seconds(_Entries):
     station: Annotated[float, Field(ge=0)] = 900.0
 
 
-class _StationEntry(_Entries):
+class _StationEntry(_KitEntries):
     origin_mm: tuple[float, float, float]
     turn_deg: tuple[float, float, float] | None = None
     known: bool = False
@@ -63,7 +63,7 @@ class _StationEntry(_Entries):
         return Station(self.origin_mm, _triple(np.array(self.turn_deg) * DEG))
 
 
-class _TargetEntry(_Entries):
+class _TargetEntry(_KitEntries):
     carrier: Literal["tool", "work"]
     place_mm: tuple[float, float, float]
     known: bool = False
@@ -87,7 +87,7 @@ class _TargetEntry(_Entries):
         return Target(self.carrier, self.place_mm, self.known, facing, self.acceptance_deg * DEG)
 
 
-class _KitFile(_Entries):
+class _KitFile(_KitEntries):
     schema_: Literal["twin.kit/1"] = Field(alias="schema")
     source: str = ""
     instruments: Annotated[tuple[str, ...], Field(min_length=1)] = ("tracker",)
