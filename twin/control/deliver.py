@@ -78,7 +78,7 @@ def deliver(
     inputs += [entry.file for entry in errors.control.tables] if errors.control is not None and made.increment else []
     for path in outputs:
         if path.resolve() in {one.resolve() for one in inputs}:
-            raise InputError("an output is also one of the inputs", expected="another folder", file=path)
+            raise InputError("an output is one of the inputs", expected="another folder", file=path)
     account = account_of(made, errors, known, missing)
     folder.mkdir(parents=True, exist_ok=True)
     paths = _write(made.files, folder, made.request.form)

@@ -116,7 +116,7 @@ class Forecast:
             ),
             table(("axis", "standard uncertainty (k = 1); for a curve the largest over its range"), rows),
             table(
-                ("not identifiable from these readings", "reason"),
+                ("unknown: not identifiable from these readings", "reason"),
                 [(", ".join(names), text) for text, names in why.items()],
             ),
             note(f"O1 {o.o1:.3g}, O2 {o.o2:.3g}, O3 {o.o3:.3g}, O4 {o.o4:.3g}, O5 {o.o5:.3g} (observability)"),
