@@ -69,7 +69,7 @@ def told(notebook: nbformat.NotebookNode) -> str:
 
 
 def diagnosed(notebook: nbformat.NotebookNode) -> None:
-    """The story as it is written: open between two at first, told apart by what was measured then, the parts right."""
+    """The story as it is written: open between two at first, distinguished by further readings, the parts right."""
     text = told(notebook)
     assert text.index("<small>ambiguous</small>") < text.index("<small>explained</small>")
     first, second = (part.split("<b>")[1] for part in text.split("could as well be</td>")[1:])
@@ -84,13 +84,13 @@ def diagnosed(notebook: nbformat.NotebookNode) -> None:
 
 
 def planned(notebook: nbformat.NotebookNode) -> None:
-    """40 % less at the tool in the same hours at least, foretold and achieved; then two names, and after half an hour the right one."""
+    """At least 40 % less at the tool in the same time, predicted and achieved; then two causes, and then the right one."""
     text = told(notebook)
     display = text[text.index("Plan for DMU 50") :]
-    assert all(words in display for words in ("minutes", "µm", "µrad", "hidden: unknown"))
+    assert all(words in display for words in ("minutes", "µm", "µrad", "not identifiable from these readings"))
     hours = re.findall(r"readings.*?, ([\d.]+) hours", text)
     assert len(hours) == 2 and float(hours[1]) <= float(hours[0])
-    (less,) = re.findall(r"foretold (\d+) % less, achieved (\d+) % less", text)
+    (less,) = re.findall(r"predicted (\d+) % less, achieved (\d+) % less", text)
     assert all(int(share) >= 40 for share in less)
     assert text.index("ambiguous: cross_axis E_A") < text.index("explained: cross_axis E_AY by Z")
     assert "are enough" in text and "NOT ENOUGH" not in text
@@ -114,7 +114,7 @@ def toured(notebook: nbformat.NotebookNode) -> None:
 
 
 def built(notebook: nbformat.NotebookNode) -> None:
-    """Another machine: the chain is right by two other ways, mistakes name their line, what is left is what was foretold."""
+    """Another machine: the chain is right by two other ways, mistakes name their line, the remaining error is as predicted."""
     text = told(notebook)
     differences = [float(value) for value in re.findall(r"largest difference (\S+) mm", text)]
     assert len(differences) == 2 and max(differences) < 1e-9  # contract: what two formulations may differ by
@@ -124,7 +124,7 @@ def built(notebook: nbformat.NotebookNode) -> None:
     for hidden, value, half in found:
         assert abs(float(hidden) - float(value)) < 2.0 * float(half)  # four standard uncertainties, of three draws
     rms = {name: float(value) for name, value in re.findall(r"^(\w[\w ]+?) +RMS +([\d.]+) µm, largest", text, re.M)}
-    (claimed,) = (float(value) for value in re.findall(r"foretold by the calibration: U ([\d.]+) µm", text))
+    (claimed,) = (float(value) for value in re.findall(r"predicted by the calibration: U ([\d.]+) µm", text))
     assert rms["compensated"] < 0.25 * rms["as written"]
     assert rms["compensated"] < claimed  # a 95 % radius above the RMS, and no number without relation to it
     assert claimed < 4.0 * rms["compensated"]

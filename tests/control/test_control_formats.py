@@ -1,6 +1,6 @@
-"""Formats of control tables, all of them alike: what is written is read, and what is read is what the control does.
+"""Tests common to all formats of control tables: writing and reading agree, and with an independent evaluation of the files.
 
-What is known of a format here is in its module of `tests.control.cases`.
+The independent evaluation of each format is in its module of `tests.control.cases`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def put(folder: Path, files: Mapping[str, str]) -> list[Path]:
 
 @st.composite
 def terms(draw: st.DrawFn, form: TableFormat[Terms]) -> Terms:
-    """Tables as a format may hold them: nodes of one axis in equal steps and the same in all its tables."""
+    """Draw tables that a format can hold: equally spaced nodes, the same in all tables over one axis."""
     found = []
     for of, (low, high) in RANGES.items():
         count = draw(st.sampled_from((2, 3, 5, 6, 9)))
@@ -94,7 +94,7 @@ DRAWN = {Terms: terms, Volumetric: component_errors, CorrectionGrid: grids}
 @every_format
 @settings(max_examples=15)
 @given(data=st.data())
-def test_what_is_written_is_read(
+def test_tables_survive_writing_and_reading(
     form: TableFormat, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     case, meant = CASES[form.name], data.draw(DRAWN[form.correction](form))
@@ -108,21 +108,21 @@ def test_what_is_written_is_read(
     assert isinstance(back, form.correction)
     assert form.write(back, ("a note",)) == files
     rng = np.random.default_rng(3)
-    beyond, count = (0.0, 12) if form.knows_machine else (20.0, 50)  # by hand one pose at a time
+    beyond, count = (0.0, 12) if form.knows_machine else (20.0, 50)  # the evaluation by hand does one pose at a time
     state = {name: rng.uniform(low - beyond, high + beyond, count) for name, (low, high) in RANGES.items()}
     state |= {f"approach_{name}": rng.choice([-1.0, 0.0, 1.0], count) for name in RANGES}
     assert set(back.axes) <= set(meant.axes)
     for axis in back.axes:
-        # Digits of every value that moves the axis: of a product also those of its second table, 1e-9 of 150 µm, and of an angle
-        # times its lever, a metre.
+        # Rounding of every value that moves the axis; of a product also of its second table, 1e-9 of 150 µm, and of an angle times
+        # its lever of one metre.
         allowed = form.rounding[0 if axis in "XYZ" else 1] * 1.01 * meant.rounded(axis) + 1e-6
         assert np.abs(back.shift(axis, state) - meant.shift(axis, state)).max() <= allowed
         assert np.abs(case.by_hand(folder, axis, state) - back.shift(axis, state)).max() <= case.AGREES_UM
 
 
 @every_format
-def test_it_is_described(form: TableFormat) -> None:
-    """By its module, which says where its words come from; in the manual; and by what it claims."""
+def test_every_format_is_documented(form: TableFormat) -> None:
+    """The module gives the sources, the manual has the format's row, and its limits are set."""
     module = inspect.getmodule(type(form))
     assert module is not None and len(module.__doc__ or "") > 300
     if form.unchecked:
@@ -134,7 +134,7 @@ def test_it_is_described(form: TableFormat) -> None:
 
 
 @every_format
-def test_what_the_refusals_are_made_of_is_read(form: TableFormat, tmp_path: Path) -> None:
+def test_the_valid_files_of_the_cases_are_read(form: TableFormat, tmp_path: Path) -> None:
     assert form.read(put(tmp_path, CASES[form.name].GOOD), MACHINE).axes
 
 
@@ -181,8 +181,8 @@ def examples() -> list[tuple[str, Correction]]:
 
 
 @pytest.mark.parametrize(("name", "correction"), examples(), ids=lambda one: one if isinstance(one, str) else "")
-def test_the_expression_is_what_arrays_say(name: str, correction: Correction) -> None:
-    """Also beyond the ends, and where an axis has turned more than once; from the operations a tape knows."""
+def test_symbolic_and_array_evaluation_agree(name: str, correction: Correction) -> None:
+    """Also outside the range and after several turns of an axis; with the operations of a tape."""
     from twin.compute.native.tape import Tape
 
     rng = np.random.default_rng(2)
@@ -193,14 +193,14 @@ def test_the_expression_is_what_arrays_say(name: str, correction: Correction) ->
     shifts = [correction.shift(axis, symbols) for axis in correction.axes]
     function = ca.Function("shift", list(symbols.values()), [ca.vertcat(*shifts)])
     there = Tape(function)([state[key] for key in symbols])
-    # A grid is exact to EXACT_UM by its own word; the others but for rounding.
+    # A grid is exact to EXACT_UM by specification; the others up to rounding.
     allowed = EXACT_UM if name == "grid" else 1e-8
     for k, axis in enumerate(correction.axes):
         assert np.abs(there[k] - correction.shift(axis, state)).max() <= allowed
 
 
 def test_linuxcnc_as_its_manual_has_it(tmp_path: Path) -> None:
-    """The examples of both types under [JOINT_n] COMP_FILE_TYPE, looked up as the source does it."""
+    """Examples of both types under [JOINT_n] COMP_FILE_TYPE, evaluated as in the source code."""
     head = "[TRAJ]\nCOORDINATES = X Y Z B C\nLINEAR_UNITS = mm\nANGULAR_UNITS = degree\n[JOINT_0]\nCOMP_FILE = x.comp\n"
     first = {
         "x.comp": "-1.000 -1.005 -0.995\n0.000 0.002 -0.003\n1.000 1.003 0.998\n",
@@ -223,7 +223,7 @@ def test_linuxcnc_as_its_manual_has_it(tmp_path: Path) -> None:
 
 
 def test_siemens_as_its_manual_has_it(tmp_path: Path) -> None:
-    """Sag of a foundation: ΔX1 = Z1 · β(X1), the second table a straight line, $AN_CEC_MULT_BY_TABLE[0] = 2 (K3, p. 252)."""
+    """Sag of the foundation: ΔX1 = Z1 · β(X1), the second table a straight line, $AN_CEC_MULT_BY_TABLE[0] = 2 (K3, p. 252)."""
     text = """%_N_NC_CEC_INI
 CHANDATA(1)
 $AN_CEC[0,0]=0 ; sin β
@@ -253,7 +253,7 @@ M17
 
 
 def test_isg_as_its_manual_has_it(tmp_path: Path) -> None:
-    """The example of component errors of X; levers by hand: at X 5 the file's mean, the nose itself no lever at Y = Z = 0."""
+    """The manual's component errors of X, levers by hand: at X 5 the mean of the rows, no lever at Y = Z = 0."""
     text = """X      EXX    EYX    EZX    EAX    EBX    ECX
 0.0    0.02   0.01   0.07   0.00   0.0042 0.003
 10.0   0.00   -0.1   0.01   0.00   0.0011 0.002
@@ -296,5 +296,5 @@ def test_more_points_than_linuxcnc_takes() -> None:
 
 
 def test_degrees() -> None:
-    """A µrad in degrees, the other way round."""
+    """Conversion of µrad to degrees and back."""
     assert ControlCurve("B", (0.0,), (1.0,)).along(0.0) * 1e-6 / DEG == pytest.approx(1.0 / URAD_A_DEG)

@@ -1,7 +1,6 @@
-"""Tables made from a calibration: machines that err are sent to q + c(q), and come nearer to where they were meant to be.
+"""Tables made from a calibration: with commands q + c(q) a machine with errors comes nearer to the nominal pose.
 
-The DMU 50 is `tests.truth.machine`'s and its tables are looked up by `tests.control.cases`: nothing of `twin` but the
-files is in it.
+The DMU 50 is that of `tests.truth.machine`, its tables are evaluated by `tests.control.cases`: of `twin` only the files are used.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from tests.truth.machine import TruthMachine
 from twin._common.errors import InputError
 from twin.cli import main
 from twin.compensation import compensate
-from twin.control import Made, Request, account_of, deliver, make
+from twin.control import ControlTables, Request, account_of, deliver, make
 from twin.display import figure
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -42,7 +41,7 @@ TOLERANCE_UM = {form.name: form.tolerance_um for form in FORMATS}
 
 
 def drawn(machine: Machine, seed: int, *, rotary: bool, um: float = 10.0, urad: float = 60.0) -> Calibration:
-    """Errors of some ten µm and sixty µrad, of low order; locations only where the rotary axes err at all."""
+    """Return errors of some 10 µm and 60 µrad, of low order; location errors only with errors of the rotary axes."""
     rng = np.random.default_rng(seed)
     curves = {}
     for axis in machine.axes:
@@ -67,8 +66,8 @@ def state_of(machine: Machine, q: np.ndarray, side: float = 0.0) -> dict[str, np
     return state | {f"approach_{name}": np.full(len(q), side) for name in machine.names}
 
 
-def line(machine: Machine, made: Made, axis: str, count: int = 60) -> np.ndarray:
-    rows = np.tile([made.wanted.at[name] for name in machine.names], (count, 1))
+def line(machine: Machine, made: ControlTables, axis: str, count: int = 60) -> np.ndarray:
+    rows = np.tile([made.required.at[name] for name in machine.names], (count, 1))
     rows[:, machine.names.index(axis)] = positions(machine, count)[:, machine.names.index(axis)]
     return rows
 
@@ -79,7 +78,7 @@ def rms(values: np.ndarray) -> float:
 
 @pytest.fixture(scope="module")
 def truth(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> dict[bool, tuple[Calibration, TruthMachine]]:
-    """The DMU 50, and the machine that executes: with errors of all axes, or of the linear ones alone."""
+    """Calibration of the DMU 50 and the simulated machine: with errors of all axes, or of the linear axes alone."""
     folder = tmp_path_factory.mktemp("truth")
     found = {}
     for rotary in (True, False):
@@ -90,7 +89,7 @@ def truth(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> dict[bool
 
 
 def sent(folder: Path, kind: str, machine: Machine, q: np.ndarray, side: float = 0.0) -> np.ndarray:
-    """q + c(q), looked up by hand."""
+    """Return q + c(q), with the correction evaluated independently of twin."""
     state, commands = state_of(machine, q, side), q.copy()
     for i, axis in enumerate(machine.axes):
         if kind == "linuxcnc" or axis.linear or kind != "isg":
@@ -106,7 +105,7 @@ def sent(folder: Path, kind: str, machine: Machine, q: np.ndarray, side: float =
 def test_over_the_volume(
     kind: str, rotary: bool, dmu50: Machine, truth: dict[bool, tuple[Calibration, TruthMachine]], tmp_path: Path
 ) -> None:
-    """Products carry the levers of angular errors; component errors everything at the point."""
+    """Products correct angular errors over the volume; component errors correct everything at the point."""
     calibration, machine = truth[rotary]
     made = make(dmu50, calibration, Request(kind, tool_length_mm=LENGTH))
     assert made.unmet == ()
@@ -122,13 +121,13 @@ def test_over_the_volume(
     assert account.remains.tables.rms_um == pytest.approx(rms(after), rel=0.25)
     assert account.remains.program.max_um < 0.01
     assert {one.share for one in account.carried} == {"whole"}
-    # What is to be tried on the machine first is a shift, which a gauge shows.
-    assert "µm) against a dial gauge" in account.to_text()
+    # The check on the machine is of a displacement, which a gauge can measure.
+    assert "µm): move the axis over its range and measure the error with a dial gauge" in account.to_text()
 
 
 @pytest.mark.parametrize("kind", ["isg", "siemens"])
 def test_another_tool_than_the_tables_were_made_for(kind: str, dmu50: Machine, tmp_path: Path) -> None:
-    """ISG's control uses the length of the active tool, tables of axes do not: the model must predict the point with either."""
+    """ISG's control takes the active tool into account, tables of axes do not; the model must predict the point for both."""
     calibration = drawn(dmu50, 5, rotary=kind == "isg")
     calibration.save(tmp_path / "errors.yaml")
     made = make(dmu50, calibration, Request(kind, tool_length_mm=LENGTH))
@@ -136,8 +135,8 @@ def test_another_tool_than_the_tables_were_made_for(kind: str, dmu50: Machine, t
     longer = LENGTH + 80.0
     machine = TruthMachine(tmp_path / "errors.yaml", longer)
     q = positions(dmu50, 60)
-    told = Calibration.load(tmp_path / "tables" / "calibration.yaml", dmu50)
-    model = Kinematics(dmu50, told, tool_length_mm=longer).forward(q).point_mm
+    with_tables = Calibration.load(tmp_path / "tables" / "calibration.yaml", dmu50)
+    model = Kinematics(dmu50, with_tables, tool_length_mm=longer).forward(q).point_mm
     active = {
         name: text.replace(f"tool length {LENGTH:g} mm", f"tool length {longer:g} mm")
         for name, text in made.files.items()
@@ -148,7 +147,7 @@ def test_another_tool_than_the_tables_were_made_for(kind: str, dmu50: Machine, t
     assert np.abs(model - real).max() * 1e3 < 0.25  # second order: errors are read at q
     off = rms(machine.deviations(commands, q)[0])
     assert off < 1.7 if kind == "isg" else off > 3.0
-    # Where the errors are those left under them, nobody knows which tool was active then: it is said wherever they are used.
+    # Errors measured with the tables on hold for the tool active then, which is not recorded: the report must state it.
     left = ControlSection(
         "remaining",
         tuple(TableEntry.of(tmp_path / "tables" / name, kind, ()) for name in format_named(kind).to_read(made.files)),
@@ -166,7 +165,7 @@ def test_another_tool_than_the_tables_were_made_for(kind: str, dmu50: Machine, t
 def test_on_the_line(
     kind: str, dmu50: Machine, truth: dict[bool, tuple[Calibration, TruthMachine]], tmp_path: Path
 ) -> None:
-    """Tables over single axes, where the other axes stand as the tables have them: an axis that runs alone errs no more."""
+    """With tables over single axes an axis that moves alone has no error while the others stand at the reference positions."""
     for i, axis in enumerate("XYZ"):
         calibration = truth[False][0].where(lambda name, axis=axis: name.endswith(axis))
         calibration.save(tmp_path / f"{axis}.yaml")
@@ -188,8 +187,8 @@ def test_on_the_line(
 
 
 @pytest.mark.parametrize("kind", [slow("heidenhain"), "siemens", "isg", "grid"])
-def test_an_axis_under_the_work(kind: str, tmp_path: Path) -> None:
-    """The trunnion machine has Y below the table: signs come from its kinematics."""
+def test_an_axis_on_the_work_side(kind: str, tmp_path: Path) -> None:
+    """The trunnion machine has Y on the work side: signs follow from its kinematics."""
     machine = Machine.load("trunnion_ac")
     calibration = drawn(machine, 6, rotary=kind == "isg")
     made = make(machine, calibration, Request(kind, tool_length_mm=LENGTH, tolerance_um=TOLERANCE_UM[kind]))
@@ -214,7 +213,7 @@ def test_an_axis_under_the_work(kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "rotary"), [("trunnion_ac", "AC"), ("dmu50", "BC")])
 def test_a_rotary_axis_by_itself(name: str, rotary: str, tmp_path: Path) -> None:
-    """R-POS alone: with its table the table stands as it was meant to, whichever way the axis turns."""
+    """R-POS alone: with its table a rotary axis reaches the nominal angle, in both senses of rotation."""
     machine = Machine.load(name)
     own = {f"E_{'ABC'[int(np.argmax(np.abs(machine.by_name[a].direction)))]}{a}" for a in rotary}
     calibration = drawn(machine, 3, rotary=True).where(lambda one: one in own)
@@ -251,14 +250,14 @@ def test_reversals_have_two_directions(kind: str, dmu50: Machine, tmp_path: Path
         after = (real.forward(commands, sides).point_mm - meant)[within, 0] * 1e3
         assert np.abs(before).max() > 5.0
         assert np.abs(after).max() < 1.1
-        wanted = 30.0 * -side
-        assert BY_HAND[kind](tmp_path, "C", state_of(dmu50, q, side)) == pytest.approx(wanted, abs=0.1)
+        required = 30.0 * -side
+        assert BY_HAND[kind](tmp_path, "C", state_of(dmu50, q, side)) == pytest.approx(required, abs=0.1)
     carried = {one.name: one.share for one in account_of(made, calibration, calibration, {}).carried}
     assert carried["reversal:X"] == "whole"
     assert carried["E_YX"] == ("no" if kind == "linuxcnc" else "whole")
 
 
-def test_what_a_format_cannot_carry_is_said(dmu50: Machine) -> None:
+def test_errors_a_format_cannot_correct_are_reported(dmu50: Machine) -> None:
     extra = (Reversal(dmu50.by_name["Y"], 5.0), CrossAxis("E_XZ", "Y", 30.0))
     bare = drawn(dmu50, 7, rotary=True).where(lambda name: name in ("E_XX", "E_AX", "E_C0Y", "E_XC", "E_CC", "E_CB"))
     calibration = replace(bare, extra=extra)
@@ -278,7 +277,7 @@ def test_what_a_format_cannot_carry_is_said(dmu50: Machine) -> None:
 
 
 @pytest.mark.slow
-def test_few_tables_go_to_what_takes_out_most(
+def test_few_tables_are_used_for_the_largest_corrections(
     dmu50: Machine, truth: dict[bool, tuple[Calibration, TruthMachine]]
 ) -> None:
     made = make(dmu50, truth[False][0], Request("siemens", tool_length_mm=LENGTH, most=8))
@@ -287,10 +286,12 @@ def test_few_tables_go_to_what_takes_out_most(
     assert made.left_out
     smallest = min(one.content.largest for one in made.tables if " times " not in one.content.name)
     assert all(float(text.split(": ")[1]) <= smallest + 0.05 for text in made.left_out if " times " not in text)
-    assert any("no table left" in text for text in made.unmet)
+    assert any("no table available" in text for text in made.unmet)
 
 
-def test_a_step_that_is_too_wide_is_said(dmu50: Machine, truth: dict[bool, tuple[Calibration, TruthMachine]]) -> None:
+def test_a_step_that_is_too_wide_is_reported(
+    dmu50: Machine, truth: dict[bool, tuple[Calibration, TruthMachine]]
+) -> None:
     made = make(dmu50, truth[False][0], Request("linuxcnc", tool_length_mm=LENGTH, step=250.0))
     assert [one.content.nodes for one in made.tables] == [3, 3, 3]
     assert any("more than the tolerance" in text for text in made.unmet)
@@ -300,7 +301,7 @@ def test_a_step_that_is_too_wide_is_said(dmu50: Machine, truth: dict[bool, tuple
 
 @pytest.mark.parametrize("kind", [slow("linuxcnc"), slow("heidenhain"), "siemens", slow("isg"), "grid"])
 def test_new_tables_are_added_to_old_ones(kind: str, dmu50: Machine, tmp_path: Path) -> None:
-    """What was measured with tables on is left under them: the control gets the sum, and the model the new part alone."""
+    """Errors measured with tables on remain under them: the control gets the sum, the model the new part alone."""
     names = ("E_XX", "E_YX", "E_CX", "E_ZZ", "E_BB", "E_CC")
     first, second = (drawn(dmu50, seed, rotary=True).where(lambda name: name in names) for seed in (1, 2))
     request = Request(kind, tool_length_mm=LENGTH, step=100.0, tolerance_um=100.0)
@@ -310,26 +311,26 @@ def test_new_tables_are_added_to_old_ones(kind: str, dmu50: Machine, tmp_path: P
     left = second.with_control(ControlSection("remaining", old.tables))
     with pytest.raises(InputError, match="measured with tables switched on") as caught:
         make(dmu50, left, request)
-    assert "--add" in caught.value.expected
+    assert caught.value.setting == "add"
     made = make(dmu50, left, replace(request, add=True))
     assert made.unmet == ()
     (tmp_path / "new").mkdir()
     deliver(made, left, left, {}, tmp_path / "new")
-    told = Calibration.load(tmp_path / "new" / "calibration.yaml", dmu50)
-    assert told.control is not None and told.control.errors_are == "uncorrected"
+    with_tables = Calibration.load(tmp_path / "new" / "calibration.yaml", dmu50)
+    assert with_tables.control is not None and with_tables.control.errors_are == "uncorrected"
     before = read_tables(kind, [one.file for one in old.tables], dmu50)
-    part = read_tables(kind, [one.file for one in told.control.tables], dmu50)
-    whole = read_tables(kind, [tmp_path / "new" / one.file.name for one in told.control.tables], dmu50)
+    part = read_tables(kind, [one.file for one in with_tables.control.tables], dmu50)
+    whole = read_tables(kind, [tmp_path / "new" / one.file.name for one in with_tables.control.tables], dmu50)
     state = state_of(dmu50, positions(dmu50, 100))
     for axis in whole.axes:
         both = [one.shift(axis, state) for one in (before, part) if axis in one.axes]
         # Of Heidenhain 0.05 µm and 0.09 µrad for each of three tables, twice.
         assert np.abs(whole.shift(axis, state) - sum(both)).max() <= (0.6 if kind == "heidenhain" else 0.05)
-    with pytest.raises(InputError, match="--add"):
+    with pytest.raises(InputError, match="only if the calibration was measured with those switched on"):
         make(dmu50, first, replace(request, add=True))
 
 
-def test_tables_in_use_are_replaced_by_what_the_errors_alone_want(dmu50: Machine, tmp_path: Path) -> None:
+def test_tables_in_use_are_replaced_by_those_for_the_errors_alone(dmu50: Machine, tmp_path: Path) -> None:
     errors = drawn(dmu50, 4, rotary=False).where(lambda name: name == "E_XX")
     request = Request("linuxcnc", tool_length_mm=LENGTH)
     first = make(dmu50, errors, request)
@@ -351,11 +352,11 @@ def test_the_command(dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert run([*common, "--to", "linuxcnc", "-o", str(out), "--json", str(tmp_path / "a.json")]) == 0
     shown = capsys.readouterr().out
     assert (out / "README.txt").read_text() in shown
-    assert "not taken out: E_C0Y" in shown
-    told = json.loads((tmp_path / "a.json").read_text())
-    assert [one["table"] for one in told["tables"]] == ["X by X", "Y by Y"]
-    assert all(one["holds"] for one in told["tables"])
-    assert told["error_at_tool"]["with_tables"]["rms_um"] < told["error_at_tool"]["before"]["rms_um"]
+    assert "not corrected: E_C0Y" in shown
+    report = json.loads((tmp_path / "a.json").read_text())
+    assert [one["table"] for one in report["tables"]] == ["X by X", "Y by Y"]
+    assert all(one["holds"] for one in report["tables"])
+    assert report["error_at_tool"]["with_tables"]["rms_um"] < report["error_at_tool"]["before"]["rms_um"]
     names = ["X.comp", "Y.comp", "joints.ini"]
     assert sorted(path.name for path in out.iterdir()) == sorted([*names, "README.txt", "calibration.yaml"])
 
@@ -363,11 +364,11 @@ def test_the_command(dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert run([*common, "--read", *files, "--format", "linuxcnc", "--json", str(tmp_path / "b.json")]) == 0
     found = json.loads((tmp_path / "b.json").read_text())
     differs = {(one["moved"], one["along"]): one["differs"] for one in found["differences"]}
-    # The other axis's squareness moves X too; along X itself it is a constant at Y 225.
+    # Squareness of Y moves X too; along X it is a constant at Y 225.
     assert differs["Y", "Y"] < 1.0 and differs["X", "X"] < 40e-3 * 225 * 4
     turned = tmp_path / "turned"
     swapped = {name: (out / name).read_text() for name in names}
-    for name in names[:2]:  # the sign the other way round
+    for name in names[:2]:  # sign reversed
         rows = [
             [float(word) for word in text.split()] for text in swapped[name].splitlines() if text[0] in "-0123456789"
         ]
@@ -375,7 +376,7 @@ def test_the_command(dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixtu
     put(turned, swapped)
     capsys.readouterr()
     assert run([*common, "--read", *(str(turned / name) for name in names), "--format", "linuxcnc"]) == 0
-    assert "worse with them" in capsys.readouterr().out
+    assert "worse with these tables" in capsys.readouterr().out
 
     assert run([*common, "--to", "linuxcnc", "-o", str(out), "--step", "250"]) == 3
     assert "Not met:" in capsys.readouterr().out
@@ -396,11 +397,11 @@ def test_illustrative_is_in_every_file(dmu50: Machine, calibration: Calibration,
             assert "illustrative" in file.read_text().lower(), file.name
 
 
-# --- how well it is known ------------------------------------------------------------------------------------------------
+# --- uncertainty ---------------------------------------------------------------------------------------------------------
 
 
 def known_to(machine: Machine, u_um: float | None, *, rest: bool = True) -> Calibration:
-    """Errors of X and Y whose only uncertainty is that of one constant along X; the other numbers are exact, or say nothing."""
+    """Return errors of X and Y; only one constant along X is uncertain, the other numbers are exact or have no uncertainty."""
     calibration = drawn(machine, 5, rotary=False).where(lambda name: name in ("E_XX", "E_YX", "E_AY", "E_C0Y"))
     names = tuple(parameter.name for effect in calibration.effects for parameter in effect.parameters)
     if u_um is None:
@@ -410,35 +411,39 @@ def known_to(machine: Machine, u_um: float | None, *, rest: bool = True) -> Cali
     return replace(calibration, joint=Covariance(kept, matrix))
 
 
-def test_u_stands_beside_what_is_left(dmu50: Machine) -> None:
-    """Of an error along one line: 1.96 standard uncertainties, in every line of the account; the mean square has the variance more."""
+def test_u_stands_beside_the_remaining_error(dmu50: Machine) -> None:
+    """An error along one line has U = 1.96 standard uncertainties in every line; its variance adds to the mean square."""
     calibration = known_to(dmu50, 2.0)
     account = account_of(
         make(dmu50, calibration, Request("siemens", tool_length_mm=LENGTH)), calibration, calibration, {}
     )
     found = account.remains
-    assert found.known_to.rms_um == pytest.approx(1.96 * 2.0, rel=1e-3) == found.known_to.max_um
+    assert found.uncertainty.rms_um == pytest.approx(1.96 * 2.0, rel=1e-3) == found.uncertainty.max_um
     assert found.program is not None and found.program.rms_um < 0.01
     for left in (found.before, found.tables, found.program):
         assert left.expected_rms_um == pytest.approx(np.hypot(left.rms_um, 2.0), rel=1e-3)
-    rows = [line for line in account.to_text().splitlines() if line.startswith(("  as it is", "  with the tables"))]
+    rows = [
+        line for line in account.to_text().splitlines() if line.startswith(("  without tables", "  with the tables"))
+    ]
     assert len(rows) == 3 and all("3.92" in row for row in rows) and "0.00         3.92       2.00" in rows[2]
     assert "lower bound" not in account.to_text()
 
 
-def test_what_is_not_known_is_unknown_and_never_zero(dmu50: Machine) -> None:
+def test_an_unknown_uncertainty_is_unknown_and_never_zero(dmu50: Machine) -> None:
     calibration = known_to(dmu50, None)
     account = account_of(
         make(dmu50, calibration, Request("siemens", tool_length_mm=LENGTH)), calibration, calibration, {}
     )
-    rows = [line for line in account.to_text().splitlines() if line.startswith(("  as it is", "  with the tables"))]
+    rows = [
+        line for line in account.to_text().splitlines() if line.startswith(("  without tables", "  with the tables"))
+    ]
     assert len(rows) == 3 and all(row.count("unknown") == 2 for row in rows)
-    told = json.loads(json.dumps(account.to_dict(), allow_nan=False))["error_at_tool"]
-    assert told["uncertainty"]["rms_um"] is None and told["uncertainty"]["max_um"] is None
-    assert {told[name]["expected_rms_um"] for name in ("before", "with_tables", "with_tables_and_program")} == {None}
+    report = json.loads(json.dumps(account.to_dict(), allow_nan=False))["error_at_tool"]
+    assert report["uncertainty"]["rms_um"] is None and report["uncertainty"]["max_um"] is None
+    assert {report[name]["expected_rms_um"] for name in ("before", "with_tables", "with_tables_and_program")} == {None}
     part = known_to(dmu50, 2.0, rest=False)
     text = account_of(make(dmu50, part, Request("siemens", tool_length_mm=LENGTH)), part, part, {}).to_text()
-    assert "up to at least 3.92 µm" in text and "U is a lower bound: no uncertainty of E_XX[1]" in text
+    assert "up to at least 3.92 µm" in text and "U is a lower bound: no uncertainty is given for E_XX[1]" in text
 
 
 @pytest.mark.parametrize("length", [pytest.param(0.0, marks=pytest.mark.slow), 120.0])
@@ -454,17 +459,17 @@ def test_the_report_gives_the_same_figures(length: float, dmu50: Machine, tmp_pa
     for one in report["control_tables"]:
         out = tmp_path / one["format"]
         assert run(["control", "--to", one["format"], "-o", str(out), *given, "--json", str(tmp_path / "c.json")]) == 0
-        told = json.loads((tmp_path / "c.json").read_text())
-        assert one == {key: told[key] for key in ("format", "at", "tool_length_mm", "error_at_tool")}
+        control = json.loads((tmp_path / "c.json").read_text())
+        assert one == {key: control[key] for key in ("format", "at", "tool_length_mm", "error_at_tool")}
     # And the same U as in the budget.
-    assert told["error_at_tool"]["uncertainty"]["rms_um"] == pytest.approx(
+    assert control["error_at_tool"]["uncertainty"]["rms_um"] == pytest.approx(
         report["budget"]["total"]["U_rms_um"], rel=1e-9
     )
     (step,) = [one for one in report["summary"]["steps"] if "axis tables" in one["title"]]
     best = report["control_tables"][0]
     assert step["kind"] == "do" and f"twin control --to {best['format']} " in step["text"]
     assert f"siemens {figure(best['error_at_tool']['with_tables']['rms_um'], 'µm')} by the model" in step["text"]
-    # With them on, compensated on top of them: no more tables, and no other figure for what they leave.
+    # With the tables on: no further tables are offered, and the remaining error is the same figure.
     again = ["report", "-o", str(tmp_path / "s.html"), "-c", str(tmp_path / "siemens" / "calibration.yaml"), *given[2:]]
     assert run([*again, "--json", str(tmp_path / "s.json")]) == 0
     after = json.loads((tmp_path / "s.json").read_text())

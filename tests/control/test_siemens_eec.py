@@ -1,4 +1,4 @@
-"""Leadscrew error compensation of SINUMERIK, beside what the suite of all formats asks (`tests.control.test_control_formats`)."""
+"""Leadscrew error compensation of SINUMERIK: tests in addition to those of all formats (`tests.control.test_control_formats`)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ M17
     )
 
 
-def test_an_axis_errs_no_more_and_what_is_left_is_said() -> None:
+def test_the_axis_is_corrected_and_the_rest_is_reported() -> None:
     bare = drawn(MACHINE, 7, rotary=True).where(lambda name: name in ("E_XX", "E_YX", "E_AX", "E_CC"))
     calibration = replace(bare, extra=(Reversal(MACHINE.by_name["Y"], 8.0),))
     made = make(MACHINE, calibration, Request("siemens_eec", tool_length_mm=100.0))

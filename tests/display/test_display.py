@@ -207,7 +207,7 @@ HEADERS = {
         ["ISO/TR 16907 class, alone", "RMS before, µm", "largest, µm", "", ""],
     ],
     "refit": [["of 10 µm", "share, µm", "used, µm", ""]],
-    "population": [["machines", "error at the tool, µm", "mean", "95 % of the machines", "largest of all"]],
+    "population": [["machines", "error at the tool, µm", "mean", "95 % of the machines", "maximum"]],
 }
 """Of every table whose columns have units."""
 

@@ -98,12 +98,12 @@ def test_tables_reduce_the_errors_of_a_drill(kind: str, drill: Path, capsys: pyt
     np.testing.assert_allclose(after[:, 1], before[:, 1], atol=0.01)  # no axis moves in that direction
     account = json.loads((drill.parent / "account.json").read_text())
     shares = {one["name"]: (one["share"], one["why"]) for one in account["errors"]}
-    assert shares["E_AX"] == ("no", "no linear axis moves the point that way")
+    assert shares["E_AX"] == ("no", "no linear axis moves the point in its direction")
     assert shares["E_YX"][0] == "no" and shares["E_XX"] == shares["E_ZZ"] == ("whole", "")
     # No program runs on it, so the text does not mention programs.
     assert account["error_at_tool"]["with_tables_and_program"] is None
     text = (drill.parent / "tables" / "README.txt").read_text()
-    assert text in capsys.readouterr().out and "program compensated" not in text and "With these tables on" in text
+    assert text in capsys.readouterr().out and "NC program" not in text and "While these tables are switched on" in text
 
     files = [
         path for path in (drill.parent / "tables").iterdir() if path.name not in ("README.txt", "calibration.yaml")
@@ -131,7 +131,7 @@ def test_unsupported_formats_and_machines_are_refused(drill: Path, capsys: pytes
     (drill.parent / "mine.yaml").write_text(ERRORS.replace("E_ZZ", "E_XZ"))
     assert control(drill, "siemens") == 2
     message = capsys.readouterr().err
-    assert "move the point the same way: 'X Z'" in message and "drill.yaml" in message
+    assert "linearly dependent directions: 'X Z'" in message and "drill.yaml" in message
 
 
 def test_a_joint_by_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Kits for tests of planning, and the benches of one slide whose sight can be worked out by hand."""
+"""Kits for tests of planning, and one-slide machines for which visibility can be computed by hand."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ frames: {tool: slide, work: bed}
 
 
 def bench(folder: Path, shape: str = "", moving: str = "") -> Machine:
-    """A slide along x over a bed that carries one shape (a URDF ``geometry``), with another on the slide."""
+    """Return a machine with a slide along x, with a shape (URDF ``geometry``) on the bed and another on the slide."""
 
     def drawn(text: str) -> str:
         return f"<visual>{text}</visual>" if text else ""
@@ -60,7 +60,7 @@ def kit(
     seconds: Seconds = SECONDS,
     opaque: bool = True,
 ) -> Kit:
-    """A kit; stations are origins in mm or rows of `Measurements.station_pose`, all targets face one way (None: aimed by hand)."""
+    """Return a kit; stations are origins in mm or rows of `Measurements.station_pose`; ``facing`` None: aimed by hand."""
     poses = {name: np.concatenate([pose, np.zeros(6 - len(pose))]) for name, pose in stations.items()}
     return Kit(
         source="a test",
@@ -87,7 +87,7 @@ def kit(
 
 
 def of_hidden(machine: Machine, *, known: bool = False) -> Kit:
-    """What `tests.truth.hidden` measures with, so that its machine can carry a plan out."""
+    """Return the kit of `tests.truth.hidden`, so that its machine can carry out a plan."""
     return kit(
         machine,
         {name: [*origin, *np.degrees(turn)] for name, (origin, turn) in hidden.STATIONS.items()},
@@ -122,7 +122,7 @@ frames: {tool: ram, work: bed}
 
 
 def slides(folder: Path) -> tuple[Machine, Kit]:
-    """A ram on a carriage, three reflectors on it, a tracker in front and another place above: identified in half a second."""
+    """Return a machine with carriage and ram, and a kit with three reflectors and three stations: identified in half a second."""
     machine = Machine.load(str(write_both(folder, "slides", _SLIDES, _SLIDES_FILE)))
     stations = {"front": (200.0, -1800.0, -150.0), "side": (2000.0, -500.0, -100.0), "above": (500.0, -700.0, 1700.0)}
     targets: dict[str, tuple[Carrier, Sequence[float]]] = {

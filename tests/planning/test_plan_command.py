@@ -1,4 +1,4 @@
-"""`twin plan` as its users meet it: kit files right and wrong, what is refused, and a plan carried through the other commands."""
+"""Tests of `twin plan`: valid and invalid kit files, refused arguments, and a plan used by the other commands."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ def own(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_kit_file_says_what_there_is(own: Path, slides: Path) -> None:
+def test_a_kit_file_is_read(own: Path, slides: Path) -> None:
     machine = Machine.load(str(slides))
     kit = Kit.load(own, machine)
     assert [one.name for one in kit.instruments] == ["tracker", "interferometer"]
     assert kit.known == {"pillar", "V"} and not kit.opaque
     assert kit.stations["pillar"].pose == pytest.approx([2000, -500, -100, 0, 0, 170])
-    # Upright, its x towards the middle of what is measured: straight ahead along y from the front.
+    # Upright, with x towards the middle of the working volume: along y from the front.
     x = np.degrees(kit.stations["front"].rotation_rad[2])
     assert kit.stations["front"].rotation_rad[:2] == (0.0, 0.0) and 80.0 < x < 100.0
     assert kit.targets["U"].facing == (0.0, -1.0, 0.0) and kit.targets["T"].facing is None
@@ -77,9 +77,9 @@ def test_a_kit_file_says_what_there_is(own: Path, slides: Path) -> None:
         ("speeds: {X: 200}", "speeds: {A: 200}", "no such axis", "X, Z"),
         ("speeds: {X: 200}", "speeds: {X: -1}", "is invalid", "greater than 0"),
         ("ranges: {X: [50, 350]}", "ranges: {C: [50, 350]}", "no such axis", "X, Z"),
-        ("ranges: {X: [50, 350]}", "ranges: {X: [50, 450]}", "a range the machine does not have", "0 … 400"),
-        ("ranges: {X: [50, 350]}", "ranges: {X: [350, 50]}", "a range the machine does not have", "0 … 400"),
-        ("facing: [0, -2, 0]", "facing: [0, 0, 0]", "no direction", "aimed, or x, y, z"),
+        ("ranges: {X: [50, 350]}", "ranges: {X: [50, 450]}", "the range is not within that of the machine", "0 … 400"),
+        ("ranges: {X: [50, 350]}", "ranges: {X: [350, 50]}", "the range is not within that of the machine", "0 … 400"),
+        ("facing: [0, -2, 0]", "facing: [0, 0, 0]", "facing is a zero vector", "aimed, or x, y, z"),
         ("facing: [0, -2, 0]", "facing: north", "is invalid", "aimed, or x, y, z"),
         ("acceptance_deg: 60", "acceptance_deg: 200", "is invalid", "less than or equal to 180"),
         ("carrier: tool, place_mm: [100", "carrier: bed, place_mm: [100", "is invalid", "'tool' or 'work'"),
@@ -92,7 +92,7 @@ def test_a_kit_file_says_what_there_is(own: Path, slides: Path) -> None:
         ("speeds: {X: 200}", "source: again", "duplicate key", "each key once"),
     ],
 )
-def test_a_wrong_kit_is_told_with_its_line(
+def test_an_error_in_a_kit_names_its_line(
     own: Path, slides: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
     old: str, new: str, what: str, expected: str,
 ) -> None:  # fmt: skip
@@ -111,7 +111,7 @@ def test_a_wrong_kit_is_told_with_its_line(
 
 
 @pytest.mark.parametrize("entry", ["stations", "targets"])
-def test_a_kit_needs_somewhere_to_stand_and_something_to_see(own: Path, slides: Path, entry: str) -> None:
+def test_a_kit_needs_stations_and_targets(own: Path, slides: Path, entry: str) -> None:
     lines = KIT.splitlines()
     first = lines.index(f"{entry}:")
     lines[first] = f"{entry}: {{}}"
@@ -124,7 +124,7 @@ def test_a_kit_needs_somewhere_to_stand_and_something_to_see(own: Path, slides: 
 def test_from_a_kit_to_a_calibration(
     own: Path, slides: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """plan, simulate, identify: the file one writes is the file the next reads, and the uncertainty is the one foretold."""
+    """plan, simulate, identify: each command reads the file of the one before; the errors identified are those predicted."""
     out, report = tmp_path / "p.csv", tmp_path / "p.json"
     assert status("plan", "-o", out, "--machine", slides, "--kit", own, "--minutes", 60, "--json", report) == 0
     text = capsys.readouterr().out
@@ -132,7 +132,7 @@ def test_from_a_kit_to_a_calibration(
     assert said["schema"] == "twin.plan/1" and said["kit"] == "what stands in the cupboard of a test"
     assert f"{said['points']} readings with tracker" in text and f"written: {out}, {report}" in text
     assert said["minutes"] <= 60.0 and sum(said["seconds"].values()) == pytest.approx(60.0 * said["minutes"])
-    assert out.read_text().startswith("# plan by twin: slides") and "run over" in out.read_text()
+    assert out.read_text().startswith("# plan by twin: slides") and "overrun" in out.read_text()
     machine = Machine.load(str(slides))
     table = load(out, machine, plan=True)
     assert len(table) == said["points"] and not table.set_aside
@@ -170,16 +170,16 @@ def test_judge_the_thesis(tmp_path: Path, dmu50: Machine, capsys: pytest.Capture
         ((), "neither a plan to make nor one to judge"),
         (("-o", "p.csv", "--judge", "thesis_plan.csv"), "neither a plan to make nor one to judge"),
         (("-o", "p.csv", "--minutes", "0"), "--minutes"),
-        (("-o", "p.csv", "--minutes", "5"), "no time to measure anything"),
+        (("-o", "p.csv", "--minutes", "5"), "time budget is too short for a measurement"),
         (("-o", "p.csv", "--seed", "-1"), "--seed is negative"),
-        (("-o", "p.csv", "--reduce", "E_QQ"), "nothing of that name to reduce"),
+        (("-o", "p.csv", "--reduce", "E_QQ"), "no such uncertainty to minimise"),
         (("-o", "p.csv", "--after", "m.csv"), "--after without --separate"),
         (("-o", "p.csv", "--reduce", "tool", "--separate", "reversal X", "reversal Y"), "--separate and --reduce"),
-        (("-o", "p.csv", "--separate", "warp X", "reversal Y"), "no cause that a plan can look for"),
-        (("-o", "p.csv", "--separate", "reversal W", "reversal Y"), "no cause that a plan can look for"),
-        (("-o", "p.csv", "--separate", "refraction_scale", "reversal Y"), "no cause that a plan can look for"),
+        (("-o", "p.csv", "--separate", "warp X", "reversal Y"), "not a cause that a plan can separate"),
+        (("-o", "p.csv", "--separate", "reversal W", "reversal Y"), "not a cause that a plan can separate"),
+        (("-o", "p.csv", "--separate", "refraction_scale", "reversal Y"), "not a cause that a plan can separate"),
         (("-o", "p.csv", "--separate", "reversal X colour=3", "reversal Y"), "no such parameter"),
-        (("-o", "p.csv", "--separate", "reversal X size=big", "reversal Y"), "no number"),
+        (("-o", "p.csv", "--separate", "reversal X size=big", "reversal Y"), "not a number"),
         (("-o", "p.csv", "--kit", "nothing.yaml"), "nothing.yaml"),
         (("-o", "missing/p.csv"), "missing"),
         (("--judge", "nothing.csv"), "nothing.csv"),
@@ -203,8 +203,8 @@ def test_an_output_that_is_an_input_is_refused(own: Path, slides: Path) -> None:
     assert own.read_text() == KIT
 
 
-def test_the_kit_that_comes_with_twin(dmu50: Machine, tmp_path: Path) -> None:
-    """By its name; a copy of it by its path."""
+def test_the_bundled_kit(dmu50: Machine, tmp_path: Path) -> None:
+    """The bundled kit is found by name, a copy of it by path."""
     path = bundled_kit("dmu50")
     kit = Kit.load(path, dmu50)
     assert "ILLUSTRATIVE" in path.read_text() and "ILLUSTRATIVE" in kit.source
@@ -216,8 +216,8 @@ def test_the_kit_that_comes_with_twin(dmu50: Machine, tmp_path: Path) -> None:
         bundled_kit("dmu51")
 
 
-def test_coordinates_filled_into_a_plan_do_not_make_its_places_known(half: Plan, tmp_path: Path) -> None:
-    """Where a reflector was meant to go is no measurement of where it sits; a kit that says `known` makes it one."""
+def test_coordinates_entered_into_a_plan_do_not_make_its_positions_known(half: Plan, tmp_path: Path) -> None:
+    """A planned position of a reflector is not a known one unless the kit has `known: true`."""
     half.save(tmp_path / "p.csv")
     header, *rows = [line for line in (tmp_path / "p.csv").read_text().splitlines() if not line.startswith("#")]
     measured = tmp_path / "m.csv"
@@ -238,7 +238,7 @@ def test_coordinates_filled_into_a_plan_do_not_make_its_places_known(half: Plan,
 def test_several_errors_behind_one_reduce(
     slides: Path, own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As the contract writes `--reduce …`: one option, several words."""
+    """`--reduce` takes several names."""
     out, report = tmp_path / "p.csv", tmp_path / "r.json"
     arguments = ["plan", "-o", out, "--machine", slides, "--kit", own, "--json", report, "--reduce", "E_XX", "E_YX"]
     assert status(*arguments) == 0

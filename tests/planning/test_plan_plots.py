@@ -1,4 +1,4 @@
-"""The pictures of a plan: what is drawn is what is planned, with units, and renders without a screen."""
+"""Tests of the plots of a plan: values, units, and rendering without a screen."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def renders(figure: Figure, path: Path) -> None:
 
 
 def test_places(dmu50: Machine, tmp_path: Path) -> None:
-    """Against the contract's chains written down again: reflectors where the axes bring them, the station where it stands."""
+    """Compare reflectors and station with the kinematic chains written out here."""
     whole = thesis_plan.plan(dmu50)
     first = whole.select(whole.round == "1")
     figure = plot_places(first, dmu50)
@@ -55,7 +55,7 @@ def test_places(dmu50: Machine, tmp_path: Path) -> None:
     assert any(text.get_text() == f"1: {len(first)} readings" for text in figure.axes[0].texts)
     renders(figure, tmp_path / "places.png")
     nowhere = replace(first, station_pose=locked(np.full((len(first), 6), np.nan)))
-    with pytest.raises(InputError, match="nobody knows"):
+    with pytest.raises(InputError, match="positions of stations or targets are missing"):
         plot_places(nowhere, dmu50)
 
 
@@ -72,12 +72,12 @@ def test_uncertainties(tmp_path: Path) -> None:
     for panel, letters in ((0, "XYZ"), (1, "ABC")):
         names = [text.get_text() for text in figure.axes[panel].get_xticklabels()]
         assert all(name[2] in letters for name in names) and len({*names}) == len(names)
-        values = drawn(figure, panel, "whole: foretold")
+        values = drawn(figure, panel, "whole: predicted")
         assert {names[int(x)]: y for x, y in values} == {name: made.forecast.errors[name] for name in names}
         stated = drawn(figure, panel, "whole: identified")
         rows = {row["name"]: row.get("u_max", row.get("u")) for row in found.rows()}
         assert {names[int(x)]: y for x, y in stated} == {name: rows[name] for name in names if name in rows}
         assert not [line for line in figure.axes[panel].lines if line.get_label() == "half: identified"]
     renders(figure, tmp_path / "u.png")
-    with pytest.raises(InputError, match="too many"):
+    with pytest.raises(InputError, match="number of plans"):
         plot_uncertainties({})

@@ -1,7 +1,7 @@
-"""Two causes that data could not tell apart: what the plan says it can tell is hidden in simulated data, and `diagnose` asked.
+"""Tests of plans that distinguish two causes: the size a plan states is put into simulated data, which `diagnose` must name.
 
-The size that a plan states is the one it tells in 19 measurements of 20. So of few draws few may fail: as many as a binomial of 5 %
-exceeds with less than one in a thousand.
+A plan distinguishes causes of the stated size in 19 of 20 measurements. So few draws may fail: at most the number that a binomial
+distribution of 5 % exceeds with a probability below 0.001.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements, joined, load
 from twin.planning import Plan, separate
-from twin.planning.separate import Named, form_meant
+from twin.planning.separate import NamedCause, cause_form
 from twin.samples import thesis_plan
 
 TRACKER = LaserTracker()
@@ -35,7 +35,7 @@ FEW, MANY = 3, 20  # of three draws, `allowed` is two
 
 @pytest.fixture(scope="module")
 def first(dmu50: Machine, calibration: Calibration) -> Measurements:
-    """The thesis's measurement of a machine without anything hidden: what it can tell does not hang on that."""
+    """The thesis's measurement of a machine without hidden errors; its information does not depend on them."""
     return simulate(thesis_plan.plan(dmu50), dmu50, calibration, TRACKER, np.random.default_rng(0))[0]
 
 
@@ -49,7 +49,7 @@ def warm(dmu50: Machine, calibration: Calibration) -> Plan:
     return separate(dmu50, *WARM, minutes=60.0, calibration=calibration)
 
 
-def erring(known: Calibration, name: str, numbers: Mapping[str, float]) -> Calibration:
+def with_effect(known: Calibration, name: str, numbers: Mapping[str, float]) -> Calibration:
     effect, _, where = name.partition(" ")
     return replace(known, extra=(effect_named(effect, where, dict(numbers), known.machine),))
 
@@ -63,8 +63,8 @@ def diagnosed(real: Calibration, known: Calibration, made: Plan, seed: int, *, b
     return diagnose(joined(tables), known.machine, known, instrument=TRACKER)
 
 
-def told_apart(found: Diagnosis, name: str, other: str) -> bool:
-    """The cause is named, first or among its equals; the other one is not."""
+def distinguished(found: Diagnosis, name: str, other: str) -> bool:
+    """Return whether the diagnosis names the cause, first or as equivalent, and not the other one."""
     every = [
         f"{effect} {where}"
         for cause in found.causes
@@ -74,7 +74,7 @@ def told_apart(found: Diagnosis, name: str, other: str) -> bool:
 
 
 def allowed(draws: int) -> int:
-    """Failures of 5 % each that happen in fewer than one set of draws in a thousand beyond this number."""
+    """Return the number of failures, 5 % each, that is exceeded with a probability below 0.001."""
     return int(stats.binom.isf(1e-3, draws, 0.05))
 
 
@@ -85,43 +85,45 @@ def check(known: Calibration, made: Plan, *, before: bool, draws: int, more: Map
         size, unit = made.separation.sizes[k]
         parameter = "rate" if unit == "um/h" else "amplitude" if "drift" in name else "coefficient"
         numbers = {parameter: size, **more.get(name, {})}
-        real = erring(known, name, numbers)
+        real = with_effect(known, name, numbers)
         failed = [
             seed
             for seed in range(draws)
-            if not told_apart(diagnosed(real, known, made, seed, before=before), name, names[1 - k])
+            if not distinguished(diagnosed(real, known, made, seed, before=before), name, names[1 - k])
         ]
         assert len(failed) <= allowed(draws), (name, size, failed)
 
 
-def test_the_thesis_cannot_tell_them(dmu50: Machine, calibration: Calibration, first: Measurements) -> None:
-    """Why there is something to plan for: with nothing but the first table both names stand."""
-    real = erring(calibration, CROSS[0], {"coefficient": 110.0})
+def test_the_thesis_does_not_distinguish_them(dmu50: Machine, calibration: Calibration, first: Measurements) -> None:
+    """With the first table alone both causes are named: this is why a plan is needed."""
+    real = with_effect(calibration, CROSS[0], {"coefficient": 110.0})
     data = simulate(thesis_plan.plan(dmu50), dmu50, real, TRACKER, np.random.default_rng(2))[0]
     found = diagnose(data, dmu50, calibration, instrument=TRACKER)
-    assert found.verdict == "ambiguous" and not told_apart(found, *CROSS)
+    assert found.verdict == "ambiguous" and not distinguished(found, *CROSS)
 
 
 @pytest.mark.slow
-def test_the_size_stated_is_told_with_what_was_measured_before(calibration: Calibration, cross: Plan) -> None:
+def test_the_stated_size_is_distinguished_together_with_earlier_readings(calibration: Calibration, cross: Plan) -> None:
     check(calibration, cross, before=True, draws=FEW, more={})
 
 
-def test_the_size_stated_is_told_by_the_plan_alone(calibration: Calibration, warm: Plan) -> None:
+def test_the_stated_size_is_distinguished_by_the_plan_alone(calibration: Calibration, warm: Plan) -> None:
     assert warm.separation is not None and [unit for _, unit in warm.separation.sizes] == ["um/h", "um/K"]
     check(calibration, warm, before=False, draws=FEW, more={})
 
 
 @pytest.mark.slow
-def test_it_is_told_in_nineteen_of_twenty(dmu50: Machine, calibration: Calibration, cross: Plan, warm: Plan) -> None:
+def test_it_is_distinguished_in_nineteen_of_twenty(
+    dmu50: Machine, calibration: Calibration, cross: Plan, warm: Plan
+) -> None:
     check(calibration, cross, before=True, draws=MANY, more={})
     check(calibration, warm, before=False, draws=MANY, more={})
     bent = separate(dmu50, f"{WARM[0]} time_constant=3600", WARM[1], minutes=60.0, calibration=calibration)
     check(calibration, bent, before=False, draws=MANY, more={WARM[0]: {"time_constant": 3600.0}})
 
 
-def test_what_was_measured_before_helps(dmu50: Machine, calibration: Calibration, cross: Plan) -> None:
-    """In the same time; and its stations, targets and rounds get names that the first table does not have."""
+def test_earlier_readings_help(dmu50: Machine, calibration: Calibration, cross: Plan) -> None:
+    """In the same time smaller sizes are distinguished; stations, targets and rounds get new names."""
     alone = separate(dmu50, *CROSS, minutes=30.0, calibration=calibration)
     assert alone.separation is not None and cross.separation is not None
     for with_it, without in zip(cross.separation.sizes, alone.separation.sizes, strict=True):
@@ -130,8 +132,8 @@ def test_what_was_measured_before_helps(dmu50: Machine, calibration: Calibration
     assert cross.minutes <= 30.0 and alone.minutes <= 30.0 and cross.forecast is None
 
 
-def test_sessions_are_told(warm: Plan) -> None:
-    """Cold, one sensor warm, hours later; the temperatures stand in the table, and the notices say before which reading."""
+def test_sessions_are_in_table_and_notices(warm: Plan) -> None:
+    """Cold, one sensor warm, hours later: temperatures are in the table, first readings in the notices."""
     table = warm.table
     bed = table.temperature_degC["bed"]
     assert {*bed} == {20.0, 25.0} and np.all(np.diff(table.time_s) > 0.0)
@@ -142,7 +144,7 @@ def test_sessions_are_told(warm: Plan) -> None:
     assert table.time_s[begins[2]] - table.time_s[0] > 4 * 3600.0
 
 
-def test_the_sizes_meant_are_judged(dmu50: Machine, calibration: Calibration) -> None:
+def test_given_sizes_are_assessed(dmu50: Machine, calibration: Calibration) -> None:
     made = separate(
         dmu50, f"{CROSS[0]} coefficient=500", f"{CROSS[1]} coefficient=1", minutes=30.0, calibration=calibration
     )
@@ -156,13 +158,13 @@ def test_the_sizes_meant_are_judged(dmu50: Machine, calibration: Calibration) ->
 @pytest.mark.parametrize(
     ("one", "what"),
     [
-        ("warp X", "no cause that a plan can look for"),
-        ("reversal W", "no cause that a plan can look for"),
-        ("cross_axis E_AX", "no cause that a plan can look for"),
-        ("station_drift 1", "no cause that a plan can look for"),
-        ("refraction_scale", "no cause that a plan can look for"),
+        ("warp X", "not a cause that a plan can separate"),
+        ("reversal W", "not a cause that a plan can separate"),
+        ("cross_axis E_AX", "not a cause that a plan can separate"),
+        ("station_drift 1", "not a cause that a plan can separate"),
+        ("refraction_scale", "not a cause that a plan can separate"),
         ("reversal X colour=1", "no such parameter"),
-        ("reversal X size=five", "no number"),
+        ("reversal X size=five", "not a number"),
         ("", "no effect"),
     ],
 )
@@ -171,25 +173,25 @@ def test_refusals(dmu50: Machine, one: str, what: str) -> None:
         separate(dmu50, one, "reversal Y", minutes=30.0)
 
 
-def test_one_cause_is_no_pair(dmu50: Machine) -> None:
+def test_the_same_cause_twice_is_refused(dmu50: Machine) -> None:
     with pytest.raises(InputError):
         separate(dmu50, "reversal Y", "reversal Y", minutes=30.0)
 
 
-def test_the_form_that_is_meant_has_the_time_constant_given(dmu50: Machine, tmp_path: Path) -> None:
-    """A drift in a straight line has none: it is meant where no number is given."""
+def test_the_form_of_a_cause_has_the_given_time_constant(dmu50: Machine, tmp_path: Path) -> None:
+    """Without a time constant or amplitude the drift is linear."""
     rng = np.random.default_rng(3)
     of = hidden.rounded(hidden.plan(rng, poses=20))
     table = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=None), dmu50)
     known = Calibration.default(dmu50)
     span = float(np.ptp(table.time_s))
-    _, bent = form_meant(Named.parse(f"thermal_drift Z time_constant={span / 5.0}"), dmu50, table, known)
+    _, bent = cause_form(NamedCause.parse(f"thermal_drift Z time_constant={span / 5.0}"), dmu50, table, known)
     assert bent.fixed["time_constant"] == pytest.approx(span / 5.0, rel=0.06)
-    _, straight = form_meant(Named.parse("thermal_drift Z"), dmu50, table, known)
+    _, straight = cause_form(NamedCause.parse("thermal_drift Z"), dmu50, table, known)
     assert not straight.fixed
-    _, straight = form_meant(Named.parse("thermal_drift Z rate=3"), dmu50, table, known)
+    _, straight = cause_form(NamedCause.parse("thermal_drift Z rate=3"), dmu50, table, known)
     assert not straight.fixed
-    _, bent = form_meant(Named.parse("thermal_drift Z amplitude=3"), dmu50, table, known)
+    _, bent = cause_form(NamedCause.parse("thermal_drift Z amplitude=3"), dmu50, table, known)
     assert bent.fixed
     with pytest.raises(InputError, match="no such parameter"):
-        form_meant(Named.parse("thermal_drift Z amplitude=3 rate=3"), dmu50, table, known)
+        cause_form(NamedCause.parse("thermal_drift Z amplitude=3 rate=3"), dmu50, table, known)

@@ -1,6 +1,6 @@
-"""Who sees whom, what comes near what, and in which order: by hand on a bench, by other means on the machine.
+"""Tests of visibility, clearance and order of readings: by hand on a one-slide machine, independently on the DMU 50.
 
-Truth: points sampled densely along a beam, distances asked of coal itself between shapes placed by Pinocchio, angles in closed form.
+References: points sampled densely along a beam, distances from coal between shapes placed by Pinocchio, angles in closed form.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from twin.planning.sight import NEST, Sight
 BEAMS = 400
 SAMPLES = 4001
 GRAZING_MM = 0.4
-"""Beams that pass a surface more closely than their samples lie apart: either answer is right."""
+"""Beams that pass a surface closer than the sample spacing: either answer is right."""
 PLACED = '<origin xyz="0.02 -0.05 0.1" rpy="0.4 -0.3 0.7"/>'
 TURN = pin.rpy.rpyToMatrix(0.4, -0.3, 0.7)
 ORIGIN_MM = np.array([20.0, -50.0, 100.0])
@@ -51,22 +51,22 @@ def in_sphere(p: np.ndarray) -> np.ndarray:
     ],
     ids=["box", "cylinder", "sphere"],
 )
-def test_a_shape_stops_the_beams_that_pass_through_it(
+def test_a_shape_blocks_beams_that_pass_through_it(
     tmp_path: Path, shape: str, depth: Callable[[np.ndarray], np.ndarray]
 ) -> None:
-    """Stations and reflectors on either side, inside and beyond; where the slide stands counts for a reflector on it."""
+    """Stations and reflectors on either side, inside and beyond; a reflector on the slide moves with it."""
     machine = kits.bench(tmp_path, f"{PLACED}<geometry>{shape}</geometry>")
     rng = np.random.default_rng(3)
     stations = {f"S{i}": rng.uniform(-400.0, 400.0, 3) for i in range(10)}
     targets = {f"T{i}": (("tool", "work")[i % 2], rng.uniform(-300.0, 300.0, 3)) for i in range(BEAMS // 40)}
     positions = rng.uniform(-300.0, 300.0, (4, 1))
-    seen = Sight(machine, kits.kit(machine, stations, targets)).sees(positions)
+    seen = Sight(machine, kits.kit(machine, stations, targets)).visible(positions)
     decided, blocked = 0, 0
     for station, eye in stations.items():
         for name, (side, place) in targets.items():
             for row, (x,) in enumerate(positions):
                 reflector = place + (np.array([x, 0.0, 0.0]) if side == "tool" else 0.0)
-                # The last 30 mm are the reflector's own nest.
+                # The last 30 mm belong to the reflector's nest.
                 away = (eye - reflector) / np.linalg.norm(eye - reflector)
                 beam = np.linspace(reflector + NEST * 1e3 * away, eye, SAMPLES)
                 nearest = depth((beam - ORIGIN_MM) @ TURN).min()
@@ -81,14 +81,14 @@ def test_a_box_between_station_and_reflector(tmp_path: Path) -> None:
     machine = kits.bench(tmp_path, '<origin xyz="0.5 0 0.05"/><geometry><box size="0.002 1 0.1"/></geometry>')
     own = kits.kit(machine, {"S": (1000.0, 0.0, 150.0)}, {"T": ("tool", (0.0, 0.0, 50.0)), "W": ("work", (0, 0, 100))})
     # At the wall the beam is 50 + 100·(500 − x)/(1000 − x) mm up; 2 mm of wall are 0.2 mm of beam.
-    seen = Sight(machine, own).sees(np.array([[-50.0], [-5.0], [5.0], [50.0]]))
+    seen = Sight(machine, own).visible(np.array([[-50.0], [-5.0], [5.0], [50.0]]))
     assert seen["S", "T"].tolist() == [True, True, False, False]
     glass = kits.kit(machine, {"S": (1000.0, 0.0, 150.0)}, {"T": ("tool", (0.0, 0.0, 50.0))}, opaque=False)
-    assert Sight(machine, glass).sees(np.array([[50.0]]))["S", "T"].all()
+    assert Sight(machine, glass).visible(np.array([[50.0]]))["S", "T"].all()
 
 
 def test_a_shape_that_moves_with_the_slide(tmp_path: Path) -> None:
-    """A plate on the slide 100 mm before the reflector hides it, wherever the slide stands; one on the bed does not follow."""
+    """A plate on the slide 100 mm in front of the reflector hides it at every position; a plate on the bed does not follow."""
     plate = '<origin xyz="0.1 0 0"/><geometry><box size="0.01 0.2 0.2"/></geometry>'
     stations = {"S": (2000.0, 0.0, 0.0), "back": (-2000.0, 0.0, 0.0)}
     targets = {"T": ("tool", (0.0, 0.0, 0.0))}
@@ -96,25 +96,25 @@ def test_a_shape_that_moves_with_the_slide(tmp_path: Path) -> None:
     (tmp_path / "bed").mkdir()
     riding = kits.bench(tmp_path, moving=plate)
     standing = kits.bench(tmp_path / "bed", plate)
-    assert Sight(riding, kits.kit(riding, stations, targets)).sees(at)["S", "T"].tolist() == [False] * 3
-    assert Sight(riding, kits.kit(riding, stations, targets)).sees(at)["back", "T"].all()
-    assert Sight(standing, kits.kit(standing, stations, targets)).sees(at)["S", "T"].tolist() == [False, False, True]
+    assert Sight(riding, kits.kit(riding, stations, targets)).visible(at)["S", "T"].tolist() == [False] * 3
+    assert Sight(riding, kits.kit(riding, stations, targets)).visible(at)["back", "T"].all()
+    assert Sight(standing, kits.kit(standing, stations, targets)).visible(at)["S", "T"].tolist() == [False, False, True]
 
 
 def test_a_mesh_counts_as_the_box_around_it(tmp_path: Path) -> None:
-    """A beam past the tetrahedron but through its box: called hidden, never the other way round."""
+    """A beam that passes the tetrahedron but not its bounding box counts as blocked."""
     (tmp_path / "t.obj").write_text("v 0 0 0\nv 100 0 0\nv 0 100 0\nv 0 0 100\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     machine = kits.bench(
         tmp_path, f'<geometry><mesh filename="{tmp_path}/t.obj" scale="0.001 0.001 0.001"/></geometry>'
     )
     stations = {"through": (20.0, 20.0, 500.0), "past it": (90.0, 90.0, 500.0), "clear": (150.0, 90.0, 500.0)}
     targets = {"T": ("work", (20.0, 20.0, -200.0)), "U": ("work", (90.0, 90.0, -200.0))}
-    seen = Sight(machine, kits.kit(machine, stations, targets)).sees(np.zeros((1, 1)))
+    seen = Sight(machine, kits.kit(machine, stations, targets)).visible(np.zeros((1, 1)))
     assert not seen["through", "T"][0] and not seen["past it", "U"][0] and seen["clear", "U"][0]
 
 
 def test_a_reflector_accepts_a_beam_within_its_angle(tmp_path: Path) -> None:
-    """Looking along +x from x on the slide, a station at (1000, 300): 300/(1000 − x) against the tangent of the acceptance."""
+    """Facing +x at x on the slide, station at (1000, 300): 300/(1000 − x) is compared with the tangent of the acceptance."""
     machine = kits.bench(tmp_path)
     x = np.linspace(-300.0, 300.0, 61)
     own = kits.kit(
@@ -122,7 +122,7 @@ def test_a_reflector_accepts_a_beam_within_its_angle(tmp_path: Path) -> None:
     )
     expected = 300.0 / (1000.0 - x) <= np.tan(np.radians(20.0))
     assert 10 < expected.sum() < 50
-    assert np.array_equal(Sight(machine, own).sees(x[:, None])["S", "T"], expected)
+    assert np.array_equal(Sight(machine, own).visible(x[:, None])["S", "T"], expected)
 
 
 def test_a_reflector_on_the_table_turns_with_it(dmu50: Machine) -> None:
@@ -133,33 +133,33 @@ def test_a_reflector_on_the_table_turns_with_it(dmu50: Machine) -> None:
     c = np.arange(0.0, 360.0, 7.0)
     positions = np.zeros((len(c), 5))
     positions[:, 4] = c
-    seen = Sight(dmu50, own).sees(positions)["S", "W"]
+    seen = Sight(dmu50, own).visible(positions)["S", "W"]
     assert np.array_equal(seen, np.cos(np.radians(c)) >= np.cos(np.radians(50.0)))
 
 
-def test_who_is_never_seen_is_named(tmp_path: Path) -> None:
+def test_a_target_that_is_never_visible_is_named(tmp_path: Path) -> None:
     machine = kits.bench(tmp_path, '<origin xyz="0.7 0 0"/><geometry><box size="0.1 5 5"/></geometry>')
     own = kits.kit(machine, {"S": (2000.0, 0.0, 0.0)}, {"T": ("tool", (0, 0, 0)), "W": ("work", (0, 500, 0))})
     with pytest.raises(InputError, match="target T is hidden from every station"):
         plan(machine, own, minutes=60)
 
 
-# ---- what comes near what
+# ---- clearance
 
 
 def test_the_margin_between_two_reflectors(tmp_path: Path) -> None:
-    """A ball on the slide against one on the bed: centres closer than two radii and the margin are too close."""
+    """Sphere on the slide and sphere on the bed: the limit is a distance of two radii and the margin."""
     machine = kits.bench(tmp_path)
     own = kits.kit(machine, {"S": (0, 2000, 0)}, {"T": ("tool", (0, 0, 0)), "W": ("work", (0, 60, 0))})
     clearance = Clearance(machine, own)
-    assert not clearance.known
+    assert not clearance.has_shapes
     needed = np.sqrt((2.0 * REFLECTOR_MM + MARGIN_MM) ** 2 - 60.0**2)
     for x in (needed - 0.1, -needed + 0.1, 0.0):
-        assert not clearance.free(np.array([x]))
+        assert not clearance.is_clear(np.array([x]))
     for x in (needed + 0.1, -needed - 0.1):
-        assert clearance.free(np.array([x]))
-    assert not clearance.free_move(np.array([-200.0]), np.array([200.0]))
-    assert clearance.free_move(np.array([-300.0]), np.array([-needed - 1.0]))
+        assert clearance.is_clear(np.array([x]))
+    assert not clearance.is_move_clear(np.array([-200.0]), np.array([200.0]))
+    assert clearance.is_move_clear(np.array([-300.0]), np.array([-needed - 1.0]))
 
 
 # ---- a plan of the DMU 50
@@ -171,7 +171,7 @@ def made(half: Plan) -> Plan:
 
 
 class Shapes:
-    """Everything drawn on either side, found by the names of the URDF's links, and the reflectors as balls."""
+    """Shapes of either side, found by the names of the URDF's links, and the reflectors as spheres."""
 
     def __init__(self, machine: Machine, kit: Kit) -> None:
         self.machine, self.kit = machine, kit
@@ -192,7 +192,7 @@ class Shapes:
                     self.sides[name].append((frame.parentJoint, coal.Sphere(REFLECTOR_MM * 1e-3), place))
 
     def gap_mm(self, command: np.ndarray, enough: float = np.inf) -> float:
-        """The smallest distance between the two sides; pairs whose bounding balls lie ``enough`` apart are not looked at."""
+        """Return the smallest distance between the two sides; pairs with bounding spheres beyond ``enough`` are skipped."""
         data = self.machine.model.createData()
         pin.forwardKinematics(self.machine.model, data, self.machine.configuration(command * self.machine.scale))
         placed = {}
@@ -214,20 +214,20 @@ class Shapes:
         return float(best)
 
 
-def test_no_pose_of_a_plan_brings_anything_together(dmu50: Machine, made: Plan) -> None:
+def test_every_pose_of_a_plan_has_clearance(dmu50: Machine, made: Plan) -> None:
     shapes = Shapes(dmu50, made.kit)
     poses = np.unique(made.table.positions, axis=0)
     gaps = [shapes.gap_mm(pose, 2.0 * MARGIN_MM) for pose in poses]
-    # 1e-3 mm: what coal's own iteration leaves of a distance.
+    # 1e-3 mm: tolerance of coal's iteration.
     assert min(gaps) >= MARGIN_MM - 1e-3
-    # The check can fail: poses drawn without looking do come together.
+    # The check can fail: some random poses have no clearance.
     low, high = made.kit.ranges.T
     drawn = np.random.default_rng(0).uniform(low, high, (40, 5))
     assert min(shapes.gap_mm(pose, 1.0) for pose in drawn) < 0.0
 
 
 def test_straight_moves_are_clear_or_listed(dmu50: Machine, made: Plan) -> None:
-    """Dense points of every twelfth move that is not listed; each that is listed does come too near."""
+    """Check dense points of every twelfth move that is not listed, and that every listed move has too little clearance."""
     shapes = Shapes(dmu50, made.kit)
     at = made.table.positions
     blocked = set(made.route.blocked)
@@ -246,8 +246,8 @@ def test_straight_moves_are_clear_or_listed(dmu50: Machine, made: Plan) -> None:
     assert made.complete is (not blocked)
 
 
-def test_readings_of_a_plan_are_seen(dmu50: Machine, made: Plan) -> None:
-    """Every one, and by coal's own rays: nothing drawn between the reflector's nest and the station."""
+def test_reflectors_of_a_plan_are_visible(dmu50: Machine, made: Plan) -> None:
+    """For every reading, checked with coal: no shape between the reflector's nest and the station."""
     drawn = pin.buildGeomFromUrdf(dmu50.model, str(dmu50.urdf), pin.GeometryType.VISUAL).geometryObjects
     table = made.table
     data = dmu50.model.createData()
@@ -271,7 +271,7 @@ def test_readings_of_a_plan_are_seen(dmu50: Machine, made: Plan) -> None:
             ), (row, shape.name)
 
 
-def test_a_plan_keeps_to_what_it_was_given(dmu50: Machine, made: Plan) -> None:
+def test_a_plan_keeps_within_time_kit_and_ranges(dmu50: Machine, made: Plan) -> None:
     table = made.table
     low, high = made.kit.ranges.T
     assert np.all(table.positions >= low) and np.all(table.positions <= high)
@@ -281,14 +281,14 @@ def test_a_plan_keeps_to_what_it_was_given(dmu50: Machine, made: Plan) -> None:
         assert {*table.approach[:, axis]} == {-1.0, 1.0}, dmu50.names[axis]
     assert np.all(np.diff(table.time_s) > 0.0) and np.isfinite(table.time_s).all()
     assert 0.95 * 144.0 < made.minutes <= 144.0 and table.time_s[-1] == pytest.approx(60.0 * made.minutes, abs=0.1)
-    # No station is gone back to, and each goes through its points twice.
+    # Every station is visited once, with two passes.
     changes = [name for i, name in enumerate(table.station) if i == 0 or name != table.station[i - 1]]
     assert len(changes) == len({*changes})
     assert len({*table.round}) == 2 * len(made.stations)
 
 
 def test_the_clock(dmu50: Machine, made: Plan) -> None:
-    """Set-up, change of target, the slowest axis and the reading, added up by hand; turning a reflector where the beam has left it."""
+    """Sum by hand of set-up, change of target, travel of the slowest axis, aiming and reading."""
     table, own = made.table, made.kit
     assert duration(dmu50, own, table) == pytest.approx(made.route.seconds)
     total, stations = 0.0, 0.0
@@ -302,7 +302,7 @@ def test_the_clock(dmu50: Machine, made: Plan) -> None:
     route = made.route
     assert route.spent["station"] == stations
     assert total == pytest.approx(route.spent["travel"] + route.spent["target"] + route.spent["point"])
-    # The reflectors' own turns: from the beam as it was last aimed, on the reflector's carrier.
+    # Aiming: the angle from the last aimed direction, in the frame of the reflector's carrier.
     sight = Sight(dmu50, own)
     poses = sight.poses(table.positions)
     turns, facing = 0, {}
@@ -331,7 +331,7 @@ def test_the_same_seed_gives_the_same_plan(tmp_path: Path) -> None:
 
 
 def test_a_plan_is_a_table(dmu50: Machine, made: Plan, tmp_path: Path) -> None:
-    """What stands in it is what the kit says, to the last digit after writing and reading."""
+    """The table has the positions of the kit, unchanged after writing and reading."""
     from twin.measurement.table import load
 
     made.save(tmp_path / "p.csv")

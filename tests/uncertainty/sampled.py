@@ -1,4 +1,4 @@
-"""The tool point's uncertainty by sorted draws, pose by pose (JCGM 101:2008): what first order and drawn machines are compared with."""
+"""Monte Carlo uncertainty of the tool point from sorted draws, pose by pose (JCGM 101:2008), as a reference."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from twin.uncertainty.population import NUMERICAL_UM, numerical_tolerance
 @final
 @dataclass(frozen=True)
 class Sampled:
-    """Of n poses.
+    """Monte Carlo result for n poses.
 
     Attributes:
-        mean: (n, 6) of the deviation from the estimated pose, µm and µrad: what first order takes as zero.
-        covariance: (n, 6, 6), µm and µrad.
+        mean: (n, 6) mean deviation from the estimated pose, µm and µrad; zero to first order.
+        covariance: (n, 6, 6) covariance of the deviation, µm and µrad.
         interval_um: (n, 3, 2) probabilistically symmetric 95 % interval of the point's deviation along x, y, z.
-        radius_um: (n,) within which 95 % of the drawn points lie of the estimated one.
+        radius_um: (n,) radius about the estimated point that contains 95 % of the drawn points.
         tolerance_um: (n, 3) numerical tolerance δ (JCGM 101, 7.9.2) of u_x, u_y, u_z by first order.
-        difference_um: (n, 3) by how much the ends of the first order interval, ± 1.96 u, miss those of ``interval_um``.
-        validated: (n,) whether every difference is within its tolerance (JCGM 101, 8.1); None where the trials are too few to tell:
-            twice the standard error of an interval's end would change the answer.
+        difference_um: (n, 3) difference between the limits of the first-order interval, ± 1.96 u, and ``interval_um``.
+        validated: (n,) whether every difference is within its tolerance (JCGM 101, 8.1); None if the trials are too few: twice the
+            standard error of an interval's limit would change the answer.
     """
 
     mean: np.ndarray
@@ -48,7 +48,7 @@ def sampled(
     digits: int = 1,
     approach: Any = None,
 ) -> Sampled:
-    """Draw the calibration's numbers and run each through the chain; every pose has draws of its own."""
+    """Draw the calibration's parameters and evaluate the kinematics for each; every pose has its own draws."""
     q = tool.kinematics.check(positions)
     sides = np.zeros(q.shape) if approach is None else np.atleast_2d(np.asarray(approach, dtype=float))
     found = [
@@ -62,7 +62,7 @@ def sampled(
 def _deviations(
     tool: ToolUncertainty, q: np.ndarray, side: np.ndarray, rng: np.random.Generator, trials: int
 ) -> np.ndarray:
-    """(trials, 6) deviations of the pose from the estimated one, µm and µrad."""
+    """Return deviations (trials, 6) of the pose from the estimated one, µm and µrad."""
     kinematics = tool.kinematics
     numbers = tool.draw(rng, trials)
     drawn = np.tile(kinematics.error_frames(q, side)[0].reshape(-1), (trials, 1))
@@ -72,7 +72,7 @@ def _deviations(
     rotation, reached = BatchFunction(kinematics.chain)(own, drawn, np.array([kinematics.tool_length_mm * MM]))
     estimate = kinematics.forward(q, side)
     turn = rotation.reshape(-1, 3, 3).transpose(0, 2, 1) @ estimate.rotation[0].T
-    # The sine of the angle for the angle: 1e-6 of it apart at 2 mrad.
+    # The sine replaces the angle: a relative error of 1e-6 at 2 mrad.
     sine = np.stack(
         [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1
     )
@@ -80,7 +80,7 @@ def _deviations(
 
 
 def _summary(deviation: np.ndarray, standard: np.ndarray, digits: int) -> tuple[Any, ...]:
-    """What `Sampled` says of one pose from its (trials, 6) deviations and (3,) first order u."""
+    """Return the values of `Sampled` for one pose from its deviations (trials, 6) and its first-order u (3,)."""
     trials = len(deviation)
     distance = np.sort(np.linalg.norm(deviation[:, :3], axis=1))
     ordered = np.sort(deviation[:, :3], axis=0)
@@ -88,7 +88,7 @@ def _summary(deviation: np.ndarray, standard: np.ndarray, digits: int) -> tuple[
     low = round(trials * tail)  # JCGM 101, 7.7.2: ranks r and r + pM
     high = low + round(trials * COVERAGE)
     interval = ordered[[low - 1, high - 1]].T
-    # The rank of a quantile is binomial: the ends' standard error without assuming a density.
+    # The rank of a quantile is binomially distributed: standard errors of the limits without assuming a density.
     step = round(np.sqrt(trials * tail * (1.0 - tail)))
     noise = np.stack(
         [(ordered[min(at + step, trials - 1)] - ordered[max(at - step, 0)]) / 2.0 for at in (low - 1, high - 1)], axis=1

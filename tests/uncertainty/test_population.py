@@ -1,4 +1,4 @@
-"""Machines drawn from a calibration's covariance, against a machine that shares no code, theory, and draws of another kind."""
+"""Monte Carlo machines compared with an independent implementation, with theory, and with another simulation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.budget import drawn_sides, volume
-from twin.uncertainty.population import BINS, TRIALS_A_TASK, Counts, Draws, draw_machines
+from twin.uncertainty.population import BINS, TRIALS_PER_TASK, Counts, Draws, draw_machines
 
 HERE = Workers(1)
 
@@ -42,7 +42,7 @@ def uncertain(dmu50: Machine) -> Calibration:
 
 
 def test_a_drawn_machine_against_a_second_formulation(dmu50: Machine, uncertain: Calibration, tmp_path: Path) -> None:
-    """Four machines, number by number, through a chain that shares no code: every point, and what is made of them."""
+    """Evaluate four machines with kinematics that share no code: every point, and the statistics."""
     uncertain.save(tmp_path / "c.yaml")
     estimated = TruthMachine(tmp_path / "c.yaml", LENGTH)
     Calibration.zero(dmu50).save(tmp_path / "zero.yaml")
@@ -59,7 +59,7 @@ def test_a_drawn_machine_against_a_second_formulation(dmu50: Machine, uncertain:
         off = real - np.array([estimated.pose(row)[:3, 3] for row in draws.positions]) * 1e3
         error = np.linalg.norm(real - np.array([as_drawn.pose(row)[:3, 3] for row in draws.positions]) * 1e3, axis=1)
         left = np.linalg.norm(off, axis=1)
-        # Rounding of metres, 1e-10 µm, through a chain of ten links.
+        # Rounding of metres, 1e-10 µm, in a chain of ten links.
         assert np.abs(point_um[:, :, machine].T - off).max() < 1e-8
         wanted = [np.sqrt(np.mean(error**2)), error.max(), np.sqrt(np.mean(left**2)), left.max()]
         assert measures[:, machine] == pytest.approx(wanted, abs=1e-8)
@@ -74,9 +74,9 @@ def test_against_exact_order_statistics_and_theory(dmu50: Machine, uncertain: Ca
     other = sampled(tool, found.positions, np.random.default_rng(5), trials, approach=sides)
     u = found.standard_um
     noise = 1.0 / np.sqrt(trials)
-    # Standard error of a 2.5 % quantile of a normal distribution 2.67 u/√n, of two independent ones √2 of it; five of them.
+    # Standard error of a 2.5 % quantile of a normal distribution: 2.67 u/√n, of a difference of two √2 times that; five of them.
     assert np.abs((found.interval_um - other.interval_um) / u[:, :, None]).max() < 5 * np.sqrt(2.0) * 2.67 * noise
-    # Of a 95 % quantile of a length at most 2.1 of its scale; of a standard deviation 1/√2; of a mean 1.
+    # The same for a 95 % quantile of a length: at most 2.1 of its scale; for a standard deviation: 1/√2; for a mean: 1.
     assert np.abs(found.by_draws_um / other.radius_um - 1.0).max() < 5 * np.sqrt(2.0) * 2.1 * noise
     assert np.abs(u / tool.at(found.positions, sides).standard_um - 1.0).max() < 5 * noise / np.sqrt(2.0)
     assert np.abs(found.bias_um / u).max() < 5 * noise
@@ -97,31 +97,31 @@ def _squares(kinematics: Kinematics, q: np.ndarray, sides: np.ndarray) -> np.nda
     return np.sum((kinematics.forward(q, sides).point_mm - zero.forward(q).point_mm) ** 2, axis=1) * 1e6
 
 
-def test_a_machine_is_the_same_however_many_follow(dmu50: Machine, uncertain: Calibration) -> None:
+def test_a_machine_does_not_depend_on_the_number_of_machines(dmu50: Machine, uncertain: Calibration) -> None:
     draws = draws_of(dmu50, uncertain, poses=7)
     short, long = next(iter(draws.steps.run(0, 5))), next(iter(draws.steps.run(0, 50)))
     assert np.array_equal(short[0], long[0][:, :, :5])
     assert np.array_equal(short[2], long[2][:, :5])
 
 
-def test_another_seed_is_another_million(dmu50: Machine, uncertain: Calibration) -> None:
+def test_another_seed_gives_other_machines(dmu50: Machine, uncertain: Calibration) -> None:
     kinematics = Kinematics(dmu50, uncertain)
-    more = TRIALS_A_TASK + 1000  # two tasks
+    more = TRIALS_PER_TASK + 1000  # two tasks
     one, same, other = (draw_machines(kinematics, trials=more, poses=5, seed=s, workers=HERE) for s in (1, 1, 2))
     assert json.dumps(one.to_dict()) == json.dumps(same.to_dict())
     assert one.machines == more
     assert not np.array_equal(one.by_draws_um, other.by_draws_um)
 
 
-def test_where_first_order_is_not_enough(dmu50: Machine) -> None:
-    """The table nods by 20 mrad (u): 300 mm away a point moves with the square of the angle too, 300 mm · u²/2 = 60 µm on average."""
+def test_where_first_order_is_not_sufficient(dmu50: Machine) -> None:
+    """The table tilts by 20 mrad (u): 300 mm away a point also moves by the square of the angle, 300 mm · u²/2 = 60 µm on average."""
     covariance = Covariance(("E_A0B",), locked(np.array([[2e4**2]])))
     none: MappingProxyType[str, float] = MappingProxyType({})
     calibration = Calibration(dmu50, "test", MappingProxyType({}), none, MappingProxyType({"E_A0B": 0.0}), covariance)
     kinematics = Kinematics(dmu50, calibration, tool_length_mm=300.0)
     found = draw_machines(kinematics, trials=20_000, poses=8, seed=1, workers=HERE)
     assert found.validated.count(False) >= 2
-    # The same by sorted draws, pose by pose.
+    # The same from sorted draws, pose by pose.
     other = sampled(ToolUncertainty(kinematics), found.positions, np.random.default_rng(7), 20_000)
     agree = [a is b for a, b in zip(found.validated, other.validated, strict=True) if None not in (a, b)]
     assert len(agree) >= 5 and all(agree)
@@ -134,7 +134,7 @@ def test_where_first_order_is_not_enough(dmu50: Machine) -> None:
 
 
 def test_quantiles_from_counts() -> None:
-    """Within a bin of those of the values themselves; beyond the bins there is no answer."""
+    """Quantiles agree with those of the values to within a bin; outside the bins they are NaN."""
     values = np.sort(np.random.default_rng(3).normal(size=(2, 20_000)) * [[1.0], [5.0]], axis=1)
     lower, upper = np.array([-4.0, -20.0]), np.array([4.0, 20.0])
     edges = [np.linspace(low, high, BINS + 1) for low, high in zip(lower, upper, strict=True)]
@@ -171,7 +171,7 @@ def test_the_command(
     status, _, error = ended(*few)
     assert status == 2 and "dmu50.calibration.yaml" in error and "covariance" in error and error.count("\n") == 1
     for arguments, word in (
-        (["--trials", 10], "at least 1000"),
+        (["--trials", 10], "1000 … "),
         (["--poses", 0], "1 …"),
         (["--seed", -1], "0 or more"),
         (["--workers", 0], "at least 1"),
@@ -182,6 +182,6 @@ def test_the_command(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["c.yaml", "v.json"]
 
 
-def test_nothing_to_draw_from(dmu50: Machine, calibration: Calibration) -> None:
-    with pytest.raises(InputError, match="nothing to draw from"):
+def test_a_calibration_without_uncertainties_is_refused(dmu50: Machine, calibration: Calibration) -> None:
+    with pytest.raises(InputError, match="no machines can be drawn"):
         draw_machines(Kinematics(dmu50, calibration), trials=2000, poses=5, workers=HERE)

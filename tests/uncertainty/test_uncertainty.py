@@ -1,4 +1,4 @@
-"""From the calibration's covariance to the tool point: against a second formulation, against draws, and where nothing is known."""
+"""Uncertainty of the tool point compared with an independent formulation and with Monte Carlo; unknown covariances."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
-from twin.uncertainty.at_tool import POSES_A_STEP, ToolUncertainty, radius_95
+from twin.uncertainty.at_tool import POSES_PER_STEP, ToolUncertainty, radius_95
 from twin.uncertainty.budget import error_budget, volume
 from twin.uncertainty.population import numerical_tolerance
 
@@ -35,7 +35,7 @@ def names_of(calibration: Calibration) -> tuple[str, ...]:
 
 
 def with_covariance(calibration: Calibration, rng: np.random.Generator, u: float) -> Calibration:
-    """Every number with a standard uncertainty about ``u`` µm or µrad, all of them correlated."""
+    """Return the calibration with standard uncertainties of about ``u`` µm or µrad, all parameters correlated."""
     names = names_of(calibration)
     drawn = rng.normal(size=(len(names), len(names) + 20)) * u / np.sqrt(len(names))
     return replace(calibration, joint=Covariance(names, locked(drawn @ drawn.T)))
@@ -48,7 +48,7 @@ def uncertain(dmu50: Machine) -> Calibration:
 
 
 def nudged(truth: TruthMachine, name: str, by: float) -> TruthMachine:
-    """The truth machine with one number of its file changed."""
+    """Return the truth machine with one parameter of its file changed."""
     other = copy.deepcopy(truth)
     entry, _, index = name.partition("[")
     if index:
@@ -60,7 +60,7 @@ def nudged(truth: TruthMachine, name: str, by: float) -> TruthMachine:
 
 
 def test_first_order_against_a_second_formulation(dmu50: Machine, uncertain: Calibration, tmp_path: Path) -> None:
-    """J by central differences of a machine that shares no code, number by number, and J Σ Jᵀ written out."""
+    """J by central differences of an independent machine, parameter by parameter, and J Σ Jᵀ written out."""
     uncertain.save(tmp_path / "c.yaml")
     truth = TruthMachine(tmp_path / "c.yaml", LENGTH)
     q = volume(dmu50, 6, seed=3)
@@ -101,8 +101,8 @@ def test_first_order_against_monte_carlo(dmu50: Machine, uncertain: Calibration)
     assert np.array_equal(again.interval_um, drawn.interval_um)
 
 
-def test_where_first_order_is_not_enough_it_is_not_validated(dmu50: Machine) -> None:
-    """The spindle nods by 20 mrad (u) over a tool of 300 mm: the tip rises with the square of the angle, which has no first order."""
+def test_where_first_order_is_not_sufficient_it_is_not_validated(dmu50: Machine) -> None:
+    """The spindle tilts by 20 mrad (u) with a tool of 300 mm: the tip rises by the square of the angle, zero to first order."""
     calibration = Calibration(
         dmu50,
         "test",
@@ -119,7 +119,7 @@ def test_where_first_order_is_not_enough_it_is_not_validated(dmu50: Machine) -> 
     small = replace(calibration, joint=Covariance(("E_A0B",), locked(np.array([[1.0]]))))
     tool = ToolUncertainty(Kinematics(dmu50, small, tool_length_mm=300.0))
     assert sampled(tool, [250.0, 225.0, 0.0, 0.0, 0.0], rng, 200_000).validated == (True,)
-    # Two digits ask for ends to 0.5 … 5 % of u, and a thousand trials give them to 8 %.
+    # Two digits require limits to 0.5 … 5 % of u, and a thousand trials give them to 8 %.
     assert sampled(tool, [250.0, 225.0, 0.0, 0.0, 0.0], rng, 1000, digits=2).validated == (None,)
 
 
@@ -138,7 +138,7 @@ def test_radius_is_exact_for_equal_directions(directions: int) -> None:
 
 
 def test_radius_covers_95_percent() -> None:
-    """Of draws from covariances of every shape, needles and discs among them."""
+    """Random covariances of every shape, including needles and discs."""
     rng = np.random.default_rng(8)
     for _ in range(30):
         directions = np.linalg.qr(rng.normal(size=(3, 3)))[0]
@@ -150,8 +150,8 @@ def test_radius_covers_95_percent() -> None:
     assert radius_95(np.zeros((1, 3, 3)))[0] == 0.0
 
 
-def test_what_is_fully_correlated_cancels(dmu50: Machine) -> None:
-    """The spindle and the table's axis C shifted by the same unknown amount along x: nothing between tool and work at B = 0."""
+def test_fully_correlated_errors_cancel(dmu50: Machine) -> None:
+    """Spindle and axis C shifted by the same unknown amount along x: no effect between tool and work at B = 0."""
     names = ("E_X0C", "E_XX[0]")
     tied = Covariance(names, locked(np.full((2, 2), 9.0)))
     base = random_calibration(dmu50, np.random.default_rng(9), 1e-3)  # in effect none: nothing else is turned
@@ -187,7 +187,7 @@ def test_no_covariance_is_unknown_and_not_zero(dmu50: Machine, calibration: Cali
     assert json.loads(json.dumps(over, allow_nan=False)) == over
 
 
-def test_what_has_no_covariance_is_named(dmu50: Machine, uncertain: Calibration) -> None:
+def test_errors_without_covariance_are_named(dmu50: Machine, uncertain: Calibration) -> None:
     assert uncertain.joint is not None
     some = replace(uncertain, joint=uncertain.joint.where(lambda name: name not in ("E_XX[2]", "E_C0Y")))
     found = ToolUncertainty(Kinematics(dmu50, some)).at([250.0, 225.0, -200.0, 30.0, 0.0])
@@ -196,7 +196,7 @@ def test_what_has_no_covariance_is_named(dmu50: Machine, uncertain: Calibration)
     rows = {row.name: row.peak_u for row in error_budget(dmu50, some)[0]}
     assert np.isnan(rows["E_XX"]) and np.isnan(rows["E_C0Y"])
     assert rows["E_A0Z"] == pytest.approx(np.sqrt(some.covariance.of(["E_A0Z"]).matrix[0, 0]))
-    # Two numbers of a power curve, by hand: u² = s00 + 2 u s01 + u² s11 …, largest over the domain.
+    # Two parameters of a power curve, by hand: u² = s00 + 2 u s01 + u² s11 …, largest over the domain.
     names = [f"E_XY[{k}]" for k in range(6)]
     matrix = some.covariance.of(names).matrix
     u = np.linspace(-1, 1, 2001)[:, None] ** np.arange(6)
@@ -223,12 +223,12 @@ def test_a_map_over_the_volume(dmu50: Machine, uncertain: Calibration) -> None:
             tool.on_grid(counts, rotary)
 
 
-def test_many_poses_are_as_good_as_one(dmu50: Machine, uncertain: Calibration) -> None:
-    """Across the seams of the steps the poses are worked off in."""
+def test_many_poses_give_the_same_as_one(dmu50: Machine, uncertain: Calibration) -> None:
+    """Across the boundaries of the steps in which poses are computed."""
     tool = ToolUncertainty(Kinematics(dmu50, uncertain))
-    q = volume(dmu50, POSES_A_STEP + 300)
+    q = volume(dmu50, POSES_PER_STEP + 300)
     many = tool.at(q)
-    for i in (0, 255, 256, POSES_A_STEP - 1, POSES_A_STEP, len(q) - 1):
+    for i in (0, 255, 256, POSES_PER_STEP - 1, POSES_PER_STEP, len(q) - 1):
         assert many.covariance[i] == pytest.approx(tool.at(q[i]).covariance[0], rel=1e-9, abs=1e-12)
     with pytest.raises(ValueError, match="read-only"):
         many.covariance[0] = 0.0
@@ -245,8 +245,8 @@ def test_a_rank_one_covariance_gives_no_negative_variance(dmu50: Machine, uncert
     assert (largest[:, 1] <= 1e-9 * largest[:, 2]).all()  # one number moves every point along a line
 
 
-def test_a_curves_own_covariance_is_taken(dmu50: Machine, tmp_path: Path) -> None:
-    """A file whose curve has its own covariance and whose others have none: taken, and the others named."""
+def test_the_covariance_of_a_curve_is_used(dmu50: Machine, tmp_path: Path) -> None:
+    """A file with a covariance for one curve only: it is used, and the other curves are named."""
     path = tmp_path / "c.yaml"
     curve = {"unit": "um", "domain": [0, 500], "basis": "power", "coefficients": [1.0, 2.0]}
     data = {
@@ -261,7 +261,7 @@ def test_a_curves_own_covariance_is_taken(dmu50: Machine, tmp_path: Path) -> Non
     assert found.standard_um[0] == pytest.approx([np.sqrt(13.0), 0.0, 0.0], abs=1e-9)
 
 
-def test_info_says_what_is_known_of_the_tool(
+def test_info_prints_the_uncertainty_at_the_tool(
     dmu50: Machine, uncertain: Calibration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def printed(*arguments: str) -> str:

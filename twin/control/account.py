@@ -1,4 +1,4 @@
-"""What was made, what it leaves and how to load it: as text and as JSON."""
+"""Account of compensation tables: what they contain, which error remains, how to load them; as text and as JSON."""
 
 from __future__ import annotations
 
@@ -9,37 +9,37 @@ from typing import Any, Final, final
 from twin._common.json_form import json_form
 from twin._common.provenance import ILLUSTRATIVE, texts, to_json
 from twin.control.design import Table
-from twin.control.make import Made
+from twin.control.make import ControlTables
 from twin.control.remains import Carried, Remains
 from twin.machine.calibration import Calibration
 from twin.machine.control import Terms
 
 SCHEMA: Final = "twin.control/1"
 DONE_TWICE: Final = (
-    "Programs: with these tables on, compensate them with the calibration.yaml of this folder and no other. It says what the "
-    "control takes out by itself; with the one it was made from the errors would be taken out twice."
+    "While these tables are switched on, compensate NC programs only with the calibration.yaml in this folder. It records what the "
+    "control corrects itself; with the original calibration these errors would be corrected twice."
 )
 
 FROM_NOW_ON: Final = (
-    "With these tables on, the calibration.yaml of this folder is the machine's and no other: it says what the control takes out by "
-    "itself."
+    "While these tables are switched on, use only the calibration.yaml in this folder for this machine. It records what the control "
+    "corrects itself."
 )
 
 
 @final
 @dataclass(frozen=True)
 class Account:
-    """All there is to say.
+    """Compensation tables, the error that remains with them, and the steps to load them.
 
     Attributes:
         made: the tables.
-        remains: what they leave at the tool.
-        carried: every error of the calibration.
-        missing: effects left out for want of a temperature or the time, by the channel.
-        errors: the calibration they were made from.
+        remains: error at the tool without and with the tables.
+        carried: every error of the calibration and whether the tables correct it.
+        missing: effects not included because a temperature or the time is not given, by channel.
+        errors: the calibration the tables were made from.
     """
 
-    made: Made
+    made: ControlTables
     remains: Remains
     carried: tuple[Carried, ...]
     missing: Mapping[str, tuple[str, ...]]
@@ -47,88 +47,95 @@ class Account:
 
     @property
     def source(self) -> str:
-        """The calibration's file."""
-        return str(self.errors.path or "no file: the machine as drawn")
+        """Path of the calibration, as text."""
+        return str(self.errors.path or "no file: the nominal machine")
 
     @property
     def unmet(self) -> tuple[str, ...]:
-        """What could not be met."""
+        """Requirements that are not met, one sentence each."""
         found = list(self.made.unmet)
-        found += [f"left out: {', '.join(names)} (needs {channel})" for channel, names in self.missing.items()]
+        found += [
+            f"not included: {', '.join(names)} ({channel} is not given)" for channel, names in self.missing.items()
+        ]
         if self.remains.tables.rms_um > self.remains.before.rms_um:
-            found.append("over the volume the tables leave more than there was before")
+            found.append("over the volume the error is larger with the tables than without them")
         return tuple(found)
 
     def to_text(self) -> str:
-        """As the account is printed and written beside the files."""
-        made, wanted = self.made, self.made.wanted
+        """Return the text that is printed and written into the folder of the tables."""
+        made, required = self.made, self.made.required
         request = made.request
-        where = ", ".join(f"{name} {value:g}" for name, value in wanted.at.items())
-        lines = [f"Compensation tables for {wanted.machine.name}: {request.kind}"]
+        where = ", ".join(f"{name} {value:g}" for name, value in required.at.items())
+        lines = [f"Compensation tables for {required.machine.name}: {request.kind}"]
         lines += texts(self.errors.warnings)
         lines += [
-            f"from {self.source}",
-            f"tool length {wanted.tool_length_mm:g} mm, the other axes at {where}",
+            f"calibration: {self.source}",
+            f"tool length {required.tool_length_mm:g} mm; positions of the other axes while one moves: {where}",
             f"files: {', '.join(made.files)}",
             "",
             *_rows(made.tables),
             "",
-            "  between nodes: how far the model is at most from the straight lines; read back: how far the file, read again, was "
-            "from the model at places drawn.",
+            "  Y by X: correction of Y as a function of the position of X; times Z: multiplied by the position of Z.\n"
+            "  between nodes: largest deviation of the model from the interpolation between nodes.\n"
+            "  read back: largest deviation of the file, read again, from the model at random positions; in brackets its limit.",
             "",
             *self.remains.to_lines(),
         ]
         lines += ["", "Error motions", *_shares(self.carried), *self._limits()]
-        lines += ["", "To load and switch on", *(f"  {i}. {text}" for i, text in enumerate(self.load, start=1))]
+        lines += [
+            "",
+            "How to load the tables and switch them on",
+            *(f"  {i}. {text}" for i, text in enumerate(self.load, start=1)),
+        ]
         if made.increment:
             lines.append(
-                "  These files are the old tables and the new ones together: load them in place of the old ones. added/ has the "
-                "new part alone, for twin."
+                "  These files contain the old and the new tables combined: load them in place of the old ones. The folder added/ "
+                "holds the new part alone, which only twin needs: do not load it."
             )
         if request.form.unchecked:
-            lines += ["", "NOT CHECKED against a public description of the control:"]
+            lines += ["", "NOT CHECKED against public documentation of the control:"]
             lines += [f"  - {text}" for text in request.form.unchecked]
-        lines += ["", _trial(made), DONE_TWICE if wanted.machine.runs_programs else FROM_NOW_ON]
+        lines += ["", _trial(made), DONE_TWICE if required.machine.runs_programs else FROM_NOW_ON]
         if self.unmet:
             lines += ["", "Not met:", *(f"  - {text}" for text in self.unmet)]
         return "\n".join(lines) + "\n"
 
     @property
     def load(self) -> tuple[str, ...]:
-        """How the tables get into the control, step by step."""
+        """Steps to load the tables into the control and switch them on."""
         return self.made.request.form.loading(self.made.correction, self.made.largest)
 
     def _limits(self) -> list[str]:
-        """Where the tables are right."""
+        """Return the lines that say for which axis positions and tool lengths the tables are valid."""
         made, found = self.made, list[str]()
         if isinstance(made.correction, Terms):
             products = any(len(term.factors) > 1 for term in made.correction.terms)
             found += [
                 "",
-                "A table of one axis over another is right where the other axes stand as above. What an angular error makes "
-                "elsewhere is its angle times the distance from there"
-                + (", which the products carry." if products else ": it stays."),
+                "A table over one axis is exact where the other axes stand at the positions given above. Elsewhere an angular error "
+                "adds its angle times the distance from there"
+                + (": the products of tables correct this." if products else ", which remains uncorrected."),
             ]
         if not made.request.form.knows_machine:
-            length = f"{made.wanted.tool_length_mm:g} mm"
+            length = f"{made.required.tool_length_mm:g} mm"
             found.append(
-                f"Angular errors change with the tool: for another length than {length} make the tables again."
+                f"The effect of angular errors depends on the tool length: for a length other than {length} make new tables."
             )
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON has it."""
-        made, wanted = self.made, self.made.wanted
+        """Return the account as JSON (``schema: twin.control/1``)."""
+        made, required = self.made, self.made.required
         return {
             "schema": SCHEMA,
-            "machine": wanted.machine.name,
+            "machine": required.machine.name,
             "calibration": self.source,
             "illustrative": ILLUSTRATIVE in self.errors.warnings,
             "warnings": to_json(self.errors.warnings),
             "format": made.request.kind,
             "classes": list(made.request.carried_classes),
-            "tool_length_mm": wanted.tool_length_mm,
-            "at": dict(wanted.at),
+            "tool_length_mm": required.tool_length_mm,
+            "at": dict(required.at),
             "files": list(made.files),
             "tables": [_row(one) for one in made.tables],
             "error_at_tool": self.remains.to_dict(),
@@ -140,7 +147,7 @@ class Account:
 
 
 def _row(one: Table) -> dict[str, Any]:
-    """A table, units in its names."""
+    """Return one table's row of the JSON; the keys carry the unit."""
     what = one.content
     return {
         "table": what.name,
@@ -149,16 +156,17 @@ def _row(one: Table) -> dict[str, Any]:
         "nodes": what.nodes,
         "step": what.step,
         f"largest_{what.unit}": what.largest,
-        f"between_nodes_{what.unit}": one.off,
-        f"read_back_{what.unit}": one.back,
-        f"allowed_{what.unit}": one.off + one.rounding,
+        f"between_nodes_{what.unit}": one.deviation,
+        f"read_back_{what.unit}": one.read_back_deviation,
+        f"allowed_{what.unit}": one.deviation + one.rounding,
         "holds": one.holds,
-        "within_tolerance": one.fine,
+        "within_tolerance": one.within_tolerance,
     }
 
 
 def _shares(carried: tuple[Carried, ...]) -> list[str]:
-    titles = {"whole": "  taken out", "line": "  taken out in part", "no": "  not taken out"}
+    """Return the error motions in three groups: corrected, corrected in part, not corrected; with the reasons."""
+    titles = {"whole": "  corrected", "line": "  corrected in part", "no": "  not corrected"}
     found = []
     for share, title in titles.items():
         by_reason: dict[str, list[str]] = {}
@@ -171,37 +179,38 @@ def _shares(carried: tuple[Carried, ...]) -> list[str]:
     return found
 
 
-def _trial(made: Made) -> str:
-    """The check on the machine that shows a sign the wrong way round."""
-    # A shift shows by itself; an angle alone only of a rotary axis.
+def _trial(made: ControlTables) -> str:
+    """Return the check on the machine that reveals a wrong sign; empty without a table."""
+    # A gauge measures a displacement directly; an angular correction exists only for a rotary axis.
     tables = [one.content for one in made.tables if one.content.nodes]
     best = max(tables, key=lambda one: (one.unit == "um", one.largest), default=None)
     if best is None:
         return ""
     against = "dial gauge or interferometer" if best.unit == "um" else "reference encoder or polygon and autocollimator"
     return (
-        f"Before cutting: drive the axis with the largest correction ({best.name}, up to {best.largest:.1f} "
-        f"{unit_shown(best.unit)}) against a {against} with the tables off and on. The error must become smaller. If it doubles, "
-        "the control reads the sign the other way round: switch the tables off."
+        f"Before cutting, check the sign with the largest correction ({best.name}, up to {best.largest:.1f} "
+        f"{displayed_unit(best.unit)}): move the axis over its range and measure the error with a {against}, first with the tables "
+        "off, then with the tables on. The error must become smaller. If it doubles, the control interprets the sign the opposite "
+        "way: switch the tables off."
     )
 
 
-def unit_shown(unit: str) -> str:
-    """``µm`` of ``um``."""
+def displayed_unit(unit: str) -> str:
+    """Return a unit as displayed: ``µm`` for ``um``."""
     return unit.replace("u", "µ", 1)
 
 
 def _rows(tables: Sequence[Table]) -> list[str]:
-    """The tables, a line each."""
+    """Return the tables as text, one line each below a header."""
     width = max([len(one.content.name) for one in tables] + [5])
     found = [f"  {'table':<{width}}  {'range':>17}  nodes    step    largest   between nodes   read back   (allowed)"]
     for one in tables:
         what = one.content
         span = f"{what.low:g} … {what.high:g}"
         nodes = f"{what.nodes:>5}  {what.step:>6g}" if what.nodes else f"{'':>5}  {'':>6}"
-        marks = ("" if one.holds else "  NOT WHAT WAS MEANT") + ("" if one.fine else "  ABOVE TOLERANCE")
+        marks = ("" if one.holds else "  READ-BACK FAILED") + ("" if one.within_tolerance else "  ABOVE TOLERANCE")
         found.append(
-            f"  {what.name:<{width}}  {span:>17}  {nodes}  {what.largest:>8.2f}  {one.off:>14.3f}  {one.back:>10.4f}  "
-            f"{one.off + one.rounding:>10.4f} {unit_shown(what.unit)}{marks}"
+            f"  {what.name:<{width}}  {span:>17}  {nodes}  {what.largest:>8.2f}  {one.deviation:>14.3f}  "
+            f"{one.read_back_deviation:>10.4f}  {one.deviation + one.rounding:>10.4f} {displayed_unit(what.unit)}{marks}"
         )
     return found

@@ -1,4 +1,4 @@
-"""Tables of one axis over another: which ones a format gets, and what each must say."""
+"""Tables of one axis over another: which tables a format needs, and their values."""
 
 from __future__ import annotations
 
@@ -10,31 +10,40 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.units import TURN
-from twin.control.design import WORTH, Design, Share, Table, TablePlan, depending, drawn, tolerance_of
-from twin.control.nodes import RESOLUTION, Nodes, at, chosen
+from twin.control.design import (
+    NEGLIGIBLE_SHARE,
+    Design,
+    Share,
+    Table,
+    TablePlan,
+    check_positions,
+    share_depending_on,
+    tolerance_of,
+)
+from twin.control.nodes import RESOLUTION, Nodes, choose_nodes, nodes_at
 from twin.control.request import Request
-from twin.control.wanted import Wanted
+from twin.control.required import RequiredCorrections
 from twin.machine.control import Content, ControlCurve, ControlTerm, TableFormat, Terms
 from twin.machine.control.curve import BOTH, DOWN, UP, Direction, period_of
 from twin.machine.effects import Effect
 from twin.machine.machine import Axis
 
 TURNS: Final = (-TURN, 2.0 * TURN)
-"""Where a table of an axis that turns without end goes, in a format that does not wrap positions."""
+"""Range of a table over an unlimited rotary axis, degrees, in a format that does not wrap positions."""
 SOME_BEYOND: Final = 0.01
 ALL_BEYOND: Final = 0.99
-"""Share of an error that lies where no linear axis moves the point; products of two errors are a thousandth."""
+"""Limits of the share of an error that no linear axis can correct; products of two errors contribute about 0.001."""
 
 
 @final
 @dataclass(frozen=True)
 class TableColumn:
-    """One table that is wanted over an axis.
+    """Column of the tables over one axis.
 
     Attributes:
-        moved: the axis it moves.
-        side: the direction it is for.
-        by: the axis whose lever it is multiplied by.
+        moved: the axis that is corrected.
+        side: the direction of approach the column is for.
+        by: axis of the lever the column is multiplied by; None without a product.
     """
 
     moved: str
@@ -45,10 +54,17 @@ class TableColumn:
 @final
 @dataclass(frozen=True)
 class Planned:
-    """One table or product as it will be written, with how far the truth is from it, and the truth at places drawn."""
+    """One table or product to be written.
+
+    Attributes:
+        term: the table.
+        deviation: largest deviation of the required correction from it, µm or µrad.
+        q: (n,) random positions at which the file read back is checked.
+        truth: (n,) required correction there.
+    """
 
     term: ControlTerm
-    off: float
+    deviation: float
     q: np.ndarray
     truth: np.ndarray
 
@@ -59,81 +75,85 @@ class AxisTables(Design[Terms]):
 
     correction = Terms
 
-    def plan(self, wanted: Wanted, request: Request, old: Terms | None) -> TablePlan[Terms]:
-        """The tables, axis by axis; the weakest for their number are left out where there are too many; see `Design.plan`."""
-        form, machine, found = request.form, wanted.machine, list[Planned]()
+    def plan(self, required: RequiredCorrections, request: Request, old: Terms | None) -> TablePlan[Terms]:
+        """See `Design.plan`. If there are more tables than the control has, those that correct least are left out."""
+        form, machine, found = request.form, required.machine, list[Planned]()
         for axis in machine.axes:
-            columns = _columns(wanted, form, axis, request)
+            columns = _columns(required, form, axis, request)
             if not columns:
                 continue
-            truth = _truth(wanted, axis, columns)
-            kept = None if old is None else _old_nodes(old, axis)
+            truth = _required_values(required, axis, columns)
+            kept = None if old is None else _nodes_of_old_tables(old, axis)
             if kept is None:
-                low, high = TURNS if axis.lower is None and not form.wraps else wanted.range_of(axis)
+                low, high = TURNS if axis.lower is None and not form.wraps else required.range_of(axis)
                 limits = [tolerance_of(machine.by_name[one.moved], request.tolerance_um) for one in columns]
-                nodes = chosen(truth, low, high, np.array(limits), step=request.step, most=form.points)
+                nodes = choose_nodes(truth, low, high, np.array(limits), step=request.step, most=form.points)
             else:
-                nodes = at(truth, np.array(kept))
-            found += _planned(wanted, axis, columns, nodes, truth, period_of(axis) if form.wraps else None)
+                nodes = nodes_at(truth, np.array(kept))
+            found += _planned(required, axis, columns, nodes, truth, period_of(axis) if form.wraps else None)
         most = None if form.tables is None else request.most or form.tables
-        within, left = _within(found, most)
+        within, left_out = _strongest(found, most)
 
         def compared(back: Terms) -> tuple[Table, ...]:
             return tuple(
-                _table(one, content, back, wanted, request) for one, content in zip(within, contents, strict=True)
+                _table(one, content, back, required, request) for one, content in zip(within, contents, strict=True)
             )
 
         correction = Terms(tuple(one.term for one in within), machine)
         contents = correction.contents()
-        return TablePlan(correction, compared, left)
+        return TablePlan(correction, compared, left_out)
 
-    def share(self, wanted: Wanted, effect: Effect, others: Sequence[Axis], request: Request) -> tuple[Share, str]:
+    def share(
+        self, required: RequiredCorrections, effect: Effect, others: Sequence[Axis], request: Request
+    ) -> tuple[Share, str]:
         """See `Design.share`."""
-        form, iso_class = request.form, wanted.class_of(effect)
-        if not wanted.machine.by_name[effect.frame.axis].linear:
+        form, iso_class = request.form, required.class_of(effect)
+        if not required.machine.by_name[effect.frame.axis].linear:
             if iso_class != "R-POS":
-                return "no", "moves the point in a direction that turns with the rotary axes"
-            return depending(others)
+                return "no", "the direction of its effect turns with the rotary axes"
+            return share_depending_on(others)
         if not form.across and iso_class in ("L-STR", "L-SQU"):
-            return "no", "moves other axes than its own: the format has no such tables"
-        beyond = wanted.beyond(effect)
+            return "no", "needs a table that corrects another axis: the format has none"
+        beyond = required.uncorrectable_share(effect)
         if beyond > ALL_BEYOND:
-            return "no", "no linear axis moves the point that way"
+            return "no", "no linear axis moves the point in its direction"
         if beyond > SOME_BEYOND:
-            return "line", f"no linear axis moves the point the way of {100.0 * beyond:.0f} % of it"
+            return "line", f"no linear axis moves the point in the direction of {100.0 * beyond:.0f} % of it"
         if iso_class != "L-ANG" or others or (form.products and request.products):
-            return depending(others)
+            return share_depending_on(others)
         if not form.across:
-            return "line", "along its own axis only, and there with the lever of the reference position"
-        return "line", "with the lever of the reference position"
+            return "line", "only along its own axis, and exact only with the other axes at their reference positions"
+        return "line", "exact only with the other axes at their reference positions"
 
 
-def _columns(wanted: Wanted, form: TableFormat[Any], axis: Axis, request: Request) -> list[TableColumn]:
-    """What is worth a table over one axis: an axis moved and direction each, then the slopes of products."""
-    machine = wanted.machine
+def _columns(required: RequiredCorrections, form: TableFormat[Any], axis: Axis, request: Request) -> list[TableColumn]:
+    """Return the columns over one axis whose largest value matters: per corrected axis and direction, then the products."""
+    machine = required.machine
     tolerance = tolerance_of(axis, request.tolerance_um)
-    dense = np.round(np.linspace(*wanted.range_of(axis), 501) / RESOLUTION) * RESOLUTION
+    dense = np.round(np.linspace(*required.range_of(axis), 501) / RESOLUTION) * RESOLUTION
     if not axis.linear:
-        turns = {side: wanted.turn(axis, dense, side) for side in (UP, DOWN, BOTH)}
-        split = form.directions and np.abs(turns[UP] - turns[DOWN]).max() > WORTH * tolerance
+        turns = {side: required.rotary_correction(axis, dense, side) for side in (UP, DOWN, BOTH)}
+        split = form.directions and np.abs(turns[UP] - turns[DOWN]).max() > NEGLIGIBLE_SHARE * tolerance
         used = (UP, DOWN) if split else (BOTH,)
-        worth = max(np.abs(turns[side]).max() for side in used) > WORTH * tolerance
+        worth = max(np.abs(turns[side]).max() for side in used) > NEGLIGIBLE_SHARE * tolerance
         return [TableColumn(axis.name, side) for side in used] if worth else []
     linear = [machine.axes[i].name for i in machine.linear]
     sides = (UP, DOWN) if form.directions else (BOTH, BOTH)
-    up, down = (wanted.point((axis.name,), wanted.line(axis, dense), side) for side in sides)
+    up, down = (
+        required.linear_corrections((axis.name,), required.positions_along(axis, dense), side) for side in sides
+    )
     found: list[TableColumn] = []
     for k, moved in enumerate(linear):
         if not form.across and moved != axis.name:
             continue
-        if max(np.abs(up[:, k]).max(), np.abs(down[:, k]).max()) <= WORTH * tolerance:
+        if max(np.abs(up[:, k]).max(), np.abs(down[:, k]).max()) <= NEGLIGIBLE_SHARE * tolerance:
             continue
         can = form.crossed_directions or moved == axis.name
-        directed = can and np.abs(up[:, k] - down[:, k]).max() > WORTH * tolerance
+        directed = can and np.abs(up[:, k] - down[:, k]).max() > NEGLIGIBLE_SHARE * tolerance
         found += [TableColumn(moved, side) for side in ((UP, DOWN) if directed else (BOTH,))]
     for by in linear if form.products and request.products else ():
         if by != axis.name:
-            peaks = np.abs(_slope(wanted, axis, by, dense)).max(axis=0)
+            peaks = np.abs(_slope(required, axis, by, dense)).max(axis=0)
             found += [
                 TableColumn(moved, BOTH, by)
                 for moved, peak in zip(linear, peaks, strict=True)
@@ -142,53 +162,60 @@ def _columns(wanted: Wanted, form: TableFormat[Any], axis: Axis, request: Reques
     return found
 
 
-def _truth(wanted: Wanted, axis: Axis, columns: Sequence[TableColumn]) -> Callable[[np.ndarray], np.ndarray]:
-    """What the tables over one axis should say: (n,) positions → (n, columns) µm or µrad."""
-    linear = [wanted.machine.axes[i].name for i in wanted.machine.linear]
+def _required_values(
+    required: RequiredCorrections, axis: Axis, columns: Sequence[TableColumn]
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the function of the required values of the columns over one axis: (n,) positions → (n, columns) µm or µrad."""
+    linear = [required.machine.axes[i].name for i in required.machine.linear]
 
     def truth(q: np.ndarray) -> np.ndarray:
         if not axis.linear:
-            return np.stack([wanted.turn(axis, q, one.side) for one in columns], axis=1)
-        line, found = wanted.line(axis, q), {}
+            return np.stack([required.rotary_correction(axis, q, one.side) for one in columns], axis=1)
+        line, found = required.positions_along(axis, q), {}
         for side, by in {(one.side, one.by) for one in columns}:
-            found[side, by] = wanted.point((axis.name,), line, side) if by is None else _slope(wanted, axis, by, q)
+            found[side, by] = (
+                required.linear_corrections((axis.name,), line, side) if by is None else _slope(required, axis, by, q)
+            )
         return np.stack([found[one.side, one.by][:, linear.index(one.moved)] for one in columns], axis=1)
 
     return truth
 
 
-def _slope(wanted: Wanted, axis: Axis, by: str, q: np.ndarray) -> np.ndarray:
-    """(n, linear axes) µm: how much more correction another axis asks for when it moves on by half its range."""
-    low, high = wanted.range_of(wanted.machine.by_name[by])
-    ends = [wanted.point((axis.name,), wanted.line(axis, q, {by: end})) for end in (low, high)]
+def _slope(required: RequiredCorrections, axis: Axis, by: str, q: np.ndarray) -> np.ndarray:
+    """Return the change (n, linear axes) in µm of the correction when axis ``by`` moves by half its range."""
+    low, high = required.range_of(required.machine.by_name[by])
+    ends = [
+        required.linear_corrections((axis.name,), required.positions_along(axis, q, {by: end})) for end in (low, high)
+    ]
     return np.asarray(0.5 * (ends[1] - ends[0]))
 
 
 def _planned(
-    wanted: Wanted,
+    required: RequiredCorrections,
     axis: Axis,
     columns: Sequence[TableColumn],
     nodes: Nodes,
     truth: Callable[[np.ndarray], np.ndarray],
     period: float | None,
 ) -> list[Planned]:
+    """Return the tables over one axis on the nodes, with the required values at the random positions."""
     where = tuple(nodes.at.tolist())
-    q = drawn(where[0], where[-1])
+    q = check_positions(where[0], where[-1])
     meant = truth(q)
     found = []
     for k, one in enumerate(columns):
         factors = [ControlCurve(axis.name, where, tuple(nodes.values[:, k].tolist()), period, one.side)]
         if one.by is not None:
-            low, high = wanted.range_of(wanted.machine.by_name[one.by])
-            half, middle = 0.5 * (high - low), wanted.at[one.by]
+            low, high = required.range_of(required.machine.by_name[one.by])
+            half, middle = 0.5 * (high - low), required.at[one.by]
             factors.append(ControlCurve(one.by, (low, high), ((low - middle) / half, (high - middle) / half)))
         reach = factors[1].peak if one.by is not None else 1.0
-        found.append(Planned(ControlTerm(one.moved, tuple(factors)), float(nodes.off[k]) * reach, q, meant[:, k]))
+        found.append(Planned(ControlTerm(one.moved, tuple(factors)), float(nodes.deviation[k]) * reach, q, meant[:, k]))
     return found
 
 
-def _within(found: Sequence[Planned], most: int | None) -> tuple[tuple[Planned, ...], tuple[str, ...]]:
-    """As many as there may be: those that take out most a table; and what is left out."""
+def _strongest(found: Sequence[Planned], most: int | None) -> tuple[tuple[Planned, ...], tuple[str, ...]]:
+    """Return at most ``most`` tables, those with the largest correction per table, and the names of those left out."""
     order = sorted(range(len(found)), key=lambda i: -found[i].term.peak / len(found[i].term.factors))
     kept: set[int] = set()
     used = 0
@@ -197,13 +224,13 @@ def _within(found: Sequence[Planned], most: int | None) -> tuple[tuple[Planned, 
         if most is None or used + need <= most:
             kept.add(i)
             used += need
-    left = tuple(f"{one.term.name}: {one.term.peak:.1f}" for i, one in enumerate(found) if i not in kept)
-    return tuple(one for i, one in enumerate(found) if i in kept), left
+    left_out = tuple(f"{one.term.name}: {one.term.peak:.1f}" for i, one in enumerate(found) if i not in kept)
+    return tuple(one for i, one in enumerate(found) if i in kept), left_out
 
 
-def _table(one: Planned, content: Content, back: Terms, wanted: Wanted, request: Request) -> Table:
-    """One table beside what was read back; a product where the other axis is farthest from its reference."""
-    moved, factors = wanted.machine.by_name[one.term.axis], one.term.factors
+def _table(one: Planned, content: Content, back: Terms, required: RequiredCorrections, request: Request) -> Table:
+    """Return one table compared with the file read back; a product at the position where its lever is longest."""
+    moved, factors = required.machine.by_name[one.term.axis], one.term.factors
     found = next(term for term in back.terms if term.key == one.term.key)
     rounding, scale = request.form.rounding[0 if moved.linear else 1], 1.0
     truth, said = one.truth, found.factors[0].along(one.q)
@@ -212,17 +239,17 @@ def _table(one: Planned, content: Content, back: Terms, wanted: Wanted, request:
         truth, said = truth * factor.along(end), said * read.along(end)
         rounding = rounding * scale + one.term.peak * 1e-9
     tolerance = tolerance_of(moved, request.tolerance_um) * scale
-    return Table(content, one.off, rounding, tolerance, float(np.abs(truth - said).max()))
+    return Table(content, one.deviation, rounding, tolerance, float(np.abs(truth - said).max()))
 
 
-def _old_nodes(old: Terms, axis: Axis) -> tuple[float, ...] | None:
-    """Nodes of the tables over an axis that are to be added to."""
+def _nodes_of_old_tables(old: Terms, axis: Axis) -> tuple[float, ...] | None:
+    """Return the nodes of the old tables over an axis; None if there are none."""
     curves = [term.factors[0] for term in old.terms if term.factors[0].argument == axis.name]
     if not curves:
         return None
     if any(curve.at != curves[0].at for curve in curves):
         raise InputError(
-            f"the tables over {axis.name} that are to be added to have different nodes",
+            f"the old tables over {axis.name}, to which new ones are added, have different nodes",
             expected="the same nodes in all tables over one axis",
             value=[f"{len(curve.at)} points" for curve in curves],
         )

@@ -1,4 +1,4 @@
-"""Component errors of every axis, for a control that knows the machine."""
+"""Component errors of every axis, for a control that has a kinematic model of the machine."""
 
 from __future__ import annotations
 
@@ -7,10 +7,19 @@ from typing import final
 
 import numpy as np
 
-from twin.control.design import URAD_A_UM, WORTH, Design, Share, Table, TablePlan, depending, drawn
-from twin.control.nodes import Nodes, at, chosen
+from twin.control.design import (
+    NEGLIGIBLE_SHARE,
+    URAD_PER_UM,
+    Design,
+    Share,
+    Table,
+    TablePlan,
+    check_positions,
+    share_depending_on,
+)
+from twin.control.nodes import Nodes, choose_nodes, nodes_at
 from twin.control.request import Request
-from twin.control.wanted import Wanted
+from twin.control.required import RequiredCorrections
 from twin.machine.control import ControlCurve
 from twin.machine.control.curve import period_of
 from twin.machine.control.volumetric import AxisErrors, Volumetric, at_rest
@@ -20,57 +29,62 @@ from twin.machine.machine import Axis
 
 @final
 class ComponentErrors(Design[Volumetric]):
-    """What acts in the error frame of every axis, its place and squareness included."""
+    """Compute the component errors in the error frame of every axis, location errors and squareness included."""
 
     correction = Volumetric
 
-    def plan(self, wanted: Wanted, request: Request, old: Volumetric | None) -> TablePlan[Volumetric]:
+    def plan(self, required: RequiredCorrections, request: Request, old: Volumetric | None) -> TablePlan[Volumetric]:
         """See `Design.plan`."""
         form, planned = request.form, list[tuple[AxisErrors, Nodes, np.ndarray, np.ndarray]]()
-        limit = request.tolerance_um * np.array([1.0] * 3 + [URAD_A_UM] * 3)
+        limit = request.tolerance_um * np.array([1.0] * 3 + [URAD_PER_UM] * 3)
         before = {} if old is None else {one.axis: next(iter(one.curves.values())).at for one in old.errors}
-        for axis in wanted.machine.axes:
-            truth = _truth(wanted, axis)
-            low, high = wanted.range_of(axis)
+        for axis in required.machine.axes:
+            truth = _required_values(required, axis)
+            low, high = required.range_of(axis)
             peaks = np.abs(truth(np.linspace(low, high, 501))).max(axis=0)
-            used = [i for i in range(6) if peaks[i] > WORTH * limit[i]]
+            used = [i for i in range(6) if peaks[i] > NEGLIGIBLE_SHARE * limit[i]]
             if not used:
                 continue
             if axis.name in before:
-                nodes = at(truth, np.array(before[axis.name]))
+                nodes = nodes_at(truth, np.array(before[axis.name]))
             else:
-                nodes = chosen(truth, low, high, limit, step=request.step, most=form.points)
+                nodes = choose_nodes(truth, low, high, limit, step=request.step, most=form.points)
             where, period = tuple(nodes.at.tolist()), period_of(axis)
             curves = {i: ControlCurve(axis.name, where, tuple(nodes.values[:, i].tolist()), period) for i in used}
-            q = drawn(where[0], where[-1])
+            q = check_positions(where[0], where[-1])
             planned.append((AxisErrors(axis.name, curves), nodes, q, truth(q)))
-        correction = Volumetric(tuple(one[0] for one in planned), wanted.machine, wanted.tool_length_mm)
+        correction = Volumetric(tuple(one[0] for one in planned), required.machine, required.tool_length_mm)
 
         def compared(back: Volumetric) -> tuple[Table, ...]:
             contents, read = iter(correction.contents()), {one.axis: one.curves for one in back.errors}
             found = []
             for own, nodes, q, meant in planned:
                 for i in own.curves:
-                    off, back_off = float(nodes.off[i]), float(np.abs(meant[:, i] - read[own.axis][i].along(q)).max())
+                    off, back_off = (
+                        float(nodes.deviation[i]),
+                        float(np.abs(meant[:, i] - read[own.axis][i].along(q)).max()),
+                    )
                     found.append(Table(next(contents), off, form.rounding[i // 3], float(limit[i]), back_off))
             return tuple(found)
 
         return TablePlan(correction, compared)
 
-    def share(self, wanted: Wanted, effect: Effect, others: Sequence[Axis], request: Request) -> tuple[Share, str]:
+    def share(
+        self, required: RequiredCorrections, effect: Effect, others: Sequence[Axis], request: Request
+    ) -> tuple[Share, str]:
         """See `Design.share`."""
-        return depending(others)
+        return share_depending_on(others)
 
 
-def _truth(wanted: Wanted, axis: Axis) -> Callable[[np.ndarray], np.ndarray]:
-    """Component errors of an axis at the point the control has them at: (n,) positions → (n, 6) µm and µrad."""
-    rest = at_rest(wanted.machine)
+def _required_values(required: RequiredCorrections, axis: Axis) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the function of an axis's component errors at the control's reference point: (n,) positions → (n, 6) µm and µrad."""
+    rest = at_rest(required.machine)
     turn, lever = rest.turns[axis.name], rest.centre(axis) - rest.places[axis.name]
 
     def truth(q: np.ndarray) -> np.ndarray:
-        own = wanted.frame_errors(axis, q)
+        own = required.frame_errors(axis, q)
         shift, spin = own[:, :3] @ turn.T, own[:, 3:] @ turn.T
-        # µrad times mm are nanometres.
+        # µrad times mm is nm.
         return np.concatenate([shift + 1e-3 * np.cross(spin, lever), spin], axis=1)
 
     return truth

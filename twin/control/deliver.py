@@ -1,4 +1,4 @@
-"""The folder: files of the control, the text beside them, and the calibration that says what the control takes out."""
+"""Write the output folder: the control's files, README.txt, and the calibration that records what the control corrects."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any, Final
 from twin._common.errors import InputError
 from twin._common.files import check_writable, scratch_folder, write_whole
 from twin.control.account import Account
-from twin.control.make import Made, design_of
-from twin.control.remains import carried, remains
+from twin.control.make import ControlTables, design_of
+from twin.control.remains import corrected_shares, remaining_errors
 from twin.machine.calibration import Calibration
 from twin.machine.control import ControlSection, TableEntry, TableFormat, format_named
 from twin.machine.machine import Machine
@@ -22,34 +22,36 @@ ADDED: Final = "added"
 
 
 def outputs_of(folder: Path, kind: str, machine: Machine) -> list[Path]:
-    """Every file that may be written into a folder."""
+    """Return every file that may be written into a folder for a format."""
     names = format_named(kind).files(machine)
     return [folder / name for name in (*names, README, CALIBRATION)]
 
 
-def written_by(made: Made) -> tuple[str, ...]:
-    """Names in the folder that these tables have: what else lies there is of another run, or somebody else's."""
+def written_by(made: ControlTables) -> tuple[str, ...]:
+    """Return the names of the files written into the folder; other files in it do not belong to these tables."""
     return (*made.files, README, CALIBRATION, *([ADDED] if made.increment else []))
 
 
-def account_of(made: Made, errors: Calibration, known: Calibration, missing: Mapping[str, tuple[str, ...]]) -> Account:
-    """What there is to say of the tables, with what they leave worked out through their files.
+def account_of(
+    made: ControlTables, errors: Calibration, known: Calibration, missing: Mapping[str, tuple[str, ...]]
+) -> Account:
+    """Return the account of the tables; the remaining error is computed from the files as read back.
 
     Args:
         made: the tables.
         errors: the calibration they were made from.
-        known: the same without effects whose channel nobody gave.
-        missing: these, by channel.
+        known: the same without effects whose channel is not given.
+        missing: the effects left out, by channel.
     """
     with scratch_folder() as folder:
         section = _section(made, _write(made.increment or made.files, folder, made.request.form))
-        left = remains(made.wanted, known.with_control(section))
+        remaining = remaining_errors(made.required, known.with_control(section))
     request = made.request
     return Account(
         made,
-        left,
-        carried(
-            made.wanted, replace(request, products=request.products and not made.left_out), design_of(request.form)
+        remaining,
+        corrected_shares(
+            made.required, replace(request, products=request.products and not made.left_out), design_of(request.form)
         ),
         missing,
         errors,
@@ -57,21 +59,21 @@ def account_of(made: Made, errors: Calibration, known: Calibration, missing: Map
 
 
 def deliver(
-    made: Made, errors: Calibration, known: Calibration, missing: Mapping[str, tuple[str, ...]], folder: Path
+    made: ControlTables, errors: Calibration, known: Calibration, missing: Mapping[str, tuple[str, ...]], folder: Path
 ) -> Account:
-    """Write the folder, made if it is not there: the control's files first, the calibration that names them last.
+    """Write the folder, created if necessary: the control's files first, the calibration that refers to them last.
 
     Args:
         made: the tables.
         errors: the calibration they were made from.
-        known: the same without effects whose channel nobody gave.
-        missing: these, by channel.
-        folder: where to.
+        known: the same without effects whose channel is not given.
+        missing: the effects left out, by channel.
+        folder: the output folder.
 
     Raises:
-        InputError: an output is one of the inputs, or cannot be written.
+        InputError: an output is also an input, or cannot be written.
     """
-    outputs = outputs_of(folder, made.request.kind, made.wanted.machine)
+    outputs = outputs_of(folder, made.request.kind, made.required.machine)
     inputs = [errors.path] if errors.path is not None else []
     inputs += [entry.file for entry in errors.control.tables] if errors.control is not None and made.increment else []
     for path in outputs:
@@ -85,19 +87,20 @@ def deliver(
         check_writable([folder / ADDED / name for name in made.increment])
         paths = _write(made.increment, folder / ADDED, made.request.form)
     write_whole(folder / README, account.to_text())
-    told = replace(errors, source=f"{errors.source}; its control has compensation tables ({made.request.kind})")
-    told.with_control(_section(made, paths)).save(folder / CALIBRATION)
+    marked = replace(errors, source=f"{errors.source}; the control has compensation tables ({made.request.kind})")
+    marked.with_control(_section(made, paths)).save(folder / CALIBRATION)
     return account
 
 
 def _write(files: Mapping[str, str], folder: Path, form: TableFormat[Any]) -> list[Path]:
-    """Write all, and say which of them are read back."""
+    """Write the files and return the paths of those that are read back."""
     for name, text in files.items():
         write_whole(folder / name, text)
     return [folder / name for name in form.to_read(files)]
 
 
-def _section(made: Made, paths: Sequence[Path]) -> ControlSection:
+def _section(made: ControlTables, paths: Sequence[Path]) -> ControlSection:
+    """Return the ``control:`` section of the calibration for these table files."""
     request = made.request
     return ControlSection(
         "uncorrected", tuple(TableEntry.of(path, request.kind, request.carried_classes) for path in paths)

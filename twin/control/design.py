@@ -1,4 +1,4 @@
-"""How the tables of one kind of correction are worked out: one class a kind, for all formats that hold it."""
+"""Computation of tables: one subclass of `Design` for each kind of correction, shared by all formats of that kind."""
 
 from __future__ import annotations
 
@@ -10,84 +10,87 @@ from typing import Final, Generic, Literal, TypeVar, final
 import numpy as np
 
 from twin.control.request import Request
-from twin.control.wanted import Wanted
+from twin.control.required import RequiredCorrections
 from twin.machine.control import Content, Correction
 from twin.machine.effects import Effect
 from twin.machine.machine import Axis
 
 C = TypeVar("C", bound=Correction)
 Share = Literal["whole", "line", "no"]
-URAD_A_UM: Final = 2.0
-"""Tolerance of an angle for each µm of the tolerance: a µm at half a metre."""
-WORTH: Final = 0.1
-"""A table whose largest value is no more than this share of the tolerance is not written."""
+URAD_PER_UM: Final = 2.0
+"""Angular tolerance in µrad per µm of tolerance: 1 µm at half a metre."""
+NEGLIGIBLE_SHARE: Final = 0.1
+"""Tables with a largest value up to this share of the tolerance are not written."""
 CHECKS: Final = 997
-"""Positions of every table, drawn, at which it is compared with the model."""
+"""Number of random positions at which every table is compared with the model."""
 SEED: Final = 16907
 
 
 def tolerance_of(axis: Axis, tolerance_um: float) -> float:
-    """µm, or µrad of a rotary axis."""
-    return tolerance_um if axis.linear else tolerance_um * URAD_A_UM
+    """Return the tolerance of an axis: µm, or µrad for a rotary axis."""
+    return tolerance_um if axis.linear else tolerance_um * URAD_PER_UM
 
 
-def drawn(low: float, high: float) -> np.ndarray:
-    """(`CHECKS`,) positions of a table, drawn: the same for every table of that range."""
+def check_positions(low: float, high: float) -> np.ndarray:
+    """Return (`CHECKS`,) random positions of a table, the same for every table of that range."""
     return np.random.default_rng(SEED).uniform(low, high, CHECKS)
 
 
 @final
 @dataclass(frozen=True)
 class Table:
-    """One table as it was read back; the numbers in its own unit.
+    """One table compared with the model; all numbers in the table's unit.
 
     Attributes:
-        content: its nodes and its largest value.
-        off: the truth is no farther from the straight lines between the nodes.
-        rounding: of the written digits.
-        tolerance: of the interpolation.
-        back: largest distance between the table as read back and the model at positions drawn.
+        content: nodes and largest value.
+        deviation: largest deviation of the model from the interpolation between nodes.
+        rounding: rounding error of the written digits.
+        tolerance: tolerance of the interpolation.
+        read_back_deviation: largest deviation of the table read back from the model, at random positions.
     """
 
     content: Content
-    off: float
+    deviation: float
     rounding: float
     tolerance: float
-    back: float
+    read_back_deviation: float
 
     @property
     def holds(self) -> bool:
-        """Whether the text says what was meant."""
-        return self.back <= self.off + self.rounding
+        """Whether the file read back agrees with the model within interpolation and rounding."""
+        return self.read_back_deviation <= self.deviation + self.rounding
 
     @property
-    def fine(self) -> bool:
-        """Whether its nodes are dense enough for the tolerance."""
-        return self.off <= self.tolerance * (1.0 + 1e-9)
+    def within_tolerance(self) -> bool:
+        """Whether the interpolation error is within the tolerance."""
+        return self.deviation <= self.tolerance * (1.0 + 1e-9)
 
     @property
     def unmet(self) -> tuple[str, ...]:
-        """What could not be met, in words."""
+        """Requirements that are not met, one sentence each."""
         name, unit = self.content.name, self.content.unit
         found = []
         if not self.holds:
             found.append(
-                f"{name}: as read back {self.back:.4f} {unit} from the model, more than {self.off:.4f} + {self.rounding:.4f}"
+                f"{name}: read back, it deviates from the model by {self.read_back_deviation:.4f} {unit}, "
+                f"more than {self.deviation:.4f} + {self.rounding:.4f}"
             )
-        if not self.fine:
-            found.append(f"{name}: {self.off:.3f} {unit} between the nodes, more than the tolerance {self.tolerance:g}")
+        if not self.within_tolerance:
+            found.append(
+                f"{name}: deviation between nodes {self.deviation:.3f} {unit}, more than the tolerance {self.tolerance:g}"
+            )
         return tuple(found)
 
 
 @final
 @dataclass(frozen=True)
 class TablePlan(Generic[C]):
-    """Tables as they will be written.
+    """Tables to be written.
 
     Attributes:
         correction: the tables.
-        compared: with what is read back of them: one table for each of the correction's `Correction.contents`, in that order.
-        left_out: tables there was no room for.
+        compared: function that compares them with the files read back: one `Table` for each of `Correction.contents`, in that order.
+        left_out: tables left out because the control has too few.
     """
 
     correction: C
@@ -96,7 +99,7 @@ class TablePlan(Generic[C]):
 
 
 class Design(ABC, Generic[C]):
-    """How tables of one kind are worked out.
+    """Computation of the tables of one kind of correction.
 
     Attributes:
         correction: the kind.
@@ -105,25 +108,27 @@ class Design(ABC, Generic[C]):
     correction: type[C]
 
     @abstractmethod
-    def plan(self, wanted: Wanted, request: Request, old: C | None) -> TablePlan[C]:
-        """The tables, on the nodes of old ones where there are any.
+    def plan(self, required: RequiredCorrections, request: Request, old: C | None) -> TablePlan[C]:
+        """Return the tables; on the nodes of the old ones if there are any.
 
         Raises:
-            InputError: a machine that cannot have such tables; old ones that cannot be added to; a step that does not do.
+            InputError: the machine cannot have such tables, the new ones cannot be added to the old ones, or the step is unusable.
         """
 
     @abstractmethod
-    def share(self, wanted: Wanted, effect: Effect, others: Sequence[Axis], request: Request) -> tuple[Share, str]:
-        """What the tables do with one error, and why where they do not take out the whole of it.
+    def share(
+        self, required: RequiredCorrections, effect: Effect, others: Sequence[Axis], request: Request
+    ) -> tuple[Share, str]:
+        """Return which share of one error the tables correct, and the reason if it is not the whole.
 
         Args:
-            wanted: the machine and its errors.
+            required: the required corrections.
             effect: the error.
-            others: axes it depends on beside its own.
+            others: axes it depends on, except its own.
             request: the format, and whether two tables are multiplied.
         """
 
 
-def depending(others: Sequence[Axis]) -> tuple[Share, str]:
-    """The whole of an error that depends on no other axes, else what stands in one line."""
-    return ("line", f"depends on {' '.join(axis.name for axis in others)} too") if others else ("whole", "")
+def share_depending_on(others: Sequence[Axis]) -> tuple[Share, str]:
+    """Return ``whole`` for an error that depends on no other axes, else ``line`` and the reason."""
+    return ("line", f"also depends on {' '.join(axis.name for axis in others)}") if others else ("whole", "")

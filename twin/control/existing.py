@@ -1,4 +1,4 @@
-"""What tables that are there already say, and how the model differs."""
+"""Read existing tables of a control and compare them with a calibration."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ import numpy as np
 
 from twin._common.json_form import json_form
 from twin._common.provenance import ILLUSTRATIVE, texts, to_json
-from twin.control.account import unit_shown
-from twin.control.remains import Remains, remains
-from twin.control.wanted import Wanted
+from twin.control.account import displayed_unit
+from twin.control.remains import Remains, remaining_errors
+from twin.control.required import RequiredCorrections
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import APPROACH, Conditions
 from twin.machine.control import ControlSection, Correction, TableEntry, TableFormat, format_named
 from twin.machine.iso16907 import BASIC
 from twin.machine.machine import Machine
 
-PLACES = 1001
+POSITIONS = 1001
 
 
 @final
 @dataclass(frozen=True)
 class Difference:
-    """What moves one axis along another one's range, the others where they stand, against what the model wants there.
+    """Correction of one axis along the range of another, compared with the correction the model requires.
 
     Attributes:
-        moved: the axis that is moved.
-        along: the axis that runs.
+        moved: the axis that is corrected.
+        along: the axis that moves; all others stand still.
         unit: ``um`` or ``urad``.
-        largest: correction of the tables.
-        differs: largest distance from the model's.
-        constant: the part of that which is the same everywhere.
+        largest: largest correction in the tables.
+        differs: largest difference from the model's correction.
+        constant: mean of the difference.
     """
 
     moved: str
@@ -49,55 +49,55 @@ class Difference:
 @final
 @dataclass(frozen=True)
 class Existing:
-    """What was found.
+    """Existing tables compared with a calibration.
 
     Attributes:
         kind: name of the format.
-        files: what was read.
-        correction: what they do.
-        calibration: they are compared with.
-        wanted: what that wants.
-        differences: against the model, along every axis.
-        remains: at the tool over the volume; None where the model's errors are those left under tables.
+        files: the files that were read.
+        correction: corrections in the tables.
+        calibration: the calibration they are compared with.
+        required: corrections that the calibration requires.
+        differences: differences between the two, along every axis.
+        remains: error at the tool over the volume; None if the calibration was measured with tables on.
     """
 
     kind: str
     files: tuple[Path, ...]
     correction: Correction
     calibration: Calibration
-    wanted: Wanted
+    required: RequiredCorrections
     differences: tuple[Difference, ...]
     remains: Remains | None
 
     @property
     def source(self) -> str:
-        """The calibration's file."""
-        return str(self.calibration.path or "the machine as drawn")
+        """Path of the calibration, as text."""
+        return str(self.calibration.path or "the nominal machine")
 
     def to_text(self) -> str:
-        """As it is printed."""
-        where = ", ".join(f"{name} {value:g}" for name, value in self.wanted.at.items())
+        """Return the text that is printed."""
+        where = ", ".join(f"{name} {value:g}" for name, value in self.required.at.items())
         contents = self.correction.contents()
         width = max([len(one.name) for one in contents] + [5])
         lines = [f"{self.kind}: {', '.join(file.name for file in self.files)}"]
         lines += [
             f"  {one.name:<{width}}  {one.low:g} … {one.high:g}, {one.nodes} nodes, step {one.step:g}, largest {one.largest:.3f} "
-            f"{unit_shown(one.unit)}"
+            f"{displayed_unit(one.unit)}"
             for one in contents
         ]
         lines += [
             "",
-            f"Against {self.source}, tool length {self.wanted.tool_length_mm:g} mm, the other axes at {where}",
+            f"Compared with {self.source}; tool length {self.required.tool_length_mm:g} mm, the other axes at {where}",
         ]
         lines += [f"  {text}" for text in texts(self.calibration.warnings)]
         if self.remains is None:
             lines.append(
-                "  The errors of this calibration were measured with tables on: what it wants is what is still to be added, and no "
-                "difference tells whether these tables are right."
+                "  This calibration was measured with tables switched on: it requires only what is still to be added, so the "
+                "differences do not show whether these tables are right."
             )
-        lines.append("  moves  along    largest correction    differs by    of that the same everywhere")
+        lines.append("  moved  along   largest correction  difference   of which constant")
         lines += [
-            f"  {one.moved:<5}  {one.along:<5}  {one.largest:>12.2f} {unit_shown(one.unit):<6}  {one.differs:>10.2f}  "
+            f"  {one.moved:<5}  {one.along:<5}  {one.largest:>12.2f} {displayed_unit(one.unit):<6}  {one.differs:>10.2f}  "
             f"{one.constant:>18.2f}"
             for one in self.differences
         ]
@@ -106,12 +106,12 @@ class Existing:
             lines += ["", *found.to_lines()]
             if found.tables.rms_um > found.before.rms_um:
                 lines.append(
-                    "  By this model the machine is worse with them: wrong sign, other axes, or not this machine's errors."
+                    "  According to this calibration the machine is worse with these tables: wrong sign, axes or machine."
                 )
         return "\n".join(lines) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """Return the comparison as JSON (``schema: twin.control-read/1``)."""
         return {
             "schema": "twin.control-read/1",
             "format": self.kind,
@@ -121,8 +121,8 @@ class Existing:
             "calibration_errors_are_remaining": self.remains is None,
             "illustrative": ILLUSTRATIVE in self.calibration.warnings,
             "warnings": to_json(self.calibration.warnings),
-            "tool_length_mm": self.wanted.tool_length_mm,
-            "at": dict(self.wanted.at),
+            "tool_length_mm": self.required.tool_length_mm,
+            "at": dict(self.required.at),
             "differences": json_form(self.differences),
             "error_at_tool": None if self.remains is None else self.remains.to_dict(),
         }
@@ -141,43 +141,50 @@ def compared(
 
     Args:
         machine: the machine.
-        calibration: its errors, none whose channel nobody gave.
+        calibration: its errors, without effects whose channel is not given.
         kind: one of `twin.machine.control.FORMATS`.
-        files: of the control.
-        at: where the other axes stand while one moves.
-        tool_length_mm: None: the machine file's.
+        files: files of the control.
+        at: positions of the other axes while one moves, mm and degrees.
+        tool_length_mm: tool length; None: that of the machine file.
         conditions: temperatures and time.
 
     Raises:
-        InputError: whatever does not fit in a file.
+        InputError: a file cannot be read as this format.
     """
     form = format_named(kind)
     correction = form.read(files, machine)
     remaining = calibration.control is not None and calibration.control.errors_are == "remaining"
-    wanted = Wanted(machine, calibration, at, tool_length_mm, frozenset(BASIC), conditions)
+    required = RequiredCorrections(machine, calibration, at, tool_length_mm, frozenset(BASIC), conditions)
     section = ControlSection("uncorrected", tuple(TableEntry.of(file, kind, ()) for file in files))
-    left = None if remaining else remains(wanted, calibration.with_control(section))
-    return Existing(kind, tuple(files), correction, calibration, wanted, _differences(correction, wanted, form), left)
+    error = None if remaining else remaining_errors(required, calibration.with_control(section))
+    return Existing(
+        kind, tuple(files), correction, calibration, required, _differences(correction, required, form), error
+    )
 
 
-def _differences(correction: Correction, wanted: Wanted, form: TableFormat[Any]) -> tuple[Difference, ...]:
-    machine = wanted.machine
+def _differences(
+    correction: Correction, required: RequiredCorrections, form: TableFormat[Any]
+) -> tuple[Difference, ...]:
+    """Return the differences between tables and model, for every corrected axis along every axis."""
+    machine = required.machine
     linear = [machine.axes[i].name for i in machine.linear]
-    # Tables of single axes are about linear axes' own errors; a control that knows the machine moves them for the rotary ones' too.
+    # Tables of single axes correct errors of the linear axes only; a control with a kinematic model also those of rotary axes.
     about = tuple(machine.names) if form.knows_machine else tuple(linear)
     found = []
     for axis, moved in product(machine.axes, (machine.by_name[name] for name in correction.axes)):
         if moved.name != axis.name and not (moved.linear and (axis.linear or form.knows_machine)):
             continue
-        q = np.linspace(*wanted.range_of(axis), PLACES)
-        line = wanted.line(axis, q)
+        q = np.linspace(*required.range_of(axis), POSITIONS)
+        line = required.positions_along(axis, q)
         said, off = [], []
         for side in (1, -1):
             state: dict[str, Any] = dict(zip(machine.names, line.T, strict=True))
-            state |= {f"{APPROACH}{name}": np.full(PLACES, float(side)) for name in machine.names}
-            said.append(np.broadcast_to(correction.shift(moved.name, state), PLACES))
-            wants = wanted.point(about, line, side)[:, linear.index(moved.name)] if moved.linear else None
-            off.append(said[-1] - (wanted.turn(moved, q, side) if wants is None else wants))
+            state |= {f"{APPROACH}{name}": np.full(POSITIONS, float(side)) for name in machine.names}
+            said.append(np.broadcast_to(correction.shift(moved.name, state), POSITIONS))
+            wants = (
+                required.linear_corrections(about, line, side)[:, linear.index(moved.name)] if moved.linear else None
+            )
+            off.append(said[-1] - (required.rotary_correction(moved, q, side) if wants is None else wants))
         largest, differs = (float(np.abs(one).max()) for one in (said, off))
         unit = "um" if moved.linear else "urad"
         found.append(Difference(moved.name, axis.name, unit, largest, differs, float(np.mean(off))))

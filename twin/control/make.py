@@ -1,4 +1,4 @@
-"""From a calibration to the files of a control, read back from their text and compared with the model before anybody loads them."""
+"""Make the files of a control from a calibration, read them back and compare them with the model."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from twin.control.axis_tables import AxisTables
 from twin.control.component_errors import ComponentErrors
 from twin.control.design import CHECKS, SEED, Design, Table
 from twin.control.request import Request
+from twin.control.required import RequiredCorrections
 from twin.control.spatial_grid import GridDesign
-from twin.control.wanted import Wanted
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import APPROACH
 from twin.machine.control import Content, Correction, TableFormat
@@ -26,27 +26,27 @@ DESIGNS: Final[tuple[Design[Any], ...]] = (AxisTables(), ComponentErrors(), Grid
 
 
 def design_of(form: TableFormat[Any]) -> Design[Any]:
-    """Return how the tables of a format are worked out."""
+    """Return the class that computes the tables of a format."""
     return next(one for one in DESIGNS if one.correction is form.correction)
 
 
 @final
 @dataclass(frozen=True)
-class Made:
-    """Files of a control.
+class ControlTables:
+    """Tables for a control, as files and as read back from them.
 
     Attributes:
-        wanted: what they were made from.
-        request: what was asked for.
-        files: text by name; those the control reads.
-        increment: text by name of the new part alone, where tables were added to old ones; else nothing.
-        correction: what the control that is given the files does, as read back.
-        tables: each as it was read back.
-        left_out: tables there was no room for.
-        largest: correction of every axis that is moved, over the volume and both directions, as read back: µm, µrad.
+        required: the required corrections they were made from.
+        request: format and settings.
+        files: text by file name, as the control reads it.
+        increment: text by file name of the new part alone if tables were added to old ones; else empty.
+        correction: corrections of the control with these files, as read back.
+        tables: every table compared with the model.
+        left_out: tables left out because the control has too few.
+        largest: largest correction by axis, over the volume and both directions, as read back: µm, µrad.
     """
 
-    wanted: Wanted
+    required: RequiredCorrections
     request: Request
     files: Mapping[str, str]
     increment: Mapping[str, str]
@@ -57,36 +57,38 @@ class Made:
 
     @property
     def unmet(self) -> tuple[str, ...]:
-        """What could not be met, in words."""
+        """Requirements that are not met, one sentence each."""
         found = [text for one in self.tables for text in one.unmet]
-        return (*found, *(f"no table left for {one} um" for one in self.left_out))
+        return (*found, *(f"no table available for {one} um" for one in self.left_out))
 
 
-def make(machine: Machine, calibration: Calibration, request: Request) -> Made:
+def make(machine: Machine, calibration: Calibration, request: Request) -> ControlTables:
     """Make the tables and read them back.
 
     Args:
         machine: the machine.
-        calibration: its errors; what its control takes out by itself is not counted in.
-        request: what is asked for.
+        calibration: its errors; corrections that its control applies are disregarded.
+        request: format and settings.
 
     Raises:
-        InputError: a format there is not; a calibration that did not settle; one whose errors are left under tables, without ``add``;
-            old tables that cannot be added to; a calibration without errors that the format can carry.
+        InputError: an unknown format; a calibration whose estimate did not converge, or that was measured with tables on while
+            ``request.add`` is False; old tables of another format; no error that the format can correct.
     """
     if not request.tolerance_um > 0.0:
-        raise InputError("--tolerance is not positive", expected="µm", value=request.tolerance_um)
+        raise InputError("tolerance must be positive", expected="µm", value=request.tolerance_um)
     calibration.check_settled()
     form = request.form
-    doubts = (f"not checked against a public description: {one}" for one in form.unchecked)
+    doubts = (f"not checked against public documentation: {one}" for one in form.unchecked)
     request = replace(request, notes=(*request.notes, *texts(calibration.warnings), *doubts))
-    old = _old(machine, calibration, request)
-    wanted = Wanted(machine, calibration, request.at, request.tool_length_mm, request.classes, request.conditions)
-    plan = design_of(form).plan(wanted, request, old)
+    old = _old_tables(machine, calibration, request)
+    required = RequiredCorrections(
+        machine, calibration, request.at, request.tool_length_mm, request.classes, request.conditions
+    )
+    plan = design_of(form).plan(required, request, old)
     if not plan.correction.contents():
         raise InputError(
-            "nothing to put into tables",
-            expected="a calibration with errors this format can carry",
+            "no error that these tables could correct",
+            expected="a calibration with errors that this format can correct",
             file=calibration.path,
             value=request.kind,
         )
@@ -94,38 +96,41 @@ def make(machine: Machine, calibration: Calibration, request: Request) -> Made:
     back = form.read_back(files, machine)
     tables = plan.compared(back)
     if old is None:
-        return Made(wanted, request, files, {}, back, tables, plan.left_out, _largest(back))
+        return ControlTables(required, request, files, {}, back, tables, plan.left_out, _largest(back))
     whole = form.write(plan.correction.plus(old), request.notes)
     said = form.read_back(whole, machine)
-    rows = (*tables, *_sums(said, (old, back), form))
-    return Made(wanted, request, whole, files, said, rows, plan.left_out, _largest(said))
+    rows = (*tables, *_compare_sums(said, (old, back), form))
+    return ControlTables(required, request, whole, files, said, rows, plan.left_out, _largest(said))
 
 
-def _old(machine: Machine, calibration: Calibration, request: Request) -> Correction | None:
-    """The tables that new ones are added to."""
+def _old_tables(machine: Machine, calibration: Calibration, request: Request) -> Correction | None:
+    """Return the old tables to which new ones are added; None if there are none."""
     control = calibration.control
     remaining = control is not None and control.errors_are == "remaining"
     if request.add and not remaining:
         raise InputError(
-            "--add, and the errors of the calibration are not those left under tables",
-            expected="a calibration that says `control: errors_are: remaining`; otherwise the new tables replace the old ones",
+            "tables can be added to old ones only if the calibration was measured with those switched on",
+            expected="a calibration with `control: errors_are: remaining`; without it the new tables replace the old ones",
             file=calibration.path,
+            setting="add",
         )
     if not remaining or control is None:
         return None
     if not request.add:
         raise InputError(
-            "the errors of this calibration were measured with tables switched on: new tables in their place would lose what those "
-            "take out",
-            expected="--add, which writes the old and the new ones together",
+            "the errors of this calibration were measured with tables switched on: new tables in their place would lose the "
+            "corrections of the old ones",
+            expected="old and new tables written together",
             file=calibration.path,
+            setting="add",
             value=" ".join(entry.file.name for entry in control.tables),
         )
     if control.formats != (request.kind,):
         raise InputError(
-            "the tables to be added to are of another format",
-            expected=f"--to {control.formats[0]}",
+            "the old tables are of another format",
+            expected=f"the format {control.formats[0]}",
             file=calibration.path,
+            setting="to",
             value=request.kind,
         )
     for entry in control.tables:
@@ -134,6 +139,7 @@ def _old(machine: Machine, calibration: Calibration, request: Request) -> Correc
 
 
 def _largest(correction: Correction) -> dict[str, float]:
+    """Return the largest correction of every axis over the volume, from both directions."""
     machine, q = correction.machine, volume(correction.machine)
     found = dict.fromkeys(correction.axes, 0.0)
     for side in (1.0, -1.0):
@@ -144,8 +150,8 @@ def _largest(correction: Correction) -> dict[str, float]:
     return found
 
 
-def _sums(whole: Correction, parts: tuple[Correction, Correction], form: TableFormat[Any]) -> list[Table]:
-    """That the files to be loaded say what the old and the new tables say together."""
+def _compare_sums(whole: Correction, parts: tuple[Correction, Correction], form: TableFormat[Any]) -> list[Table]:
+    """Check that the files to be loaded give the sum of the old and the new tables; return one row per axis."""
     rng, machine = np.random.default_rng(SEED), whole.machine
     state = {axis.name: rng.uniform(*axis.domain, CHECKS) for axis in machine.axes}
     state |= {f"{APPROACH}{name}": rng.choice([-1.0, 1.0], CHECKS) for name in machine.names}
@@ -154,9 +160,9 @@ def _sums(whole: Correction, parts: tuple[Correction, Correction], form: TableFo
         axis = machine.by_name[name]
         meant = np.broadcast_to(sum(one.shift(name, state) for one in parts if name in one.axes), CHECKS)
         said = np.broadcast_to(whole.shift(name, state), CHECKS)
-        # A table of the sum is rounded once more than its new part: a digit for each that moves the axis.
+        # The sum is rounded once more than the new part: one digit for each table that corrects the axis.
         rounding = 2.0 * form.rounding[0 if axis.linear else 1] * whole.rounded(name)
         unit, largest = "um" if axis.linear else "urad", float(np.abs(said).max())
-        content = Content(f"old + new, all that moves {name}", *axis.domain, 0, 0.0, largest, unit)
+        content = Content(f"old + new, all corrections of {name}", *axis.domain, 0, 0.0, largest, unit)
         rows.append(Table(content, 0.0, rounding, float("inf"), float(np.abs(said - meant).max())))
     return rows

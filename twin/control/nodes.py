@@ -1,4 +1,4 @@
-"""Where the nodes of a table stand: in equal steps, as few as keep the straight lines between them within a tolerance."""
+"""Nodes of a table: equally spaced, and as few as keep the linear interpolation within a tolerance."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 
 Truth = Callable[[np.ndarray], np.ndarray]
-"""(n,) positions, mm or degrees → (n, k) values."""
+"""Function from (n,) positions in mm or degrees to (n, k) values."""
 RESOLUTION: Final = 1e-4
-"""mm and degrees: nodes are whole numbers of these, so that no format rounds them."""
+"""Nodes are multiples of this, in mm or degrees, so that no format rounds them."""
 BETWEEN: Final = 20
-"""Places looked at between a node and the next: the peak of a parabola is missed by a thousandth."""
+"""Positions checked between two nodes: the peak of a parabola is missed by 0.1 %."""
 MARGIN: Final = 1.02
 
 
@@ -26,52 +26,55 @@ class Nodes:
     """Nodes of the tables over one axis.
 
     Attributes:
-        at: positions, mm or degrees.
-        values: (nodes, k) the truth there.
-        off: (k,) largest distance of the truth from the straight lines, in its unit.
+        at: positions in mm or degrees.
+        values: (nodes, k) values there.
+        deviation: (k,) largest deviation from linear interpolation, in the unit of the values.
     """
 
     at: np.ndarray
     values: np.ndarray
-    off: np.ndarray
+    deviation: np.ndarray
 
 
-def chosen(truth: Truth, low: float, high: float, tolerance: np.ndarray, *, step: float | None, most: int) -> Nodes:
-    """The nodes.
+def choose_nodes(
+    truth: Truth, low: float, high: float, tolerance: np.ndarray, *, step: float | None, most: int
+) -> Nodes:
+    """Return the nodes for a range.
 
     Args:
-        truth: what is to be interpolated, (n, k).
-        low: where the range begins, mm or degrees.
-        high: where it ends.
-        tolerance: (k,) of the interpolation.
-        step: asked for; None: as wide as the tolerance allows. The next smaller one that divides the range is taken.
-        most: points the format has.
+        truth: the function to be interpolated.
+        low: start of the range, mm or degrees.
+        high: end of the range.
+        tolerance: (k,) tolerance of the interpolation.
+        step: distance between nodes, reduced to one that divides the range; None: as wide as the tolerance allows.
+        most: largest number of nodes in the format.
 
     Raises:
-        InputError: a step that is not positive, or that wants more points than there are.
+        InputError: the step is not positive or needs too many nodes.
     """
     whole = round((high - low) / RESOLUTION)
     counts = [n for n in range(1, most) if whole % n == 0]
     if step is not None:
         if step <= 0.0:
-            raise InputError("--step is not positive", expected="mm (degrees of a rotary axis)", value=step)
+            raise InputError("step must be positive", expected="mm (degrees for a rotary axis)", value=step)
         fine = [n for n in counts if (high - low) / n <= step * (1.0 + 1e-9)]
         if not fine:
             raise InputError(
-                "--step wants more points than the format has",
+                "the step needs more points than the format has",
                 expected=f"at least {(high - low) / counts[-1]:g} over {low:g} … {high:g}",
                 value=step,
+                setting="step",
             )
-        return at(truth, np.linspace(low, high, fine[0] + 1))
+        return nodes_at(truth, np.linspace(low, high, fine[0] + 1))
     for n in counts:
-        found = at(truth, np.linspace(low, high, n + 1))
-        if np.all(found.off <= tolerance):
+        found = nodes_at(truth, np.linspace(low, high, n + 1))
+        if np.all(found.deviation <= tolerance):
             break
     return found
 
 
-def at(truth: Truth, nodes: np.ndarray) -> Nodes:
-    """The truth at given nodes, and how far it is from the straight lines between them."""
+def nodes_at(truth: Truth, nodes: np.ndarray) -> Nodes:
+    """Return the values at given nodes and the largest deviation from linear interpolation between them."""
     nodes = np.round(nodes / RESOLUTION) * RESOLUTION
     dense = np.interp(np.arange(BETWEEN * (len(nodes) - 1) + 1) / BETWEEN, np.arange(len(nodes)), nodes)
     seen = truth(dense)

@@ -1,4 +1,4 @@
-"""What tables leave: the error at the tool over the volume, and the error motions they do not carry."""
+"""Error at the tool over the volume that remains with the tables, and the error motions they do not correct."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from twin._common.json_form import json_form
 from twin.control.design import Design, Share
 from twin.control.request import Request
-from twin.control.wanted import Wanted, step_back
+from twin.control.required import RequiredCorrections, step_back
 from twin.display import UNKNOWN
 from twin.kinematics.forward import Kinematics, Poses, rms_and_max
 from twin.machine.calibration import Calibration
@@ -19,19 +19,19 @@ from twin.machine.effects import ControlCorrection
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
 from twin.uncertainty.budget import drawn_sides, known_volume
 
-STEPS: Final = 2
-"""Of the linear axes, so that what they can take out is gone to a nanometre."""
+ITERATIONS: Final = 2
+"""Iterations of the linear axes' correction: the correctable error converges to a nanometre."""
 
 
 @final
 @dataclass(frozen=True)
-class LeftByTables:
-    """The error at the tool over the volume.
+class VolumeError:
+    """Error at the tool over the volume.
 
     Attributes:
-        rms_um, max_um: of the point, by the model.
-        expected_rms_um: of the point, with the uncertainty of the calibration counted in; NaN where that is unknown.
-        tilt_rms_urad: of the tool axis, about x and about y.
+        rms_um, max_um: error of the tool centre point according to the model, RMS and maximum over the poses.
+        expected_rms_um: expected RMS error, including the uncertainty of the calibration; NaN if that is unknown.
+        tilt_rms_urad: RMS tilt of the tool axis about x and about y.
     """
 
     rms_um: float
@@ -42,13 +42,13 @@ class LeftByTables:
 
 @final
 @dataclass(frozen=True)
-class KnownTo:
-    """How well the point is known over the volume: the calibration's uncertainty, which no correction reduces.
+class PointUncertainty:
+    """Uncertainty of the tool centre point over the volume; it comes from the calibration and no correction reduces it.
 
     Attributes:
-        rms_um, max_um: U of the point (`twin.uncertainty.at_tool.DEFINITION`), over the poses; NaN where it is unknown.
-        standard_rms_um: standard uncertainty (k = 1) of the distance, RMS over the poses; NaN likewise.
-        without_uncertainty: errors that have a value and no uncertainty; if any, all of these are lower bounds.
+        rms_um, max_um: U of the point (`twin.uncertainty.at_tool.DEFINITION`), RMS and maximum over the poses; NaN if unknown.
+        standard_rms_um: standard uncertainty (k = 1) of the distance, RMS over the poses; NaN if unknown.
+        without_uncertainty: errors that have a value but no uncertainty; if there are any, the numbers are lower bounds.
     """
 
     rms_um: float
@@ -57,8 +57,8 @@ class KnownTo:
     without_uncertainty: tuple[str, ...]
 
     @classmethod
-    def of(cls, real: Kinematics, q: np.ndarray, sides: np.ndarray) -> KnownTo:
-        """Return it at (n, axes) poses, come to from these sides."""
+    def of(cls, real: Kinematics, q: np.ndarray, sides: np.ndarray) -> PointUncertainty:
+        """Return the uncertainty at (n, axes) poses, approached from the directions ``sides`` (+1, −1, 0 unknown)."""
         tool = ToolUncertainty(real)
         if not tool.parameters:
             return cls(np.nan, np.nan, np.nan, tool.without_uncertainty)
@@ -69,76 +69,79 @@ class KnownTo:
 
     @property
     def least(self) -> str:
-        """What stands before a number that is a lower bound."""
+        """Prefix of a number that is a lower bound; empty if it is not one."""
         return "at least " if self.without_uncertainty else ""
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON; null where it is unknown."""
+        """Return the JSON object; unknown numbers are null."""
         return {"definition": DEFINITION, **json_form(self, leave_out=("standard_rms_um",))}
 
 
 @final
 @dataclass(frozen=True)
 class Remains:
-    """Before, after the tables, after a compensated program on top of them.
+    """Error at the tool without tables, with tables, and with tables and a compensated NC program.
 
     Attributes:
-        poses: over how many.
-        before, tables, program: the errors; ``program`` is None for a machine that runs none.
-        known_to: how well the point is known: U of all three.
-        at_limits: of the poses, in how many an axis would have to leave its range to correct the rest.
+        poses: number of poses.
+        before, tables, program: the errors; ``program`` is None for a machine that runs no NC programs.
+        uncertainty: uncertainty of the point, the same for all three.
+        at_limits: number of poses at which an axis would have to leave its range to correct the remaining error.
     """
 
     poses: int
-    before: LeftByTables
-    tables: LeftByTables
-    program: LeftByTables | None
-    known_to: KnownTo
+    before: VolumeError
+    tables: VolumeError
+    program: VolumeError | None
+    uncertainty: PointUncertainty
     at_limits: int
 
     @property
-    def worth(self) -> float:
-        """Share of the RMS error that the tables take away; with its uncertainty counted in, where that is known."""
+    def reduction(self) -> float:
+        """Share of the RMS error that the tables correct; of the expected RMS error where the uncertainty is known."""
         before, after = self.before.expected_rms_um, self.tables.expected_rms_um
         if not np.isfinite(before):
             before, after = self.before.rms_um, self.tables.rms_um
         return 1.0 - after / before if before > 0.0 else 0.0
 
     def to_lines(self) -> list[str]:
-        """As the account says it."""
-        u = self.known_to
-        rows = [("as it is", self.before), ("with the tables", self.tables)]
-        rows += [] if self.program is None else [("with the tables and a program compensated on top", self.program)]
+        """Return the lines of the account: a table of errors and what its columns mean."""
+        u = self.uncertainty
+        rows = [("without tables", self.before), ("with the tables", self.tables)]
+        rows += [] if self.program is None else [("with the tables and a compensated NC program", self.program)]
         lines = [
-            f"Error of the point at the tool over the volume ({self.poses} poses), µm",
-            f"{'':<52}{'by the model':>12}  {'± U (95 %)':>11}  {'expected':>9}  {'largest':>9}   tool axis leans",
+            f"Error of the tool centre point over the volume ({self.poses} poses), µm",
+            f"{'':<52}{'by the model':>12}  {'± U (95 %)':>11}  {'expected':>9}  {'largest':>9}   tool axis tilt",
             f"{'':<52}{'RMS':>12}  {'RMS':>11}  {'RMS':>9}  {'by model':>9}   µrad RMS about x / y",
         ]
-        lines += [_row(name, left, u) for name, left in rows]
+        lines += [_row(name, error, u) for name, error in rows]
         if not np.isfinite(u.rms_um):
-            lines.append("  U is unknown: the calibration gives no uncertainty. What really remains may be any size.")
+            lines.append(
+                "  U is unknown: the calibration gives no uncertainty. The error that really remains may have any size."
+            )
         else:
             lines.append(
-                f"  {DEFINITION}; up to {u.least}{u.max_um:.2f} µm. It is the calibration's: no table and no program makes it smaller."
+                f"  {DEFINITION}; up to {u.least}{u.max_um:.2f} µm. "
+                "It comes from the calibration: neither tables nor programs reduce it."
             )
-            lines.append("  expected: with the uncertainty of the calibration counted in.")
+            lines.append("  expected: including the uncertainty of the calibration.")
             if u.without_uncertainty:
-                lines.append(f"  U is a lower bound: no uncertainty of {' '.join(u.without_uncertainty)}.")
+                lines.append(f"  U is a lower bound: no uncertainty is given for {' '.join(u.without_uncertainty)}.")
         if self.at_limits:
             lines.append(
-                f"  at {self.at_limits} of the poses an axis would have to leave its range to correct the rest"
+                f"  at {self.at_limits} of the poses the rest cannot be corrected: an axis would leave its range"
             )
         return lines
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        names = {"tables": "with_tables", "program": "with_tables_and_program", "known_to": "uncertainty"}
+        """Return the JSON object."""
+        names = {"tables": "with_tables", "program": "with_tables_and_program"}
         return json_form(self, rename=names | {"at_limits": "poses_at_limits"})
 
 
-def _row(name: str, left: LeftByTables, u: KnownTo) -> str:
-    about_x, about_y = left.tilt_rms_urad
-    numbers = f"{left.rms_um:>12.2f}  {_or_unknown(u.rms_um):>11}  {_or_unknown(left.expected_rms_um):>9}  {left.max_um:>9.2f}"
+def _row(name: str, error: VolumeError, u: PointUncertainty) -> str:
+    about_x, about_y = error.tilt_rms_urad
+    numbers = f"{error.rms_um:>12.2f}  {_or_unknown(u.rms_um):>11}  {_or_unknown(error.expected_rms_um):>9}  {error.max_um:>9.2f}"
     return f"  {name:<50}{numbers}   {about_x:.1f} / {about_y:.1f}"
 
 
@@ -146,57 +149,57 @@ def _or_unknown(value: float) -> str:
     return f"{value:.2f}" if np.isfinite(value) else UNKNOWN
 
 
-def remains(wanted: Wanted, calibration: Calibration) -> Remains:
-    """The error at the tool as the control with its tables leaves it.
+def remaining_errors(required: RequiredCorrections, calibration: Calibration) -> Remains:
+    """Return the error at the tool over the volume without tables, with them, and with a compensated program.
 
     Args:
-        wanted: the machine, its errors alone, tool length and conditions.
-        calibration: the same errors under the control with its tables; none whose channel nobody gave.
+        required: the required corrections: the machine, its errors without the control, tool length and conditions.
+        calibration: the same errors with the control's tables; without effects whose channel is not given.
     """
-    with_tables = wanted.under(calibration)
+    with_tables = required.kinematics_with(calibration)
     q = known_volume(calibration)
-    sides, goal = drawn_sides(q), wanted.meant.forward(q)
-    real = wanted.under(wanted.calibration)
-    known_to = KnownTo.of(real, q, sides)
+    sides, goal = drawn_sides(q), required.nominal.forward(q)
+    real = required.kinematics_with(required.calibration)
+    uncertainty = PointUncertainty.of(real, q, sides)
     program, limited = None, 0
-    if wanted.machine.runs_programs:
-        reached, limited = _program(wanted, with_tables, q, sides, goal)
-        program = _left(reached, goal, known_to)
-    before, tables = (_left(one.forward(q, sides), goal, known_to) for one in (real, with_tables))
-    return Remains(len(q), before, tables, program, known_to, limited)
+    if required.machine.runs_programs:
+        reached, limited = _with_program(required, with_tables, q, sides, goal)
+        program = _volume_error(reached, goal, uncertainty)
+    before, tables = (_volume_error(one.forward(q, sides), goal, uncertainty) for one in (real, with_tables))
+    return Remains(len(q), before, tables, program, uncertainty, limited)
 
 
-def _program(
-    wanted: Wanted, with_tables: Kinematics, q: np.ndarray, sides: np.ndarray, goal: Poses
+def _with_program(
+    required: RequiredCorrections, with_tables: Kinematics, q: np.ndarray, sides: np.ndarray, goal: Poses
 ) -> tuple[Poses, int]:
-    """Return the poses with a program that corrects what the tables leave, and at how many of them an axis has no room for it."""
-    machine, commands, limited = wanted.machine, q.copy(), np.zeros(len(q), dtype=bool)
+    """Return the poses reached by a program that corrects the remaining error, and how many are limited by an axis's range."""
+    machine, commands, limited = required.machine, q.copy(), np.zeros(len(q), dtype=bool)
     linear = list(machine.linear)
-    limits = np.array([wanted.range_of(machine.axes[i]) for i in linear])
-    for _ in range(STEPS):
+    limits = np.array([required.range_of(machine.axes[i]) for i in linear])
+    for _ in range(ITERATIONS):
         step = commands[:, linear] + step_back(with_tables, commands, sides, goal.point_mm)
         commands[:, linear] = np.clip(step, *limits.T)
         limited = np.abs(commands[:, linear] - step).max(axis=1) > 1e-6
     return with_tables.forward(commands, sides), int(limited.sum())
 
 
-def _left(reached: Poses, goal: Poses, known_to: KnownTo) -> LeftByTables:
+def _volume_error(reached: Poses, goal: Poses, uncertainty: PointUncertainty) -> VolumeError:
     off = np.linalg.norm(reached.point_mm - goal.point_mm, axis=1) * 1e3
     tilt, _ = rms_and_max(reached.tilt_urad(goal))
     rms = float(np.sqrt(np.mean(off**2)))
-    return LeftByTables(rms, float(off.max()), float(np.hypot(rms, known_to.standard_rms_um)), tilt)
+    return VolumeError(rms, float(off.max()), float(np.hypot(rms, uncertainty.standard_rms_um)), tilt)
 
 
 @final
 @dataclass(frozen=True)
 class Carried:
-    """One error of the calibration, and what the format does with it.
+    """One error of the calibration and whether the tables correct it.
 
     Attributes:
-        name: of the error.
-        iso_class: its class.
-        share: ``whole``; ``line``: where the other axes stand as the tables have them, elsewhere in part; ``no``.
-        why: in words, where it is not whole.
+        name: name of the error.
+        iso_class: its class (ISO/TR 16907).
+        share: ``whole``: corrected; ``line``: corrected with the other axes at the positions of the tables, elsewhere in part; ``no``.
+        why: the reason if it is not ``whole``.
     """
 
     name: str
@@ -205,39 +208,42 @@ class Carried:
     why: str
 
 
-def carried(wanted: Wanted, request: Request, design: Design[Any]) -> tuple[Carried, ...]:
-    """Every error of the calibration.
+def corrected_shares(required: RequiredCorrections, request: Request, design: Design[Any]) -> tuple[Carried, ...]:
+    """Return every error of the calibration with the share of it that the tables correct.
 
     Args:
-        wanted: the machine and its errors.
+        required: the required corrections.
         request: the format, classes, and whether two tables are multiplied.
-        design: how the tables of the format are worked out.
+        design: the class that computes the format's tables.
     """
-    found, by_name = [], wanted.machine.by_name
-    for effect in wanted.calibration.effects:
+    found, by_name = [], required.machine.by_name
+    for effect in required.calibration.effects:
         if isinstance(effect, ControlCorrection):
             continue
-        iso_class, axis = wanted.class_of(effect), by_name[effect.frame.axis]
-        heard = _Heard(wanted)
-        effect.components(heard)
-        others = [by_name[name] for name in sorted(heard.used) if name != axis.name and name in by_name]
+        iso_class, axis = required.class_of(effect), by_name[effect.frame.axis]
+        recorded = _RecordingState(required)
+        effect.components(recorded)
+        others = [by_name[name] for name in sorted(recorded.used) if name != axis.name and name in by_name]
         share: tuple[Share, str]
         if iso_class not in request.classes:
-            share = "no", "not in --scope"
-        elif not request.form.directions and f"{APPROACH}{axis.name}" in heard.used:
-            share = "no", "the format has no directions: the mean of both is taken"
+            share = "no", "its class is not selected"
+        elif not request.form.directions and f"{APPROACH}{axis.name}" in recorded.used:
+            share = (
+                "no",
+                "the format does not distinguish the direction of approach: the mean of both directions is used",
+            )
         else:
-            share = design.share(wanted, effect, others, request)
+            share = design.share(required, effect, others, request)
         found.append(Carried(effect.name, iso_class, *share))
     return tuple(found)
 
 
 @final
-class _Heard(dict[str, Any]):
-    """One pose, and any channel an effect asks for: it remembers which of both are used."""
+class _RecordingState(dict[str, Any]):
+    """One pose with every channel an effect reads; it records the axes and channels that are read."""
 
-    def __init__(self, wanted: Wanted) -> None:
-        self._source = Listening(wanted.machine)
+    def __init__(self, required: RequiredCorrections) -> None:
+        self._source = Listening(required.machine)
         self.used: set[str] = set()
         super().__init__(self._source)
 

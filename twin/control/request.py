@@ -1,4 +1,4 @@
-"""What is asked for."""
+"""Format and settings of the tables to be made."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from twin.machine.iso16907 import BASIC
 @final
 @dataclass(frozen=True)
 class Request:
-    """Tables of one format.
+    """Format and settings of the tables to be made.
 
     Attributes:
         kind: name of one of `twin.machine.control.FORMATS`.
-        at: mm, degrees by axis: where the other axes stand while one moves; the middle of their ranges where none is given.
-        tool_length_mm: at which length the point is corrected; None: the machine file's.
-        classes: basic classes to correct.
-        tolerance_um: of the interpolation.
+        at: positions of the other axes while one moves, mm or degrees by axis; by default the middle of a linear range, 0° of a rotary.
+        tool_length_mm: tool length for which the point is corrected; None: that of the machine file.
+        classes: basic classes to correct (ISO/TR 16907).
+        tolerance_um: tolerance of the interpolation.
         step: mm or degrees between nodes; None: as wide as the tolerance allows.
-        most: tables the control has; None: as the format has them.
-        products: whether two tables may be multiplied, where the format has that.
+        most: number of tables the control has; None: the format's default.
+        products: whether two tables may be multiplied, if the format can do that.
         conditions: temperatures and time.
-        add: whether the calibration's errors are those left under tables that are to be kept, the new ones added to them.
+        add: whether the calibration was measured with tables switched on, and the new tables are added to those.
         notes: lines for the comments of every file.
     """
 
@@ -47,11 +47,11 @@ class Request:
         """The format.
 
         Raises:
-            InputError: there is none of that name.
+            InputError: no format has that name.
         """
         return format_named(self.kind)
 
     @property
     def carried_classes(self) -> tuple[BasicClass, ...]:
-        """Classes the format takes out, as far as it can, of those asked for."""
+        """Selected classes that the format can correct, wholly or in part."""
         return tuple(name for name in self.form.classes if name in self.classes)

@@ -1,38 +1,40 @@
-"""The next measurement worth making.
+"""Plan the next measurement: which readings to take, from where, and which uncertainty they will give.
 
     twin plan -o plan.csv --minutes 210
     twin plan --judge thesis_plan.csv
     twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv
 
-What can be measured with, where it may stand and how long things take stands in a kit file (`--kit`, `schema: twin.kit/1`);
-copy `urdf/dmu50.kit.yaml`, which is `--kit dmu50`; without one `twin` guesses a tracker at four places and three reflectors a
-side. Poses are drawn over the ranges, those are kept in which nothing drawn in the URDF comes nearer than 25 mm to the other
-side, and of every reflector every station those readings that nothing drawn stands in the way of and the reflector accepts.
-Each reading's derivatives by every unknown of `identify` are known beforehand, so its worth is: `--reduce tool` (default) makes
-the uncertainty of the tool point over the volume small, `everything` is D-optimal, `weakest` lifts the direction known worst,
-names of errors make theirs small. Where to stand is tried out; the readings are put in the order that is soonest done, with the
-time of each; moves that come too near to something are listed (exit status 3: retract there). Both sides of approach occur. The
-account foretells u of every error and at the tool, the observability indices O1–O5, and what stays hidden, with what moves
-together unseen.
+A kit file (`--kit`, `schema: twin.kit/1`) lists the instruments, the possible station positions, the reflectors and the time of each
+operation. Copy `urdf/dmu50.kit.yaml`, which is `--kit dmu50`. Without a kit file `twin` assumes a laser tracker at one of four places
+and three reflectors on each side.
 
-`--judge` says the same of anybody's plan, and how long it takes by the kit's clock. The thesis's 840 readings take 4.6 hours; a
-plan for the same time foretells 2.1 µm standard uncertainty at the tool (RMS over the volume, tool 120 mm) instead of 23.6, and
-simulated and identified the tool point is off by 1.7 µm instead of 14.5 (`notebooks/03_plan_a_measurement.ipynb`).
+Candidate poses are drawn over the axis ranges. A pose is kept if the shapes of the tool side in the URDF stay at least 25 mm away from
+those of the work side. A reading is kept if no shape blocks the beam and the reflector accepts it. The derivatives of each reading with
+respect to every unknown of `identify` are known beforehand, and so is the gain of taking it. `--reduce tool` (default) minimises the
+uncertainty of the tool centre point over the volume, `everything` is D-optimal, `weakest` E-optimal; with names of errors their
+uncertainty is minimised. Several station positions are tried. The readings are ordered to take little time, with a time for each; every
+axis is approached from both directions. Moves with too little clearance are listed (exit status 3: retract there). The report predicts
+the uncertainty of every error and at the tool, gives the observability indices O1–O5, and lists the errors that are not identifiable
+and what each is confounded with.
 
-`--separate` plans for one question: which of two causes is it? Both stand in one model, each free to stand in for the other;
-the account says from which size on they are told apart with odds of 100:1 in 19 of 20 measurements. Where temperature or time
-tells them apart, the plan has sessions (cold, one sensor warm, hours later). Measured, both tables go to `twin diagnose
-first.csv second.csv`. The same notebook does it.
+`--judge` predicts the same for an existing plan, and how long it takes with the kit's times. The thesis's 840 readings take 4.6 hours.
+A plan for the same time predicts 2.1 µm standard uncertainty at the tool (RMS over the volume, tool 120 mm) instead of 23.6 µm.
+Simulated and identified, the error of the tool point is 1.7 µm instead of 14.5 µm (`notebooks/03_plan_a_measurement.ipynb`).
+
+`--separate` plans a measurement that distinguishes two causes. Both are in one model and are estimated together; the report gives
+the smallest size of each at which the measurement favours the right one by odds of 100:1 or better in 19 of 20 cases. If
+temperature or time distinguishes them, the plan has several sessions (machine cold, one sensor warm, hours later). Afterwards give both
+tables to `twin diagnose first.csv second.csv`. The same notebook has an example.
 """
 
-# How a plan is made; each stage takes what the one before returned (`plan`; `separate` differs in the model and the last stage).
+# Stages of planning; each takes the result of the one before (`plan`; `separate` differs in the model and the last stage).
 #
-#     task         Task             what is to be known, with what, in which time
-#     candidates   Candidates       every reading that could be taken: safe poses, reflectors seen from each place
-#     model        PlanModel        what each of them would tell of every unknown (aims: what is to become small)
-#     fill         Filled           where to stand and what to read: design chooses, route puts in order and says what it takes
-#     forecast     Forecast         what the readings chosen will tell
-#     result       Plan             all of it, as it is shown and written
+#     task         Task             machine, kit, time budget, and what to minimise
+#     candidates   Candidates       every possible reading: poses with clearance, reflectors visible from each station
+#     model        PlanModel        derivatives of the readings with respect to the unknowns (aims: criteria to minimise)
+#     fill         FilledPlan       stations and readings: design chooses them, route orders them and adds up the time
+#     forecast     Forecast         predicted uncertainties
+#     result       Plan             the plan as displayed and written
 
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit

@@ -1,7 +1,8 @@
-"""What a plan makes small: the tool point's uncertainty, everything, the weakest direction, or a few errors by name.
+"""Optimality criteria of a plan: uncertainty of the tool point, D-optimality, E-optimality, or of a few errors by name.
 
-Each gives M, which weighs the unknowns in `twin.planning.design`: the tool point's variance over the volume (L- or I-optimality), the
-inverse of the machine's own covariance (D, the determinant), the projector on the worst direction (E), or a few errors by name.
+Each criterion gives the weight matrix M of the unknowns in `twin.planning.design`. This is that of the variance of the tool point
+over the volume (L- or I-optimality), the inverse of the covariance of the machine's unknowns (D, the determinant), the projector on
+the least certain direction (E), or that of the variance of a few errors by name.
 """
 
 from __future__ import annotations
@@ -20,34 +21,34 @@ from twin.uncertainty.budget import volume
 
 POSES: Final = 300
 SEED: Final = 10
-"""Of the poses over the volume at which the tool point is asked for."""
+"""Random seed of the poses over the volume at which the uncertainty of the tool point is evaluated."""
 OPEN: Final = 0.1
-"""Share of the plausible variance from which nothing holds an unknown beforehand: the datum takes part of some."""
+"""Share of the plausible variance above which an unknown counts as unconstrained by the prior; the datum takes part of some."""
 
 
 class Aim(ABC):
-    """What a plan is to make small."""
+    """Criterion that a plan minimises."""
 
     name: str
     unit: str
 
     @abstractmethod
     def weight(self, covariance: np.ndarray) -> np.ndarray:
-        """(f, f) M: derivative of what is aimed at by the covariance (f, f)."""
+        """Return M (f, f), the derivative of the criterion with respect to the covariance (f, f)."""
 
     @abstractmethod
     def value(self, covariance: np.ndarray) -> float:
-        """What is aimed at, in a unit that says something; smaller is better."""
+        """Return the criterion in its unit; smaller is better."""
 
 
 @final
-class AtTool(Aim):
-    """RMS standard uncertainty of the tool point over the volume, µm; or of anything else that is linear in the unknowns.
+class LinearAim(Aim):
+    """RMS standard uncertainty of quantities linear in the unknowns, for example of the tool point over the volume in µm.
 
     Args:
-        derivatives: (n, k, f) by the coordinates.
-        name: of the aim.
-        unit: of its value.
+        derivatives: (n, k, f) with respect to the coordinates.
+        name: name of the criterion.
+        unit: unit of its value.
     """
 
     def __init__(self, derivatives: np.ndarray, name: str = "tool", unit: str = "µm") -> None:
@@ -66,15 +67,15 @@ class AtTool(Aim):
 
 
 @final
-class Everything(Aim):
-    """D-optimality: the mean logarithm of the machine's own standard uncertainties in all directions.
+class DOptimality(Aim):
+    """D-optimality: mean logarithm of the standard uncertainties of the machine's unknowns over all directions.
 
     Args:
-        machine: (m, f) the machine's unknowns as directions among the coordinates, orthonormal rows.
+        machine: (m, f) orthonormal rows that span the machine's unknowns in the coordinates.
     """
 
     name = "everything"
-    unit = "in logarithm, a direction"
+    unit = "mean logarithm per direction"
 
     def __init__(self, machine: np.ndarray) -> None:
         self._machine = machine
@@ -90,16 +91,16 @@ class Everything(Aim):
 
 
 @final
-class Weakest(Aim):
-    """E-optimality: the standard uncertainty of the direction known worst, as a share of what was plausible before.
+class EOptimality(Aim):
+    """E-optimality: largest standard uncertainty over all directions, relative to the prior.
 
     Args:
-        machine: as of `Everything`.
-        prior: (f, f) precision before any reading.
+        machine: see `DOptimality`.
+        prior: (f, f) prior precision.
     """
 
     name = "weakest"
-    unit = "of what is plausible"
+    unit = "of the prior standard deviation"
 
     def __init__(self, machine: np.ndarray, prior: np.ndarray) -> None:
         root = np.linalg.cholesky(machine @ np.linalg.inv(prior) @ machine.T)
@@ -108,7 +109,7 @@ class Weakest(Aim):
     def weight(self, covariance: np.ndarray) -> np.ndarray:
         """See `Aim.weight`."""
         values, vectors = np.linalg.eigh(self._machine @ covariance @ self._machine.T)
-        # The few worst together: the single worst one changes with every reading.
+        # Smooth maximum over the worst directions: the single worst one changes with every reading.
         power = (values / values[-1]) ** 8
         turned = vectors.T @ self._machine
         return np.asarray(turned.T @ (power[:, None] * turned))
@@ -119,42 +120,44 @@ class Weakest(Aim):
 
 
 def aim_of(model: PlanModel, names: Sequence[str], tool_length_mm: float | None) -> Aim:
-    """What is to become small, of what the readings together can determine at all.
+    """Return the criterion, restricted to the directions that the candidate readings together determine.
 
     Args:
-        model: of every reading that could be taken.
-        names: as of `Task.wanted`.
-        tool_length_mm: of the tool whose point is meant; as of `PlanModel.tool_length` if None.
+        model: model of all candidate readings.
+        names: see `Task.reduce`.
+        tool_length_mm: tool length; None: see `PlanModel.tool_length`.
 
     Raises:
-        InputError: no reading depends on any of the errors named.
+        InputError: no reading depends on any of the named errors.
     """
     lost = {one.name for one in model.hidden}
-    # What no candidate shows stays as uncertain as it is, in whatever it moves: it must not drown what can be made small.
-    silent = model.free.T @ model.told.spectrum.silent
+    # Directions that no candidate determines keep their prior variance: project them out, or they would dominate the criterion.
+    silent = model.free.T @ model.determinability.spectrum.silent
     seen = np.eye(model.free.shape[1]) - silent @ silent.T
     columns = [i for i, column in enumerate(model.unknowns.columns) if column.entity not in lost]
     own = model.plausible[columns, None] * model.free[columns]
     (first, *_) = names
     if first == "tool":
-        return AtTool(model.at_tool(volume(model.machine, POSES, SEED), model.tool_length(tool_length_mm), lost) @ seen)
+        return LinearAim(
+            model.at_tool(volume(model.machine, POSES, SEED), model.tool_length(tool_length_mm), lost) @ seen
+        )
     if first in AIMS:
         if first == "weakest":
-            # What is held to be small anyway stays as it is held, however much is read.
+            # Directions constrained by the prior stay as they are, whatever is read: leave them out.
             reach = np.einsum("ki,ij,kj->k", own, np.linalg.inv(model.prior), own)
             own = own[reach > OPEN * model.plausible[columns] ** 2] @ seen
         basis = np.linalg.svd(own, full_matrices=False)
         machine = basis.Vh[basis.S > 1e-9 * basis.S[0]]
-        return Everything(machine) if first == "everything" else Weakest(machine, model.prior)
-    wanted = [
+        return DOptimality(machine) if first == "everything" else EOptimality(machine, model.prior)
+    chosen = [
         k
         for k, i in enumerate(columns)
         if any(fnmatch.fnmatchcase(model.unknowns.columns[i].entity, pattern) for pattern in names)
     ]
-    if not wanted:
+    if not chosen:
         raise InputError(
-            "nothing measured with this kit shows it",
-            expected="an error that some reading depends on: known places of the targets, more of them, other stations",
+            "no reading possible with this kit depends on these errors",
+            expected="errors that readings depend on; more targets, known target positions or other stations may help",
             value=" ".join(names),
         )
-    return AtTool((own[wanted] @ seen)[None], "errors", "µm and µrad")
+    return LinearAim((own[chosen] @ seen)[None], "errors", "µm and µrad")

@@ -1,4 +1,4 @@
-"""Everything that could be measured: poses that are safe, reflectors that are seen there, from every place a station may stand."""
+"""Candidate readings: poses with clearance, and the reflectors visible there from each possible station."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from twin.planning.sight import Sight
 from twin.uncertainty.budget import latin_hypercube
 
 POSES: Final = 240
-TRIES: Final = 8
-"""Times as many are drawn at most before it is said that there is no room."""
+BATCHES: Final = 8
+"""Batches of poses drawn before planning gives up for lack of clearance."""
 FEWEST: Final = 20
-ROUND: Final = 1.0
-"""mm and degrees: commands a person can read."""
-AT_AN_END: Final = 0.4
-"""Share of the poses that have an axis at an end of its range: curves are worst known there."""
+ROUNDED_TO: Final = 1.0
+"""Commands are rounded to this, mm or degrees, for readability."""
+SHARE_AT_LIMIT: Final = 0.4
+"""Share of poses with one axis at a limit of its range, where curves are least certain."""
 
 
 @final
@@ -34,54 +34,54 @@ class Session:
     """A state of the machine in which readings are taken.
 
     Attributes:
-        words: how to bring it about.
-        start_s: on the clock of ``time_s``, at the earliest.
-        temperatures: °C of axes and sensors.
+        instruction: instruction for bringing the machine into this state.
+        start_s: earliest start on the clock of ``time_s``.
+        temperatures: °C of axes and sensors, by name.
     """
 
-    words: str
+    instruction: str
     start_s: float = 0.0
     temperatures: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
 
-ALWAYS: Final = (Session("as it is"),)
-"""Where the state does not matter."""
+ANY_STATE: Final = (Session("as it is"),)
+"""Single session for plans in which the machine's state does not matter."""
 
 
 @final
 @dataclass(frozen=True)
 class Candidates:
-    """Readings that could be taken, in any state of the machine.
+    """Candidate readings in all sessions.
 
     Attributes:
-        plan: a row each.
-        session: (n,) index of the session each belongs to.
-        sessions: the states of the machine that readings are taken in, in order.
+        plan: the readings, one row each.
+        session: (n,) index of each reading's session.
+        sessions: states of the machine, in order.
     """
 
     plan: Measurements
     session: np.ndarray
-    sessions: tuple[Session, ...] = ALWAYS
+    sessions: tuple[Session, ...] = ANY_STATE
 
     def select(self, rows: np.ndarray) -> Candidates:
-        """Some of them, by index; again and again if it repeats."""
+        """Return the candidates with these indices; an index may repeat."""
         return replace(self, plan=self.plan.select(rows), session=self.session[rows])
 
 
 def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None = None) -> Candidates:
-    """Every reading that could be taken: a row each; each axis comes from a side drawn for the pose.
+    """Return every possible reading, one row each; the direction of approach of each axis is drawn per pose.
 
     Args:
         machine: the machine.
-        kit: what there is to measure with.
-        rng: of poses and sides.
-        levels: positions of each axis at most, evenly over its range (`Task.levels`); any whole number if None.
+        kit: instruments, stations and targets.
+        rng: random generator for poses and directions of approach.
+        levels: number of positions of each axis, equally spaced over its range (`Task.levels`); None: any multiple of `ROUNDED_TO`.
 
     Raises:
-        InputError: hardly any pose is clear; a reflector that no station ever sees.
+        InputError: too few poses have clearance, or a reflector is visible from no station.
     """
     positions = _safe_poses(machine, kit, rng, levels)
-    seen = Sight(machine, kit).sees(positions)
+    seen = Sight(machine, kit).visible(positions)
     sides = rng.choice([-1.0, 1.0], positions.shape)
     rows: list[tuple[int, str, str]] = []
     for name in kit.targets:
@@ -89,7 +89,7 @@ def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int
         if not mine:
             raise InputError(
                 f"target {name} is hidden from every station at every pose",
-                expected="another place for it, another station, or `stops_the_beam: nothing`",
+                expected="another place for the target, another station, or `stops_the_beam: nothing` in the kit",
                 value=f"{kit.targets[name].place_mm} mm on the {kit.targets[name].carrier} side",
             )
         rows += mine
@@ -99,34 +99,34 @@ def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int
 
 
 def _safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None) -> np.ndarray:
-    """(n, axes) commands all over the ranges of a kit, mm and degrees, that keep clear.
+    """Return commands (n, axes) in mm and degrees over the kit's ranges at which the machine has clearance.
 
     Raises:
-        InputError: hardly any does.
+        InputError: too few poses have clearance.
     """
     clearance = Clearance(machine, kit)
     found: list[np.ndarray] = []
     low, high = kit.ranges.T
     unlimited = np.array([axis.lower is None for axis in machine.axes])
-    for _ in range(TRIES):
+    for _ in range(BATCHES):
         drawn = latin_hypercube(kit.ranges, POSES, rng)
-        ended = np.flatnonzero(rng.random(POSES) < AT_AN_END)
+        ended = np.flatnonzero(rng.random(POSES) < SHARE_AT_LIMIT)
         axis = rng.choice(np.flatnonzero(~unlimited), len(ended)) if not unlimited.all() else ended[:0]
         for row, i in zip(ended, axis, strict=False):
             drawn[row, i] = low[i] if rng.random() < 0.5 else high[i]
         if levels is not None:
-            # A turn has no end: its last level is the first again.
+            # On an unlimited axis the last level coincides with the first.
             step = (high - low) / np.where(unlimited, levels, levels - 1)
             drawn = low + np.round((drawn - low) / step) * step
             drawn = np.where(unlimited, low + np.mod(drawn - low, high - low), drawn)
-        whole = np.clip(np.round(drawn / ROUND) * ROUND, low, high)
-        found += [pose for pose in whole if clearance.free(pose)]
+        whole = np.clip(np.round(drawn / ROUNDED_TO) * ROUNDED_TO, low, high)
+        found += [pose for pose in whole if clearance.is_clear(pose)]
         if len(found) >= POSES:
             break
     if len(found) < FEWEST:
         raise InputError(
-            "hardly any pose keeps the tool side clear of the work side",
-            expected=f"at least {FEWEST} of {TRIES * POSES} poses: shorter holders, or narrower `ranges` in the kit",
+            "too few poses keep the tool side clear of the work side",
+            expected=f"at least {FEWEST} of {BATCHES * POSES} poses: shorter holders, or narrower `ranges` in the kit",
             value=len(found),
         )
     return np.unique(np.array(found[:POSES]), axis=0)
@@ -142,16 +142,16 @@ def plan_table(
     *,
     source: str = "plan",
 ) -> Measurements:
-    """A plan: what to measure, in this order, the kit's places and stations with it.
+    """Return a plan as a measurement table without coordinates, with the kit's stations and target positions.
 
     Args:
         machine: the machine.
-        kit: what is measured with.
+        kit: instruments, stations and targets.
         positions: (n, axes) mm and degrees.
         target: n names.
         station: n names.
-        approach: (n, axes) +1, −1, 0 any.
-        source: what it is called in messages.
+        approach: (n, axes) direction of approach: +1, −1, 0 any.
+        source: name of the table in messages.
     """
     n = len(target)
 

@@ -1,7 +1,7 @@
-"""Whether the tool side keeps clear of the work side, and every reflector of all that does not move with it.
+"""Clearance between the tool side and the work side, and between every reflector and everything that does not move with it.
 
-What is drawn in the URDF is all that is known: holders, posts, clamps, cables and a workpiece are not. Shapes that touch in the
-middle of the ranges touch by construction (a slide on its way) and are not looked at.
+Only the shapes in the URDF are known; holders, posts, clamps, cables and workpieces are not. Shapes that touch in the middle of the
+ranges touch by design (a slide on its guideway) and are ignored.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from twin.planning.kit import Kit
 from twin.planning.sight import machine_shapes
 
 MARGIN_MM: Final = 25.0
-"""Kept between anything of the tool side and anything of the work side."""
+"""Minimum distance between the tool side and the work side, mm."""
 REFLECTOR_MM: Final = 40.0
-"""Radius of the ball that stands for a reflector in its nest: 1.5 inch and what holds it."""
+"""Radius of the sphere that represents a 1.5 inch reflector with its nest, mm."""
 STEP_MM: Final = 20.0
 STEP_DEG: Final = 4.0
-"""Of a move that is looked at: less than the margin at any drawn place within 0.35 m of a rotary axis."""
+"""Step of a rotary axis at which a move is checked: less than the margin for shapes within 0.35 m of the axis."""
 
 
 @final
 class Clearance:
-    """What may touch what on one machine.
+    """Clearance check for one machine.
 
     Args:
         machine: the machine.
-        kit: its reflectors count with the sides that carry them.
+        kit: its reflectors belong to the sides that carry them.
     """
 
     def __init__(self, machine: Machine, kit: Kit) -> None:
@@ -41,24 +41,24 @@ class Clearance:
         self.kit = kit
 
     @cached_property
-    def known(self) -> bool:
-        """Whether the URDF draws anything on either side: if not, only the reflectors keep clear of each other."""
+    def has_shapes(self) -> bool:
+        """Whether the URDF has shapes on either side; if not, only the reflectors are kept clear of each other."""
         return any(self._side(shape.joint) is not None for shape in machine_shapes(self.machine))
 
-    def free(self, position: np.ndarray) -> bool:
-        """Whether one pose (axes,), mm and degrees, keeps clear."""
+    def is_clear(self, position: np.ndarray) -> bool:
+        """Return whether a pose (axes,), mm and degrees, has clearance."""
         model, data, own = self._pairs
         q = self.machine.configuration(position * self.machine.scale)
         return not pin.computeCollisions(self.machine.model, data, model, own, q, True)
 
-    def free_move(self, start: np.ndarray, end: np.ndarray) -> bool:
-        """Whether the straight move between two poses keeps clear, its ends included; all axes move together."""
+    def is_move_clear(self, start: np.ndarray, end: np.ndarray) -> bool:
+        """Return whether the straight move between two poses has clearance, end points included; all axes move together."""
         way = np.abs(end - start)
         size = np.array([STEP_MM if axis.linear else STEP_DEG for axis in self.machine.axes])
         count = int(np.ceil((way / size).max(initial=0.0))) + 1
-        # From the middle outwards: where a move fails it mostly does so there.
+        # Check from the middle outwards: collisions are most likely there.
         parts = sorted(np.linspace(0.0, 1.0, count + 1), key=lambda part: abs(part - 0.5))
-        return all(self.free(start + part * (end - start)) for part in parts)
+        return all(self.is_clear(start + part * (end - start)) for part in parts)
 
     @cached_property
     def _pairs(self) -> tuple[pin.GeometryModel, pin.Data, pin.GeometryData]:
@@ -81,7 +81,7 @@ class Clearance:
             place = frame.placement * pin.SE3(np.eye(3), np.array(target.place_mm) * MM)
             ball = pin.GeometryObject(f"reflector {name}", frame.parentJoint, place, coal.Sphere(REFLECTOR_MM * MM))
             index = model.addGeometryObject(ball)
-            # The ranges keep the machine clear of itself, not of what is put on it: it keeps clear of all that moves otherwise.
+            # Axis ranges prevent collisions of the machine itself, not of reflectors: check against all that moves relative to them.
             pairs |= {(index, other) for other, joint in drawn if joint != frame.parentJoint}
             pairs |= {
                 (index, other) for other in reflectors if model.geometryObjects[other].parentJoint != frame.parentJoint
@@ -110,7 +110,7 @@ class Clearance:
         return model, data, own
 
     def _side(self, joint: int) -> str | None:
-        """Which carrier a joint moves; what stands still counts with neither: the ranges keep the machine clear of itself."""
+        """Return the carrier that a joint moves; None if it moves neither or both."""
         model = self.machine.model
         moving = {int(j) for j in self.machine.axis_joints}
         if not moving & {int(j) for j in model.supports[joint]}:

@@ -1,7 +1,7 @@
-"""Which readings to take: an even spread, its poorest exchanged for what tells most for its time.
+"""Choose readings by exchange: start from an even spread, replace the least informative ones by those that gain most per second.
 
-With C the covariance of all unknowns so far and R the whitened derivatives of a reading, what is aimed at falls by tr(S⁻¹ R C M C Rᵀ),
-S = 1 + R C Rᵀ, where M (`twin.planning.aims`) weighs the unknowns.
+With C the covariance of all unknowns so far and R the whitened derivatives of a reading, the reading reduces the criterion by
+tr(S⁻¹ R C M C Rᵀ), S = 1 + R C Rᵀ, where M is the weight matrix of the unknowns (`twin.planning.aims`).
 (Fedorov 1972; Atkinson, Donev and Tobias 2007, chapters 10 to 12.)
 """
 
@@ -19,22 +19,22 @@ from twin.planning.aims import Aim
 from twin.planning.candidates import Candidates
 from twin.planning.task import Say
 
-AFRESH: Final = 50
-"""Choices after which the covariance is found anew from all of them: updates add up their rounding."""
-DRAWN: Final = 128
-"""Candidates each choice is made among."""
-EXCHANGED: Final = (0.9, 0.3, 0.3)
-"""Shares of a plan exchanged one after the other."""
+RECOMPUTED_AFTER: Final = 50
+"""Number of choices after which the covariance is recomputed, as updates accumulate rounding errors."""
+SAMPLED: Final = 128
+"""Number of random candidates from which each reading is chosen."""
+EXCHANGED_SHARES: Final = (0.9, 0.3, 0.3)
+"""Shares of a plan exchanged in successive rounds."""
 
 
 def covariance_of(prior: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(f, f) covariance of the coordinates, known before with precision (f, f), after readings with derivatives (n, 3, f)."""
+    """Return the covariance (f, f) of the coordinates from the prior precision (f, f) and readings with derivatives (n, 3, f)."""
     flat = rows.reshape(-1, rows.shape[-1])
     return inverse(prior + flat.T @ flat)
 
 
 def inverse(precision: np.ndarray) -> np.ndarray:
-    """Of a precision, brought to a unit diagonal first: stations are known to metres before and to micrometres after."""
+    """Return the inverse of a precision, scaled to a unit diagonal first: uncertainties range from metres to micrometres."""
     size = 1.0 / np.sqrt(np.diag(precision))
     found = np.linalg.inv(precision * size[:, None] * size)
     return np.asarray((found + found.T) / 2.0 * size[:, None] * size)
@@ -43,51 +43,51 @@ def inverse(precision: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class DesignProblem:
-    """Everything that could be read with one instrument, and what is aimed at.
+    """Design problem of one instrument: candidate readings and criterion.
 
     Attributes:
-        instrument: what reads.
-        every: the readings.
-        prior: (f, f) precision of the unknowns' coordinates before any reading.
+        instrument: the instrument.
+        candidates: the candidate readings.
+        prior: (f, f) prior precision of the unknowns' coordinates.
         rows: (n, 3, f) derivatives of the whitened readings.
-        aim: what is to become small.
+        aim: the criterion to minimise.
     """
 
     instrument: Instrument
-    every: Candidates
+    candidates: Candidates
     prior: np.ndarray
     rows: np.ndarray
     aim: Aim
 
     @property
     def plan(self) -> Measurements:
-        """The readings, a row each."""
-        return self.every.plan
+        """Table of the candidate readings, one row each."""
+        return self.candidates.plan
 
-    def at(self, stations: Sequence[str]) -> DesignProblem:
-        """Those from some stations."""
+    def from_stations(self, stations: Sequence[str]) -> DesignProblem:
+        """Return the problem restricted to some stations."""
         inside = np.flatnonzero(np.isin(self.plan.station, stations))
-        return replace(self, every=self.every.select(inside), rows=self.rows[inside])
+        return replace(self, candidates=self.candidates.select(inside), rows=self.rows[inside])
 
     def value(self, rows: np.ndarray) -> float:
-        """What is aimed at, after some of them."""
+        """Return the criterion after the readings with these indices."""
         return self.aim.value(covariance_of(self.prior, self.rows[rows]))
 
 
 @final
 @dataclass(frozen=True)
 class Exchange:
-    """Readings to choose from, and how.
+    """Exchange algorithm that chooses readings among candidates.
 
     Attributes:
-        prior: (f, f) precision of the coordinates before any reading.
+        prior: (f, f) prior precision of the coordinates.
         rows: (n, 3, f) derivatives of every candidate.
-        cost: (n,) seconds of each.
-        aim: what to make small.
-        most: times one candidate may be taken.
-        exchanged: shares of the plan exchanged, one after the other.
-        among: how many candidates each choice is made among.
-        say: told how far it is.
+        cost: (n,) seconds for each.
+        aim: the criterion to minimise.
+        most: how often one candidate may be taken.
+        exchanged: shares of the plan exchanged in successive rounds.
+        among: number of random candidates from which each reading is chosen.
+        say: progress callback.
     """
 
     prior: np.ndarray
@@ -95,66 +95,73 @@ class Exchange:
     cost: np.ndarray
     aim: Aim
     most: int = 4
-    exchanged: tuple[float, ...] = EXCHANGED
-    among: int = DRAWN
+    exchanged: tuple[float, ...] = EXCHANGED_SHARES
+    among: int = SAMPLED
     say: Say | None = None
 
-    def of(self, count: int, first: np.ndarray, least: int) -> np.ndarray:
-        """Indices of the readings of a plan, in the order of choice, a few more than once.
+    def choose(self, count: int, first: np.ndarray, least: int) -> np.ndarray:
+        """Return the indices of the chosen readings in order of choice; an index may repeat.
 
         Args:
-            count: how many readings.
-            first: every candidate, in an order that any beginning of is spread evenly: the plan that is bettered.
-            least: readings that the choice begins with at least.
+            count: number of readings.
+            first: indices of all candidates in random order, so that its first elements are an even spread: the initial plan.
+            least: smallest number of readings to begin with.
         """
         spread = np.concatenate([first] * (1 + (count - 1) // max(len(first), 1)))[:count]
         best, value = list(spread), self._value(spread)
         for number, share in enumerate(self.exchanged):
-            # Something has to place stations and targets: a reading of a target that nothing places tells nothing, so that a choice
-            # cannot begin with none. It begins with part of an even spread, then exchanges; what does not pay is not done.
+            # A reading of a target whose position nothing determines carries no information, so the choice cannot begin with none.
+            # It begins with part of an even spread; an exchange that does not reduce the criterion is dropped.
             fewer = max(1, round(share * count))
-            chosen = self._kept(best, fewer) if number else best[: max(count - fewer, min(least, count))]
-            self._grow(chosen, count, number / len(self.exchanged))
+            chosen = (
+                self._without_least_informative(best, fewer)
+                if number
+                else best[: max(count - fewer, min(least, count))]
+            )
+            self._add_readings(chosen, count, number / len(self.exchanged))
             reached = self._value(chosen)
             if reached < value:
                 best, value = chosen, reached
         return np.array(best)
 
     def _value(self, chosen: np.ndarray | list[int]) -> float:
-        """What is aimed at, after some readings."""
+        """Return the criterion after some readings."""
         return self.aim.value(covariance_of(self.prior, self.rows[chosen]))
 
-    def _grow(self, chosen: list[int], count: int, done: float) -> None:
-        """Add readings, each time the best for its time of some drawn at random (stochastic greedy; Mirzasoleiman et al. 2015)."""
+    def _add_readings(self, chosen: list[int], count: int, done: float) -> None:
+        """Add readings: each time the one of a random sample with the largest gain per second.
+
+        (Stochastic greedy; Mirzasoleiman et al. 2015.)
+        """
         begun = len(chosen)
         taken = np.bincount(chosen, minlength=len(self.rows))
         rng = np.random.default_rng(begun)
         covariance, weight = np.zeros((0, 0)), np.zeros((0, 0))
         while len(chosen) < count:
-            if (len(chosen) - begun) % AFRESH == 0:
+            if (len(chosen) - begun) % RECOMPUTED_AFTER == 0:
                 covariance = covariance_of(self.prior, self.rows[chosen])
                 weight = self.aim.weight(covariance)
                 if self.say is not None:
                     part = (len(chosen) - begun) / max(count - begun, 1)
                     self.say("choosing", done + part / len(self.exchanged))
-            left = np.flatnonzero(taken < self.most)
-            if not len(left):
+            available = np.flatnonzero(taken < self.most)
+            if not len(available):
                 return
-            drawn = rng.choice(left, min(self.among, len(left)), replace=False)
+            drawn = rng.choice(available, min(self.among, len(available)), replace=False)
             best = int(drawn[np.argmax(gains(self.rows[drawn], covariance, weight) / self.cost[drawn])])
             chosen.append(best)
             taken[best] += 1
-            covariance = _after(covariance, self.rows[best])
+            covariance = _updated(covariance, self.rows[best])
 
-    def _kept(self, chosen: list[int], fewer: int) -> list[int]:
-        """Those left when the readings that tell least are taken out."""
+    def _without_least_informative(self, chosen: list[int], fewer: int) -> list[int]:
+        """Return the readings without the ``fewer`` least informative ones."""
         picked = self.rows[chosen]
         covariance = covariance_of(self.prior, picked)
         weight = self.aim.weight(covariance)
         spread = picked @ covariance
         own = np.eye(3) - np.einsum("nif,njf->nij", spread, picked)
         moved = np.einsum("nif,njf->nij", spread @ weight, spread)
-        # Alone, a reading that nothing else replaces leaves no finite loss.
+        # Without an irreplaceable reading the loss would be infinite.
         safe = np.linalg.eigvalsh(own)[:, 0] > 1e-6
         loss = np.full(len(chosen), np.inf)
         loss[safe] = np.einsum("nii->n", np.linalg.solve(own[safe], moved[safe]))
@@ -163,7 +170,7 @@ class Exchange:
 
 
 def gains(rows: np.ndarray, covariance: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(n,) by how much what is aimed at falls with each of some readings (n, 3, f)."""
+    """Return by how much each of some readings (n, 3, f) reduces the criterion: (n,)."""
     # One long product instead of many small ones.
     long = rows.reshape(-1, rows.shape[-1]) @ covariance
     spread = long.reshape(rows.shape)
@@ -172,7 +179,8 @@ def gains(rows: np.ndarray, covariance: np.ndarray, weight: np.ndarray) -> np.nd
     return np.asarray(np.einsum("nii->n", np.linalg.solve(own, moved)))
 
 
-def _after(covariance: np.ndarray, row: np.ndarray) -> np.ndarray:
+def _updated(covariance: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Return the covariance after one more reading."""
     spread = covariance @ row.T
     found = covariance - spread @ np.linalg.solve(row @ spread + np.eye(3), spread.T)
     return np.asarray((found + found.T) / 2.0)

@@ -1,4 +1,4 @@
-"""The time there is, filled: where to stand, what to read from there, in which order."""
+"""Choose stations and readings so that the plan fills the time budget."""
 
 from __future__ import annotations
 
@@ -16,87 +16,87 @@ from twin.planning.route import Route, route
 from twin.planning.task import FEWEST, Task
 
 STATIONS: Final = 4
-"""Stations of one plan at most: each more is set up, placed by the data, and paid for."""
-CLOSE: Final = 0.95
-"""Share of the time allowed that a plan fills, or it is chosen again."""
-ALMOST: Final = 1.1
-"""Times the time allowed from which readings are simply left out."""
+"""Most stations of one plan: each needs time to set up and readings to determine its pose."""
+LEAST_FILLED: Final = 0.95
+"""Smallest share of the time budget that a plan must fill; otherwise readings are chosen again."""
+TRIMMED_UP_TO: Final = 1.1
+"""Up to this multiple of the time budget readings are left out instead of choosing again."""
 ROUNDS: Final = 3
-PLACING: Final = 4
-"""Readings of every target from every station that a choice begins with: enough to place both."""
-GLIMPSED: Final = 48
-OF_A_KIND: Final = 3
-GLIMPSE: Final = (0.9,)
-"""Share of a plan that is exchanged to see what a place is worth."""
+READINGS_TO_PLACE: Final = 4
+"""Readings of every target from every station at the start of a choice: enough to determine both positions."""
+TRIAL_SAMPLED: Final = 48
+TRIED_OF_A_KIND: Final = 3
+TRIAL_SHARES: Final = (0.9,)
+"""Shares exchanged in the trial choice that compares stations."""
 
 
 @final
 @dataclass(frozen=True)
-class Stand:
-    """One instrument and the places it stands, and what an even spread of readings from there would give.
+class StationChoice:
+    """Stations of one instrument, with the criterion reached from there.
 
     Attributes:
-        readings: of the instrument.
-        stations: names.
-        points: readings there is time for.
-        value: of the aim.
+        problem: design problem of the instrument.
+        stations: names of the stations.
+        points: number of readings the time allows.
+        value: value of the criterion.
     """
 
-    readings: DesignProblem
+    problem: DesignProblem
     stations: tuple[str, ...]
     points: int
     value: float
 
     @property
     def least(self) -> int:
-        """Readings that a choice begins with: enough to place every station and target."""
-        return PLACING * len(self.stations) * len(set(self.readings.plan.target))
+        """Readings at the start of a choice: enough to determine every station and target."""
+        return READINGS_TO_PLACE * len(self.stations) * len(set(self.problem.plan.target))
 
 
 @final
 @dataclass(frozen=True)
-class Filled:
-    """The readings of a plan in their order, and the ways to stand that were tried for them.
+class FilledPlan:
+    """Readings of a plan in order, and the station choices that were compared.
 
     Attributes:
-        stands: the best first, which is the plan's.
+        station_choices: the station choices, best first; the plan uses the first.
         route: its readings.
     """
 
-    stands: tuple[Stand, ...]
+    station_choices: tuple[StationChoice, ...]
     route: Route
 
 
-def fill(task: Task, problems: Sequence[DesignProblem]) -> Filled:
-    """Choose where to stand and what to read from there, in the time there is.
+def fill(task: Task, problems: Sequence[DesignProblem]) -> FilledPlan:
+    """Choose stations and readings within the time budget.
 
     Args:
-        task: what the plan is made for.
-        problems: of each instrument.
+        task: machine, kit, time budget and criterion.
+        problems: design problem of each instrument.
 
     Raises:
-        InputError: no time to measure anything.
+        InputError: the time budget is too short.
     """
-    filler = _Filler(task)
-    stands = filler.best([one for problem in problems for one in filler.stands(problem)])
-    return Filled(tuple(stands), filler.filled(stands[0]))
+    filler = _PlanFiller(task)
+    station_choices = filler.best([one for problem in problems for one in filler.station_choices(problem)])
+    return FilledPlan(tuple(station_choices), filler.fill_time(station_choices[0]))
 
 
 @final
 @dataclass(frozen=True)
-class _Filler:
-    """One plan being made."""
+class _PlanFiller:
+    """Steps of choosing stations and readings for one plan."""
 
     task: Task
 
-    def stands(self, readings: DesignProblem) -> list[Stand]:
-        """What an even spread of readings from every set of places would give in the time there is.
+    def station_choices(self, problem: DesignProblem) -> list[StationChoice]:
+        """Return every set of stations with the criterion reached by an even spread of readings in the time budget.
 
         Raises:
-            InputError: no time to measure anything.
+            InputError: the time budget is too short.
         """
         found = []
-        plan = readings.plan
+        plan = problem.plan
         names = tuple(dict.fromkeys(plan.station))
         order = self.task.rng.permutation(len(plan))
         for count in range(1, min(STATIONS, len(names)) + 1):
@@ -106,54 +106,54 @@ class _Filler:
                 if set(plan.station[inside]) != set(stations):
                     continue
                 if each is None:
-                    each = self._each(readings, stations, inside)
-                points = self._points(stations, readings, each)
+                    each = self._seconds_per_reading(problem, stations, inside)
+                points = self._affordable_readings(stations, problem, each)
                 if points < FEWEST:
                     break
-                found.append(Stand(readings, stations, points, readings.value(np.resize(inside, points))))
+                found.append(StationChoice(problem, stations, points, problem.value(np.resize(inside, points))))
         if not found:
-            least = (self._set_up(names[:1], readings) + FEWEST * self.task.kit.seconds.point) / 60.0
+            least = (self._set_up(names[:1], problem) + FEWEST * self.task.kit.seconds.point) / 60.0
             raise InputError(
-                "no time to measure anything",
+                "the time budget is too short for a measurement",
                 expected=f"{least:.0f} minutes or more",
                 value=f"{self.task.minutes:g} minutes",
             )
         return found
 
-    def best(self, stands: Sequence[Stand]) -> list[Stand]:
-        """For every instrument and number of places the best few of the kind, with readings chosen; the best of all first."""
-        kinds: dict[tuple[str, int], list[Stand]] = {}
-        for one in sorted(stands, key=lambda stand: stand.value):
-            kinds.setdefault((one.readings.instrument.name, len(one.stations)), []).append(one)
-        tried = [one for kind in kinds.values() for one in kind[:OF_A_KIND]]
+    def best(self, station_choices: Sequence[StationChoice]) -> list[StationChoice]:
+        """Return the best few station choices for every instrument and number of stations, readings chosen; best first."""
+        kinds: dict[tuple[str, int], list[StationChoice]] = {}
+        for one in sorted(station_choices, key=lambda choice: choice.value):
+            kinds.setdefault((one.problem.instrument.name, len(one.stations)), []).append(one)
+        tried = [one for kind in kinds.values() for one in kind[:TRIED_OF_A_KIND]]
         found = []
         for number, one in enumerate(tried):
             self.task.say("choosing", 0.1 + 0.3 * number / len(tried))
-            own = one.readings.at(one.stations)
+            own = one.problem.from_stations(one.stations)
             cost = np.full(len(own.plan), self.task.kit.seconds.point)
             first = np.random.default_rng(self.task.seed).permutation(len(own.plan))
-            choice = Exchange(own.prior, own.rows, cost, own.aim, exchanged=GLIMPSE, among=GLIMPSED)
-            found.append(replace(one, value=own.value(choice.of(one.points, first, one.least))))
-        return sorted(found, key=lambda stand: stand.value)
+            choice = Exchange(own.prior, own.rows, cost, own.aim, exchanged=TRIAL_SHARES, among=TRIAL_SAMPLED)
+            found.append(replace(one, value=own.value(choice.choose(one.points, first, one.least))))
+        return sorted(found, key=lambda choice: choice.value)
 
-    def filled(self, best: Stand) -> Route:
-        """The plan that fills the time: what a reading of each target really takes shows on the way through an even spread.
+    def fill_time(self, best: StationChoice) -> Route:
+        """Return the plan that fills the time budget; the time per reading is taken from the route through a first plan.
 
         Raises:
-            InputError: no time to measure anything.
+            InputError: the time budget is too short.
         """
-        own = best.readings.at(best.stations)
+        own = best.problem.from_stations(best.stations)
         first = self.task.rng.permutation(len(own.plan))
         taken = np.resize(first, best.points)
-        spread = route(self.task, own.every.select(taken), best.stations, clear=False)
+        spread = route(self.task, own.candidates.select(taken), best.stations, clear=False)
         for turn in range(ROUNDS):
             each = (spread.seconds - self._set_up(best.stations, own)) / len(spread.plan)
-            points = self._points(best.stations, own, each)
+            points = self._affordable_readings(best.stations, own, each)
             if points < FEWEST:
                 raise InputError(
-                    "no time to measure anything",
-                    expected="more minutes, or a kit in which a reading takes less",
-                    value=f"{each:.0f} s a reading",
+                    "the time budget is too short for a measurement",
+                    expected="more minutes, or a kit with less time per reading",
+                    value=f"{each:.0f} s per reading",
                 )
             part = 0.4 + 0.55 * turn / ROUNDS
 
@@ -161,41 +161,41 @@ class _Filler:
                 self.task.say(stage, part + 0.55 * done / ROUNDS)
 
             choice = Exchange(own.prior, own.rows, self._cost(spread.plan, own.plan, each), own.aim, say=say)
-            taken = choice.of(points, first, best.least)
-            spread = route(self.task, own.every.select(taken), best.stations)
-            if CLOSE * self.task.seconds <= spread.seconds <= self.task.seconds:
+            taken = choice.choose(points, first, best.least)
+            spread = route(self.task, own.candidates.select(taken), best.stations)
+            if LEAST_FILLED * self.task.seconds <= spread.seconds <= self.task.seconds:
                 return spread
-            if spread.seconds <= self.task.seconds * ALMOST:
+            if spread.seconds <= self.task.seconds * TRIMMED_UP_TO:
                 break
         while spread.seconds > self.task.seconds:
-            # Every station and target loses the same share.
+            # Readings are left out at random: every station and target loses about the same share.
             kept = int(len(taken) * min(0.99, self.task.seconds / spread.seconds))
             taken = taken[np.sort(np.random.default_rng(self.task.seed).permutation(len(taken))[:kept])]
-            spread = route(self.task, own.every.select(taken), best.stations)
+            spread = route(self.task, own.candidates.select(taken), best.stations)
         return spread
 
-    def _each(self, readings: DesignProblem, stations: tuple[str, ...], inside: np.ndarray) -> float:
-        """Seconds that a reading takes with the way to it, from so many stations: as dense as they will be, the way is as short."""
+    def _seconds_per_reading(self, problem: DesignProblem, stations: tuple[str, ...], inside: np.ndarray) -> float:
+        """Return the seconds per reading including travel, for a route as dense as the plan's will be."""
         each = self.task.kit.seconds.point
         for _ in range(2):
-            points = self._points(stations, readings, each)
+            points = self._affordable_readings(stations, problem, each)
             if points < FEWEST:
                 break
-            way = route(self.task, readings.every.select(np.resize(inside, points)), stations, clear=False)
-            each = (way.seconds - self._set_up(stations, readings)) / len(way.plan)
+            way = route(self.task, problem.candidates.select(np.resize(inside, points)), stations, clear=False)
+            each = (way.seconds - self._set_up(stations, problem)) / len(way.plan)
         return each
 
-    def _set_up(self, stations: Sequence[str], readings: DesignProblem) -> float:
-        """Seconds of setting up: one station stays from session to session, of several each is set up in each."""
-        times = 1 if len(stations) == 1 else len(stations) * len(readings.every.sessions)
+    def _set_up(self, stations: Sequence[str], problem: DesignProblem) -> float:
+        """Return the seconds for set-up: a single station stays for all sessions, several are set up in each session."""
+        times = 1 if len(stations) == 1 else len(stations) * len(problem.candidates.sessions)
         return times * self.task.kit.seconds.station
 
-    def _points(self, stations: Sequence[str], readings: DesignProblem, each: float) -> int:
-        """How many readings there is time for, at so many seconds each."""
-        return int((self.task.seconds - self._set_up(stations, readings)) / each)
+    def _affordable_readings(self, stations: Sequence[str], problem: DesignProblem, each: float) -> int:
+        """Return how many readings the time budget allows at ``each`` seconds."""
+        return int((self.task.seconds - self._set_up(stations, problem)) / each)
 
     def _cost(self, taken: Measurements, every: Measurements, each: float) -> np.ndarray:
-        """(n,) seconds that a reading of each candidate's target from its station took on the way, the way included."""
+        """Return the seconds (n,) per candidate: the mean time, travel included, of readings of its target from its station."""
         took = np.diff(taken.time_s, prepend=taken.time_s[0] - each)
         cost = np.full(len(every), each)
         for station in dict.fromkeys(taken.station):
@@ -203,6 +203,6 @@ class _Filler:
                 of = (taken.station == station) & (taken.target == target)
                 if np.count_nonzero(of) >= 5:
                     mine = (every.station == station) & (every.target == target)
-                    # A station's set-up stands before its first reading and is not that reading's.
+                    # The set-up time before a station's first reading is not part of that reading: hence the cap.
                     cost[mine] = max(float(np.mean(np.minimum(took[of], 20.0 * each))), self.task.kit.seconds.point)
         return cost

@@ -1,4 +1,4 @@
-"""What a plan will tell, before anybody goes to the machine: the uncertainty of every error and of the tool point; what is hidden."""
+"""Predicted result of a plan: uncertainty of every error and of the tool point, and the errors that are not identifiable."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from twin.machine.effects import split_name, unit_of
 from twin.numerics.observability import Determinability, Observability, observability
 from twin.planning.aims import POSES, SEED
 from twin.planning.design import covariance_of
-from twin.planning.model import Hidden, PlanModel
+from twin.planning.model import NotIdentifiable, PlanModel
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty, UncertaintyMap
 from twin.uncertainty.budget import volume
 
@@ -25,15 +25,15 @@ from twin.uncertainty.budget import volume
 @final
 @dataclass(frozen=True)
 class Forecast:
-    """What readings will tell.
+    """Predicted uncertainties of a planned measurement.
 
     Attributes:
-        model: the unknowns and what is known of them beforehand.
-        covariance: (f, f) of the model's coordinates afterwards.
+        model: the unknowns and their prior.
+        covariance: (f, f) covariance of the model's coordinates after the readings.
         determined: names of the errors that the readings determine.
-        observability: indices O1 to O5 of the machine's unknowns, stations and targets taken out, in plausible units.
-        tool_length_mm: of the tool whose point is asked for.
-        positions: (n, axes) the volume it is asked for over, mm and degrees.
+        observability: indices O1 to O5 of the machine's unknowns, in units of their plausible sizes; set-up unknowns projected out.
+        tool_length_mm: tool length for the uncertainty of the tool point.
+        positions: (n, axes) poses over the volume for it, mm and degrees.
     """
 
     model: PlanModel
@@ -45,17 +45,17 @@ class Forecast:
 
     @property
     def readings(self) -> int:
-        """How many numbers are read."""
-        return self.model.told.measurements
+        """Number of coordinates read."""
+        return self.model.determinability.measurements
 
     @property
-    def hidden(self) -> tuple[Hidden, ...]:
-        """The errors that the readings do not determine, and why."""
+    def hidden(self) -> tuple[NotIdentifiable, ...]:
+        """Errors that the readings do not determine, with the reason."""
         return self.model.hidden
 
     @cached_property
     def calibration(self) -> Calibration:
-        """Zero everywhere, with the covariance that an estimate will have: for whatever takes a calibration."""
+        """Calibration with all errors zero and the predicted covariance, for functions that take a calibration."""
         model = self.model
         half = model.to_parameters(self.covariance)
         covariance = model.to_parameters(half.T)
@@ -63,25 +63,25 @@ class Forecast:
         found, _ = model.unknowns.calibration(
             np.zeros(len(model.unknowns)),
             kept,
-            "foretold by twin plan: no values, only how well they will be known",
+            "predicted by twin plan: uncertainties only, all values are zero",
             covariance,
         )
         return found
 
     @cached_property
     def at_tool(self) -> UncertaintyMap:
-        """U of the tool point over the volume."""
+        """Expanded uncertainty U of the tool point over the volume."""
         kinematics = Kinematics(self.model.machine, self.calibration, tool_length_mm=self.tool_length_mm)
         return UncertaintyMap(self.model.machine.names, self.positions, ToolUncertainty(kinematics).at(self.positions))
 
     @property
     def tool_um(self) -> float:
-        """RMS over the volume of the standard uncertainty of the tool point (root of the sum of squares of x, y, z), µm."""
+        """RMS over the volume of the tool point's standard uncertainty in µm (root sum of squares of x, y, z)."""
         return float(np.sqrt(np.mean(np.sum(self.at_tool.uncertainty.standard_um**2, axis=1))))
 
     @cached_property
     def errors(self) -> Mapping[str, float]:
-        """Standard uncertainty by name, µm or µrad: of a curve the largest over its range; of what is hidden none."""
+        """Standard uncertainty by name in µm or µrad, of a curve the largest over its range; without errors not determined."""
         found: dict[str, float] = {}
         for name, space in self.model.curves.items():
             if name in self.determined:
@@ -96,12 +96,10 @@ class Forecast:
         return found
 
     def _repr_html_(self) -> str:
-        return card(
-            "What the readings will tell", *self.shown(), small=f"{self.readings:,} numbers read, none of them yet"
-        ).text
+        return card("Predicted uncertainties", *self.shown(), small=f"{self.readings:,} coordinates to be read").text
 
     def shown(self) -> list[Html]:
-        """What a display says of it."""
+        """Return the parts of the HTML display."""
         over, o = self.at_tool, self.observability
         place = ", ".join(f"{name} {value:.0f}" for name, value in over.where.items()).replace("-", "−")
         rows = [(axis, chips(found)) for axis, found in self._by_axis(".2g").items()]
@@ -116,38 +114,42 @@ class Forecast:
                     ("tool", f"{self.tool_length_mm:g} mm long"),
                 ]
             ),
-            table(("axis", "standard uncertainty (k = 1), of a curve the largest over its range"), rows),
+            table(("axis", "standard uncertainty (k = 1); for a curve the largest over its range"), rows),
             table(
-                ("hidden: unknown whatever is read", "why"), [(", ".join(names), text) for text, names in why.items()]
+                ("unknown: not identifiable from these readings", "reason"),
+                [(", ".join(names), text) for text, names in why.items()],
             ),
             note(f"O1 {o.o1:.3g}, O2 {o.o2:.3g}, O3 {o.o3:.3g}, O4 {o.o4:.3g}, O5 {o.o5:.3g} (observability)"),
             note(DEFINITION),
         ]
 
     def to_text(self) -> str:
-        """The account for people."""
+        """Return the text report."""
         o = self.observability
         over = self.at_tool
         where = ", ".join(f"{name} {round(value)}" for name, value in over.where.items())
         lines = [
-            f"the tool point, tool length {self.tool_length_mm:g} mm: U {over.rms_um:.2f} µm RMS over the volume, "
+            f"tool point, tool length {self.tool_length_mm:g} mm: U {over.rms_um:.2f} µm RMS over the volume, "
             f"{over.max_um:.2f} µm largest (at {where}); {DEFINITION}",
             "",
-            f"errors, standard uncertainty (k = 1; of a curve the largest over its range) from {self.readings} numbers read:",
+            f"errors, standard uncertainty (k = 1; for a curve the largest over its range) from {self.readings} coordinates read:",
         ]
-        lines += [f"  {', '.join(found)}" for found in self._by_axis(".2f").values()] or ["  none is determined"]
+        lines += [f"  {', '.join(found)}" for found in self._by_axis(".2f").values()] or ["  no error is determined"]
         lines += [
             "",
-            "observability of the machine's unknowns, each in its plausible size (Sun and Hollerbach 2008; larger is better):",
+            "observability of the machine's unknowns in units of their plausible sizes (Sun and Hollerbach 2008; larger is better):",
             f"  O1 {o.o1:.3g}, O2 {o.o2:.3g}, O3 {o.o3:.3g}, O4 {o.o4:.3g}, O5 {o.o5:.3g}",
         ]
         if self.hidden:
-            lines += ["", "not identifiable from these readings, whatever they say:"]
+            lines += [
+                "",
+                "not identifiable from these readings; combinations with other unknowns that leave all readings unchanged:",
+            ]
             lines += [f"  {one.name}: {one.reason}" for one in self.hidden]
         return "\n".join(lines) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the JSON object."""
         o = self.observability
         return {
             "readings": self.readings,
@@ -164,23 +166,24 @@ class Forecast:
         }
 
     def _by_axis(self, digits: str) -> dict[str, list[str]]:
-        """Every error with its standard uncertainty, by the axis it belongs to."""
+        """Return every error with its standard uncertainty as text, grouped by axis."""
         found: dict[str, list[str]] = {}
         for name, u in self.errors.items():
             found.setdefault(split_name(name)[2], []).append(f"{name} {u:{digits}} {readable(unit_of(name))}")
         return found
 
     def _of(self, columns: list[int]) -> np.ndarray:
+        """Return the predicted covariance of some of the machine's unknowns."""
         rows = self.model.plausible[columns, None] * self.model.free[columns]
         return np.asarray(rows @ self.covariance @ rows.T)
 
 
 def forecast(model: PlanModel, tool_length_mm: float | None = None) -> Forecast:
-    """What readings will tell when they are taken.
+    """Predict the uncertainties that planned readings will give.
 
     Args:
-        model: of the readings.
-        tool_length_mm: of the tool whose point is asked for; the machine file's, or 100 mm where it says none.
+        model: model of the readings.
+        tool_length_mm: tool length; None: that of the machine file, or 100 mm if it has none.
     """
     gone = {one.name for one in model.hidden}
     determined = tuple(name for name in model.unknowns.entities if name not in gone)
@@ -188,18 +191,18 @@ def forecast(model: PlanModel, tool_length_mm: float | None = None) -> Forecast:
         model=model,
         covariance=covariance_of(model.prior, model.rows),
         determined=determined,
-        observability=_observability(model.told, {*determined}),
+        observability=_observability(model.determinability, {*determined}),
         tool_length_mm=model.tool_length(tool_length_mm),
         positions=volume(model.machine, POSES, SEED),
     )
 
 
-def _observability(told: Determinability, names: Collection[str]) -> Observability:
-    """Of the machine's own unknowns that are determined, in plausible units, everything else projected out."""
-    mine = np.array([one.name.split(" ")[0] in names for one in told.unknowns])
+def _observability(found: Determinability, names: Collection[str]) -> Observability:
+    """Return the observability of the machine's determined unknowns in plausible units, everything else projected out."""
+    mine = np.array([one.name.split(" ")[0] in names for one in found.unknowns])
     if not mine.any():
-        return observability(np.zeros(1), told.measurements)
-    covariance = told.spectrum.covariance(silent=False) / np.outer(told.spectrum.scale, told.spectrum.scale)
+        return observability(np.zeros(1), found.measurements)
+    covariance = found.spectrum.covariance(silent=False) / np.outer(found.spectrum.scale, found.spectrum.scale)
     values = np.linalg.eigvalsh(covariance[np.ix_(mine, mine)])
-    # What the datum fixes has no variance and is no unknown.
-    return observability(1.0 / np.sqrt(values[values > 1e-14 * values[-1]]), told.measurements)
+    # Directions fixed by the datum have no variance and are not unknown.
+    return observability(1.0 / np.sqrt(values[values > 1e-14 * values[-1]]), found.measurements)

@@ -1,4 +1,4 @@
-"""What there is to measure with: instruments, where they may stand, reflectors, and how long everything takes."""
+"""Kit file: instruments, possible station positions, reflectors, and times of the operations."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from twin.uncertainty.budget import volume
 
 SCHEMA: Final = "twin.kit/1"
 ACCEPTANCE_DEG: Final = 30.0
-"""Of a spherically mounted corner cube, either side of its axis (Leica red ring reflector, data sheet)."""
+"""Acceptance angle of a spherically mounted reflector, either side of its axis (Leica red ring reflector, data sheet)."""
 DISTANCE_MM: Final = 2000.0
-"""From the middle of the work to a station where nobody says where it may stand."""
+"""Distance of a default station from the middle of the working volume, mm."""
 TRAVEL_MM_S: Final = 100.0
 TRAVEL_DEG_S: Final = 15.0
 
 
-class _Entries(BaseModel):
+class _KitEntries(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 @final
-class Seconds(_Entries):
-    """How long things take.
+class Seconds(_KitEntries):
+    """Times of the operations in seconds.
 
     Attributes:
-        point: to settle and read.
-        aim: to turn a reflector towards the instrument by hand, wherever it would look past it.
-        target: to go from one reflector to another.
-        station: to set the instrument up in another place.
+        point: settling and reading.
+        aim: turning a reflector towards the instrument by hand when it is outside the acceptance angle.
+        target: changing from one reflector to another.
+        station: setting the instrument up in another place.
     """
 
     point: Annotated[float, Field(gt=0)] = 15.0
@@ -51,19 +51,19 @@ class Seconds(_Entries):
     station: Annotated[float, Field(ge=0)] = 900.0
 
 
-class _StationEntry(_Entries):
+class _StationEntry(_KitEntries):
     origin_mm: tuple[float, float, float]
     turn_deg: tuple[float, float, float] | None = None
     known: bool = False
 
     def station(self, middle: np.ndarray) -> Station:
-        """As it says; looking at the middle of the work if it does not say where to."""
+        """Return the station; without ``turn_deg`` it faces the middle of the working volume."""
         if self.turn_deg is None:
-            return looking_at(self.origin_mm, middle)
-        return Station(self.origin_mm, _three(np.array(self.turn_deg) * DEG))
+            return station_facing(self.origin_mm, middle)
+        return Station(self.origin_mm, _triple(np.array(self.turn_deg) * DEG))
 
 
-class _TargetEntry(_Entries):
+class _TargetEntry(_KitEntries):
     carrier: Literal["tool", "work"]
     place_mm: tuple[float, float, float]
     known: bool = False
@@ -79,15 +79,15 @@ class _TargetEntry(_Entries):
         return value
 
     def target(self) -> Target:
-        """With a unit vector."""
+        """Return the target, with its facing as a unit vector."""
         facing = None
         if self.facing != "aimed":
             way = np.array(self.facing, dtype=float)
-            facing = _three(way / np.linalg.norm(way))
+            facing = _triple(way / np.linalg.norm(way))
         return Target(self.carrier, self.place_mm, self.known, facing, self.acceptance_deg * DEG)
 
 
-class _KitFile(_Entries):
+class _KitFile(_KitEntries):
     schema_: Literal["twin.kit/1"] = Field(alias="schema")
     source: str = ""
     instruments: Annotated[tuple[str, ...], Field(min_length=1)] = ("tracker",)
@@ -106,10 +106,10 @@ class Target:
 
     Attributes:
         carrier: ``tool`` or ``work``.
-        place_mm: where it sits on its carrier, about: the plan need not be met to the millimetre.
-        known: whether an evaluation may take the place as exactly known.
-        facing: (3,) unit vector on its carrier along which it looks; None: it is turned towards the instrument by hand.
-        acceptance_rad: how far off its axis a beam may come.
+        place_mm: nominal position on its carrier; it need not be met to the millimetre.
+        known: whether an evaluation may treat the position as exactly known.
+        facing: (3,) unit vector of its axis on its carrier; None: it is turned towards the instrument by hand.
+        acceptance_rad: largest angle between its axis and the beam.
     """
 
     carrier: Literal["tool", "work"]
@@ -122,18 +122,18 @@ class Target:
 @final
 @dataclass(frozen=True)
 class Kit:
-    """What a measurement can be made with.
+    """Equipment for a measurement.
 
     Attributes:
-        source: where it is written, in words.
-        instruments: those to choose from.
-        stations: where one may stand, by name.
-        stations_known: names of those whose pose an evaluation may take as exactly known.
-        targets: by name.
-        seconds: how long things take.
-        speeds: (axes,) of travel, mm/s and degrees/s.
-        ranges: (axes, 2) that may be used, mm and degrees; a turn of an unlimited axis.
-        opaque: whether the machine's own shapes stop the beam.
+        source: origin of the kit, in words.
+        instruments: instruments to choose from.
+        stations: possible stations by name.
+        stations_known: names of the stations whose pose an evaluation may treat as exactly known.
+        targets: reflectors by name.
+        seconds: times of the operations.
+        speeds: (axes,) travel speed, mm/s and degrees/s.
+        ranges: (axes, 2) usable ranges, mm and degrees; one turn for an unlimited axis.
+        opaque: whether the machine's shapes block the beam.
     """
 
     source: str
@@ -148,25 +148,25 @@ class Kit:
 
     @property
     def known(self) -> frozenset[str]:
-        """Names of the stations and targets that an evaluation is told exactly."""
+        """Names of the stations and targets that an evaluation treats as exactly known."""
         return self.stations_known | {name for name, target in self.targets.items() if target.known}
 
     @property
-    def numbers(self) -> int:
-        """How many numbers a reading has, of the instrument that reads fewest."""
+    def coordinates_per_reading(self) -> int:
+        """Number of coordinates per reading, for the instrument that reads fewest."""
         return min(int(np.isfinite(one.read(np.ones((1, 3)))).sum()) for one in self.instruments)
 
     @property
     def setting(self) -> Setting:
-        """Stations and places as a simulation has them."""
+        """Stations and target positions for a simulation."""
         return Setting(self.stations, {name: target.place_mm for name, target in self.targets.items()})
 
     @classmethod
     def load(cls, path: str | Path, machine: Machine) -> Kit:
-        """From a file (``schema: twin.kit/1``).
+        """Read a kit file (``schema: twin.kit/1``).
 
         Raises:
-            InputError: with file, line and value, on whatever does not fit the schema or the machine.
+            InputError: the file does not fit the schema or the machine; with file, line and value.
         """
         file = Path(path)
         entries, lines = load_yaml(file, _KitFile, SCHEMA)
@@ -175,7 +175,7 @@ class Kit:
             meant = nearest(str(value), known)
             return InputError(what, expected=expected, file=file, line=lines.get(place), value=value, nearest=meant)
 
-        # What the schema cannot know.
+        # Checks beyond the schema.
         by_name = {one.name: one for one in INSTRUMENTS}
         for i, name in enumerate(entries.instruments):
             if name not in by_name:
@@ -185,17 +185,17 @@ class Kit:
                 if name not in machine.by_name:
                     known = machine.names
                     raise fail((key, name), "no such axis", f"one of {', '.join(known)}", name, known)
-        ranges = whole_ranges(machine)
+        ranges = full_ranges(machine)
         for name, (lower, upper) in entries.ranges.items():
             i = machine.names.index(name)
             if not ranges[i, 0] <= lower < upper <= ranges[i, 1]:
                 expected = f"lower, upper within {ranges[i, 0]:g} … {ranges[i, 1]:g}"
-                raise fail(("ranges", name), "a range the machine does not have", expected, [lower, upper])
+                raise fail(("ranges", name), "the range is not within that of the machine", expected, [lower, upper])
             ranges[i] = lower, upper
         for name, entry in entries.targets.items():
             if entry.facing != "aimed" and np.linalg.norm(entry.facing) == 0.0:
                 place = ("targets", name, "facing")
-                raise fail(place, "no direction", "aimed, or x, y, z on its carrier", entry.facing)
+                raise fail(place, "facing is a zero vector", "aimed, or x, y, z on its carrier", entry.facing)
         middle = _middle(machine)
         return cls(
             source=entries.source or str(file),
@@ -211,9 +211,10 @@ class Kit:
 
     @classmethod
     def default(cls, machine: Machine) -> Kit:
-        """Where nobody says what there is.
+        """Return the default kit, used if no kit file is given.
 
-        A laser tracker that may stand in front, on either side, and high up; three reflectors below the nose, three above the table.
+        A laser tracker that may stand in front, on either side or high up; three reflectors below the spindle nose and three above
+        the table.
         """
         middle = _middle(machine)
         corners = {
@@ -225,50 +226,50 @@ class Kit:
         stations = {}
         for name, way in corners.items():
             direction = np.array(way) / np.linalg.norm(way)
-            stations[name] = looking_at(_three(np.round(middle + DISTANCE_MM * direction, -1)), middle)
+            stations[name] = station_facing(_triple(np.round(middle + DISTANCE_MM * direction, -1)), middle)
         reflectors = {}
         for k in range(3):
             angle = np.radians(30.0 + 120.0 * k)
             across = np.array([np.cos(angle), np.sin(angle)])
             for letter, radius, height in (("T", 110.0, -40.0 - 35.0 * k), ("W", 170.0, 30.0 + 30.0 * k)):
-                place = _three(np.round([*(radius * across), height]) + 0.0)
+                place = _triple(np.round([*(radius * across), height]) + 0.0)
                 carrier: Literal["tool", "work"] = "tool" if letter == "T" else "work"
                 reflectors[f"{letter}{k + 1}"] = Target(carrier, place, False, None, ACCEPTANCE_DEG * DEG)
         return cls(
-            source="twin's own guess: name what you have in a kit file",
+            source="assumed by twin: describe your equipment in a kit file",
             instruments=(INSTRUMENTS[0],),
             stations=MappingProxyType(stations),
             stations_known=frozenset(),
             targets=MappingProxyType(dict(sorted(reflectors.items()))),
             seconds=Seconds(),
             speeds=np.array([_speed(axis.linear) for axis in machine.axes]),
-            ranges=whole_ranges(machine),
+            ranges=full_ranges(machine),
             opaque=True,
         )
 
 
 def bundled_kit(name: str | Path) -> Path:
-    """A kit file by its path, or one that comes with `twin` by its bare name.
+    """Return the path of a kit file, given by its path or by the bare name of one that comes with `twin`.
 
     Raises:
-        InputError: neither; the message lists what comes with `twin`.
+        InputError: there is no such file; the message lists those that come with `twin`.
     """
     return find_bundled(name, ".kit.yaml", "a kit file (schema twin.kit/1)")
 
 
-def whole_ranges(machine: Machine) -> np.ndarray:
-    """(axes, 2) mm and degrees; a turn of an unlimited axis."""
+def full_ranges(machine: Machine) -> np.ndarray:
+    """Return the full ranges (axes, 2) in mm and degrees; one turn for an unlimited axis."""
     return np.array([axis.domain for axis in machine.axes])
 
 
-def looking_at(origin_mm: tuple[float, float, float], point_mm: np.ndarray) -> Station:
-    """A station upright at some place, its x towards a point."""
+def station_facing(origin_mm: tuple[float, float, float], point_mm: np.ndarray) -> Station:
+    """Return an upright station at a position, its x axis towards a point."""
     away = point_mm - np.array(origin_mm)
     return Station(origin_mm, (0.0, 0.0, float(np.radians(np.round(np.degrees(np.arctan2(away[1], away[0])))))))
 
 
 def _middle(machine: Machine) -> np.ndarray:
-    """(3,) between the tool and the work over the volume, base frame, mm."""
+    """Return the mean position (3,) of tool and work over the volume, base frame, mm."""
     poses = volume(machine, 50)
     data = machine.model.createData()
     found: list[Any] = []
@@ -282,6 +283,6 @@ def _speed(linear: bool) -> float:
     return TRAVEL_MM_S if linear else TRAVEL_DEG_S
 
 
-def _three(values: Any) -> tuple[float, float, float]:
+def _triple(values: Any) -> tuple[float, float, float]:
     x, y, z = (float(value) for value in values)
     return x, y, z

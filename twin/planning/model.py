@@ -1,9 +1,9 @@
-"""What each reading of a plan would tell, before it is taken: derivatives by every unknown, in one set of coordinates.
+"""Linear model of planned readings: their derivatives with respect to every unknown, and the prior.
 
-The unknowns are those of `identify`: every error motion as orthonormal functions of its axis, squareness, locations, stations,
-targets. What is known beforehand is how large such things are: a curve's functions fall off as those of the calibration in hand do
-(`twin.identification.priors`), constants, stations and targets are as far off as is plausible. Linear in the errors, about
-those expected.
+The unknowns are those of `identify`: every error motion as orthonormal functions of its axis, squareness, location errors, stations,
+targets. The prior is the expected size of each: the coefficients of a curve decrease as those of the given calibration do
+(`twin.identification.priors`); constants, stations and targets have their plausible size. The model is linearised about the expected
+errors.
 """
 
 from __future__ import annotations
@@ -34,31 +34,31 @@ from twin.numerics.observability import UNSEEN, Determinability, determinability
 from twin.numerics.spatial import rotation_exp
 
 FALL: Final = 0.7
-"""Ratio of variances from one orthonormal function of a curve to the next: gentler than a smooth curve's."""
-MOST: Final = 13
-"""Functions of a curve, as of `identify`."""
+"""Ratio of prior variances of successive orthonormal functions of a curve: decreases more slowly than for a smooth curve."""
+MOST_FUNCTIONS: Final = 13
+"""Most functions of a curve, as in `identify`."""
 EXPECTED_UM: Final = 5.0
-"""RMS of a curve, µm or µrad, where no calibration says how large it is: that of a machine in order."""
+"""RMS of a curve, µm or µrad, if no calibration has it: typical of a machine in good order."""
 EXPECTED_FUNCTIONS: Final = 4
 ROUNDING: Final = 1e-6
-"""Share of a curve below which a function of it is what numbers were rounded to."""
+"""Share of a curve below which one of its coefficients is due to rounding."""
 LEAST_UM: Final = 0.5
-"""A calibration that takes a curve as smaller than that is not believed: what it left out is not zero."""
+"""Smallest prior size of a curve, µm or µrad: errors a calibration leaves out are not zero."""
 
 
-NAMED: Final = 5
-"""Unknowns that a reason names."""
-VAGUE: Final = "the readings say less of it than is plausible anyway"
+MOST_NAMED: Final = 5
+"""Most unknowns named in a reason."""
+VAGUE: Final = "the readings determine it no better than its plausible size"
 
 
 @final
 @dataclass(frozen=True)
-class Hidden:
-    """An error a plan cannot show.
+class NotIdentifiable:
+    """Error that is not identifiable from the readings of a plan.
 
     Attributes:
         name: ISO 230-1 name.
-        reason: what moves with it and leaves every reading as it is.
+        reason: the combination with other unknowns that leaves all readings unchanged.
     """
 
     name: str
@@ -68,19 +68,19 @@ class Hidden:
 @final
 @dataclass(frozen=True)
 class PlanModel:
-    """The unknowns of a planned measurement, and what is known of them before it.
+    """Unknowns of a planned measurement and their prior.
 
     Attributes:
         machine: the machine.
         plan: the readings.
-        instrument: what reads them.
-        unknowns: of the machine.
+        instrument: the instrument.
+        unknowns: unknowns of the machine.
         setting, setup: stations and targets as planned.
-        plausible: (p,) size of every unknown that stands for one in the coordinates used here.
-        free: (p, f) the directions the datum leaves, in these units: the coordinates are along them.
-        prior: (f, f) precision of the coordinates before any reading.
-        about: (columns,) the expected errors, µm and µrad: derivatives are taken there. An angle that is not zero shows where on its
-            carrier the targets sit, which no reading tells exactly.
+        plausible: (p,) plausible size of every unknown; the coordinates used here are in these units.
+        free: (p, f) directions that the datum leaves free, in these units: the basis of the coordinates.
+        prior: (f, f) prior precision of the coordinates.
+        linearised_at: (columns,) expected errors, µm and µrad, about which the model is linearised. An expected angle that is not zero
+            makes target positions on their carrier observable, which no reading determines exactly.
     """
 
     machine: Machine
@@ -92,7 +92,7 @@ class PlanModel:
     plausible: np.ndarray
     free: np.ndarray
     prior: np.ndarray
-    about: np.ndarray
+    linearised_at: np.ndarray
 
     @classmethod
     def of(
@@ -104,22 +104,22 @@ class PlanModel:
         expected: Calibration,
         known: Collection[str] = (),
     ) -> PlanModel:
-        """The unknowns of a plan's axes, stations and targets, as `identify` has them.
+        """Return the model with the unknowns of axes, stations and targets, as in `identify`.
 
-        A constant that the readings do not show is a station's or a location's: its curve has none.
+        A curve has no constant if the readings cannot separate it from a station or a location error.
 
         Args:
             machine: the machine.
-            plan: every reading in question; axes it does not move have no unknowns.
-            setting: where stations and targets are.
-            instrument: what reads.
-            expected: how large errors are; curves it does not have are taken as `EXPECTED_UM`.
-            known: names of the stations and targets that an evaluation is told exactly.
+            plan: all readings in question; axes it does not move have no unknowns.
+            setting: poses of stations and positions of targets.
+            instrument: the instrument.
+            expected: expected size of the errors; curves it does not have get `EXPECTED_UM`.
+            known: names of the stations and targets that an evaluation treats as exactly known.
         """
         offsets: list[str] | None = None
         while True:
             model = cls._with_constants(machine, plan, setting, instrument, expected, known, offsets)
-            unseen = offset_unseen(model.unknowns, model.told.unseen) if model.unknowns.offsets else None
+            unseen = offset_unseen(model.unknowns, model.determinability.unseen) if model.unknowns.offsets else None
             if unseen is None:
                 return model
             offsets = [name for name in model.unknowns.offsets if name != unseen]
@@ -135,35 +135,37 @@ class PlanModel:
         known: Collection[str],
         offsets: list[str] | None,
     ) -> PlanModel:
-        """The same with a constant in some of the curves that can have one (`Unknowns`); in all of them if None."""
+        """Return the model with a constant in the curves named in ``offsets`` (`Unknowns`); None: in all that can have one."""
         turning = {split_name(c.name)[2] for c in expected.curves.values() if c.family.periodic}
         bases: dict[str, Basis] = {
             axis.name: bases_for(rotary=not axis.linear, endless=axis.lower is None or axis.name in turning)[0]
             for axis in machine.axes
         }
-        spaces, constants = spaces_for(machine, plan.positions, bases=bases, most=MOST, wanted=lambda name: True)
-        told = as_told(plan, known)
-        unknowns = Unknowns(
-            machine, spaces, constants, axes_told(machine, told), None if offsets is None else sorted(offsets)
+        spaces, constants = spaces_for(
+            machine, plan.positions, bases=bases, most=MOST_FUNCTIONS, wanted=lambda name: True
         )
-        setup = setup_of(told, setting, instrument)
+        evaluated = as_evaluated(plan, known)
+        unknowns = Unknowns(
+            machine, spaces, constants, axes_told(machine, evaluated), None if offsets is None else sorted(offsets)
+        )
+        setup = setup_of(evaluated, setting, instrument)
         plausible = np.concatenate([unknowns.plausible, setup.plausible])
         free = free_directions(unknowns.datum, len(unknowns), len(setup))
         precision = np.ones(len(plausible))
-        about = np.zeros(len(unknowns))
+        linearised_at = np.zeros(len(unknowns))
         for space in spaces:
             columns = unknowns.of(space.name)
             precision[columns] = unknowns.plausible[columns] ** 2 / _sizes(space, expected) ** 2
             if space.name in expected.curves:
-                about[columns] = _parts(space, expected.curves[space.name])
+                linearised_at[columns] = _parts(space, expected.curves[space.name])
         for name, value in (*expected.squareness.items(), *expected.location.items()):
-            about[unknowns.of(name)] = value
+            linearised_at[unknowns.of(name)] = value
         prior = free.T @ (precision[:, None] * free)
-        return cls(machine, plan, instrument, unknowns, setting, setup, plausible, free, prior, about)
+        return cls(machine, plan, instrument, unknowns, setting, setup, plausible, free, prior, linearised_at)
 
     @cached_property
     def rows(self) -> np.ndarray:
-        """(n, 3, f) derivatives of the whitened readings by the coordinates; zero where nothing is read."""
+        """Derivatives (n, 3, f) of the whitened readings with respect to the coordinates; zero for coordinates not measured."""
         readings, _ = simulate(
             self.plan,
             self.machine,
@@ -176,16 +178,16 @@ class PlanModel:
         network = Network(self.machine, readings, self.instrument, self.unknowns)
         found = np.empty((len(readings), 3, self.free.shape[1]))
         for start in range(0, len(readings), PIECE):
-            piece = network.chunk(self.about, self.setup, np.arange(start, min(start + PIECE, len(readings))))
+            piece = network.chunk(self.linearised_at, self.setup, np.arange(start, min(start + PIECE, len(readings))))
             found[piece.rows] = (piece.jacobian * self.plausible) @ self.free
         return found
 
     def to_parameters(self, coordinates: np.ndarray) -> np.ndarray:
-        """(columns, …) the machine's unknowns, µm and µrad, of (f, …) coordinates."""
+        """Return the machine's unknowns (columns, …) in µm and µrad for coordinates (f, …)."""
         return np.asarray(self.plausible[: len(self.unknowns), None] * (self.free[: len(self.unknowns)] @ coordinates))
 
     def at_tool(self, positions: np.ndarray, tool_length_mm: float, without: Collection[str] = ()) -> np.ndarray:
-        """(n, 3, f) derivatives of the tool point in the work frame, µm, by the coordinates; errors ``without`` count for nothing."""
+        """Return the derivatives (n, 3, f), µm, of the tool point in the work frame by the coordinates, without some errors."""
         kinematics = Kinematics(self.machine, Calibration.zero(self.machine), tool_length_mm=tool_length_mm)
         by_error = kinematics.sensitivities(positions).error[:, :3]
         shapes = self.unknowns.shapes(np.asarray(positions))
@@ -198,15 +200,15 @@ class PlanModel:
         return np.asarray((own * self.plausible[: len(self.unknowns)]) @ self.free[: len(self.unknowns)])
 
     def tool_length(self, given_mm: float | None) -> float:
-        """As given, else the machine file's, else 100 mm: at the nose itself a turn about it would look harmless."""
+        """Return the tool length as given, else of the machine file, else 100 mm: at the spindle nose tilts would have no effect."""
         return given_mm if given_mm is not None else self.machine.tool_length_mm or 100.0
 
     @cached_property
-    def told(self) -> Determinability:
-        """What the readings determine, unknown by unknown, with nothing known beforehand but what is plausible."""
+    def determinability(self) -> Determinability:
+        """Determinability of every unknown from the readings, relative to its plausible size."""
         flat = self.rows.reshape(-1, self.rows.shape[-1])
         triangle = np.linalg.qr(flat, mode="r") if len(flat) > flat.shape[1] else flat
-        # The coordinates' own derivatives, carried back to the unknowns: outside the datum's directions there is nothing to carry.
+        # Derivatives with respect to the coordinates, transformed back to the unknowns; zero outside the free directions.
         return determinability(
             triangle @ self.free.T / self.plausible,
             named(self.unknowns, self.setup),
@@ -215,11 +217,11 @@ class PlanModel:
         )
 
     @cached_property
-    def hidden(self) -> tuple[Hidden, ...]:
-        """The errors of which not even the lowest order is determined, as `identify` would leave them out."""
-        unseen = dict(zip(self.told.names, self.told.unseen, strict=True))
+    def hidden(self) -> tuple[NotIdentifiable, ...]:
+        """Errors of which not even the lowest order is determined; `identify` would leave them out."""
+        unseen = dict(zip(self.determinability.names, self.determinability.unseen, strict=True))
         # The machine's own unknowns come first.
-        names = dict(zip(self.unknowns.columns, self.told.names, strict=False))
+        names = dict(zip(self.unknowns.columns, self.determinability.names, strict=False))
         found = []
         for name in self.unknowns.entities:
             space = self.curves.get(name)
@@ -227,21 +229,23 @@ class PlanModel:
             lowest = [names[column] for column in (columns if space is None else columns[: len(space.groups()[0])])]
             worst = max(lowest, key=lambda one: unseen[one])
             if unseen[worst] > UNSEEN:
-                direction = self.told.moving(worst)
-                found.append(Hidden(name, VAGUE if direction is None else str(direction.shortened(NAMED))))
+                direction = self.determinability.moving(worst)
+                found.append(
+                    NotIdentifiable(name, VAGUE if direction is None else str(direction.shortened(MOST_NAMED)))
+                )
         return tuple(found)
 
     @cached_property
     def curves(self) -> dict[str, CurveSpace]:
-        """The spaces of the error motions by name."""
+        """Curve spaces of the error motions by name."""
         return {space.name: space for space in self.unknowns.curves}
 
 
 def _sizes(space: CurveSpace, expected: Calibration) -> np.ndarray:
-    """(count − first,) how large each orthonormal function of a curve may be, µm or µrad.
+    """Return the prior size (count − first,) of each orthonormal function of a curve, µm or µrad.
 
-    As an estimate will have it (`twin.identification.priors`): nothing holds the functions the expected curve has; those beyond
-    fall by `FALL` a function, from the size that those it has show together.
+    As in an estimate (`twin.identification.priors`): functions that the expected curve has are unconstrained; the variance of those
+    beyond decreases by `FALL` per function, from the size that the expected ones have together.
     """
     count = space.count - space.first
     fall = FALL ** np.arange(count)
@@ -252,20 +256,20 @@ def _sizes(space: CurveSpace, expected: Calibration) -> np.ndarray:
         own = _parts(space, curve)
     held = np.flatnonzero(np.abs(own) > ROUNDING * max(np.abs(own).max(initial=0.0), LEAST_UM))
     has = int(held[-1]) + 1 if len(held) else 0
-    # What an estimate does not resolve says nothing of the size either, and the expected curve left it out.
+    # Functions that the estimate did not resolve were left out of the expected curve and give no information on the size.
     size = max(float(np.sum(own[:has] ** 2 / fall[:has])) / max(has - 1, 1), LEAST_UM**2)
     open_ = np.arange(count) < has
     return np.asarray(np.where(open_, expected.machine.plausible(space.name), np.sqrt(size * fall)))
 
 
 def _parts(space: CurveSpace, curve: Curve) -> np.ndarray:
-    """(count − first,) a curve in a space's orthonormal functions, those the datum leaves."""
+    """Return the coefficients (count − first,) of a curve in a space's orthonormal functions, without those fixed by the datum."""
     q, w = space.grid()
     return np.asarray(((w * curve(q)) @ space.functions(q))[space.first :])
 
 
-def as_told(plan: Measurements, known: Collection[str]) -> Measurements:
-    """The plan as an evaluation will have it: poses and places only where they are known."""
+def as_evaluated(plan: Measurements, known: Collection[str]) -> Measurements:
+    """Return the plan as an evaluation will see it: poses and positions only where they are exactly known."""
     station = np.array([name in known for name in plan.station])[:, None]
     target = np.array([name in known for name in plan.target])[:, None]
     return replace(
@@ -276,11 +280,11 @@ def as_told(plan: Measurements, known: Collection[str]) -> Measurements:
 
 
 def setup_of(plan: Measurements, setting: Setting, instrument: Instrument) -> SetUp:
-    """Where stations and targets are, and which of it the plan tells an evaluation."""
-    told = SetUp.from_table(plan, lengths_only=instrument.lengths_only)
+    """Return the set-up at the planned poses and positions; known are only those the plan gives to an evaluation."""
+    known = SetUp.from_table(plan, lengths_only=instrument.lengths_only)
     return replace(
-        told,
-        rotation=rotation_exp(np.array([setting.stations[name].rotation_rad for name in told.stations])),
-        origin=np.array([setting.stations[name].origin_mm for name in told.stations]) * MM,
-        place=np.array([setting.places_mm[name] for name in told.targets]) * MM,
+        known,
+        rotation=rotation_exp(np.array([setting.stations[name].rotation_rad for name in known.stations])),
+        origin=np.array([setting.stations[name].origin_mm for name in known.stations]) * MM,
+        place=np.array([setting.places_mm[name] for name in known.targets]) * MM,
     )

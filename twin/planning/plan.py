@@ -1,4 +1,4 @@
-"""The next measurement worth making: what to read, from where, in which order, and what it will tell."""
+"""Plan a measurement, or predict the result of an existing plan."""
 
 from __future__ import annotations
 
@@ -37,36 +37,39 @@ def plan(
     seed: int = 0,
     say: Say | None = None,
 ) -> Plan:
-    """The measurement that tells most in the time there is.
+    """Plan the measurement with the smallest uncertainty in the time budget.
 
     Args:
         machine: the machine.
-        kit: what there is to measure with; `Kit.default` if None.
-        minutes: that it may take, setting up included.
-        reduce: what to make small: ``tool`` (the uncertainty of the tool point over the volume), ``everything`` (D-optimality),
-            ``weakest`` (the direction known worst), or names of errors (``E_C0Y``, ``E_*C``).
-        expected: how large errors are, for what is known beforehand; the machine file's own calibration if None.
-        tool_length_mm: of the tool whose point is meant; the machine file's, or 100 mm.
-        seed: of the poses tried.
-        say: told what is being done and how far it is.
+        kit: instruments, stations, reflectors and times; `Kit.default` if None.
+        minutes: time budget, including set-up.
+        reduce: uncertainty to minimise: ``tool`` (of the tool point over the volume), ``everything`` (D-optimality), ``weakest``
+            (E-optimality), or names of errors (``E_C0Y``, ``E_*C``).
+        expected: expected size of the errors, for the prior; None: the machine file's calibration.
+        tool_length_mm: tool length; None: that of the machine file, or 100 mm.
+        seed: random seed.
+        say: progress callback: stage and share done.
 
     Raises:
-        InputError: no time to measure anything; no room for any pose; a reflector nobody sees; a name of no error of the machine.
+        InputError: the time budget is too short, too few poses have clearance, a reflector is visible from no station, or the machine
+            has no error of a given name.
     """
     with threadpool_limits(limits=1, user_api="blas"):
         task = Task.of(machine, kit, minutes, expected, seed, say, reduce)
-        task.say("looking", 0.0)
+        task.say("drawing candidates", 0.0)
         every = candidates(machine, task.kit, task.rng, task.levels)
         models = [task.model(every.plan, instrument) for instrument in task.kit.instruments]
-        aims = [aim_of(one, task.wanted, tool_length_mm) for one in models]
+        aims = [aim_of(one, task.reduce, tool_length_mm) for one in models]
         problems = [
             DesignProblem(one.instrument, every, one.prior, one.rows, aim)
             for one, aim in zip(models, aims, strict=True)
         ]
         filled = fill(task, problems)
-        task.say("foretelling", 0.95)
-        told = forecast(task.model(filled.route.plan, filled.stands[0].readings.instrument), tool_length_mm)
-        return Plan.of(task, " ".join(task.wanted), filled, forecast=told)
+        task.say("predicting", 0.95)
+        predicted = forecast(
+            task.model(filled.route.plan, filled.station_choices[0].problem.instrument), tool_length_mm
+        )
+        return Plan.of(task, " ".join(task.reduce), filled, forecast=predicted)
 
 
 def judge(
@@ -78,18 +81,18 @@ def judge(
     known: Collection[str] = (),
     tool_length_mm: float | None = None,
 ) -> Forecast:
-    """What somebody else's plan will tell.
+    """Predict the uncertainties that an existing plan will give.
 
     Args:
-        table: the plan; stations and targets it does not place are placed as `twin simulate` would.
+        table: the plan; stations and targets without a position get one as in `twin simulate`.
         machine: the machine.
-        instrument: what reads; a laser tracker (AT960) if None.
-        expected: as of `plan`.
-        known: names of stations and targets that an evaluation is told exactly.
-        tool_length_mm: as of `plan`.
+        instrument: the instrument; a laser tracker (AT960) if None.
+        expected: see `plan`.
+        known: names of stations and targets that an evaluation treats as exactly known.
+        tool_length_mm: see `plan`.
 
     Raises:
-        InputError: a plan in which nothing moves.
+        InputError: no axis moves in the plan.
     """
     if not np.any(np.ptp(table.positions, axis=0) > 0.0):
         raise InputError("no axis moves", expected="two or more positions of an axis", file=table.source)

@@ -1,6 +1,6 @@
-"""Pictures of a plan: from where it measures what, and how well every error will be known. Needs the extra ``plots``.
+"""Plots of a plan: stations and reflectors, and the predicted uncertainty of every error. Needs the extra ``plots``.
 
-Every function returns a `Figure` of its own, with the colours of `twin.display.figures`; markers tell apart what colours do.
+Every function returns a new `Figure` in the colours of `twin.display.figures`; every colour also has its own marker.
 """
 
 from __future__ import annotations
@@ -29,23 +29,25 @@ VIEWS: Final = ((0, 1, "from above"), (0, 2, "from the front"))
 SIDES: Final = (("tool", FORWARD, "o"), ("work", BACKWARD, "s"))
 PANELS: Final = ((3, "µm"), (6, "µrad"))
 PLAIN: Final = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "125" else "")
-"""Of ticks on a logarithmic axis: 1, 2, 5 and their tens."""
+"""Tick labels of a logarithmic axis: 1, 2, 5 times powers of ten."""
 
 
 def plot_places(table: Measurements, machine: Machine, *, title: str = "") -> Figure:
-    """Where reflectors are read and stations stand, in the base frame: from above and from the front.
+    """Plot stations and reflector positions in the base frame, from above and from the front.
 
     Args:
-        table: a plan that says where its stations and targets are.
+        table: a plan with the poses of its stations and the positions of its targets.
         machine: the machine.
-        title: a heading.
+        title: heading of the figure.
 
     Raises:
-        InputError: a plan that does not say.
+        InputError: poses of stations or positions of targets are missing.
     """
     if not (np.isfinite(table.place_mm).all() and np.isfinite(table.station_pose).all()):
         raise InputError(
-            "no picture of places that nobody knows", expected="place_… and station_… in every row", file=table.source
+            "positions of stations or targets are missing",
+            expected="place_… and station_… in every row",
+            file=table.source,
         )
     points = Observation(machine).points_mm(Calibration.zero(machine), table, table.place_mm)
     figure = blank(12.0, 6.2)
@@ -69,34 +71,34 @@ def plot_places(table: Measurements, machine: Machine, *, title: str = "") -> Fi
         plot.set_title(view, loc="left", fontsize=10)
         dress(plot)
     figure.axes[0].legend(loc="upper left", fontsize=9, frameon=True)
-    heading(figure, title or "Where the plan measures")
+    heading(figure, title or "Stations and reflectors of the plan")
     return figure
 
 
 def plot_uncertainties(
-    foretold: Mapping[str, Forecast], found: Mapping[str, Identification] | None = None, *, title: str = ""
+    forecasts: Mapping[str, Forecast], found: Mapping[str, Identification] | None = None, *, title: str = ""
 ) -> Figure:
-    """Standard uncertainty of every error, side by side for a few plans: open as foretold, filled as an identification states it.
+    """Plot the standard uncertainty of every error for up to three plans: open markers predicted, filled markers identified.
 
     Args:
-        foretold: what plans will tell, by a name for each: three at most.
-        found: what was identified from them, by the same names.
-        title: a heading.
+        forecasts: forecasts by the name of the plan.
+        found: identifications from the measured plans, by the same names.
+        title: heading of the figure.
 
     Raises:
-        InputError: none, or more than can be told apart.
+        InputError: no forecast, or more than three.
     """
-    if not 1 <= len(foretold) <= len(STYLES):
-        raise InputError("too many plans for one picture", expected=f"1 to {len(STYLES)}", value=len(foretold))
-    every = list(dict.fromkeys(name for one in foretold.values() for name in one.errors))
+    if not 1 <= len(forecasts) <= len(STYLES):
+        raise InputError("number of plans for one figure", expected=f"1 to {len(STYLES)}", value=len(forecasts))
+    every = list(dict.fromkeys(name for one in forecasts.values() for name in one.errors))
     figure = blank(12.0, 5.8)
     below = 0
     for plot, (limit, unit) in zip(figure.subplots(2, 1), PANELS, strict=True):
         names = [name for name in every if below <= split_name(name)[0] < limit]
         below = limit
-        for (label, one), (colour, marker) in zip(foretold.items(), STYLES, strict=False):
-            foretell = {"markerfacecolor": "white", "label": f"{label}: foretold"}
-            _marks(plot, names, one.errors, colour, marker, 7, **foretell)
+        for (label, one), (colour, marker) in zip(forecasts.items(), STYLES, strict=False):
+            style = {"markerfacecolor": "white", "label": f"{label}: predicted"}
+            _marks(plot, names, one.errors, colour, marker, 7, **style)
             if found is not None and label in found:
                 _marks(plot, names, _stated(found[label]), colour, marker, 4, label=f"{label}: identified")
         plot.set_yscale("log")
@@ -107,20 +109,20 @@ def plot_uncertainties(
         plot.grid(color="#dddddd", linewidth=0.6, which="both", axis="y")
         plot.set_axisbelow(True)
         plot.spines[["top", "right"]].set_visible(False)
-    legend: dict[str, Any] = {"loc": "outside lower center", "fontsize": 9, "ncols": 2 * len(foretold)}
+    legend: dict[str, Any] = {"loc": "outside lower center", "fontsize": 9, "ncols": 2 * len(forecasts)}
     figure.legend(*figure.axes[0].get_legend_handles_labels(), **legend)
-    heading(figure, title or "How well every error is known (of a curve, where it is known worst)")
+    heading(figure, title or "Standard uncertainty of every error (for a curve the largest over its range)")
     return figure
 
 
 def _marks(
     plot: Axes, names: list[str], values: Mapping[str, float], colour: str, marker: str, size: float, **more: Any
 ) -> None:
-    """What is known of each name, above its place."""
+    """Draw the value of each name above its tick."""
     known = [(k, values[name]) for k, name in enumerate(names) if name in values]
     dots(plot, [k for k, _ in known], [value for _, value in known], colour, marker, size, **more)
 
 
 def _stated(found: Identification) -> dict[str, float]:
-    """Standard uncertainty by name, µm or µrad: of a curve the largest over its range."""
+    """Return the standard uncertainty by name in µm or µrad; of a curve the largest over its range."""
     return {str(row["name"]): float(row["u_max"] if "u_max" in row else row["u"]) for row in found.rows()}

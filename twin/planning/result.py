@@ -1,4 +1,4 @@
-"""A plan as it is shown: what to do, how long it takes, what it will tell."""
+"""Plan of a measurement as text, HTML, JSON and table: readings in order, times, predicted uncertainties."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 from twin.planning.clearance import Clearance
-from twin.planning.fill import Filled
+from twin.planning.fill import FilledPlan
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit
 from twin.planning.route import Route
@@ -24,32 +24,32 @@ from twin.uncertainty.at_tool import DEFINITION
 
 SCHEMA: Final = "twin.plan/1"
 ODDS: Final = 100
-"""As `twin diagnose` counts: below them two causes are equivalent."""
+"""Odds below which `twin diagnose` reports two causes as equivalent."""
 SPENT: Final = MappingProxyType(
     {
-        "station": "setting up",
+        "station": "set-up",
         "target": "changing targets",
         "aim": "turning reflectors",
         "travel": "travel",
         "point": "readings",
     }
 )
-"""What time goes into (`Route.spent`), in words."""
+"""Operations that take time (`Route.spent`), as displayed."""
 SHOWN: Final = 5
-"""Alternatives that are printed."""
+"""Number of alternatives printed."""
 
 
 @final
 @dataclass(frozen=True)
 class Alternative:
-    """A way to stand with one instrument, and what a first choice of readings from there gives.
+    """Choice of stations for one instrument, with the criterion after a first choice of readings.
 
     Attributes:
-        instrument: its name.
-        stations: where it stands.
-        points: readings there is time for.
-        value: what was to become small.
-        unit: of ``value``.
+        instrument: name of the instrument.
+        stations: names of the stations.
+        points: number of readings the time allows.
+        value: value of the criterion.
+        unit: unit of ``value``.
     """
 
     instrument: str
@@ -62,39 +62,39 @@ class Alternative:
 @final
 @dataclass(frozen=True)
 class Separation:
-    """How well two causes are told apart.
+    """Sizes at which a plan distinguishes two causes.
 
     Attributes:
-        names: of the two.
-        sizes: (value, unit) at which each, with the other one free to stand in for it, is told from it with odds of `ODDS`:1.
-        meant: what each was said to be, in the same unit; NaN where nothing was said.
+        names: names of the two causes.
+        sizes: (value, unit) smallest size of each that is distinguished from the other with odds of `ODDS`:1.
+        given_sizes: size of each as given by the user, in the same unit; NaN if none was given.
     """
 
     names: tuple[str, str]
     sizes: tuple[tuple[float, str], tuple[float, str]]
-    meant: tuple[float, float]
+    given_sizes: tuple[float, float]
 
     def lines(self) -> list[str]:
-        """For people."""
+        """Return the text lines: smallest distinguishable size of each cause, compared with the size given."""
         found = [
-            f"told apart with odds of {ODDS}:1 or better in 19 of 20 measurements, the other one free to stand in for it:"
+            f"the two causes are distinguished with odds of {ODDS}:1 or better in 19 of 20 measurements, both estimated together:"
         ]
-        for name, (size, unit), meant in zip(self.names, self.sizes, self.meant, strict=True):
+        for name, (size, unit), given in zip(self.names, self.sizes, self.given_sizes, strict=True):
             shown = unit.replace("um", "µm").replace("urad", "µrad")
             text = f"  {name}, if it is {size:.3g} {shown} or more"
-            if meant == meant:
-                share = abs(meant) / size
-                text += f"; {abs(meant):.3g} {shown} are {'enough' if share >= 1.0 else 'NOT ENOUGH'} ({share:.2g} times that)"
+            if given == given:
+                share = abs(given) / size
+                text += f"; {abs(given):.3g} {shown} are {'enough' if share >= 1.0 else 'NOT ENOUGH'} ({share:.2g} times that)"
             found.append(text)
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the JSON object."""
         return {
             "odds": ODDS,
             "causes": [
-                {"name": name, "least_size": size, "unit": unit, "meant": None if meant != meant else meant}
-                for name, (size, unit), meant in zip(self.names, self.sizes, self.meant, strict=True)
+                {"name": name, "least_size": size, "unit": unit, "meant": None if given != given else given}
+                for name, (size, unit), given in zip(self.names, self.sizes, self.given_sizes, strict=True)
             ],
         }
 
@@ -102,19 +102,19 @@ class Separation:
 @final
 @dataclass(frozen=True)
 class Plan:
-    """The next measurement.
+    """Plan of a measurement.
 
     Attributes:
-        machine, kit: what it is for and made with.
-        aim: what it makes small.
-        instrument: what reads.
-        stations: where it stands, in order.
+        machine, kit: the machine and the equipment.
+        aim: the uncertainty that is minimised.
+        instrument: the instrument.
+        stations: names of the stations in order.
         route: the readings in order, with times.
-        forecast: what they will tell of every error; None where they are only to tell two causes apart.
-        alternatives: other ways to stand, the best first; the plan's own among them.
-        seed: of the poses tried.
-        separation: how well it tells two causes apart, if that is what it is for.
-        warnings: of where the calibration that it starts from comes from.
+        forecast: predicted uncertainty of every error; None for a plan that separates two causes.
+        alternatives: station choices compared, best first, the plan's own included.
+        seed: random seed.
+        separation: how well two causes are distinguished; None for other plans.
+        warnings: warnings about the origin of the expected calibration.
     """
 
     machine: Machine
@@ -134,22 +134,22 @@ class Plan:
         cls,
         task: Task,
         aim: str,
-        filled: Filled,
+        filled: FilledPlan,
         *,
         forecast: Forecast | None = None,
         separation: Separation | None = None,
     ) -> Plan:
-        """From the ways to stand that were tried and the route from the best of them."""
-        best = filled.stands[0]
+        """Return the plan for the best of the station choices, with its route."""
+        best = filled.station_choices[0]
         alternatives = tuple(
-            Alternative(one.readings.instrument.name, one.stations, one.points, one.value, one.readings.aim.unit)
-            for one in filled.stands
+            Alternative(one.problem.instrument.name, one.stations, one.points, one.value, one.problem.aim.unit)
+            for one in filled.station_choices
         )
         return cls(
             task.machine,
             task.kit,
             aim,
-            best.readings.instrument,
+            best.problem.instrument,
             best.stations,
             filled.route,
             forecast,
@@ -161,17 +161,17 @@ class Plan:
 
     @property
     def table(self) -> Measurements:
-        """The readings in the order they are to be taken: a measurement table without coordinates."""
+        """Readings in order, as a measurement table without coordinates."""
         return self.route.plan
 
     @property
     def minutes(self) -> float:
-        """How long it takes."""
+        """Duration in minutes, including set-up."""
         return self.route.seconds / 60.0
 
     @property
     def complete(self) -> bool:
-        """Whether every point can be reached from the one before by a straight move."""
+        """Whether every pose can be reached by a straight move with clearance from the one before."""
         return not self.route.blocked
 
     @cached_property
@@ -179,34 +179,34 @@ class Plan:
         return Clearance(self.machine, self.kit)
 
     def notices(self) -> list[str]:
-        """What whoever carries it out must know."""
+        """Return the instructions for carrying out the plan."""
         found = [
-            "approach_… is the side each axis comes from: run over by more than any reversal and come back",
-            "planned_… say about where things go, and no evaluation takes that for known; place_… and station_… count as exactly known",
+            "approach_… is the direction of approach of each axis: overrun the position by more than the reversal value and return",
+            "planned_… are approximate positions, which no evaluation treats as known; place_… and station_… count as exactly known",
         ]
-        if self._clearance.known:
+        if self._clearance.has_shapes:
             found.append(
-                "poses and straight moves keep what the URDF draws of the tool side, reflectors included, clear of the work side; it "
-                "knows no holders, clamps or workpiece: dry-run it"
+                "poses and straight moves keep the tool side clear of the work side for the shapes in the URDF and the reflectors. "
+                "Holders, clamps and workpiece are not checked: make a dry run first"
             )
         else:
             found.append(
-                "THE URDF DRAWS NO SHAPES: only the reflectors are kept clear of each other. Check every pose and every move"
+                "THE URDF HAS NO SHAPES: only the reflectors are kept clear of each other. Check every pose and every move"
             )
         found += [f"before reading {row + 1}: {words}" for row, words in self.route.sessions]
         if self.route.blocked:
             rows = ", ".join(str(row + 1) for row in self.route.blocked[:20])
             more = f" and {len(self.route.blocked) - 20} more" if len(self.route.blocked) > 20 else ""
-            found.append(f"RETRACT before readings {rows}{more}: the straight move there comes too near to something")
+            found.append(f"RETRACT before readings {rows}{more}: the straight move to them has too little clearance")
         return found
 
     def save(self, path: str | Path) -> None:
-        """Write the plan as a table without coordinates, whole or not at all."""
-        meant = {*self.kit.stations, *self.kit.targets} - self.kit.known
-        self.table.save(path, self.machine, comment=self.comment(), planned=meant)
+        """Write the plan atomically as a measurement table without coordinates."""
+        planned = {*self.kit.stations, *self.kit.targets} - self.kit.known
+        self.table.save(path, self.machine, comment=self.comment(), planned=planned)
 
     def comment(self) -> str:
-        """The lines the file carries."""
+        """Return the comment lines of the file."""
         lines = [
             f"plan by twin: {self.machine.name}, {len(self.table)} readings with {self.instrument.name}, {self.minutes:.0f} minutes, "
             f"aim: {self.aim}, seed {self.seed}",
@@ -220,29 +220,34 @@ class Plan:
         parts = ((words, self.route.spent[key]) for key, words in SPENT.items())
         whole = max(self.route.seconds, 1.0)
         rows = [(words, f"{seconds / 60:.0f}", bar(seconds / whole)) for words, seconds in parts]
-        told = [("aim", self.aim), ("instrument", self.instrument.name), ("stations", ", ".join(self.stations))]
-        told.append(("kit", self.kit.source))
+        facts = [("aim", self.aim), ("instrument", self.instrument.name), ("stations", ", ".join(self.stations))]
+        facts.append(("kit", self.kit.source))
         tried = [
             (one.instrument, ", ".join(one.stations), f"{one.points:,}", f"{one.value:.3g} {one.unit}")
             for one in self.alternatives[:SHOWN]
         ]
         separation = [] if self.separation is None else [note(line) for line in self.separation.lines()]
         forecast = [] if self.forecast is None else self.forecast.shown()
-        headers = ("from where", "stations", "readings", "what is to become small")
+        headers = ("instrument", "stations", "readings", "uncertainty to minimise")
         return card(
             f"Plan for {self.machine.name}",
-            pairs(told),
+            pairs(facts),
             table(("time for", "minutes", ""), rows, right=(1,)),
             *separation,
             *forecast,
-            table(headers, tried, right=(2, 3), title="at a first choice of readings, the best first"),
+            table(
+                headers,
+                tried,
+                right=(2, 3),
+                title="stations compared (after a first choice of readings), best first",
+            ),
             *(note(notice, loud=notice.startswith(("RETRACT", "THE URDF"))) for notice in self.notices()),
             small=f"{several(len(self.table), 'reading')}, {self.minutes:.0f} minutes",
             wrong=not self.complete,
         ).text
 
     def to_text(self) -> str:
-        """The account for people."""
+        """Return the text report."""
         lines = [
             f"{self.machine.name}: {len(self.table)} readings with {self.instrument.name} from {', '.join(self.stations)}, "
             f"{self.minutes:.0f} minutes",
@@ -251,10 +256,10 @@ class Plan:
             "",
             *([] if self.separation is None else [*self.separation.lines(), ""]),
             *([] if self.forecast is None else [*self.forecast.to_text().splitlines(), ""]),
-            "from where (at a first choice of readings):",
+            "stations compared (after a first choice of readings):",
         ]
         for one in self.alternatives[:SHOWN]:
-            chosen = "  <- taken" if (one.instrument, one.stations) == (self.instrument.name, self.stations) else ""
+            chosen = "  <- chosen" if (one.instrument, one.stations) == (self.instrument.name, self.stations) else ""
             lines.append(
                 f"  {one.instrument} at {', '.join(one.stations)}: {one.points} readings, {one.value:.3g} {one.unit}{chosen}"
             )
@@ -262,7 +267,7 @@ class Plan:
         return "\n".join(lines) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON (``schema: twin.plan/1``)."""
+        """Return the JSON object (``schema: twin.plan/1``)."""
         return json_form(
             {
                 "schema": SCHEMA,

@@ -1,4 +1,4 @@
-"""In which order to measure, how long that takes, and whether the way from each point to the next keeps clear."""
+"""Order of the readings, their times, and moves with too little clearance."""
 
 from __future__ import annotations
 
@@ -19,22 +19,21 @@ from twin.planning.sight import Sight
 from twin.planning.task import Task
 
 PASSES: Final = 2
-"""Times a station goes through its points: what comes back between the passes can be told from what does not."""
-TRIED: Final = 12
-"""Nearest points tried for one that a straight move reaches in the clear."""
+"""Number of passes over a station's readings, so that drift can be separated from repeatable errors."""
+MOST_TRIED: Final = 12
+"""Number of nearest readings tried for one that a straight move reaches with clearance."""
 
 
 @final
 @dataclass(frozen=True)
 class Route:
-    """A plan in the order it is carried out.
+    """Readings in the order they are taken.
 
     Attributes:
-        plan: with rounds and ``time_s`` at which each reading is taken.
-        spent: seconds of the work by what they go into: ``station``, ``target``, ``aim``, ``travel``, ``point``; without waiting for a
-            session.
-        blocked: rows whose straight move from the row before comes too near to something: retract first.
-        sessions: the row each begins with, and how to bring it about.
+        plan: the readings, with rounds and the time ``time_s`` of each.
+        spent: seconds by operation: ``station``, ``target``, ``aim``, ``travel``, ``point``; without waiting for a session.
+        blocked: rows to which the straight move from the row before has too little clearance: retract first.
+        sessions: first row of each session and the instruction for it.
     """
 
     plan: Measurements
@@ -44,14 +43,14 @@ class Route:
 
     @property
     def seconds(self) -> float:
-        """Of the work, stations set up and moved included."""
+        """Total seconds, including set-up of the stations."""
         return sum(self.spent.values())
 
 
 def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
-    """Seconds that a plan takes in the order it stands in, by a kit's times: another's plan, to compare with.
+    """Return the seconds that a plan takes in its given order with a kit's times, for comparison with other plans.
 
-    Its targets and stations are the kit's where they have its names; others cost no aiming.
+    Targets and stations are matched with the kit's by name; others need no time for aiming.
     """
     clock = _Clock(machine, kit, plan, None)
     here: str | None = None
@@ -59,18 +58,18 @@ def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
         if plan.station[row] != here:
             here = str(plan.station[row])
             clock.set_up()
-        clock.take(row, str(plan.round[row]), *(float(part[0]) for part in clock.way(np.array([row]))))
+        clock.take(row, str(plan.round[row]), *(float(part[0]) for part in clock.seconds_to(np.array([row]))))
     return sum(clock.spent.values())
 
 
 def route(task: Task, chosen: Candidates, stations: Sequence[str], *, clear: bool = True) -> Route:
-    """Put a plan in order: session by session, station by station, in two passes, always on to the point that is reached soonest.
+    """Order the readings by session and station, in two passes, each time continuing with the reading that is reached first.
 
     Args:
-        task: what the plan is made for.
+        task: machine, kit and time budget.
         chosen: the readings, in any order.
-        stations: in their order.
-        clear: whether the way has to keep clear; to know about how long it takes, it need not.
+        stations: stations in order.
+        clear: whether moves are checked for clearance; not needed for an estimate of the duration.
     """
     plan, session, sessions = chosen.plan, chosen.session, chosen.sessions
     clock = _Clock(task.machine, task.kit, plan, Clearance(task.machine, task.kit) if clear else None)
@@ -83,7 +82,7 @@ def route(task: Task, chosen: Candidates, stations: Sequence[str], *, clear: boo
             continue
         clock.wait(one.start_s)
         if len(sessions) > 1:
-            begun.append((len(clock.order), one.words))
+            begun.append((len(clock.order), one.instruction))
         for station in stations:
             rows = np.flatnonzero((plan.station == station) & (session == k))
             if not len(rows):
@@ -94,7 +93,7 @@ def route(task: Task, chosen: Candidates, stations: Sequence[str], *, clear: boo
             for part in np.array_split(rng.permutation(rows), PASSES):
                 if len(part):
                     number += 1
-                    clock.through(part, str(number))
+                    clock.visit(part, str(number))
     order = np.array(clock.order)
     ordered = replace(
         plan.select(order),
@@ -106,7 +105,7 @@ def route(task: Task, chosen: Candidates, stations: Sequence[str], *, clear: boo
 
 
 class _Clock:
-    """A machine on its way through a plan."""
+    """State of machine, instrument and reflectors while a plan is carried out, with the time."""
 
     def __init__(self, machine: Machine, kit: Kit, plan: Measurements, clearance: Clearance | None) -> None:
         self.kit = kit
@@ -122,37 +121,39 @@ class _Clock:
         self.facing: dict[str, np.ndarray] = {}
 
     def wait(self, until: float) -> None:
-        """For the machine to be in the state of a session: no work."""
+        """Wait for the start of a session; this does not count as work."""
         self.now = max(self.now, until)
 
     def set_up(self) -> None:
-        """The instrument goes to its next place; reflectors have to look there."""
+        """Set the instrument up at the next station; reflectors must be aimed again."""
         self._spend("station", self.kit.seconds.station)
         self.facing = {}
 
-    def through(self, rows: np.ndarray, name: str) -> None:
-        """All of some rows, the one reached soonest next."""
-        left = list(rows)
-        while left:
-            candidates = np.array(left)
-            travel, target, aim = self.way(candidates)
+    def visit(self, rows: np.ndarray, name: str) -> None:
+        """Take all of some rows, each time the one that is reached first."""
+        remaining = list(rows)
+        while remaining:
+            candidates = np.array(remaining)
+            travel, target, aim = self.seconds_to(candidates)
             nearest = np.argsort(travel + target + aim, kind="stable")
             taken = int(nearest[0])
             if self.order and self.clearance is not None:
                 here, clearance = self.plan.positions[self.order[-1]], self.clearance
                 clear = (
-                    int(k) for k in nearest[:TRIED] if clearance.free_move(here, self.plan.positions[candidates[k]])
+                    int(k)
+                    for k in nearest[:MOST_TRIED]
+                    if clearance.is_move_clear(here, self.plan.positions[candidates[k]])
                 )
                 found = next(clear, None)
                 if found is None:
                     self.blocked.append(len(self.order))
                 else:
                     taken = found
-            row = left.pop(taken)
+            row = remaining.pop(taken)
             self.take(int(row), name, float(travel[taken]), float(target[taken]), float(aim[taken]))
 
     def take(self, row: int, name: str, travel: float, target: float, aim: float) -> None:
-        """One reading, with the seconds it takes to come to it."""
+        """Take one reading, with the seconds needed to reach it."""
         for what, seconds in (("travel", travel), ("target", target), ("aim", aim), ("point", self.kit.seconds.point)):
             self._spend(what, seconds)
         if aim or self.plan.target[row] not in self.facing:
@@ -161,8 +162,8 @@ class _Clock:
         self.rounds.append(name)
         self.times.append(self.now)
 
-    def way(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Seconds to travel, to change the target and to turn a reflector, from where things are to each of some rows."""
+    def seconds_to(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the seconds for travel, for changing the target and for aiming, from the present state to each of some rows."""
         targets = self.plan.target[rows]
         if self.order:
             away = np.abs(self.plan.positions[rows] - self.plan.positions[self.order[-1]])

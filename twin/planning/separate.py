@@ -1,9 +1,9 @@
-"""Two causes that data could not tell apart: the measurement that can.
+"""Plan a measurement that distinguishes two causes which are confounded in the data so far.
 
-With both in one model, each free to stand in for the other, set-up and the calibration's own doubt free too, a cause of size s is
-told from the other where s² over the variance of its estimate is λ: then the expected log-likelihood ratio between the two is λ/2 in
-its favour (T-optimality of Atkinson and Fedorov 1975; for two models linear in their sizes it is the D_s-optimality of the model that
-holds both). What is made small is the sum of both variances, each in the size that is meant.
+Both causes, the set-up and the errors of the calibration are estimated together. A cause of size s is distinguished from the other if
+s² divided by the variance of its estimate is at least λ: then the expected log-likelihood ratio of the two is λ/2 in its favour
+(T-optimality of Atkinson and Fedorov 1975; for two models linear in their sizes it is the D_s-optimality of the model with both). The
+criterion is the sum of both variances, each relative to the given size.
 """
 
 from __future__ import annotations
@@ -33,35 +33,35 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, usual
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
-from twin.planning.aims import AtTool
-from twin.planning.candidates import ALWAYS, Candidates, Session, candidates
+from twin.planning.aims import LinearAim
+from twin.planning.candidates import ANY_STATE, Candidates, Session, candidates
 from twin.planning.design import DesignProblem, covariance_of
 from twin.planning.fill import fill
 from twin.planning.kit import Kit
-from twin.planning.model import as_told, setup_of
+from twin.planning.model import as_evaluated, setup_of
 from twin.planning.result import ODDS, Plan, Separation
 from twin.planning.task import Say, Task
 
 POWER: Final = 1.645
-"""Quantile of 95 %: the chance that the odds come out that good."""
+"""One-sided 95 % quantile of the normal distribution: probability that the odds are reached."""
 LAMBDA: Final = (POWER + float(np.sqrt(POWER**2 + 2.0 * np.log(ODDS)))) ** 2
-"""s²/Var of a cause so told from the other: the log-likelihood ratio is normal about λ/2 with variance λ."""
+"""s²/Var needed to distinguish a cause: the log-likelihood ratio is normal with mean λ/2 and variance λ."""
 WARM_K: Final = 5.0
-"""K: how much warmer a sensor is in a session than in the others."""
-HOLD: Final = 1e-4
-"""Precision of a set-up beforehand, over that of its plausible size."""
+"""Temperature rise of a sensor in its session, K."""
+SETUP_PRECISION: Final = 1e-4
+"""Prior precision of the set-up, relative to that of its plausible size."""
 LATER_S: Final = 4.0 * 3600.0
-"""After a cold start, when a drift has mostly gone through."""
+"""Seconds after a cold start when most of a drift has passed."""
 
 
 @final
 @dataclass(frozen=True)
-class Named:
-    """A cause as somebody names it.
+class NamedCause:
+    """Cause as named by the user.
 
     Attributes:
-        effect, where: contract §5.
-        numbers: its parameters, those given.
+        effect, where: name of the effect and where it acts, as in a diagnosis.
+        numbers: the parameter values that are given, by name.
     """
 
     effect: str
@@ -69,11 +69,11 @@ class Named:
     numbers: Mapping[str, float]
 
     @classmethod
-    def parse(cls, text: str) -> Named:
-        """``cross_axis E_AX by Z``, ``reversal:Y``, ``pitch_error X amplitude=2 period=10``.
+    def parse(cls, text: str) -> NamedCause:
+        """Read a cause such as ``cross_axis E_AX by Z``, ``reversal:Y`` or ``pitch_error X amplitude=2 period=10``.
 
         Raises:
-            InputError: it is not one.
+            InputError: the text is not a cause.
         """
         words = shlex.split(text.replace(":", " ", 1))
         numbers: dict[str, float] = {}
@@ -82,14 +82,14 @@ class Named:
             try:
                 numbers[name] = float(value)
             except ValueError:
-                raise InputError("no number", expected=f"{name}=<number>", value=text) from None
+                raise InputError("not a number", expected=f"{name}=<number>", value=text) from None
         if not words:
-            raise InputError("no effect", expected="an effect and where: reversal Y", value=text)
+            raise InputError("no effect named", expected="an effect and where it acts, such as reversal Y", value=text)
         return cls(words[0], " ".join(words[1:]) or "—", MappingProxyType(numbers))
 
     @property
     def text(self) -> str:
-        """Effect and where."""
+        """Effect and where it acts."""
         return f"{self.effect} {self.where}"
 
 
@@ -105,31 +105,34 @@ def separate(
     seed: int = 0,
     say: Say | None = None,
 ) -> Plan:
-    """The measurement that tells one cause from another.
+    """Plan the measurement that best distinguishes two causes.
 
     Args:
         machine: the machine.
-        first: a cause, as ``cross_axis E_AX by Z``; its numbers where they are known (``pitch_error X amplitude=2 period=10``).
-        second: what it could be mistaken for.
-        kit: what there is to measure with; `Kit.default` if None.
-        minutes: that it may take, setting up included.
-        calibration: whose own doubt counts; the machine file's if None.
-        after: what has been measured already; the new readings are taken beside it, with stations and targets set up anew.
-        seed: of the poses tried.
-        say: told what is being done and how far it is.
+        first: a cause, such as ``cross_axis E_AX by Z``, with its numbers if known (``pitch_error X amplitude=2 period=10``).
+        second: the cause it may be confused with.
+        kit: instruments, stations, reflectors and times; `Kit.default` if None.
+        minutes: time budget, including set-up.
+        calibration: calibration whose uncertainty is included; None: that of the machine file.
+        after: earlier readings to be evaluated together with the new ones; stations and targets are set up anew.
+        seed: random seed.
+        say: progress callback: stage and share done.
 
     Raises:
-        InputError: a cause that is none of this machine's, or whose place and time no plan can choose; two that are one; no time.
+        InputError: a cause does not exist on this machine or cannot be planned for, the two causes are the same, or the time budget is
+            too short.
     """
     with threadpool_limits(limits=1, user_api="blas"):
-        causes = (Named.parse(first), Named.parse(second))
+        causes = (NamedCause.parse(first), NamedCause.parse(second))
         if causes[0].text == causes[1].text:
-            raise InputError("two causes that are one", expected="two effects, or two places of one", value=second)
+            raise InputError(
+                "the two causes are the same", expected="two effects, or one effect in two places", value=second
+            )
         task = Task.of(machine, kit, minutes, calibration, seed, say)
         if after is not None:
             rounds = max((int(name) for name in after.round if str(name).isdecimal()), default=0)
-            task = replace(task, kit=_beside(task.kit, after), first_round=1 + rounds)
-        task.say("looking", 0.0)
+            task = replace(task, kit=_with_new_names(task.kit, after), first_round=1 + rounds)
+        task.say("drawing candidates", 0.0)
         every = _in_sessions(candidates(machine, task.kit, task.rng).plan, _sessions(causes))
         question = _Question(task, causes, after)
         cells = question.cells(every.plan)
@@ -137,89 +140,89 @@ def separate(
         chosen = filled.route.plan
         last = question.cells(chosen)
         in_order = Candidates(chosen, np.zeros(len(chosen), dtype=int))
-        told = question.problem(filled.stands[0].readings.instrument, in_order, last)
+        final = question.problem(filled.station_choices[0].problem.instrument, in_order, last)
         aim = f"separate {causes[0].text} from {causes[1].text}"
-        separation = _separation(causes, last, covariance_of(told.prior, told.rows))
+        separation = _separation(causes, last, covariance_of(final.prior, final.rows))
         return Plan.of(task, aim, filled, separation=separation)
 
 
-Meant = tuple[Candidate, Cell]
-"""A cause and the form of it that is meant."""
+CauseForm = tuple[Candidate, Cell]
+"""A cause and the form of it that is planned for."""
 
 
 @final
 @dataclass(frozen=True)
 class _Question:
-    """Which of two causes it is.
+    """Design problem of distinguishing two causes.
 
     Attributes:
-        task: whose calibration's own doubt counts.
-        causes: both.
-        after: what has been measured already.
+        task: machine, kit and the calibration whose uncertainty is included.
+        causes: both causes.
+        after: earlier readings, or None.
     """
 
     task: Task
-    causes: tuple[Named, Named]
+    causes: tuple[NamedCause, NamedCause]
     after: Measurements | None
 
-    def cells(self, plan: Measurements) -> tuple[Meant, Meant]:
-        """The forms that are meant, at the readings of a plan."""
-        first, second = (form_meant(one, self.task.machine, plan, self.task.expected) for one in self.causes)
+    def cells(self, plan: Measurements) -> tuple[CauseForm, CauseForm]:
+        """Return the forms of both causes at the readings of a plan."""
+        first, second = (cause_form(one, self.task.machine, plan, self.task.expected) for one in self.causes)
         return first, second
 
-    def problem(self, instrument: Instrument, every: Candidates, cells: tuple[Meant, Meant]) -> DesignProblem:
-        """Derivatives by set-up, the calibration's doubt and the two causes, and what is known of these before the new readings."""
+    def problem(self, instrument: Instrument, every: Candidates, cells: tuple[CauseForm, CauseForm]) -> DesignProblem:
+        """Return the derivatives with respect to set-up, calibration errors and the two causes, with their prior precision."""
         problem = self._planned(instrument, every.plan)
         columns = [problem.signature(cell.columns) for _, cell in cells]
-        setup, doubt = len(problem.setup), len(problem.prior)
+        setup, calibration_errors = len(problem.setup), len(problem.prior)
         whole = np.concatenate([problem.nuisance, *columns], axis=1)
         total = whole.shape[1]
-        # `twin diagnose` holds a set-up by nothing: where on its carrier a target sits, angles of the machine alone may have to tell.
-        prior = np.diag(np.where(np.arange(total) < setup, HOLD, 1.0))
+        # `twin diagnose` has no prior on the set-up: a target's position on its carrier may have to follow from machine angles alone.
+        prior = np.diag(np.where(np.arange(total) < setup, SETUP_PRECISION, 1.0))
         if self.after is not None:
-            prior[setup:, setup:] += self._told_already(instrument, self.after)
-        ends = np.cumsum([setup + doubt, *(block.shape[1] for block in columns)])
+            prior[setup:, setup:] += self._earlier_precision(instrument, self.after)
+        ends = np.cumsum([setup + calibration_errors, *(block.shape[1] for block in columns)])
         sizes = tuple(
-            _meant(one, cell) / float(np.mean([column.scale for column in cell[1].columns]))
+            _given_size(one, cell) / float(np.mean([column.scale for column in cell[1].columns]))
             for one, cell in zip(self.causes, cells, strict=True)
         )
-        # Where nothing is said of a size, both count alike: in the size that is plausible.
+        # Without given sizes both causes have equal weight, in units of their plausible size.
         safe = (sizes[0], sizes[1]) if all(size == size and size > 0.0 for size in sizes) else (1.0, 1.0)
         both = np.zeros((total, total))
         for (begin, end), size in zip(pairwise(ends), safe, strict=True):
             both[range(begin, end), range(begin, end)] = 1.0 / size
-        aim = AtTool(both[None], "separate", "of the sizes meant")
+        aim = LinearAim(both[None], "separate", "of the given sizes")
         return DesignProblem(instrument, every, prior, whole.reshape(-1, 3, total), aim)
 
     def _planned(self, instrument: Instrument, every: Measurements) -> Problem:
         machine, kit = self.task.machine, self.task.kit
         zero, rng = Calibration.zero(machine), np.random.default_rng(0)
         measured, _ = simulate(every, machine, zero, instrument, rng, setting=kit.setting, noise=False)
-        told = as_told(replace(measured, station_pose=every.station_pose, place_mm=every.place_mm), kit.known)
-        return self._problem(told, instrument, setup_of(told, kit.setting, instrument))
+        evaluated = as_evaluated(replace(measured, station_pose=every.station_pose, place_mm=every.place_mm), kit.known)
+        return self._problem(evaluated, instrument, setup_of(evaluated, kit.setting, instrument))
 
     def _problem(self, data: Measurements, instrument: Instrument, setup: SetUp) -> Problem:
         machine, known = self.task.machine, self.task.expected
         return Problem(Network(machine, data, instrument, Unknowns(machine, [], []), known), setup, known)
 
-    def _told_already(self, instrument: Instrument, after: Measurements) -> np.ndarray:
-        """(k, k) precision that earlier readings give to the calibration's doubt and the two causes, their own set-up projected out."""
+    def _earlier_precision(self, instrument: Instrument, after: Measurements) -> np.ndarray:
+        """Return the precision (k, k) of calibration errors and causes from earlier readings, their set-up projected out."""
         lengths_only = bool(np.isnan(after.point_mm[:, 1:]).all())
         kept, setup = fitting(self.task.machine, after, lengths_only=lengths_only)
         reader = instrument if lengths_only or not instrument.lengths_only else usual(lengths_only=False)
         problem = self._problem(kept, reader, setup)
         columns = [problem.signature(cell.columns) for _, cell in self.cells(kept)]
-        own, doubts = np.split(problem.nuisance, [len(problem.setup)], axis=1)
-        rest = np.concatenate([doubts, *columns], axis=1)
-        # Not all of a set-up need show: a frame and everything that was read in it may move together.
+        own, calibration_errors = np.split(problem.nuisance, [len(problem.setup)], axis=1)
+        rest = np.concatenate([calibration_errors, *columns], axis=1)
+        # Part of a set-up may be undetermined: a frame and everything read in it can move together.
         basis, strength, _ = np.linalg.svd(own, full_matrices=False)
         basis = basis[:, strength > TOLD_APART * strength[0]]
-        left = rest - basis @ (basis.T @ rest)
-        return np.asarray(left.T @ left)
+        projected = rest - basis @ (basis.T @ rest)
+        return np.asarray(projected.T @ projected)
 
 
-def _beside(kit: Kit, after: Measurements) -> Kit:
-    """The kit with names that the earlier table does not have: set up anew, a station or reflector is another one."""
+def _with_new_names(kit: Kit, after: Measurements) -> Kit:
+    """Return the kit with names not used in the earlier table: after a new set-up a station or reflector has new unknowns."""
 
     def fresh(name: str, taken: set[str]) -> str:
         number = 2
@@ -237,8 +240,8 @@ def _beside(kit: Kit, after: Measurements) -> Kit:
     )
 
 
-def _sessions(causes: Sequence[Named]) -> tuple[Session, ...]:
-    """The states in which two causes differ: cold and later, one sensor warm at a time; only those that one of them feels."""
+def _sessions(causes: Sequence[NamedCause]) -> tuple[Session, ...]:
+    """Return the sessions in which the two causes differ: cold, one sensor warm at a time, hours later; only where needed."""
     sensors: list[str] = []
     drifts = False
     for one in causes:
@@ -246,7 +249,7 @@ def _sessions(causes: Sequence[Named]) -> tuple[Session, ...]:
         sensors += [name[2:-5] for name in needed if name.startswith("T_")]
         drifts = drifts or TIME in needed
     if not sensors and not drifts:
-        return ALWAYS
+        return ANY_STATE
     names = tuple(dict.fromkeys(sensors))
     level = dict.fromkeys(names, 20.0)
     what = " and ".join(names)
@@ -264,7 +267,7 @@ def _sessions(causes: Sequence[Named]) -> tuple[Session, ...]:
 
 
 def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> Candidates:
-    """Every reading in every session."""
+    """Return every candidate reading in every session."""
     n = len(plain)
     session = np.repeat(np.arange(len(sessions)), n)
     every = plain.select(np.tile(np.arange(n), len(sessions)))
@@ -275,13 +278,13 @@ def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> Candidat
     return Candidates(timed, session, sessions)
 
 
-def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Calibration) -> Meant:
-    """The form of a cause that is meant: with the non-linear parameters given, else the plainest.
+def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibration: Calibration) -> CauseForm:
+    """Return the form of a cause with the given non-linear parameters; the simplest form if none are given.
 
-    A drift is an exponential if its ``amplitude`` or ``time_constant`` is given, else a straight line with a ``rate``.
+    A drift is exponential if its ``amplitude`` or ``time_constant`` is given, else linear with a ``rate``.
 
     Raises:
-        InputError: no such cause, or none that a plan can look for.
+        InputError: there is no such cause, or no plan can separate it.
     """
     tried = catalogue(machine, plan, calibration)
     found = next((c for c in tried.candidates if c.key == (one.effect, one.where)), None)
@@ -294,7 +297,7 @@ def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Ca
             expected = f"{one.effect} at one of {', '.join(places)}"
         texts = [f"{c.effect} {c.where}" for c in tried.candidates if c.origin == "machine"]
         raise InputError(
-            "no cause that a plan can look for", expected=expected, value=one.text, nearest=nearest(one.text, texts)
+            "not a cause that a plan can separate", expected=expected, value=one.text, nearest=nearest(one.text, texts)
         )
     names = {name for cell in found.cells for name in cell.fixed}
     linear = {name for name, _ in found.names} | {"size", "amplitude", "phase", "cos", "sin"}
@@ -321,13 +324,16 @@ def form_meant(one: Named, machine: Machine, plan: Measurements, calibration: Ca
     return found, min(cells, key=lambda cell: (off(cell), len(cell.columns) - plainest))
 
 
-def _meant(one: Named, cell: Meant) -> float:
-    """How large a cause was said to be; NaN if nothing was said."""
+def _given_size(one: NamedCause, cell: CauseForm) -> float:
+    """Return the given size of a cause; NaN if none was given."""
     linear = [value for name, value in one.numbers.items() if name not in cell[1].fixed and name != "phase"]
     return float(np.sqrt(np.sum(np.square(linear)))) if linear else float("nan")
 
 
-def _separation(causes: tuple[Named, Named], cells: tuple[Meant, Meant], covariance: np.ndarray) -> Separation:
+def _separation(
+    causes: tuple[NamedCause, NamedCause], cells: tuple[CauseForm, CauseForm], covariance: np.ndarray
+) -> Separation:
+    """Return the smallest size of each cause that is distinguished, from the predicted covariance."""
     sizes: list[tuple[float, str]] = []
     start = len(covariance) - sum(len(cell.columns) for _, cell in cells)
     for candidate, cell in cells:
@@ -335,9 +341,9 @@ def _separation(causes: tuple[Named, Named], cells: tuple[Meant, Meant], covaria
         scale = np.array([column.scale for column in cell.columns])
         own = covariance[start:end, start:end] * np.outer(scale, scale)
         start = end
-        # Of several numbers the one known worst.
+        # With several parameters, the least certain direction.
         worst = float(np.sqrt(LAMBDA * np.linalg.eigvalsh(own)[-1]))
         straight = candidate.drift is not None and not cell.fixed
         sizes.append((worst, "um/h" if straight else candidate.names[0][1]))
-    meant = tuple(_meant(one, cell) for one, cell in zip(causes, cells, strict=True))
-    return Separation((causes[0].text, causes[1].text), (sizes[0], sizes[1]), (meant[0], meant[1]))
+    given = tuple(_given_size(one, cell) for one, cell in zip(causes, cells, strict=True))
+    return Separation((causes[0].text, causes[1].text), (sizes[0], sizes[1]), (given[0], given[1]))

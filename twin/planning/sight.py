@@ -1,7 +1,7 @@
-"""Whether a station sees a reflector: nothing of the machine in the way, and the reflector looking its way.
+"""Visibility of reflectors from stations: the beam must be free of the machine's shapes and within the acceptance angle.
 
-The machine's shapes are those its URDF draws (``visual``; ``collision`` where it has any): boxes, cylinders, spheres, and for
-a mesh the box around it. Errors are micrometres: the machine as drawn says who sees whom.
+The machine's shapes are those of its URDF (``collision``, or ``visual`` if it has none): boxes, cylinders, spheres, and for a mesh its
+bounding box. The nominal machine is used, as errors are only micrometres.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from twin.measurement.table import Measurements
 from twin.planning.kit import Kit, Target
 
 NEST: Final = 0.03
-"""m of the beam next to the reflector that are its own nest's."""
+"""Length of the beam next to the reflector that is not checked because of its nest, m."""
 
 
 @final
 @dataclass(frozen=True)
 class Shape:
-    """A shape as the URDF has it.
+    """Shape of the URDF.
 
     Attributes:
-        joint: of the machine's model, that it moves with.
-        geometry: coal's.
-        placement: in the frame of the joint.
+        joint: joint of the machine's model that moves it.
+        geometry: geometry object of coal.
+        placement: placement in the frame of the joint.
     """
 
     joint: int
@@ -41,10 +41,10 @@ class Shape:
 
 
 def machine_shapes(machine: Machine) -> list[Shape]:
-    """What the URDF says the machine is made of: its ``collision`` shapes, or, where it has none, those it draws.
+    """Return the ``collision`` shapes of the machine's URDF, or its ``visual`` shapes if it has none.
 
     Raises:
-        InputError: shapes that cannot be loaded.
+        InputError: a shape cannot be loaded.
     """
     found: list[Shape] = []
     for kind in (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL):
@@ -52,7 +52,7 @@ def machine_shapes(machine: Machine) -> list[Shape]:
             geometry = pin.buildGeomFromUrdf(machine.model, str(machine.urdf), kind)
         except (ValueError, RuntimeError) as error:
             raise InputError(
-                "shapes that cannot be loaded", expected="shapes whose files are there", file=machine.urdf, value=error
+                "a shape cannot be loaded", expected="shapes whose files exist", file=machine.urdf, value=error
             ) from error
         found = [Shape(int(o.parentJoint), o.geometry, o.placement) for o in geometry.geometryObjects]
         if found:
@@ -63,7 +63,7 @@ def machine_shapes(machine: Machine) -> list[Shape]:
 @final
 @dataclass(frozen=True)
 class _Solid:
-    """A shape that stops a beam; ``half`` are half sizes along x, y, z."""
+    """Shape that blocks a beam; ``half`` are its half sizes along x, y, z."""
 
     kind: str
     half: np.ndarray
@@ -73,14 +73,14 @@ class _Solid:
 
 @final
 class Sight:
-    """Who sees whom on one machine.
+    """Visibility between the stations and reflectors of one machine.
 
     Args:
         machine: the machine.
         kit: stations and targets.
 
     Raises:
-        InputError: shapes in the URDF that cannot be loaded.
+        InputError: a shape of the URDF cannot be loaded.
     """
 
     def __init__(self, machine: Machine, kit: Kit) -> None:
@@ -88,7 +88,7 @@ class Sight:
         self.kit = kit
 
     def poses(self, positions: np.ndarray) -> dict[str, np.ndarray]:
-        """(n, 4, 4) of the two carriers in the base frame, metres, at (n, axes) commands in mm and degrees."""
+        """Return the poses (n, 4, 4) of the two carriers in the base frame, metres, at commands (n, axes) in mm and degrees."""
         frames = {"tool": self.machine.tool_frame, "work": self.machine.work_frame}
         data = self.machine.model.createData()
         found = {side: np.empty((len(positions), 4, 4)) for side in frames}
@@ -99,20 +99,20 @@ class Sight:
         return found
 
     def reflectors(self, poses: dict[str, np.ndarray], target: Target) -> np.ndarray:
-        """(n, 3) places of a reflector in the base frame, metres."""
+        """Return the positions (n, 3) of a reflector in the base frame, metres."""
         pose = poses[target.carrier]
         return np.asarray(pose[:, :3, :3] @ (np.array(target.place_mm) * MM) + pose[:, :3, 3])
 
     def towards(
         self, poses: dict[str, np.ndarray], target: Target, origin_mm: tuple[float, float, float]
     ) -> np.ndarray:
-        """(n, 3) unit vectors from a reflector to a station, on the reflector's carrier."""
+        """Return the unit vectors (n, 3) from a reflector to a station, in the frame of the reflector's carrier."""
         beam = np.array(origin_mm) * MM - self.reflectors(poses, target)
         beam /= np.linalg.norm(beam, axis=1, keepdims=True)
         return np.asarray(np.einsum("nji,nj->ni", poses[target.carrier][:, :3, :3], beam))
 
     def directions(self, plan: Measurements) -> np.ndarray:
-        """(n, 3) unit vectors from reflectors to stations, on the reflectors' carriers; zero where the kit lacks either."""
+        """Return the unit vectors (n, 3) from reflector to station per row, in carrier frames; zero if the kit lacks either."""
         poses = self.poses(plan.positions)
         found = np.zeros((len(plan), 3))
         for station in self.kit.stations:
@@ -123,8 +123,8 @@ class Sight:
                     found[rows] = self.towards(of, self.kit.targets[target], self.kit.stations[station].origin_mm)
         return found
 
-    def sees(self, positions: np.ndarray) -> dict[tuple[str, str], np.ndarray]:
-        """(n,) whether a station sees a target, by both names, at (n, axes) commands in mm and degrees."""
+    def visible(self, positions: np.ndarray) -> dict[tuple[str, str], np.ndarray]:
+        """Return whether each target is visible (n,) by (station, target), at commands (n, axes) in mm and degrees."""
         poses = self.poses(positions)
         blocked = self._blocked(positions, poses) if self.kit.opaque else {}
         found = {}
@@ -185,7 +185,7 @@ def _solid(shape: Shape) -> _Solid:
 
 
 def _through(shape: _Solid, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Whether segments pass through a shape about the origin; start, end (…, 3) in its frame."""
+    """Return whether segments pass through a shape centred at the origin; start and end (…, 3) in its frame."""
     way = end - start
     if shape.kind == "box":
         enter, leave = _slab(start, way, shape.half)
@@ -199,14 +199,14 @@ def _through(shape: _Solid, start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def _slab(start: np.ndarray, way: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where lines enter and leave a box (the slab method; Kay and Kajiya 1986)."""
+    """Return the parameters at which lines enter and leave a box (slab method; Kay and Kajiya 1986)."""
     safe = np.where(np.abs(way) < 1e-300, 1e-300, way)
     first, second = (-half - start) / safe, (half - start) / safe
     return np.minimum(first, second).max(axis=-1), np.maximum(first, second).min(axis=-1)
 
 
 def _round(start: np.ndarray, way: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where lines enter and leave a circle or a sphere; never: enter after leave."""
+    """Return the parameters at which lines enter and leave a circle or sphere; +∞ and −∞ if they miss it."""
     a = np.maximum(np.sum(way**2, axis=-1), 1e-300)
     b = np.sum(start * way, axis=-1)
     root = b**2 - a * (np.sum(start**2, axis=-1) - radius**2)

@@ -1,4 +1,4 @@
-"""What a plan has to do: the machine, what there is to measure with, the time there is, and what is to be known in the end."""
+"""Task of a plan: machine, kit, time budget, and the uncertainty to minimise."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 from twin.planning.kit import Kit
-from twin.planning.model import MOST, PlanModel
+from twin.planning.model import MOST_FUNCTIONS, PlanModel
 
 Say = Callable[[str, float], None]
 AIMS: Final = ("tool", "everything", "weakest")
 MOST_READINGS: Final = 10_000
-"""A plan's work grows with their square; a day has some 5,000."""
-PAID: Final = 3.0
-"""Numbers read for every function of a curve: two thirds of them for stations, reflectors, and to object."""
-BEYOND: Final = 2
-"""Positions more than functions, to object."""
-LEVELS: Final = 3 + BEYOND
-"""At least: three functions."""
+"""Limit of the number of readings: computing time grows with its square; a day allows some 5,000."""
+NUMBERS_PER_FUNCTION: Final = 3.0
+"""Coordinates read per function of a curve: two thirds of them for stations, reflectors and redundancy."""
+REDUNDANT: Final = 2
+"""Positions in excess of functions, for redundancy."""
+LEAST_LEVELS: Final = 3 + REDUNDANT
+"""Fewest positions of an axis: three functions and redundancy."""
 FEWEST: Final = 12
-"""Readings below which nothing is planned: a station and two reflectors alone take four."""
+"""Fewest readings of a plan: a station and two reflectors alone need four."""
 
 
 @final
 @dataclass(frozen=True)
 class Task:
-    """What a plan is made for.
+    """Task of a plan.
 
     Attributes:
         machine: the machine.
-        kit: what there is to measure with.
-        minutes: that it may take, setting up included.
-        expected: how large errors are, for what is known beforehand.
-        seed: of every draw.
-        say: told what is being done and how far it is.
-        wanted: what is to become small: one of `AIMS`, or names of errors (``E_*C``).
+        kit: instruments, stations, reflectors and times.
+        minutes: time budget, including set-up.
+        expected: expected size of the errors, for the prior.
+        seed: random seed.
+        say: progress callback: stage and share done.
+        reduce: uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``).
         first_round: number of the first round.
     """
 
@@ -54,7 +54,7 @@ class Task:
     expected: Calibration
     seed: int
     say: Say
-    wanted: tuple[str, ...]
+    reduce: tuple[str, ...]
     first_round: int = 1
 
     @classmethod
@@ -68,74 +68,74 @@ class Task:
         say: Say | None,
         reduce: str | Sequence[str] = "tool",
     ) -> Task:
-        """With `Kit.default` and the machine file's own calibration where none is given.
+        """Return the task; defaults are `Kit.default` and the machine file's calibration.
 
         Raises:
-            InputError: time for more readings than can be planned; a name of no error of the machine.
+            InputError: the time budget allows too many readings, or the machine has no error of a given name.
         """
-        wanted = _wanted(machine, reduce)
+        names = _names_to_minimise(machine, reduce)
         own = Kit.default(machine) if kit is None else kit
         longest = MOST_READINGS * own.seconds.point / 60.0
         if not minutes <= longest:
             raise InputError(
-                f"time for more than {MOST_READINGS} readings",
-                expected=f"at most {longest:.4g} minutes, or a kit that takes longer over a reading",
+                f"time budget for more than {MOST_READINGS} readings",
+                expected=f"at most {longest:.4g} minutes, or a kit with more time per reading",
                 value=minutes,
             )
         sizes = Calibration.default(machine) if expected is None else expected
-        return cls(machine, own, minutes, sizes, seed, say or (lambda stage, part: None), wanted)
+        return cls(machine, own, minutes, sizes, seed, say or (lambda stage, part: None), names)
 
     @cached_property
     def rng(self) -> np.random.Generator:
-        """Of the poses, and of the spreads of readings that a choice begins with."""
+        """Random generator for poses and initial readings."""
         return np.random.default_rng(self.seed)
 
     def model(self, plan: Measurements, instrument: Instrument) -> PlanModel:
-        """What readings of an instrument would tell."""
+        """Return the model of an instrument's readings."""
         return PlanModel.of(self.machine, plan, self.kit.setting, instrument, self.expected, self.kit.known)
 
     @property
     def levels(self) -> int | None:
-        """Positions of each axis that the plan can afford; None where there is no need to keep to any."""
-        return levels_for(self.machine, self.expected_points, self.kit.numbers, self.expected)
+        """Number of positions of each axis that the plan can afford; None: no limit needed."""
+        return levels_for(self.machine, self.expected_points, self.kit.coordinates_per_reading, self.expected)
 
     @property
     def seconds(self) -> float:
-        """That it may take."""
+        """Time budget in seconds."""
         return 60.0 * self.minutes
 
     @property
     def expected_points(self) -> int:
-        """How many readings there will be, about: the way takes as long as the readings."""
+        """Approximate number of readings, if travel takes as long as the readings."""
         return max(FEWEST, int((self.seconds - self.kit.seconds.station) / (2.0 * self.kit.seconds.point)))
 
 
 def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibration) -> int | None:
-    """Positions of each axis that a plan can afford: a curve gets as many functions as it has positions, and all have to be paid for.
+    """Return how many positions of each axis a plan can afford: each position adds a function to every curve of the axis.
 
-    Not fewer than the curves that are expected need: with fewer an evaluation could not write the machine down, and what it then
-    left out would be in no uncertainty.
+    It is at least the number that the expected curves need: with fewer an evaluation could not represent the machine, and no
+    uncertainty would include the part left out.
 
     Args:
         machine: the machine.
-        readings: how many there will be.
-        numbers: read at each.
-        expected: the machine's errors, about.
+        readings: number of readings.
+        numbers: coordinates per reading.
+        expected: expected errors of the machine.
 
     Returns:
-        Levels, or None where there is no need to keep to any.
+        Number of positions, or None if no limit is needed.
     """
-    functions = int(readings * numbers / (PAID * len(machine.motion_names)))
+    functions = int(readings * numbers / (NUMBERS_PER_FUNCTION * len(machine.motion_names)))
     needed = max((len(curve.coefficients) for curve in expected.curves.values()), default=0)
-    levels = max(LEVELS, functions + BEYOND, needed + BEYOND)
-    return None if levels >= MOST + BEYOND else levels
+    levels = max(LEAST_LEVELS, functions + REDUNDANT, needed + REDUNDANT)
+    return None if levels >= MOST_FUNCTIONS + REDUNDANT else levels
 
 
-def _wanted(machine: Machine, reduce: str | Sequence[str]) -> tuple[str, ...]:
-    """What is to become small: one of `AIMS`, or names of errors (``E_*C``).
+def _names_to_minimise(machine: Machine, reduce: str | Sequence[str]) -> tuple[str, ...]:
+    """Return the uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``).
 
     Raises:
-        InputError: a name of no error of the machine.
+        InputError: the machine has no error of a given name.
     """
     patterns = (reduce,) if isinstance(reduce, str) else tuple(reduce)
     if len(patterns) == 1 and patterns[0] in AIMS:
@@ -145,5 +145,5 @@ def _wanted(machine: Machine, reduce: str | Sequence[str]) -> tuple[str, ...]:
         if not fnmatch.filter(names, pattern):
             expected = f"{', '.join(AIMS)}, or errors among {', '.join(names)}"
             meant = nearest(pattern, (*AIMS, *names))
-            raise InputError("nothing of that name to reduce", expected=expected, value=pattern, nearest=meant)
+            raise InputError("no such uncertainty to minimise", expected=expected, value=pattern, nearest=meant)
     return patterns

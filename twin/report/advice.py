@@ -289,7 +289,7 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
         f"They take out {listed(names)} for all programs at once. RMS at the tool, {figure(best.remains.before.rms_um, 'µm')} without: "
         f"{'; '.join(_leaves(one) for one in tables)}. For tool length {best.tool_length_mm:g} mm, with the other axes at {where}."
     )
-    if best.remains.worth >= WORTH:
+    if best.remains.reduction >= WORTH:
         calibration = found.kinematics.calibration
         how = f"`twin control --to {best.kind} -o tables/{_options(found, calibration)}` writes them."
         yield Step("do", _with_measured("fill the control's axis tables", calibration), f"{text} {how}")
@@ -299,7 +299,7 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
 
 def _leaves(one: TablesLeft) -> str:
     """What the tables of a format leave, by the model and with what is not known."""
-    left, u = one.remains.tables, one.remains.known_to
+    left, u = one.remains.tables, one.remains.uncertainty
     expected = f"{u.least}{figure(left.expected_rms_um, 'µm')} to be expected" if isfinite(u.rms_um) else f"U {UNKNOWN}"
     return f"{one.kind} {figure(left.rms_um, 'µm')} by the model, {expected}"
 

@@ -63,5 +63,5 @@ def tables_left(
         except InputError:
             continue
         account = account_of(made, errors, real.calibration, missing)
-        found.append(TablesLeft(form.name, made.wanted.at, real.tool_length_mm, account.remains, account.carried))
-    return tuple(sorted(found, key=lambda one: -one.remains.worth))
+        found.append(TablesLeft(form.name, made.required.at, real.tool_length_mm, account.remains, account.carried))
+    return tuple(sorted(found, key=lambda one: -one.remains.reduction))

@@ -1,1 +1,1 @@
-"""How far off the tool may be: at one pose, as a budget of contributions, over drawn machines."""
+"""Uncertainty of the tool's pose: at given poses, as a budget of contributions, and by Monte Carlo simulation of machines."""

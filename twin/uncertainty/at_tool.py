@@ -1,15 +1,16 @@
-"""How well the tool is known: from the calibration's covariance to the pose of the tool.
+"""Uncertainty of the tool's pose, propagated from the covariance of the calibration.
 
-First order (JCGM 100:2008 (GUM), 5.1.2 and 5.2.2, eq. 13, correlations included), in matrix form J Σ Jᵀ (JCGM 102:2011, 6.2).
-`twin.uncertainty.population` says by draws through the whole chain whether first order was enough (JCGM 101:2008, clause 8).
+Propagation is of first order (JCGM 100:2008 (GUM), 5.1.2 and 5.2.2, eq. 13, correlations included), in matrix form J Σ Jᵀ (JCGM
+102:2011, 6.2). `twin.uncertainty.population` checks by Monte Carlo simulation whether first order is sufficient (JCGM 101:2008,
+clause 8).
 
-What is called U here: the radius about the estimated point within which the true point lies with 95 % probability, its error taken
-as normal. Not k = 2 times one standard deviation: twice the standard deviation of the largest direction covers 95.4 % of an error
-along one line, but only 73.9 % of one equal in all three. With the standard uncertainties u_x, u_y, u_z (k = 1) beside it.
+U is the radius about the estimated point within which the true point lies with 95 % probability, for a normally distributed error. It
+is not k = 2 times one standard deviation: twice the standard deviation in the largest direction covers 95.4 % of an error along one
+line, but only 73.9 % of an error equal in all three directions. The standard uncertainties u_x, u_y, u_z (k = 1) are given too.
 
-U holds what the covariance holds: the calibration's own parameters. What has a value and no covariance is named in every result, and
-where nothing has one the result is unknown, NaN and never zero. An error motion the calibration does not name, repeatability,
-temperature and rounding are not in it.
+U includes the uncertainty of the calibration's parameters only. Errors with a value but no covariance are named in every result. If
+none has a covariance the result is unknown: NaN, never zero. Error motions missing from the calibration, repeatability, temperature
+and rounding are not included.
 """
 
 from __future__ import annotations
@@ -30,30 +31,30 @@ from twin.machine.calibration import Calibration
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.budget import POSES, drawn_sides, state_at, volume, within
 
-DEFINITION: Final = "U: 95 % of a normal error of the point lies within this radius"
+DEFINITION: Final = "U: radius within which the point lies with 95 % probability (normal distribution assumed)"
 RADIUS: Final = (1.73085, -0.15300, 0.04808, -0.01687, 0.00799, -0.00311)
-"""√(χ²_0.95(ν)/ν) as powers of ν − 2 for 1 ≤ ν ≤ 3, within 4e-5 of it."""
-POSES_A_STEP: Final = 1024
-POSES_A_PART: Final = 256
-"""Poses whose error frames are held at once: 256 · 42 components · 400 parameters are 34 MB."""
+"""Polynomial of √(χ²_0.95(ν)/ν) in ν − 2 for 1 ≤ ν ≤ 3; its error is below 4e-5."""
+POSES_PER_STEP: Final = 1024
+POSES_PER_CHUNK: Final = 256
+"""Poses whose error frames are in memory at once: 256 · 42 components · 400 parameters take 34 MB."""
 
 
 def radius_95(covariance: np.ndarray) -> np.ndarray:
-    """Radius within which 95 % of a normal error lies.
+    """Return the radius within which a normally distributed error lies with 95 % probability.
 
-    The squared length is taken as a multiple of χ² with ν = tr²(Σ)/tr(Σ²) degrees of freedom, which gives it the right mean and
-    variance (Satterthwaite 1946; JCGM 100, G.4.1): exact where the error has one, two or three equal directions, between them
-    0.06 % too small to 0.54 % too large (coverage 94.98 … 95.15 %).
+    The squared length is approximated by a multiple of χ² with ν = tr²(Σ)/tr(Σ²) degrees of freedom, which has the right mean and
+    variance (Satterthwaite 1946; JCGM 100, G.4.1). It is exact for one, two or three equal standard deviations and otherwise between
+    0.06 % too small and 0.54 % too large (coverage 94.98 … 95.15 %).
 
     Args:
         covariance: (n, 3, 3).
 
     Returns:
-        (n,) in the square root of its unit.
+        (n,) radius, in the unit of the standard deviations.
     """
     mean = np.trace(covariance, axis1=1, axis2=2)
     square = np.einsum("nij,nij->n", covariance, covariance)
-    # Where nothing varies, ν does not matter and the radius is zero; what is unknown (NaN) stays so.
+    # Without any variance ν does not matter and the radius is zero; an unknown covariance (NaN) stays unknown.
     freedom = np.clip(mean**2 / np.where(square == 0.0, 1.0, square), 1.0, 3.0)
     return np.asarray(np.sqrt(mean) * np.polynomial.polynomial.polyval(freedom - 2.0, np.array(RADIUS)))
 
@@ -65,10 +66,10 @@ class PoseUncertainty:
 
     Attributes:
         covariance: (n, 6, 6) of the point (µm) and of the rotation as a rotation vector (µrad), along the axes of the work frame;
-            NaN where nothing is known.
+            NaN if unknown.
         axis: (n, 3) tool axis.
-        parameters: how many numbers of the calibration it comes from; 0: unknown.
-        without_uncertainty: names of what has a value but no uncertainty, and is therefore not in it.
+        parameters: number of the calibration's parameters that contribute; 0: unknown.
+        without_uncertainty: names of errors with a value but no uncertainty, which are therefore not included.
     """
 
     covariance: np.ndarray
@@ -78,35 +79,35 @@ class PoseUncertainty:
 
     @property
     def known(self) -> bool:
-        """Whether anything has a covariance."""
+        """Whether any parameter has a covariance."""
         return self.parameters > 0
 
     @property
     def complete(self) -> bool:
-        """Whether everything that has a value has one; if not, every number here is a lower bound."""
+        """Whether all errors with a value have a covariance; if not, the uncertainties are lower bounds."""
         return self.known and not self.without_uncertainty
 
     @property
     def standard_um(self) -> np.ndarray:
-        """(n, 3) standard uncertainty (k = 1) of the point along x, y, z of the work frame."""
+        """Standard uncertainty (n, 3), k = 1, of the point along x, y, z of the work frame, µm."""
         return self._standard[:, :3]
 
     @property
     def standard_urad(self) -> np.ndarray:
-        """(n, 3) standard uncertainty (k = 1) of the rotation about x, y, z of the work frame."""
+        """Standard uncertainty (n, 3), k = 1, of the rotation about x, y, z of the work frame, µrad."""
         return self._standard[:, 3:]
 
     @cached_property
     def expanded_um(self) -> np.ndarray:
-        """(n,) U of the point: see `DEFINITION`."""
+        """U (n,) of the point, µm: see `DEFINITION`."""
         return locked(radius_95(self.covariance[:, :3, :3]))
 
     @cached_property
     def axis_expanded_urad(self) -> np.ndarray:
-        """(n,) U of the tool axis: 95 % of a normal error of its direction lies within this angle."""
+        """U (n,) of the tool axis, µrad: angle within which its direction lies with 95 % probability."""
         x, y, z = self.axis.T
         zero = np.zeros_like(x)
-        # δa = ω × a: what turns the tool about itself does not count.
+        # δa = ω × a: a rotation about the tool axis has no effect.
         lever = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
         return locked(radius_95(lever @ self.covariance[:, 3:, 3:] @ lever.transpose(0, 2, 1)))
 
@@ -114,7 +115,7 @@ class PoseUncertainty:
         return card("Uncertainty of the tool point", *self.shown(), small=several(len(self.axis), "pose")).text
 
     def shown(self, *more: tuple[str, str]) -> list[Html]:
-        """What a display says of it: U and its spread, and of what it is not known."""
+        """Return the parts of the HTML display: U, its distribution, and the errors not included."""
         if not len(self.axis):
             return []
         if not self.known:
@@ -128,12 +129,12 @@ class PoseUncertainty:
             ("U", f"{least}{np.sqrt(np.mean(u**2)):.2g} µm RMS, {least}{u.max():.2g} µm largest"),
             ("u (k = 1), RMS", f"{rms} µm"),
             *more,
-            ("not in it", f"{', '.join(self.without_uncertainty)} (no covariance)" if not self.complete else ""),
+            ("not included", f"{', '.join(self.without_uncertainty)} (no covariance)" if not self.complete else ""),
         ]
         return [pairs(rows), histogram(u, f"{least}U (µm)".strip()), note(DEFINITION)]
 
     def where(self, keep: np.ndarray) -> PoseUncertainty:
-        """Of some of the poses, (n,) booleans."""
+        """Return the uncertainty of the selected poses, (n,) booleans."""
         return PoseUncertainty(
             locked(self.covariance[keep]), locked(self.axis[keep]), self.parameters, self.without_uncertainty
         )
@@ -146,12 +147,12 @@ class PoseUncertainty:
 @final
 @dataclass(frozen=True)
 class UncertaintyMap:
-    """U at the tool over many poses.
+    """U of the tool point over many poses.
 
     Attributes:
         axes: names, in the order of the columns of ``positions``.
         positions: (n, axes) commands, mm and degrees.
-        uncertainty: of the n poses.
+        uncertainty: uncertainty of the n poses.
     """
 
     axes: tuple[str, ...]
@@ -160,7 +161,7 @@ class UncertaintyMap:
 
     @property
     def rms_um(self) -> float:
-        """RMS of U; NaN if unknown."""
+        """RMS of U over the poses; NaN if unknown."""
         return float(np.sqrt(np.mean(self.uncertainty.expanded_um**2)))
 
     @property
@@ -170,7 +171,7 @@ class UncertaintyMap:
 
     @property
     def where(self) -> dict[str, float]:
-        """Position of the largest U by axis; empty if unknown, or of no pose."""
+        """Position of the largest U, by axis; empty if unknown or without poses."""
         if not self.uncertainty.known or not len(self.positions):
             return {}
         row = self.positions[int(np.argmax(self.uncertainty.expanded_um))]
@@ -183,7 +184,7 @@ class UncertaintyMap:
         return card("U of the tool point over the volume", *shown, small=small).text
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON: the summary and every pose; null where it is unknown."""
+        """Return the JSON object: summary and every pose; unknown numbers are null."""
         known = self.uncertainty.known
         return {
             "known": known,
@@ -202,15 +203,15 @@ class UncertaintyMap:
 
 @final
 class ToolUncertainty:
-    """What a calibration's covariance makes of the tool's pose.
+    """Propagation of a calibration's covariance to the tool's pose.
 
     Args:
         kinematics: machine, calibration and tool.
 
     Attributes:
-        kinematics: as given.
-        parameters: names of the calibration's numbers that have an uncertainty.
-        without_uncertainty: what has a value and none: the names of whole errors, or of single numbers of a curve.
+        kinematics: machine, calibration and tool.
+        parameters: names of the calibration's parameters that have an uncertainty.
+        without_uncertainty: names of errors, or of single parameters of a curve, with a value but no uncertainty.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
@@ -227,58 +228,58 @@ class ToolUncertainty:
 
     def _repr_html_(self) -> str:
         known = (
-            several(len(self.parameters), "number")
+            several(len(self.parameters), "parameter")
             if self.parameters
             else f"{UNKNOWN}: no covariance in the calibration"
         )
         rows = [
             ("from", f"{known} of the calibration" if self.parameters else known),
-            ("uncertainty unknown of", ", ".join(self.without_uncertainty)),
+            ("unknown uncertainty of", ", ".join(self.without_uncertainty)),
             ("tool length", f"{self.kinematics.tool_length_mm:g} mm"),
         ]
-        said = note("`.over_volume()`, `.on_grid(…)` and `.at(…)` give U in µm")
+        hint = note("`.over_volume()`, `.on_grid(…)` and `.at(…)` give U in µm")
         machine, drawn = self.kinematics.machine.name, self.kinematics.calibration.illustrative
-        return card(f"Uncertainty at the tool of {machine}", pairs(rows), said, illustrative=drawn).text
+        return card(f"Uncertainty at the tool of {machine}", pairs(rows), hint, illustrative=drawn).text
 
     def at(self, positions: Any, approach: Any = None) -> PoseUncertainty:
-        """First order, at the calibration's own values.
+        """Return the uncertainty at given poses, by first-order propagation about the calibration's values.
 
         Args:
-            positions: (n, axes) commands, mm and degrees. Memory stays bounded whatever n.
-            approach: (n, axes) sides the axes come from, as of `Kinematics.directed`: without them a reversal counts for nothing.
+            positions: (n, axes) commands, mm and degrees; memory use does not grow with n.
+            approach: (n, axes) directions of approach, see `Kinematics.directed`; without them a reversal does not contribute.
 
         Raises:
-            InputError: as `Kinematics.forward`.
+            InputError: see `Kinematics.forward`.
         """
         q = self.kinematics.check(positions)
         sides = _sides(q, approach)
         covariance = np.full((len(q), 6, 6), np.nan)
         if self.parameters:
-            for start in range(0, len(q), POSES_A_STEP):
-                step = q[start : start + POSES_A_STEP]
-                error = self.kinematics.sensitivities(step, sides[start : start + POSES_A_STEP]).error
-                for first in range(0, len(step), POSES_A_PART):
-                    part = slice(first, first + POSES_A_PART)
-                    rows, spread = self._spread(step[part], sides[start : start + POSES_A_STEP][part])
-                    # Metres a metre and radian are µm a µm and µrad; the product is a factor, so no variance is negative.
+            for start in range(0, len(q), POSES_PER_STEP):
+                step = q[start : start + POSES_PER_STEP]
+                error = self.kinematics.sensitivities(step, sides[start : start + POSES_PER_STEP]).error
+                for first in range(0, len(step), POSES_PER_CHUNK):
+                    part = slice(first, first + POSES_PER_CHUNK)
+                    rows, spread = self._spread(step[part], sides[start : start + POSES_PER_STEP][part])
+                    # Metres per metre and radian equal µm per µm and µrad; the product is a factor, so no variance is negative.
                     root = error[part][:, :, rows] @ spread
                     covariance[start:][part] = root @ root.transpose(0, 2, 1)
         axis = self.kinematics.forward(q, sides).axis if len(q) else np.zeros((0, 3))
         return PoseUncertainty(locked(covariance), axis, len(self.parameters), self.without_uncertainty)
 
     def over_volume(self, poses: int = POSES) -> UncertaintyMap:
-        """Over poses spread evenly over the ranges (`twin.uncertainty.budget.volume`), as far as the curves are defined."""
+        """Return U over poses spread evenly over the ranges (`twin.uncertainty.budget.volume`), inside the domains of the curves."""
         return self._map(volume(self.kinematics.machine, poses))
 
     def on_grid(self, counts: Sequence[int], rotary_deg: Mapping[str, float] | None = None) -> UncertaintyMap:
-        """On a regular grid of the linear axes, the rotary ones standing still.
+        """Return U on a regular grid of the linear axes, with the rotary axes at fixed positions.
 
         Args:
-            counts: positions of each linear axis in command order, ends of its range included.
-            rotary_deg: where the rotary axes stand, by name; 0 if not named.
+            counts: number of positions of each linear axis in command order, limits of the range included.
+            rotary_deg: positions of the rotary axes by name; 0 by default.
 
         Raises:
-            InputError: counts that do not fit the machine, an unknown rotary axis, a position outside a curve's domain.
+            InputError: the counts do not fit the machine, a rotary axis is unknown, or all positions are outside a curve's domain.
         """
         machine = self.kinematics.machine
         linear = [axis for axis in machine.axes if axis.linear]
@@ -286,7 +287,7 @@ class ToolUncertainty:
         turning = [axis.name for axis in machine.axes if not axis.linear]
         if len(counts) != len(linear) or any(count < 1 for count in counts):
             raise InputError(
-                "a grid that does not fit the machine",
+                "the grid does not fit the machine",
                 expected=f"a count for each of {', '.join(axis.name for axis in linear)}",
                 value=tuple(counts),
             )
@@ -308,20 +309,20 @@ class ToolUncertainty:
         return self._map(np.array(list(product(*steps))))
 
     def _map(self, positions: np.ndarray) -> UncertaintyMap:
-        """With every axis come to from one side or the other, drawn with a seed: a reversal counts as ± half its size."""
+        """Return U at some poses, with random directions of approach: a reversal counts as ± half its size."""
         inside = within(positions, self.kinematics.calibration)
         return UncertaintyMap(self.kinematics.machine.names, locked(inside), self.at(inside, drawn_sides(inside)))
 
     def rates(self, positions: np.ndarray, approach: np.ndarray) -> list[tuple[int, list[int], np.ndarray]]:
-        """How the components of the error frames follow the calibration's uncertain numbers.
+        """Return the derivatives of the error frames' components with respect to the uncertain parameters.
 
         Args:
             positions: (n, axes) commands, mm and degrees, checked.
-            approach: (n, axes) as of `at`.
+            approach: (n, axes) directions of approach, see `at`.
 
         Returns:
-            Of every component that varies at all its index into the (6·frames,) vector, which of ``parameters`` it follows, and its
-            (n, k) derivatives by these, µm and µrad; exact, for it is linear in them (see `monte_carlo`).
+            For every component with a derivative: its index into the (6·frames,) vector, the indices of the ``parameters`` it depends
+            on, and its derivatives (n, k) with respect to them, µm and µrad. They are exact, as components are linear in parameters.
         """
         state = state_at(self.kinematics.machine, positions, approach, self.kinematics.conditions)
         moved: dict[int, list[tuple[int, Any]]] = {}
@@ -343,14 +344,14 @@ class ToolUncertainty:
         ]
 
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """(parameters, count) what the calibration's uncertain numbers may be off by, µm and µrad: normal, with their covariance."""
+        """Draw deviations (parameters, count) of the uncertain parameters, µm and µrad: normal, with their covariance."""
         return np.asarray(self._factor @ rng.standard_normal((count, self._factor.shape[1])).T)
 
     def _spread(self, q: np.ndarray, sides: np.ndarray) -> tuple[list[int], np.ndarray]:
-        """Factor of the covariance of the error frames' components that vary at all.
+        """Return a factor of the covariance of the error frames' components that have an uncertainty.
 
         Returns:
-            Their indices into the (6·frames,) vector, and (n, indices, r), µm and µrad.
+            Their indices into the (6·frames,) vector, and the factor (n, indices, r), µm and µrad.
         """
         moved = self.rates(q, sides)
         spread = np.empty((len(moved), len(q), self._factor.shape[1]))
@@ -364,7 +365,7 @@ def _sides(q: np.ndarray, approach: Any) -> np.ndarray:
 
 
 def _without(calibration: Calibration, known: set[str]) -> tuple[str, ...]:
-    """Errors no number of which has an uncertainty by their name; of the others the numbers that have none."""
+    """Return the names of errors without any uncertainty, and of single parameters without one in the other errors."""
     found: list[str] = []
     for effect in calibration.effects:
         missing = [parameter.name for parameter in effect.parameters if parameter.name not in known]
@@ -373,15 +374,15 @@ def _without(calibration: Calibration, known: set[str]) -> tuple[str, ...]:
 
 
 def _factor(covariance: Covariance) -> np.ndarray:
-    """(p, r) F with Σ = F Fᵀ, eigenvalues that rounding made negative left out.
+    """Return F (p, r) with Σ = F Fᵀ, without eigenvalues that are negative by rounding.
 
-    By way of the correlations, so that µm beside µrad loses nothing.
+    It is computed from the correlation matrix, so that different units do not cost precision.
     """
     if not covariance.names:
         return np.zeros((0, 0))
     scale = np.sqrt(np.diag(covariance.matrix))
     safe = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(covariance.matrix / np.outer(safe, safe))
-    # Below its own rounding an eigenvalue is zero.
+    # An eigenvalue below the rounding error is zero.
     keep = values > len(values) * np.finfo(float).eps * values[-1]
     return np.asarray(scale[:, None] * vectors[:, keep] * np.sqrt(values[keep]))

@@ -1,4 +1,4 @@
-"""The error budget: what each error motion is, and what it does to the tool over the working volume."""
+"""Error budget: size of each error motion and its effect at the tool over the working volume."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from twin.machine.machine import Machine
 POSES: Final = 2000
 SEED: Final = 16907
 CURVE_POINTS: Final = 721
-"""Points of a curve at which its peak is looked for: half a degree of a turn."""
+"""Number of points at which a curve's peak is sought: every half degree of a turn."""
 
 
 @final
 @dataclass(frozen=True)
 class BudgetRow:
-    """One error motion, squareness or location, or one class of them.
+    """Row of the error budget: one error motion, squareness or location error, or one class of them.
 
     Attributes:
         name: ISO 230-1 name, or ISO/TR 16907 class.
         iso_class: its class.
         unit: ``um`` or ``urad``; empty for a class.
         peak: largest absolute value over its domain; NaN for a class.
-        peak_u: largest standard uncertainty (k = 1) over its domain, in ``unit``; NaN for a class, and where it is not known.
-        tool_rms_um, tool_max_um: what it alone does to the tool point over the volume.
-        tilt_rms_urad, tilt_max_urad: how it alone makes the tool axis lean, about x and about y of the tool frame
-            (`twin.kinematics.forward.Poses.tilt_urad`); the largest by amount.
-        illustrative: whether it is drawn, not measured.
+        peak_u: largest standard uncertainty (k = 1) over its domain, in ``unit``; NaN for a class, and if unknown.
+        tool_rms_um, tool_max_um: displacement of the tool point due to it alone, over the volume.
+        tilt_rms_urad, tilt_max_urad: tilt of the tool axis due to it alone, about x and about y of the tool frame
+            (`twin.kinematics.forward.Poses.tilt_urad`); the maximum by absolute value.
+        illustrative: whether its values are illustrative and not measured.
     """
 
     name: str
@@ -53,33 +53,33 @@ class BudgetRow:
 
 
 def volume(machine: Machine, poses: int = POSES, seed: int = SEED) -> np.ndarray:
-    """(poses, axes) commands spread evenly over the ranges, mm and degrees; an unlimited axis over one turn."""
+    """Return commands (poses, axes) spread evenly over the ranges, mm and degrees; an unlimited axis over one turn."""
     return latin_hypercube(np.array([axis.domain for axis in machine.axes]), poses, np.random.default_rng(seed))
 
 
 def known_volume(calibration: Calibration) -> np.ndarray:
-    """(n, axes) those of `volume` where every error of a calibration is known."""
+    """Return the poses (n, axes) of `volume` that lie inside the domain of every curve of a calibration."""
     q = volume(calibration.machine)
     return np.asarray(q[~calibration.outside(q).any(axis=1)])
 
 
 def latin_hypercube(ranges: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count, k) points drawn over (k, 2) ranges: every one of ``count`` slices of every range once."""
+    """Return a Latin hypercube sample (count, k) of (k, 2) ranges: one point in each of ``count`` slices of every range."""
     lower, upper = ranges.T
     cells = np.argsort(rng.random((count, len(ranges))), axis=0)
     return np.asarray(lower + (cells + rng.random(cells.shape)) / count * (upper - lower))
 
 
 def drawn_sides(positions: np.ndarray) -> np.ndarray:
-    """The side every axis comes from at (n, axes) positions, +1 or −1, drawn with a seed."""
+    """Return random directions of approach (n, axes), +1 or −1, from a fixed seed."""
     return np.asarray(np.random.default_rng(SEED).choice([-1.0, 1.0], np.shape(positions)))
 
 
 def within(positions: np.ndarray, *calibrations: Calibration) -> np.ndarray:
-    """Those of (n, axes) positions where every error of some calibrations is known.
+    """Return the positions (n, axes) that lie inside the domain of every curve of all calibrations.
 
     Raises:
-        InputError: there is none.
+        InputError: there are none.
     """
     outside = np.any([calibration.outside(positions).any(axis=1) for calibration in calibrations], axis=0)
     if np.all(outside):
@@ -88,7 +88,7 @@ def within(positions: np.ndarray, *calibrations: Calibration) -> np.ndarray:
 
 
 def state_at(machine: Machine, q: np.ndarray, sides: np.ndarray, conditions: Conditions) -> dict[str, Any]:
-    """What effects are functions of, each (n,), at (n, axes) positions and the sides the axes come from."""
+    """Return the arguments of effects by name, each (n,): positions (n, axes), directions of approach, and channels."""
     found: dict[str, Any] = dict(zip(machine.names, q.T, strict=True))
     return (
         found
@@ -104,26 +104,26 @@ def error_budget(
     tool_length_mm: float | None = None,
     conditions: Conditions | None = None,
 ) -> tuple[tuple[BudgetRow, ...], tuple[BudgetRow, ...]]:
-    """Rows by error, and rows by class with the total last.
+    """Return the budget: rows by error, and rows by class with the total last.
 
-    A reversal counts as ± half its size, the axes come to from either side.
+    A reversal counts as ± half its size, as directions of approach are random.
 
     Args:
         machine: the machine.
-        calibration: its errors, among them none whose channel the conditions do not give (`known_at`).
-        tool_length_mm: None for the machine file's own.
+        calibration: its errors, without effects whose channel the conditions do not give (`known_at`).
+        tool_length_mm: tool length; None: that of the machine file.
         conditions: temperatures and time.
     """
     q = known_volume(calibration)
-    meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q)
+    nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q)
     sides = drawn_sides(q)
     classes = {effect.name: iso_class(acts_as(effect, machine), machine) for effect in calibration.effects}
 
     def at_tool(limited: Calibration) -> tuple[float, float, tuple[float, float], tuple[float, float]]:
         real = Kinematics(machine, limited, tool_length_mm=tool_length_mm, conditions=conditions)
         reached = real.forward(q, sides)
-        distance = np.linalg.norm(reached.point_mm - meant.point_mm, axis=1) * 1e3
-        return float(np.sqrt(np.mean(distance**2))), float(distance.max()), *rms_and_max(reached.tilt_urad(meant))
+        distance = np.linalg.norm(reached.point_mm - nominal.point_mm, axis=1) * 1e3
+        return float(np.sqrt(np.mean(distance**2))), float(distance.max()), *rms_and_max(reached.tilt_urad(nominal))
 
     state = state_at(machine, q, sides, Conditions() if conditions is None else conditions)
     rows = []
@@ -141,17 +141,17 @@ def error_budget(
 
 
 def known_at(conditions: Conditions, calibration: Calibration) -> tuple[Calibration, dict[str, tuple[str, ...]]]:
-    """A calibration without the effects whose channel nobody gave, and those channels with the effects left out."""
+    """Return the calibration without effects whose channel is not given, and the effects left out by channel."""
     missing = conditions.missing(calibration)
     left_out = {name for by in missing.values() for name in by}
     return calibration.where(lambda name: name not in left_out), missing
 
 
 def _entries(calibration: Calibration, state: Mapping[str, Any]) -> Iterator[tuple[Effect, float, float, str, bool]]:
-    """Of every effect its largest value, the largest standard uncertainty (NaN: not known), unit, whether it is drawn.
+    """Yield for every effect its largest value, its largest standard uncertainty (NaN if unknown), unit, whether illustrative.
 
-    Curves over their domains, squareness and locations as they are, other effects over the poses of a state; what the control corrects
-    by itself is among these, exactly known.
+    Curves are evaluated over their domains, other effects over the poses of ``state``. Corrections by the control are among the other
+    effects and have zero uncertainty.
     """
     covariance = calibration.covariance
     constants = {**calibration.squareness, **calibration.location}

@@ -1,12 +1,12 @@
-"""What a million machines like this one would show: machines drawn from a calibration's covariance, over the volume.
+"""Monte Carlo simulation: machines drawn from a calibration's covariance, evaluated over the volume (JCGM 101:2008).
 
-Each draw is one whole machine: the same numbers at every pose, correlations included, each run through the whole nonlinear chain
-(JCGM 101:2008). That gives the tool point's uncertainty at every pose without first order and without a normal error, whether first
-order was enough there (its clause 8), and what no first order gives: how the error over the volume is spread from machine to machine.
+Each draw is one machine with the same parameters at every pose, correlations included, evaluated with the full nonlinear kinematics.
+The result is the tool point's uncertainty at every pose without linearisation and without assuming a normal distribution, a check of
+whether first order is sufficient there (clause 8), and the distribution from machine to machine of the error over the volume.
 
-The draws are cut into tasks of a fixed size with a seed each (`numpy.random.SeedSequence`, spawn key: number of the task), so that the
-same seed gives the same bits on any number of workers, wherever they are (`twin.compute.parallel`). Memory does not grow with the
-number of machines: distributions are kept as counts over fine bins.
+Draws are divided into tasks of a fixed size with a seed each (`numpy.random.SeedSequence`, spawn key: number of the task), so that
+the same seed gives identical results on any number of workers (`twin.compute.parallel`). Memory use does not grow with the number of
+machines: distributions are stored as counts over fine bins.
 """
 
 from __future__ import annotations
@@ -39,39 +39,39 @@ from twin.uncertainty.budget import drawn_sides, volume, within
 SCHEMA: Final = "twin.volume/1"
 TRIALS: Final = 100_000
 FEWEST_TRIALS: Final = 1000
-"""Fewer leave under 25 draws beyond each end of a 95 % interval."""
+"""With fewer machines less than 25 draws lie beyond each limit of a 95 % interval."""
 MOST_TRIALS: Final = 100_000_000
 POSES: Final = 200
 MOST_POSES: Final = 5_000
-"""More would make the counts of a task larger than the work of sending them is worth."""
-TRIALS_A_TASK: Final = 16_384
-"""Machines a task, whatever the number of workers: with 200 poses about a second of work."""
-ROWS_A_STEP: Final = 65_536
-"""Poses of all machines evaluated in one call: from 50,000 the chain is compiled (`twin.compute.native`)."""
+"""With more poses sending the counts of a task would take longer than computing them."""
+TRIALS_PER_TASK: Final = 16_384
+"""Machines per task for any number of workers: about one second with 200 poses."""
+ROWS_PER_STEP: Final = 65_536
+"""Poses of all machines evaluated in one call: from 50,000 the kinematics are compiled (`twin.compute.native`)."""
 PILOT: Final = 2_048
-"""Machines drawn beforehand, between whose extremes the bins lie: fifty of them are beyond each end of a 95 % interval."""
+"""Machines of a pilot run that sets the range of the bins: fifty of them lie beyond each limit of a 95 % interval."""
 BINS: Final = 512
-"""Some seven standard deviations in 512 bins: read off by straight lines, a quantile is within 1e-4 of a standard deviation."""
+"""Number of bins over some seven standard deviations: an interpolated quantile is within 1e-4 of a standard deviation."""
 NUMERICAL_UM: Final = 1e-6
-"""What double precision leaves of a chain metres long, µm: no endpoint is compared more closely."""
+"""Rounding error of the kinematics in double precision, µm: the smallest tolerance of a comparison."""
 TAIL: Final = (1.0 - COVERAGE) / 2.0
 
-LED: Final = ("machines", "seed", "as_it_is", "compensated", "without_uncertainty", "warnings")
-"""What stands before the poses in JSON."""
+LEADING_KEYS: Final = ("machines", "seed", "as_it_is", "compensated", "without_uncertainty", "warnings")
+"""Attributes that come before the poses in JSON."""
 POINT: Final = 4
-"""Quantities kept a pose: deviation from the estimated point along x, y, z, and its length."""
+"""Quantities per pose: deviation from the estimated point along x, y, z, and its length."""
 MEASURES: Final = ("as_it_is.rms", "as_it_is.max", "compensated.rms", "compensated.max")
-"""Quantities kept a machine: over the poses, the error against the machine as drawn and against the estimated one."""
+"""Quantities per machine, over the poses: error relative to the nominal machine and relative to the estimated one."""
 
 
 @final
 @dataclass(frozen=True)
 class Counts:
-    """Distributions of several quantities, as counts over even bins.
+    """Distributions of several quantities, as counts over equal bins.
 
     Attributes:
-        lower, upper: (n,) ends of the bins.
-        counts: (n, bins + 2), the first of what lies below all bins, the last of what lies above.
+        lower, upper: (n,) limits of the range of the bins.
+        counts: (n, bins + 2), the first below all bins, the last above all bins.
     """
 
     lower: np.ndarray
@@ -79,7 +79,7 @@ class Counts:
     counts: np.ndarray
 
     def quantile(self, share: float) -> np.ndarray:
-        """(n,) by straight lines within a bin; NaN where it lies beyond the bins."""
+        """Return the quantiles (n,), interpolated linearly within a bin; NaN outside the bins."""
         bins = self.counts.shape[1] - 2
         below = np.cumsum(self.counts, axis=1)
         wanted = share * below[:, -1]
@@ -96,16 +96,16 @@ class Counts:
 @final
 @dataclass(frozen=True)
 class Tally:
-    """What a number of machines adds.
+    """Sums and counts over a number of machines.
 
     Attributes:
-        machines: how many.
-        point: (poses·4, bins + 2) counts of the quantities of a pose.
-        sums: (poses, 3) of the point's deviation, µm.
-        squares: (poses, 3, 3) of its products, µm².
+        machines: number of machines.
+        point: (poses·4, bins + 2) counts of the quantities per pose.
+        sums: (poses, 3) sums of the point's deviation, µm.
+        squares: (poses, 3, 3) sums of its products, µm².
         measures: (4, bins + 2) counts of `MEASURES`.
-        totals: (4,) their sums, µm.
-        largest: (4,) µm.
+        totals: (4,) sums of `MEASURES`, µm.
+        largest: (4,) maxima of `MEASURES`, µm.
     """
 
     machines: int
@@ -117,7 +117,7 @@ class Tally:
     largest: np.ndarray
 
     def plus(self, other: Tally) -> Tally:
-        """Both together."""
+        """Return the sum of both."""
         added = {one.name: getattr(self, one.name) + getattr(other, one.name) for one in fields(self)}
         return Tally(**added | {"largest": np.maximum(self.largest, other.largest)})
 
@@ -125,12 +125,12 @@ class Tally:
 @final
 @dataclass(frozen=True)
 class Spread:
-    """How one number is spread over the drawn machines, µm.
+    """Distribution of one quantity over the drawn machines, µm.
 
     Attributes:
-        mean: over the machines.
-        low, high: ends of the probabilistically symmetric 95 % interval.
-        largest: of all machines drawn.
+        mean: mean over the machines.
+        low, high: limits of the probabilistically symmetric 95 % interval.
+        largest: maximum over all machines drawn.
     """
 
     mean: float
@@ -139,32 +139,32 @@ class Spread:
     largest: float
 
     def to_dict(self) -> dict[str, float]:
-        """For JSON."""
+        """Return the JSON object."""
         return {f"{name}_um": value for name, value in asdict(self).items()}
 
 
 @final
 @dataclass(frozen=True)
 class Population:
-    """What the drawn machines show.
+    """Result of a Monte Carlo simulation of machines.
 
     Attributes:
         axes: names, in the order of the columns of ``positions``.
         positions: (n, axes) commands, mm and degrees.
-        machines: how many were drawn.
-        seed: of the draws.
-        first_order_um: (n,) U by first order; see `twin.uncertainty.at_tool.DEFINITION`.
-        by_draws_um: (n,) radius within which 95 % of the drawn points lie of the estimated one.
+        machines: number of machines drawn.
+        seed: random seed.
+        first_order_um: (n,) U by first-order propagation; see `twin.uncertainty.at_tool.DEFINITION`.
+        by_draws_um: (n,) radius about the estimated point that contains 95 % of the drawn points.
         standard_um: (n, 3) standard deviation of the drawn points along x, y, z of the work frame.
-        bias_um: (n, 3) how far the mean of the drawn points is from the estimated one: what first order takes as zero.
+        bias_um: (n, 3) deviation of the mean of the drawn points from the estimated point; zero to first order.
         interval_um: (n, 3, 2) 95 % interval of the drawn points along x, y, z.
-        difference_um: (n, 3) by how much the ends of the first order interval miss those of ``interval_um``.
-        tolerance_um: (n, 3) numerical tolerance of the first order u (JCGM 101, 7.9.2).
-        validated: of every pose whether first order was enough (JCGM 101, 8.1); None where the draws are too few to tell.
-        as_it_is: error of the machines against the machine as drawn, uncompensated: of its RMS and of its maximum over the poses.
-        compensated: the same of what is left where the estimated errors are compensated exactly.
-        without_uncertainty: what has a value and no uncertainty, and is therefore the same for all machines.
-        warnings: of where the calibration's numbers come from.
+        difference_um: (n, 3) largest difference between the limits of the first-order interval and ``interval_um``.
+        tolerance_um: (n, 3) numerical tolerance of the first-order u (JCGM 101, 7.9.2).
+        validated: (n,) whether first order is sufficient (JCGM 101, 8.1); None if the draws are too few to decide.
+        as_it_is: error of the uncompensated machines relative to the nominal machine: of its RMS and of its maximum over the poses.
+        compensated: the same for the error that remains when the estimated errors are compensated exactly.
+        without_uncertainty: errors with a value but no uncertainty, which are therefore the same for all machines.
+        warnings: warnings about the origin of the calibration.
     """
 
     axes: tuple[str, ...]
@@ -187,38 +187,41 @@ class Population:
     def _repr_html_(self) -> str:
         spread = [
             (words, of, f"{one.mean:.3g}", f"{one.low:.3g} … {one.high:.3g}", f"{one.largest:.3g}")
-            for words, pair in (("as they are", self.as_it_is), ("as the calibration leaves them", self.compensated))
-            for of, one in zip(("RMS over the poses", "largest of the poses"), pair, strict=True)
+            for words, pair in (
+                ("uncompensated", self.as_it_is),
+                ("compensated with this calibration", self.compensated),
+            )
+            for of, one in zip(("RMS over the poses", "maximum over the poses"), pair, strict=True)
         ]
         u = self.by_draws_um
         place = ", ".join(f"{name} {value:.0f}" for name, value in self.where.items()).replace("-", "−")
         rows = [
-            ("U by draws", f"{np.sqrt(np.mean(u**2)):.3g} µm RMS, {u.max():.3g} µm largest at {place}"),
-            ("U by first order", f"{np.sqrt(np.mean(self.first_order_um**2)):.3g} µm RMS"),
-            ("first order enough (JCGM 101, 8.1)", enough(self.validated)),
+            ("U by Monte Carlo", f"{np.sqrt(np.mean(u**2)):.3g} µm RMS, {u.max():.3g} µm largest at {place}"),
+            ("U to first order", f"{np.sqrt(np.mean(self.first_order_um**2)):.3g} µm RMS"),
+            ("first order sufficient (JCGM 101, 8.1)", _sufficiency_text(self.validated)),
             (
-                "alike in all machines",
+                "the same in all machines",
                 f"{', '.join(self.without_uncertainty)} (no covariance)" if self.without_uncertainty else "",
             ),
         ]
-        headers = ("machines", "error at the tool, µm", "mean", "95 % of the machines", "largest of all")
+        headers = ("machines", "error at the tool, µm", "mean", "95 % of the machines", "maximum")
         small = f"{self.machines:,} drawn at {several(len(self.positions), 'pose')}, seed {self.seed}"
         parts = (
             pairs(rows),
             table(headers, spread, right=(2, 3, 4)),
-            histogram(u, "U by draws (µm)"),
+            histogram(u, "U by Monte Carlo (µm)"),
             note(DEFINITION),
         )
         return card("Machines drawn from the calibration", *parts, small=small).text
 
     @property
     def where(self) -> dict[str, float]:
-        """Position of the largest U by draws, by axis."""
+        """Position of the largest U by Monte Carlo, by axis."""
         row = self.positions[int(np.argmax(self.by_draws_um))]
         return dict(zip(self.axes, row.tolist(), strict=True))
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON: the same bits for the same seed, on any workers."""
+        """Return the JSON object (``schema: twin.volume/1``); the same seed gives identical text on any workers."""
 
         def summary(u: np.ndarray) -> dict[str, float]:
             return {"rms_um": float(np.sqrt(np.mean(u**2))), "max_um": float(u.max())}
@@ -241,21 +244,21 @@ class Population:
             "first_order_enough": {name: self.validated.count(answer) for name, answer in answers.items()},
             "as_it_is": spreads(self.as_it_is),
             "compensated": spreads(self.compensated),
-            **json_form(self, leave_out=LED),
+            **json_form(self, leave_out=LEADING_KEYS),
         }
 
 
 @final
 @dataclass(frozen=True)
 class Draws:
-    """How machines are drawn: all that a worker needs to know.
+    """Settings of a simulation, as sent to the workers.
 
     Attributes:
-        machine, calibration, tool_length_mm, conditions: as of `Kinematics`.
+        machine, calibration, tool_length_mm, conditions: see `Kinematics`.
         positions: (n, axes) commands, mm and degrees.
-        sides: (n, axes) the sides the axes come from.
-        seed: of all draws.
-        bins: of the quantities of a pose (n·4) and of a machine (4), lower and upper ends; None while they are being sought.
+        sides: (n, axes) directions of approach.
+        seed: random seed.
+        bins: lower and upper limits of the bins for the quantities per pose (n·4) and per machine (4); None before the pilot run.
     """
 
     machine: Machine
@@ -268,29 +271,29 @@ class Draws:
     bins: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """For a pickle: the attributes, not what was made of them here."""
+        """Return the state for pickling: the fields, without cached properties."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @cached_property
     def tool(self) -> ToolUncertainty:
-        """The calibration's uncertainty at the tool."""
+        """Uncertainty of the calibration at the tool."""
         return ToolUncertainty(
             Kinematics(self.machine, self.calibration, tool_length_mm=self.tool_length_mm, conditions=self.conditions)
         )
 
     @cached_property
     def steps(self) -> _Steps:
-        """The chain, made ready for these poses."""
+        """Evaluation of machines, prepared for these poses."""
         return _Steps(self)
 
     def part(self, task: tuple[int, int]) -> Tally:
-        """One task.
+        """Evaluate one task.
 
         Args:
-            task: its number, and how many machines.
+            task: number of the task and number of machines.
         """
         if self.bins is None:
-            raise InputError("draws without bins", expected="those of `pilot`")
+            raise InputError("the bins are not set", expected="settings returned by `pilot`")
         count = len(self.positions)
         point = np.zeros((count * POINT, BINS + 2), dtype=np.int64)
         measures = np.zeros((len(MEASURES), BINS + 2), dtype=np.int64)
@@ -309,7 +312,7 @@ class Draws:
         return Tally(task[1], point, sums, squares, measures, totals, largest)
 
     def pilot(self) -> Draws:
-        """With bins, between the extremes of the first machines and a tenth beyond."""
+        """Return the settings with bins over the range of a pilot run, widened by a tenth at either end."""
         seen: list[list[np.ndarray]] = [[], [], [], []]
         for point_um, distance_um, of_machine in self.steps.run(0, PILOT):
             of_pose = np.concatenate([point_um, distance_um[None]]).transpose(1, 0, 2).reshape(-1, point_um.shape[2])
@@ -324,7 +327,7 @@ class Draws:
 
 @final
 class _Steps:
-    """Machines at all poses, some at a time."""
+    """Evaluation of machines at all poses, in steps of bounded size."""
 
     def __init__(self, draws: Draws) -> None:
         self._seed = draws.seed
@@ -335,32 +338,32 @@ class _Steps:
         errors = kinematics.error_frames(q, sides).reshape(len(q), -1)
         moved = {component for component, _, _ in rates}
         own = [i for i in range(errors.shape[1]) if i in moved or errors[:, i].any()]
-        # One more number, which is 1, for the estimate itself: errors are one product.
+        # One more parameter, equal to 1, for the estimate itself: the errors are then one matrix product.
         one = len(draws.tool.parameters)
         self._rates = [
             (own.index(component), [*columns, one], np.column_stack([shape * UM, errors[:, component]]))
             for component, columns, shape in rates
         ]
-        self.each = max(-(-ROWS_A_STEP // len(q)), 1)
+        self.each = max(-(-ROWS_PER_STEP // len(q)), 1)
         shape = (len(q), self.each)
         self._errors = np.empty((len(own), *shape))
         self._errors[:] = errors.T[own][:, :, None]
         commands = (q * kinematics.machine.scale).T
         self._commands = np.ascontiguousarray(np.broadcast_to(commands[:, :, None], (len(commands), *shape)))
         self._tip = BatchFunction(_tip(kinematics, own))
-        as_drawn = Kinematics(
+        nominal = Kinematics(
             kinematics.machine, Calibration.zero(kinematics.machine), tool_length_mm=kinematics.tool_length_mm
         )
         estimated = kinematics.forward(q, sides).point_mm
         self._estimated = estimated.T[:, :, None] * 1e3
-        self._off = (estimated - as_drawn.forward(q).point_mm).T[:, :, None] * 1e3
+        self._off = (estimated - nominal.forward(q).point_mm).T[:, :, None] * 1e3
 
     def run(self, task: int, machines: int) -> Any:
-        """Of each step the (3, poses, k) deviations from the estimated points, their (poses, k) lengths, and (4, k) `MEASURES`; µm."""
+        """Yield per step, in µm: deviations (3, poses, k) from the estimated points, their lengths (poses, k), `MEASURES` (4, k)."""
         rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(task,)))
         for start in range(0, machines, self.each):
             count = min(self.each, machines - start)
-            # Always as many at once: a machine is the same machine, to the last bit, however many follow.
+            # Steps have a fixed size, so that a machine's results do not depend on how many follow.
             numbers = np.concatenate([self._tool.draw(rng, self.each), np.ones((1, self.each))])
             for row, columns, shape in self._rates:
                 np.matmul(shape, numbers[columns], out=self._errors[row])
@@ -396,33 +399,32 @@ def draw_machines(
     workers: Workers | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Population:
-    """Draw machines from the calibration's covariance and run each over the volume.
+    """Draw machines from the calibration's covariance and evaluate each over the volume.
 
     Args:
         kinematics: machine, calibration, tool and conditions.
-        trials: machines.
-        poses: spread evenly over the ranges (`twin.uncertainty.budget.volume`), as far as the curves are defined; a reversal counts
-        as ± half
-            its size, drawn with a seed.
-        seed: of the draws.
-        digits: significant digits of u taken as meaningful (JCGM 101, 7.9.2): 1 or 2.
-        workers: who does it; None for one process a core.
-        progress: called with a stage and the fraction done.
+        trials: number of machines.
+        poses: number of poses, spread evenly over the ranges (`twin.uncertainty.budget.volume`), inside the domains of the curves; with
+            random directions of approach a reversal counts as ± half its size.
+        seed: random seed.
+        digits: significant digits of u regarded as meaningful (JCGM 101, 7.9.2): 1 or 2.
+        workers: workers for the computation; None: one process per core.
+        progress: progress callback: stage and fraction done.
 
     Raises:
-        InputError: numbers out of place; a calibration without covariance; as `twin.compute.parallel.finished`.
+        InputError: a number outside its limits, or a calibration without covariance; see also `twin.compute.parallel.finished`.
     """
     if not FEWEST_TRIALS <= trials <= MOST_TRIALS:
         raise InputError(
-            "a number of machines out of place",
-            expected=f"at least {FEWEST_TRIALS}, at most {MOST_TRIALS}",
+            "number of machines outside its limits",
+            expected=f"{FEWEST_TRIALS} … {MOST_TRIALS}",
             value=trials,
         )
     if not 1 <= poses <= MOST_POSES:
-        raise InputError("a number of poses out of place", expected=f"1 … {MOST_POSES}", value=poses)
+        raise InputError("number of poses outside its limits", expected=f"1 … {MOST_POSES}", value=poses)
     if seed < 0:
-        raise InputError("the seed is negative", expected="0 or more", value=seed)
-    # The factor of a covariance and first order have other last digits with another number of threads.
+        raise InputError("seed must not be negative", expected="0 or more", value=seed)
+    # The last digits of matrix products depend on the number of threads.
     with threadpool_limits(limits=1, user_api="blas"):
         return _drawn(kinematics, trials, poses, seed, digits, workers, progress or (lambda stage, fraction: None))
 
@@ -440,7 +442,7 @@ def _drawn(
     tool = ToolUncertainty(kinematics)
     if not tool.parameters:
         raise InputError(
-            "nothing to draw from: how uncertain its errors are is unknown",
+            "no machines can be drawn: the calibration has no uncertainties",
             expected="a calibration with a covariance, as `twin identify` writes it",
             file=calibration.path,
         )
@@ -450,7 +452,7 @@ def _drawn(
     draws = Draws(
         kinematics.machine, calibration, kinematics.tool_length_mm, kinematics.conditions, q, sides, seed
     ).pilot()
-    tasks = [(i, min(TRIALS_A_TASK, trials - start)) for i, start in enumerate(range(0, trials, TRIALS_A_TASK))]
+    tasks = [(i, min(TRIALS_PER_TASK, trials - start)) for i, start in enumerate(range(0, trials, TRIALS_PER_TASK))]
     parts = in_order(Draws.part, draws, tasks, workers, name=lambda task: f"machines of task {task[0]}")
     total = next(parts)
     for part in parts:
@@ -466,7 +468,7 @@ def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) 
     first = tool.at(draws.positions, draws.sides)
     points = Counts(lower, upper, total.point)
     interval = np.stack([points.quantile(share).reshape(n, POINT)[:, :3] for share in (TAIL, 1.0 - TAIL)], axis=2)
-    # The rank of a quantile is binomial: the ends' standard error without assuming a density.
+    # The rank of a quantile is binomially distributed: standard errors of the limits without assuming a density.
     step = np.sqrt(TAIL * (1.0 - TAIL) / trials)
     noise = np.stack(
         [
@@ -508,7 +510,7 @@ def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) 
 
 
 def _tip(kinematics: Kinematics, own: list[int]) -> ca.Function:
-    """(q, those components of the error frames) → tip, metres and radians; the other components are zero."""
+    """Return the function (q, some components of the error frames) → tip, metres and radians; other components are zero."""
     machine = kinematics.machine
     q, some = ca.SX.sym("q", len(machine.axes)), ca.SX.sym("e", len(own))
     errors = ca.SX.zeros(6 * len(machine.frames))
@@ -519,13 +521,13 @@ def _tip(kinematics: Kinematics, own: list[int]) -> ca.Function:
 
 
 def _widened(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A tenth more either way; what does not vary needs some width too."""
+    """Return a range widened by a tenth at either end, and at least by `NUMERICAL_UM`."""
     more = np.maximum(0.1 * (upper - lower), NUMERICAL_UM)
     return lower - more, upper + more
 
 
 def _binned(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """(n, bins + 2) counts of (n, k) values."""
+    """Return the counts (n, bins + 2) of values (n, k)."""
     width = BINS + 2
     place = (values - lower[:, None]) * (BINS / (upper - lower))[:, None]
     np.clip(place, -1.0, BINS, out=place)
@@ -535,17 +537,21 @@ def _binned(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndar
     return np.bincount(found.reshape(-1), minlength=width * len(values)).reshape(len(values), width)
 
 
-def enough(validated: Sequence[bool | None]) -> str:
-    """At how many poses first order was enough, in words."""
-    told = {"yes": validated.count(True), "no": validated.count(False), "too few draws to tell": validated.count(None)}
-    return ", ".join(f"{words} at {several(count, 'pose')}" for words, count in told.items() if count)
+def _sufficiency_text(validated: Sequence[bool | None]) -> str:
+    """Return as text at how many poses first order is sufficient."""
+    counts = {
+        "yes": validated.count(True),
+        "no": validated.count(False),
+        "too few draws to decide": validated.count(None),
+    }
+    return ", ".join(f"{words} at {several(count, 'pose')}" for words, count in counts.items() if count)
 
 
 def numerical_tolerance(standard: np.ndarray, digits: int) -> np.ndarray:
-    """δ of JCGM 101, 7.9.2: u is written c·10^l with so many digits in the whole number c; δ = ½·10^l.
+    """Return δ of JCGM 101, 7.9.2: with u = c·10^l, where the integer c has ``digits`` digits, δ = ½·10^l.
 
     Args:
-        standard: u, any shape.
+        standard: standard uncertainty u, any shape.
         digits: significant digits, 1 or 2.
     """
     safe = np.where(standard > 0.0, standard, 1.0)

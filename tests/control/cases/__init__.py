@@ -1,5 +1,8 @@
-"""What the tests know of each format, a module each: a reading of its files by a few lines that share no code with `twin` and follow
-the control's own words (`by_hand`, to `AGREES_UM`), files that are read (`GOOD`) and what makes them wrong (`BAD`)."""
+"""Test cases for each format of control tables, one module each.
+
+Every module has an evaluation of the files that shares no code with `twin` and follows the control's documentation (`by_hand`, which
+agrees to `AGREES_UM`), valid files (`GOOD`) and changes that make them invalid (`BAD`).
+"""
 
 from importlib import import_module
 

@@ -19,11 +19,11 @@ BAD = [
     ("grid.csv", "9,9,0,1,2,3\n", "", None, "a point is missing"),
     ("grid.csv", "dX_um", "eX_um", None, "columns"),
 ]
-"""File, what is replaced in it by what, the line of the refusal, and its words."""
+"""File, text replaced in it, replacement, line number and text of the error."""
 
 
 def by_hand(folder: Path, axis: str, state: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Trilinear, at the nearest place of the box."""
+    """Return the trilinear interpolation at the nearest point of the box."""
     rows = np.loadtxt(folder / "grid.csv", delimiter=",", comments=("#", "X"))
     nodes = [np.unique(rows[:, i]) for i in range(3)]
     values = rows[:, 3:].reshape(*map(len, nodes), 3)

@@ -1,4 +1,4 @@
-"""HEIDENHAIN: columns looked up by hand."""
+"""HEIDENHAIN: independent evaluation of the columns."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ BAD = [
     ("CONFIG.CMA", "* X_CORR", "- X_CORR", None, r"lines with \*"),
     ("CONFIG.CMA", "* X_CORR", "* Q_CORR", 3, "missing table"),
 ]
-"""File, what is replaced in it by what, the line of the refusal, and its words."""
+"""File, text replaced in it, replacement, line number and text of the error."""
 
 
 def by_hand(folder: Path, axis: str, state: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Minus the errors in the columns of the axis, over the axes the .CMA has them over."""
+    """Return the negative errors from the columns of the axis, over the axes given in the .CMA file."""
     rows = [line.split() for line in (folder / "CONFIG.CMA").read_text().splitlines()]
     total = np.zeros(len(state[axis]))
     for of, name in list(zip(rows[1], rows[2], strict=True))[2:]:

@@ -1,4 +1,4 @@
-"""ISG: the DMU 50 with the component errors of the file, exactly turned."""
+"""ISG: the DMU 50 with the component errors of the file and exact rotations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from tests.truth.reference import about, dmu50_pose
 
 AGREES_UM = 0.15
-"""Exactly turned here, to first order there: 300 µrad · 100 µm, 300 µrad² · 1 m / 2, and 1e-4 of 0.2 mm."""
+"""Rotations are exact here and of first order in twin: 300 µrad · 100 µm, (300 µrad)² · 1 m / 2, and 1e-4 of 0.2 mm."""
 GOOD = {"volcomp.csv": "P0X P0Y P0Z\n0 0 0\n#\nX EXX EYX\n0 0.001 0.002\n100 0.002 0.001\n"}
 BAD = [
     ("volcomp.csv", "EYX", "EYY", 4, "unknown column in the block"),
@@ -20,11 +20,11 @@ BAD = [
     ("volcomp.csv", "0 0 0\n", "0 0 12\n", 2, "P0Z differs"),
     ("volcomp.csv", "P0X P0Y", "C0Y P0Y", 1, "unknown parameter"),
 ]
-"""File, what is replaced in it by what, the line of the refusal, and its words."""
+"""File, text replaced in it, replacement, line number and text of the error."""
 
 
 def by_hand(folder: Path, axis: str, state: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The DMU 50 with the component errors of the file, and what X, Y, Z have to move for the point to stay."""
+    """Return how far X, Y, Z must move to keep the point in place on the DMU 50 with the component errors of the file."""
     text = (folder / "volcomp.csv").read_text()
     length = float(re.search(r"tool length (\S+) mm", text)[1])
     blocks = [block.split() for block in re.sub(r"//.*", "", text).split("#")]
@@ -41,7 +41,7 @@ def by_hand(folder: Path, axis: str, state: Mapping[str, np.ndarray]) -> np.ndar
             place = np.mod(place, 360.0) if name == "C" else place
             for k, column in enumerate(columns, start=1):
                 errors[name]["XYZABC".index(column[1])] = np.interp(place, rows[:, 0], rows[:, k])
-        # The frame of B is turned by 45° about x; the file has the machine's directions.
+        # The frame of B is rotated by 45° about x; the file uses the machine's directions.
         tilt = about(0, np.pi / 4)[:3, :3]
         errors["B"] = np.concatenate([tilt.T @ errors["B"][:3], tilt.T @ errors["B"][3:]])
         none = {name: np.zeros(6) for name in errors}

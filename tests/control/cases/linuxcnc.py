@@ -25,11 +25,11 @@ BAD = [
     ("joints.ini", "COMP_FILE = X.comp", "COMP_FILE = Y.comp", 6, "missing file"),
     ("joints.ini", "X Y Z B C", "V Y Z B C", 6, "no such axis"),
 ]
-"""File, what is replaced in it by what, the line of the refusal, and its words."""
+"""File, text replaced in it, replacement, line number and text of the error."""
 
 
 def by_hand(folder: Path, axis: str, state: Mapping[str, np.ndarray]) -> np.ndarray:
-    """motor position − commanded position as `compute_screw_comp` has it."""
+    """Return motor position − commanded position, computed as in `compute_screw_comp`."""
     ini = (folder / "joints.ini").read_text()
     letters = re.search(r"^COORDINATES = (.*)$", ini, re.M)[1].split()
     section = ini.split(f"[JOINT_{letters.index(axis)}]")[1].split("[")[0]

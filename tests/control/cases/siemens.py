@@ -1,4 +1,4 @@
-"""SINUMERIK: CEC tables looked up by hand."""
+"""SINUMERIK: independent evaluation of the CEC tables."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ BAD = [
     ("cec.mpf", "[0,1]=0.02", "[0,1]=$R1", 2, "not a number"),
     ("cec.mpf", "[0,1]=0.02", "[0,0]=0.02", 2, "assigned twice"),
 ]
-"""File, what is replaced in it by what, the line of the refusal, and its words."""
+"""File, text replaced in it, replacement, line number and text of the error."""
 
 
 def by_hand(folder: Path, axis: str, state: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Sum of the tables of the axis and of the products; a table that multiplies another does not count itself."""
+    """Return the sum of the axis's tables and products; a table that multiplies another does not count by itself."""
     names = [name for name in state if not name.startswith("approach_")]  # AX1, AX2, …
     text = (folder / "cec.mpf").read_text()
     single = dict(re.findall(r"^\$AN_CEC_(\w+\[\d+\])=\(?([^)\n]+)\)?$", text, re.M))

@@ -1,4 +1,4 @@
-"""SINUMERIK: LEC tables looked up by hand."""
+"""SINUMERIK: independent evaluation of the LEC tables."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ BAD = [
     ("eec.mpf", "[0,1,AX1]=0.01", "[1,1,AX1]=0.01", 4, "not a line of a compensation table"),
     ("eec.mpf", "STEP[0,AX1]=50", "STEP[0,1,AX1]=50", 6, "wrong indices"),
 ]
-"""File, what is replaced in it by what, the line of the refusal, and its words."""
+"""File, text replaced in it, replacement, line number and text of the error."""
 
 
 def by_hand(folder: Path, axis: str, state: Mapping[str, np.ndarray]) -> np.ndarray:
-    """A positive value moves the axis in the negative direction; beyond the ends the end values, or modulo."""
+    """Return the correction: a positive value moves the axis back; beyond the range the end values hold, or modulo."""
     names = [name for name in state if not name.startswith("approach_")]  # AX1, AX2, …
     text, number = (folder / "eec.mpf").read_text(), names.index(axis) + 1
     points = [float(value) for value in re.findall(rf"^\$AA_ENC_COMP\[0,\d+,AX{number}\]=(\S+)$", text, re.M)]
