@@ -45,7 +45,7 @@ def test_doctor_survives_a_package_that_does_not_import(tmp_path: Path, module: 
     ended = run_with(tmp_path, module, f"raise ImportError({REASON!r})", "doctor")
     assert ended.returncode == 3 and ended.stderr == ""
     (line,) = [line for line in ended.stdout.splitlines() if line.startswith(f"FAILED  {package} ")]
-    assert line.endswith(f"does not import: ImportError: {REASON}")
+    assert line.endswith(f"cannot be imported: ImportError: {REASON}")
     assert re.search(rf"FAILED: {package}\b", ended.stdout)
 
 
@@ -66,7 +66,7 @@ def test_doctor_checks_the_machine_where_only_pictures_are_broken(tmp_path: Path
 )
 def test_doctor_survives_an_import_that_ends_the_process(tmp_path: Path, text: str, reason: str) -> None:
     ended = run_with(tmp_path, "casadi", text, "doctor")
-    assert ended.returncode == 3 and f"does not import: {reason}\n" in ended.stdout
+    assert ended.returncode == 3 and f"cannot be imported: {reason}\n" in ended.stdout
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_another_command_names_the_package_in_one_line(
     ended = run_with(tmp_path, module, f"raise ImportError({REASON!r})", *words)
     assert ended.returncode == 2 and ended.stdout == ""
     assert ended.stderr == (
-        f"twin: {package} does not import (ImportError: {REASON}); expected packages that import: run twin doctor\n"
+        f"twin: {package} cannot be imported (ImportError: {REASON}); expected working packages: run twin doctor\n"
     )
 
 

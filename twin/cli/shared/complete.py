@@ -1,6 +1,6 @@
-"""What the shell offers at the Tab key: names the options take, and files beside them.
+"""Shell completion: values of options, and files in the current folder.
 
-`twin --install-completion` writes the shell's part once. Every function takes what is written so far and gives what may follow.
+`twin --install-completion` installs it in the shell. Every function takes the incomplete word and returns its possible completions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from twin.samples import PLANS
 VARIABLE: Final = "_TWIN_COMPLETE"
 WORDS: Final = "COMP_WORDS"
 WORD: Final = "COMP_CWORD"
-"""What bash sets: the whole line, and the number of the word that is being written."""
+"""Variables that bash sets: the whole command line, and the index of the word being completed."""
 YAML: Final = (".yaml", ".yml")
 
 
@@ -29,52 +29,54 @@ Completer = Callable[[str], list[str]]
 
 
 def classes(incomplete: str) -> list[str]:
-    """Classes of ISO/TR 16907."""
-    return _begun(incomplete.upper(), NAMES)
+    """Complete a class of ISO/TR 16907."""
+    return _starting_with(incomplete.upper(), NAMES)
 
 
 def instruments(incomplete: str) -> list[str]:
-    """Instruments."""
-    return _begun(incomplete, [one.name for one in INSTRUMENTS])
+    """Complete the name of an instrument."""
+    return _starting_with(incomplete, [one.name for one in INSTRUMENTS])
 
 
 def errors(ctx: Any, incomplete: str) -> list[str]:
-    """ISO 230-1 names of the machine that was named before."""
-    return _begun(incomplete.upper(), _names(ctx))
+    """Complete an ISO 230-1 error name of the machine given before on the line."""
+    return _starting_with(incomplete.upper(), _names(ctx))
 
 
 def aims(ctx: Any, incomplete: str) -> list[str]:
-    """What a plan can make small."""
-    return _begun(incomplete, ["tool", "everything", "weakest"]) + errors(ctx, incomplete)
+    """Complete an uncertainty that a plan can minimise."""
+    return _starting_with(incomplete, ["tool", "everything", "weakest"]) + errors(ctx, incomplete)
 
 
 def causes(ctx: Any, incomplete: str) -> list[str]:
-    """Effects and where they can be, as two words in quotes."""
+    """Complete an effect and its location, two words in quotes."""
     machine = _machine(ctx)
     places = {one.name: one.places(machine) for one in MACHINE_EFFECTS if one.places(machine)}
-    # Until the effect is written, its places would be a list of hundreds.
-    effects = _begun(incomplete, sorted(places))
+    # Until the effect is complete, listing all its locations would give hundreds of entries.
+    effects = _starting_with(incomplete, sorted(places))
     if incomplete not in effects and " " not in incomplete:
         return effects
-    return _begun(incomplete, [f"{effect} {where}" for effect, wheres in sorted(places.items()) for where in wheres])
+    return _starting_with(
+        incomplete, [f"{effect} {where}" for effect, wheres in sorted(places.items()) for where in wheres]
+    )
 
 
 def told_word_by_word() -> None:
-    """Make the line that bash hands over one that the parser understands: an option of several words once for each of them."""
+    """Rewrite bash's command line for the parser: an option with several words is repeated before each of them."""
     if os.environ.get(VARIABLE) != "complete_bash" or WORDS not in os.environ:
         return
     line = os.environ[WORDS].split()
     try:
-        at = int(os.environ.get(WORD, ""))
+        position = int(os.environ.get(WORD, ""))
     except ValueError:
         return
-    before, now = line[1:at], line[at] if at < len(line) else ""
+    before, current = line[1:position], line[position] if position < len(line) else ""
     if any(mark in " ".join(line) for mark in "\"'\\"):
-        return  # quoted words are the shell's affair
+        return  # splitting at spaces would break quoted words
     words = gathered(before)
-    if len(words) >= 2 and words[-2] in MANY_WORDS and not now.startswith("-") and not Path(now).exists():
+    if len(words) >= 2 and words[-2] in MANY_WORDS and not current.startswith("-") and not Path(current).exists():
         words.append(words[-2])
-    os.environ[WORDS] = " ".join([line[0] if line else "twin", *words, now])
+    os.environ[WORDS] = " ".join([line[0] if line else "twin", *words, current])
     os.environ[WORD] = str(len(words) + 1)
 
 
@@ -90,7 +92,7 @@ def _names(ctx: Any) -> tuple[str, ...]:
     return (*machine.motion_names, *machine.squareness_names, *machine.location_names)
 
 
-def _begun(incomplete: str, names: Any) -> list[str]:
+def _starting_with(incomplete: str, names: Any) -> list[str]:
     return [name for name in names if name.startswith(incomplete)]
 
 
@@ -106,13 +108,13 @@ def _samples(suffixes: tuple[str, ...]) -> list[str]:
 
 
 def _named_or_file(names: Callable[[], list[str]], suffixes: tuple[str, ...]) -> Completer:
-    """Names of what comes with twin, and files with one of the suffixes."""
-    return lambda incomplete: _begun(incomplete, names()) + _files(incomplete, suffixes)
+    """Return a completer of bundled names and of files with one of the suffixes."""
+    return lambda incomplete: _starting_with(incomplete, names()) + _files(incomplete, suffixes)
 
 
 def _files(incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
-    """Files with one of the suffixes, and folders, whose path begins so."""
-    folder, _, begun = incomplete.rpartition("/")
+    """Return the folders, and the files with one of the suffixes, whose path starts with `incomplete`."""
+    folder, _, start = incomplete.rpartition("/")
     lead = f"{folder}/" if folder or incomplete.startswith("/") else ""
     try:
         entries = sorted(Path(lead or ".").iterdir())
@@ -120,7 +122,7 @@ def _files(incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
         return []
     found = []
     for entry in entries:
-        if entry.name.startswith(begun) and (begun or not entry.name.startswith(".")):
+        if entry.name.startswith(start) and (start or not entry.name.startswith(".")):
             if entry.is_dir():
                 found.append(f"{lead}{entry.name}/")
             elif entry.suffix.lower() in suffixes:
