@@ -51,7 +51,7 @@ ToleranceOption = Annotated[
     float, typer.Option("--tolerance", help="Largest permitted error between the end points of a block, mm."), POSITIVE
 ]
 MethodOption = Annotated[
-    Method, typer.Option("--method", help="exact: inverse kinematics with errors; thesis: first-order baseline.")
+    Method, typer.Option("--method", help="exact: inverse kinematics with errors; thesis: Ellingsdalen (2021).")
 ]
 
 

@@ -40,7 +40,7 @@ ReduceOption = Annotated[
     list[str] | None,
     typer.Option(
         "--reduce",
-        help="Uncertainty to minimise: tool (default), everything (D-optimal), weakest (worst direction), or of single errors: E_C0Y E_*C.",
+        help="Uncertainty to minimise: tool (default), everything (D-optimal), weakest (worst direction), or errors: E_C0Y E_*C.",
         autocompletion=complete.aims,
     ),
 ]
