@@ -238,7 +238,7 @@ def test_a_stage_and_an_arm_have_reports(tmp_path: Path) -> None:
         f"schema: twin.calibration/1\nmachine: arm\nsource: by hand\ncurves: {{E_CJ1: {JOINT}, E_CJ3: {JOINT}}}\n"
     )
     one = machine_report(arm, Calibration.load(tmp_path / "arm.cal.yaml", arm), made=MADE)
-    assert "Angle of J3" in machine_html(one)
+    assert "Angular positioning of J3" in machine_html(one)
     # Two turns on one circle would be two curves on top of each other.
     (plot,) = plot_motion(one.motions[0]).axes
     assert plot.name == "rectilinear" and plot.get_xlabel() == "J1 [°]"

@@ -31,7 +31,7 @@ from twin.machine.machine import Machine
 from twin.measurement.table import load
 from twin.report import MachineReport, machine_report
 from twin.report.page import machine_html
-from twin.report.readings import checked
+from twin.report.readings import compare_points
 from twin.uncertainty.at_tool import ToolUncertainty
 
 MADE = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
@@ -256,7 +256,7 @@ def test_every_header_has_the_unit_of_its_numbers(page: str) -> None:
     heads = [html.unescape(re.sub("<[^>]+>", "|", head)) for head in re.findall(r"<thead>.*?</thead>", page, re.S)]
     with_units = [[cell for cell in head.split("|") if "[" in cell] for head in heads if "[" in head]
     at_tool = ["at the tool, RMS [µm]", "largest [µm]", "U [µm]"]
-    tables = ["RMS by the model [µm]", "RMS expected [µm]", "largest by the model [µm]"]
+    tables = ["RMS by the model [µm]", "RMS with uncertainty [µm]", "largest by the model [µm]"]
     assert with_units == [at_tool, at_tool, at_tool[:1], at_tool[:1], ["RMS [µm]"], tables]
 
 
@@ -265,8 +265,10 @@ def test_what_the_identification_says_is_weighed(told: dict[str, Any]) -> None:
     others = told["identification"]["other_numbers_than_the_calibration"]
     assert others == ["E_XX", "E_CX", "E_ZC"]
     titles = [step["title"] for step in told["summary"]["steps"]]
-    assert "The identification is not this calibration's" in titles and "Find out what the model leaves out" in titles
-    assert any("identified.json gives other numbers" in text for text in told["unmet"])
+    assert (
+        "The identification belongs to another calibration" in titles and "Find the cause of the lack of fit" in titles
+    )
+    assert any("identified.json and the calibration differ" in text for text in told["unmet"])
 
 
 def test_the_page_fetches_nothing(page: str) -> None:
@@ -302,7 +304,7 @@ def test_unknown_is_never_zero(drawn: MachineReport, calibration: Calibration) -
     assert told["calibration"]["illustrative"] == [c.name for c in calibration.curves.values() if c.illustrative]
     said = [step["text"] for step in told["summary"]["steps"]]
     assert any("U at the tool is unknown" in text for text in said)
-    assert any("What it really leaves is unknown" in text for text in said)
+    assert any("The expected error is unknown" in text for text in said)
     assert any(step["kind"] == "never" and "ILLUSTRATIVE" in step["text"] for step in told["summary"]["steps"])
     # Without a tool, tilts of the spindle's own axis show nothing: the report says so.
     assert any("At tool length 0 mm" in text and "E_AZ" in text for text in said)
@@ -311,10 +313,10 @@ def test_unknown_is_never_zero(drawn: MachineReport, calibration: Calibration) -
 def test_a_machine_of_which_nothing_is_known(dmu50: Machine) -> None:
     """No errors are no accuracy."""
     one = machine_report(dmu50, Calibration.zero(dmu50), made=MADE)
-    assert one.advice.mood == "unknown" and "names no error" in one.advice.headline
+    assert one.advice.rating == "unknown" and "contains no errors" in one.advice.headline
     assert len(one.gaps.absent) == len((*dmu50.motion_names, *dmu50.squareness_names, *dmu50.location_names))
     text = machine_html(one)
-    assert "names no error" in text and "<iframe" not in text
+    assert "contains no errors" in text and "<iframe" not in text
 
 
 def test_another_machine(folder: Path) -> None:
@@ -328,7 +330,7 @@ def test_another_machine(folder: Path) -> None:
     )
     one = machine_report(machine, Calibration.load(path, machine), made=MADE)
     by_name = {error.name: error for error in one.budget.errors}
-    assert by_name["E_AA"].iso_class == "R-POS" and by_name["E_AA"].words == "Angle of A"
+    assert by_name["E_AA"].iso_class == "R-POS" and by_name["E_AA"].words == "Angular positioning of A"
     square = one.constants[0]
     assert (square.axis, square.to) == ("Z", "Y")
 
@@ -341,7 +343,7 @@ def test_stops_show_what_the_calibration_lacks(dmu50: Machine, calibration: Cali
     lost = 14.0
     read = hidden.noisy(hidden.points(plan, [Hidden("reversal", "Y", {"size": lost})]), rng, "isotropic", 1e-3)
     path = hidden.write(folder / "measured.csv", plan, read, u_mm=1e-3)
-    found = checked(load(path, dmu50), dmu50, calibration, path)
+    found = compare_points(load(path, dmu50), dmu50, calibration, path)
     below, above = found.stops["E_YY"]
     assert (below.side, above.side) == (1, -1)
     gap = np.mean(below.value - calibration.curves["E_YY"](below.position)) - np.mean(
@@ -378,10 +380,10 @@ def test_what_is_left_out_is_an_exit_status(
     # The drawing takes its time, and other tests look at it.
     monkeypatch.setattr("twin.report.page.machine_html", lambda found: found.advice.headline)
     assert run("report", "-o", page, "-c", folder / "mine.yaml", "--json", told) == 3
-    assert "not met: thermal_expansion:Z left out" in capsys.readouterr().out
+    assert "not met: thermal_expansion:Z omitted" in capsys.readouterr().out
     written = json.loads(told.read_text())
     assert written["gaps"]["left_out"] == {"T_Z_degC": ["thermal_expansion:Z"]}
-    assert any(step["title"] == "thermal_expansion:Z left out" for step in written["summary"]["steps"])
+    assert any(step["title"] == "thermal_expansion:Z omitted" for step in written["summary"]["steps"])
     assert page.read_text() == written["summary"]["headline"]
 
 
@@ -394,7 +396,7 @@ def test_refusals(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch:
     mine = folder / "mine.yaml"
     for arguments, said in (
         (("-o", mine, "-c", mine), "an output is one of the inputs"),
-        (("-o", out, "-c", mine, "--identified", other), "an identification of another machine"),
+        (("-o", out, "-c", mine, "--identified", other), "the identification belongs to another machine"),
         (("-o", out, "-c", mine, "--identified", broken), "not JSON"),
         (("-o", out, "-c", mine, "--identified", folder / "none.json"), "cannot be read"),
         (("-o", out, "-c", mine, "--temperature", "Q=20"), "neither an axis nor a sensor"),
@@ -464,7 +466,7 @@ def test_the_control_is_told(dmu50: Machine, folder: Path) -> None:
     table = f"{{file: cec.mpf, format: siemens, classes: [L-POS], sha256: {'ab' * 32}}}"
     path.write_text(f"{MINE}control:\n  errors_are: remaining\n  tables: [{table}]\n")
     one = machine_report(dmu50, Calibration.load(path, dmu50), made=MADE)
-    (step,) = [step for step in one.advice.steps if "control's tables on" in step.title]
-    assert step.kind == "do" and "cec.mpf: L-POS" in step.text and "what is left" in step.text
+    (step,) = [step for step in one.advice.steps if "control's tables active" in step.title]
+    assert step.kind == "do" and "cec.mpf: L-POS" in step.text and "remain in addition" in step.text
     assert one.to_dict()["control"]["errors_are"] == "remaining"
     assert [source.sha256 for source in one.sources.files if "control" in source.role] == ["ab" * 32]

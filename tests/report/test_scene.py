@@ -295,10 +295,10 @@ def test_another_machine(name: str) -> None:
     ("change", "what"),
     [
         ({"positions": np.zeros((0, 5))}, "nothing to show"),
-        ({"positions": np.zeros((6, 4))}, "positions of the wrong shape"),
-        ({"nominal_mm": np.zeros((5, 3))}, "nominal_mm of the wrong shape"),
-        ({"cutting": np.ones((6, 1), dtype=bool)}, "cutting of the wrong shape"),
-        ({"actual_mm": np.full((6, 3), np.nan)}, "actual_mm with a value that is no number"),
+        ({"positions": np.zeros((6, 4))}, "positions has the wrong shape"),
+        ({"nominal_mm": np.zeros((5, 3))}, "nominal_mm has the wrong shape"),
+        ({"cutting": np.ones((6, 1), dtype=bool)}, "cutting has the wrong shape"),
+        ({"actual_mm": np.full((6, 3), np.nan)}, "actual_mm contains a value that is not finite"),
     ],
 )
 def test_a_path_that_does_not_fit(real: Kinematics, change: dict[str, np.ndarray], what: str) -> None:

@@ -159,7 +159,7 @@ class _Info:
         at = self.kinematics.conditions
         lines = [MEANING[self.errors.datum]]
         if any(row.illustrative for row in self.rows):
-            lines.append("* illustrative: invented, not measured")
+            lines.append("* illustrative: assumed, not measured")
         lines += texts(self.errors.warnings)
         if any(row.name.startswith("reversal") for row in self.rows):
             lines.append("a reversal value contributes ± half its size")
