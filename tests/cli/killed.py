@@ -1,7 +1,7 @@
-"""Run a command of `twin`, killed without warning at each of its steps on the files of a folder, one step further each time.
+"""Run a command of `twin` repeatedly and kill it at each of its file operations in a folder, one operation later each time.
 
-`python -m tests.cli.killed FOLDER FILE ARGUMENT…` prints, as JSON, what FILE holds after each kill and, last, after the run that none
-cut short. Steps, not moments: where a kill falls does not depend on how fast the machine is.
+`python -m tests.cli.killed FOLDER FILE ARGUMENT…` prints, as JSON, the content of FILE after each kill and, last, after an undisturbed
+run. Kills happen at operations, not at times, so that they do not depend on the speed of the computer.
 """
 
 from __future__ import annotations
@@ -15,31 +15,35 @@ from pathlib import Path
 from twin import cli
 from twin.cli import commands  # noqa: F401  (`cli.main` imports them where it needs them)
 
-STEPS = ("open", "os.chmod", "os.rename", "os.remove")  # of `sys.addaudithook`; told before the step is taken
+STEPS = ("open", "os.chmod", "os.rename", "os.remove")  # audit events, raised before the operation
 
 
 def run(folder: Path, arguments: list[str], last: int) -> None:
-    """Run the command until it is about to take its `last` step in the folder."""
+    """Run the command until just before its `last` operation in the folder."""
     taken = 0
 
-    def about_to(event: str, told: tuple[object, ...]) -> None:
+    def audit(event: str, arguments_of_event: tuple[object, ...]) -> None:
         nonlocal taken
-        if event in STEPS and isinstance(told[0], str | os.PathLike) and folder in Path(told[0]).parents:
+        if (
+            event in STEPS
+            and isinstance(arguments_of_event[0], str | os.PathLike)
+            and folder in Path(arguments_of_event[0]).parents
+        ):
             taken += 1
             if taken == last:
                 os.kill(os.getpid(), signal.SIGKILL)
 
-    sys.addaudithook(about_to)
+    sys.addaudithook(audit)
     cli.main(arguments)
 
 
 def main(folder: str, file: str, *arguments: str) -> None:
-    """What the file holds after each kill."""
+    """Print the content of the file after each kill."""
     out = Path(file)
     old, found = out.read_text(), []
     while True:
         out.write_text(old)
-        child = os.fork()  # what is loaded is loaded once
+        child = os.fork()  # modules are loaded only once
         if not child:
             sys.stdout = sys.stderr = open(os.devnull, "w")
             run(Path(folder), list(arguments), len(found) + 1)

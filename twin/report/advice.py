@@ -30,7 +30,7 @@ TABLES: Final = {
     "L-POS": "positioning",
     "L-STR": "straightness",
     "L-SQU": "squareness",
-    "L-ANG": "tilts of the linear axes",
+    "L-ANG": "angular errors of the linear axes",
     "R-POS": "angular positioning",
 }
 """Errors that axis tables can compensate, by class."""
