@@ -40,7 +40,7 @@ LayoutOption = Annotated[
 ]
 
 
-class RunNoiseSource(StrEnum):
+class RunUncertaintyChoice(StrEnum):
     """Source of the noise from which uncertainties of an axis run are computed."""
 
     stated = "stated"
@@ -62,9 +62,9 @@ def axis_run(
     layout: LayoutOption,
     machine: options.MachineOption = DEFAULT,
     noise_source: Annotated[
-        RunNoiseSource,
+        RunUncertaintyChoice,
         typer.Option("--uncertainty", help="Noise that the uncertainties are computed from: as stated, or of repeats."),
-    ] = RunNoiseSource.stated,
+    ] = RunUncertaintyChoice.stated,
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Determine the six error motions of a linear axis, with uncertainties, from readings of a multi-axis interferometer."""

@@ -24,7 +24,7 @@ from twin.measurement.table import joined
 from twin.measurement.table import load as load_measurements
 
 
-class NoiseSource(StrEnum):
+class UncertaintyChoice(StrEnum):
     """Source of the noise from which uncertainties are computed."""
 
     stated = "stated"
@@ -43,7 +43,7 @@ InstrumentOption = Annotated[
     ),
 ]
 UncertaintyOption = Annotated[
-    NoiseSource,
+    UncertaintyChoice,
     typer.Option(
         "--uncertainty",
         help="Noise that the uncertainties are computed from: as stated, of repeats, or between poses or rounds, which includes "
@@ -78,7 +78,7 @@ def identify(
     output: Annotated[Path, typer.Option("--output", "-o", help="Calibration file to write."), CALIBRATION],
     machine: options.MachineOption = DEFAULT,
     instrument: InstrumentOption = None,
-    noise_source: UncertaintyOption = NoiseSource.stated,
+    noise_source: UncertaintyOption = UncertaintyChoice.stated,
     only: OnlyOption = None,
     control: ControlOption = None,
     json_file: JsonOption = None,

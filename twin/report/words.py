@@ -58,4 +58,6 @@ def _of_motion(name: str, machine: Machine) -> str:
         return f"Angular error motion of {axis} about {direction}"
     if component == along + 3:
         return f"Angular positioning of {axis}"
-    return f"{'Translation' if component < 3 else 'Tilt'} of {axis} {'along' if component < 3 else 'about'} {direction}"
+    if component >= 3:
+        return f"Tilt error motion of {axis} about {direction}"
+    return f"{'Axial' if component == along else 'Radial'} error motion of {axis} in {direction}"
