@@ -78,11 +78,11 @@ def scene(
         "deviation_um": {"rms": float(np.sqrt(np.mean(distance**2))), "max": float(distance.max())},
         "largest_at_line": int(run.lines[int(np.argmax(distance))]),
     }
-    left = f" ({run.left_out} points outside the axis ranges omitted)" if run.left_out else ""
+    omitted = f" ({run.left_out} points outside the axis ranges omitted)" if run.left_out else ""
     return CommandResult(
         "".join(f"{text}\n" for text in texts(errors.warnings)),
         lambda: report,
         met=not run.left_out,
-        written=f"written: {{}}{left}",
+        written=f"written: {{}}{omitted}",
         after=options.unused(at, errors),
     )

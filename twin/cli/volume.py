@@ -79,10 +79,10 @@ def volume(
 
 
 def _lines(found: Population, *, programs: bool) -> list[str]:
-    told = found.to_dict()
-    drawn, first = told["by_draws"], told["first_order"]
+    values = found.to_dict()
+    drawn, first = values["by_draws"], values["first_order"]
     place = ", ".join(f"{name} {round(value)}" for name, value in found.where.items())
-    enough = told["first_order_enough"]
+    enough = values["first_order_enough"]
     least = "at least " if found.without_uncertainty else ""
     lines = [
         "U of the tool point: radius around the estimate that contains 95 % of the draws; first order assumes a normal distribution",

@@ -254,7 +254,7 @@ def machine_report(
     tell = say or (lambda stage, part: None)
     at = Conditions() if conditions is None else conditions
     at.check(calibration)
-    told = None if identified is None else Identified.load(identified, calibration)
+    identification = None if identified is None else Identified.load(identified, calibration)
     calibration, datum = _in_mean_lines(calibration)
     origin = sources(calibration, identified, [path for path, _ in measured], seed, made)
     known, left_out = known_at(at, calibration)
@@ -275,11 +275,11 @@ def machine_report(
         constants=_constants(real, error_budget),
         field=error_field,
         compensation=outcome,
-        identified=told,
+        identified=identification,
         comparisons=found,
         gaps=gaps,
         tables=tables,
-        advice=advise(calibration, error_budget, outcome, told, left_out, found, tables),
+        advice=advise(calibration, error_budget, outcome, identification, left_out, found, tables),
         sources=origin,
     )
 

@@ -251,5 +251,5 @@ def _failure(modules: str) -> str | None:
         return f"timeout after {IMPORT_S:g} s"
     if ended.returncode == 0:
         return None
-    said = ended.stderr.strip().splitlines()
-    return said[-1] if said else f"the process ended with status {ended.returncode}"
+    lines = ended.stderr.strip().splitlines()
+    return lines[-1] if lines else f"the process ended with status {ended.returncode}"
