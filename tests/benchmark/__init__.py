@@ -1,5 +1,5 @@
-"""A benchmark of diagnosis for any method: files in, `diagnosis.json` out, scores.
+"""Benchmark of diagnosis methods: each reads files and writes `diagnosis.json`, which is scored.
 
-Truth machines in plain numpy, which share no code with `twin` and are not linearised, measure themselves with something hidden in them.
-Every case is a folder with the measurement table and what is hidden in it. See `python -m tests.benchmark --help`.
+Measurements are simulated on truth machines with hidden errors. These are written in plain NumPy, share no code with `twin` and are not
+linearised. Every case is a folder with the measurement table and the hidden errors. See `python -m tests.benchmark --help`.
 """

@@ -1,12 +1,12 @@
-"""Draw cases, ask methods, score their answers.
+"""Draw cases, run methods on them and score their answers.
 
-    python -m tests.benchmark -o FOLDER                        all kinds of case on all machines, asked of `twin`
+    python -m tests.benchmark -o FOLDER                        all kinds of case on all machines, method `twin`
     python -m tests.benchmark -o FOLDER --kinds outside --machines dmu50 --draws 25 --workers 2
     python -m tests.benchmark -o FOLDER --method mine='mine {table} {machine} {json}'
 
-A case is a folder in FOLDER/cases: ``measured.csv``, ``machine.txt`` (what goes after -m) and ``truth.json``. Each answer is kept in
-FOLDER/answers as it comes, so that a second run goes on where the first one stopped. The table is printed and written to
-FOLDER/table.txt and FOLDER/table.md; FOLDER/wrong.txt has a line for every answer that is wrong.
+A case is a folder in FOLDER/cases: ``measured.csv``, ``machine.txt`` (the argument of -m) and ``truth.json``. Each answer is saved in
+FOLDER/answers at once, so that a second run continues an interrupted one. The table is printed and written to FOLDER/table.txt and
+FOLDER/table.md; FOLDER/wrong.txt has one line for every wrong answer.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 
 from tests.benchmark.cases import KINDS, Case, truth_machines, write_case, write_whole
 from tests.benchmark.gain import removed
-from tests.benchmark.methods import BUILT_IN, Command, Method, asked
+from tests.benchmark.methods import BUILT_IN, Command, Method, run_method
 from tests.benchmark.real import HEADER, REAL_SETS, Answer, RealSet, summary
 from tests.benchmark.scores import SCORES, Score, in_words, is_wrong, scores
 from tests.benchmark.table import markdown, rows, text
@@ -32,7 +32,7 @@ from twin.compute.parallel import Workers, finished
 
 @dataclass(frozen=True)
 class Question:
-    """One case asked of one method."""
+    """One case for one method."""
 
     method: Method
     case: Case
@@ -42,17 +42,17 @@ class Question:
         return f"{self.method.name} {self.case.name}"
 
     def answer(self, folder: Path) -> Path:
-        """Where its answer is kept."""
+        """Return the path of its answer."""
         return folder / "answers" / self.method.name / f"{self.case.name}.json"
 
 
 def ask(folder: Path, question: Question) -> str:
-    """Write the case unless it is there, and the answer to it; return what it scores, in words."""
+    """Write the case, if new, and the answer to it; return its scores as text."""
     case = write_case(question.case, folder)
     machine = (case / "machine.txt").read_text(encoding="utf-8").strip()
     path = question.answer(folder)
     path.parent.mkdir(parents=True, exist_ok=True)
-    found = asked(question.method, case / "measured.csv", machine)
+    found = run_method(question.method, case / "measured.csv", machine)
     if found["calibration"] is not None:
         with tempfile.TemporaryDirectory() as own:
             calibration = Path(own) / "calibration.yaml"
@@ -64,7 +64,7 @@ def ask(folder: Path, question: Question) -> str:
 
 
 def kept(folder: Path, question: Question) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What is hidden in a case, and the answer to it."""
+    """Return the truth of a case and the saved answer to it."""
     truth = folder / "cases" / question.case.name / "truth.json"
     hidden, answer = (json.loads(path.read_text(encoding="utf-8")) for path in (truth, question.answer(folder)))
     return hidden, answer
@@ -79,18 +79,18 @@ def run(
     by_family: bool = False,
     verbose: bool = False,
 ) -> tuple[list[str], list[list[str]]]:
-    """Ask every method every case; header and rows of the table. What is wrong is listed in ``wrong.txt`` of the folder.
+    """Run every method on every case; return header and rows of the table, and list wrong answers in ``wrong.txt``.
 
     Args:
-        folder: of cases and answers.
-        methods: whom to ask.
-        cases: what to ask.
-        workers: who does it.
-        by_family: a row for every family of effects that is hidden.
+        folder: folder of cases and answers.
+        methods: methods to run.
+        cases: cases to run them on.
+        workers: processes or cluster.
+        by_family: one row for every family of hidden effects.
         verbose: report every answer on stderr.
     """
     questions = [Question(method, case) for method in methods for case in cases]
-    # Two methods may meet at a case that is not written yet: files of a case are the same whoever writes them.
+    # Two methods may write the same case at the same time: its files do not depend on the writer.
     new = [one for one in questions if not one.answer(folder).exists()]
     for done, (index, said) in enumerate(finished(ask, folder, new, workers, name=lambda one: one.name), start=1):
         if verbose:
@@ -110,7 +110,7 @@ def run(
 
 @dataclass(frozen=True)
 class RealQuestion:
-    """One real set asked of one method."""
+    """One real data set for one method."""
 
     method: Method
     name: str
@@ -120,28 +120,28 @@ class RealQuestion:
         return next(one for one in REAL_SETS if one.name == self.name)
 
     def folder(self, folder: Path) -> Path:
-        """Of table, machine file and answer."""
+        """Return the folder of table, machine file and answer."""
         return folder / "answers" / self.method.name / "real" / self.name.replace(",", "").replace(" ", "-")
 
     def answer(self, folder: Path) -> Path:
-        """Where its answer is kept."""
+        """Return the path of its answer."""
         return self.folder(folder) / "answer.json"
 
 
 def ask_real(folder: Path, question: RealQuestion) -> None:
-    """Write the files of a real set and the answer to it."""
+    """Write the files of a real data set and the answer to it."""
     own = question.folder(folder)
     own.mkdir(parents=True, exist_ok=True)
     table, machine = question.of.files(own)
     (own / "files.txt").write_text(f"{table}\n{machine}\n", encoding="utf-8")
-    found = asked(question.method, table, str(machine))
+    found = run_method(question.method, table, str(machine))
     if found["calibration"] is not None:
         (own / "calibration.yaml").write_text(found["calibration"], encoding="utf-8")
     write_whole(own / "answer.json", found)
 
 
 def real_row(folder: Path, question: RealQuestion) -> list[str]:
-    """The row of an answer that is kept."""
+    """Return the table row of a saved answer."""
     own = question.folder(folder)
     found = json.loads((own / "answer.json").read_text(encoding="utf-8"))
     table, machine = (Path(line) for line in (own / "files.txt").read_text(encoding="utf-8").splitlines())
@@ -153,7 +153,7 @@ def real_row(folder: Path, question: RealQuestion) -> list[str]:
 def run_real(
     folder: Path, methods: Sequence[Method], workers: Workers | None = None, *, verbose: bool = False
 ) -> tuple[list[str], list[list[str]]]:
-    """Ask every method every real set whose files are there; header and rows of the table."""
+    """Run every method on every available real data set; return header and rows of the table."""
     questions = [RealQuestion(method, one.name) for method in methods for one in REAL_SETS if one.there()]
     new = [one for one in questions if not one.answer(folder).exists()]
     for done, (index, _) in enumerate(finished(ask_real, folder, new, workers, name=lambda one: one.name), start=1):
@@ -178,20 +178,23 @@ def _arguments() -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="scores:\n" + "\n".join(f"  {name}: {meaning}" for name, meaning in SCORES.items()),
     )
-    parser.add_argument("-o", "--folder", type=Path, required=True, help="of cases, answers and table")
+    parser.add_argument("-o", "--folder", type=Path, required=True, help="folder of cases, answers and table")
     parser.add_argument("--machines", nargs="+", choices=truth_machines(), default=list(truth_machines()))
     parser.add_argument(
         "--kinds",
         nargs="*",
         default=list(KINDS),
-        help=f"or how they begin; none for the real sets alone: {', '.join(KINDS)}",
+        help=f"kinds of case, or prefixes of them; empty for the real data sets only: {', '.join(KINDS)}",
         metavar="KIND",
     )
     parser.add_argument(
-        "--real", action=argparse.BooleanOptionalAction, default=True, help="the real sets too, where they are"
+        "--real",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="include the real data sets that are available",
     )
-    parser.add_argument("--draws", type=int, default=20, help="cases of each kind on each machine")
-    parser.add_argument("--first", type=int, default=0, help="number of the first")
+    parser.add_argument("--draws", type=int, default=20, help="number of cases of each kind on each machine")
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
         "--method",
@@ -199,14 +202,14 @@ def _arguments() -> argparse.Namespace:
         action="append",
         help=f"one of {', '.join(BUILT_IN)}, or NAME='command {{table}} {{machine}} {{json}}'; may be repeated",
     )
-    parser.add_argument("--by-family", action="store_true", help="a row for every family of effects that is hidden")
-    parser.add_argument("--only-draw", action="store_true", help="write the cases, ask nothing")
-    parser.add_argument("--workers", type=int, help="processes of this computer: one a core if not given")
-    parser.add_argument("--scheduler", help="address of a Dask scheduler, whose workers have this folder on their path")
+    parser.add_argument("--by-family", action="store_true", help="one row for every family of hidden effects")
+    parser.add_argument("--only-draw", action="store_true", help="write the cases and run no method")
+    parser.add_argument("--workers", type=int, help="number of local processes; default: one per core")
+    parser.add_argument("--scheduler", help="address of a Dask scheduler whose workers can import this package")
     found = parser.parse_args()
     unknown = [word for word in found.kinds if not any(kind.startswith(word) for kind in KINDS)]
     if unknown:
-        parser.error(f"no kind of case begins with {unknown[0]}; there are {', '.join(KINDS)}")
+        parser.error(f"no kind of case begins with {unknown[0]}; expected one of {', '.join(KINDS)}")
     found.kinds = [kind for kind in KINDS if kind.startswith(tuple(found.kinds))]
     try:
         found.workers = Workers(found.workers, found.scheduler)
@@ -216,7 +219,7 @@ def _arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Do what the command line asks for."""
+    """Run the benchmark according to the command line."""
     options = _arguments()
     folder = options.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
@@ -246,6 +249,6 @@ def write_case_in(folder: Path, case: Case) -> str:
 
 
 if __name__ == "__main__":
-    from tests.benchmark import __main__ as benchmark  # workers know it by this name
+    from tests.benchmark import __main__ as benchmark  # the name under which workers import it
 
     benchmark.main()

@@ -14,12 +14,12 @@ HERE = np.eye(4)
 
 
 def machines() -> dict[str, TruthMachine]:
-    """Every one by its name."""
+    """Return all truth machines by name."""
     return {machine.name: machine for machine in (Dmu50(), trunnion(), robot(), stage())}
 
 
 def trunnion() -> Chain:
-    """`urdf/trunnion_ac.yaml`: X and Z carry the tool, Y carries the A axis, 60 mm above the table's surface, and that the C axis.
+    """Return the machine of `urdf/trunnion_ac.yaml`: X, Z carry the tool; Y carries A, 60 mm above the table's surface; A carries C.
 
     A positive command moves or turns the workpiece along −y, about −x and about −z.
     """
@@ -59,7 +59,7 @@ def trunnion() -> Chain:
 
 
 def robot() -> Chain:
-    """The arm of `tests.truth.few_axes`: joints about z and y in turn, each 50 mm to the front of and 300 mm above the one before.
+    """Return the arm of `tests.truth.few_axes`: joints alternate about z and y, each 50 mm in front of and 300 mm above the previous.
 
     The error frame of a joint about y has its z along y.
     """
@@ -85,7 +85,7 @@ def robot() -> Chain:
 
 
 def stage() -> Chain:
-    """A slide of 500 mm with two targets, and two on its bed, all at known places."""
+    """Return a slide of 500 mm with two targets, and two on its bed, all at known positions."""
     return Chain(
         name="stage",
         axes=(TruthAxis("X", True, 0.0, 500.0, "tool"),),

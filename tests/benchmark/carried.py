@@ -1,6 +1,6 @@
-"""How much of a change of the readings known effects can carry, by the truth machine itself, to first order in their size.
+"""Share of a change of the readings that known effects can explain, computed by the truth machine to first order in their size.
 
-A pattern that is said to be in no catalogue must not be, for the most part, what a known effect does: then its name would be right.
+A pattern outside the catalogue must not be explained mostly by a known effect, because then that effect would be a right answer.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ Key = tuple[str, str]
 DEGREES = 8
 ORDERS = 30
 WAVES = 60
-"""Periods over an axis's travel that are tried, from one to as many."""
+"""Largest number of periods over an axis's travel."""
 TIME_CONSTANTS = 12
 SMALL = 1e-7
-"""Share of a column's sum of squares that the set-up must leave for it to count."""
+"""Smallest share of a column's sum of squares outside the set-up's column space, relative to rounding."""
 
 
 def shares(machine: TruthMachine, plan: Plan, change: np.ndarray) -> dict[Key, float]:
-    """Of the λ of a change of the readings, the share that each effect can carry in the form that suits it best.
+    """Return the largest share of a change's noncentrality λ that each effect can explain, over all forms of the effect.
 
     Args:
         machine: the machine.
-        plan: what is measured.
-        change: (n, 3) mm.
+        plan: the measurement plan.
+        change: (n, 3) change of the readings, mm.
     """
     wanted = machine.left_over(plan, change)
     found: dict[Key, float] = {}
@@ -43,7 +43,7 @@ def shares(machine: TruthMachine, plan: Plan, change: np.ndarray) -> dict[Key, f
 
 
 def largest(machine: TruthMachine, plan: Plan, change: np.ndarray) -> tuple[Key, float]:
-    """The effect with the largest of the `shares`, and that share."""
+    """Return the effect with the largest of the `shares`, and that share."""
     found = shares(machine, plan, change)
     best = max(found, key=lambda key: found[key])
     return best, found[best]
@@ -51,7 +51,7 @@ def largest(machine: TruthMachine, plan: Plan, change: np.ndarray) -> tuple[Key,
 
 @lru_cache(maxsize=1)
 def _directions(machine: TruthMachine, plan: Plan) -> tuple[tuple[Key, np.ndarray], ...]:
-    """(3n, k) orthonormal basis of what each form of each effect does beside the set-up."""
+    """Return (3n, k) orthonormal bases of the readings of each form of each effect, orthogonal to the set-up."""
     setup = absorbed(machine, plan)
     found = []
     for key, columns in _columns(machine, plan):
@@ -60,7 +60,7 @@ def _directions(machine: TruthMachine, plan: Plan) -> tuple[tuple[Key, np.ndarra
         flat = flat[:, length > 0.0] / length[length > 0.0]
         left = flat - setup @ (setup.T @ flat)
         values, vectors = np.linalg.eigh(left.T @ left)
-        # What the set-up absorbs leaves rounding errors.
+        # Columns that the set-up absorbs leave rounding errors.
         kept = values > SMALL
         if kept.any():
             found.append((key, left @ (vectors[:, kept] / np.sqrt(values[kept]))))
@@ -68,7 +68,7 @@ def _directions(machine: TruthMachine, plan: Plan) -> tuple[tuple[Key, np.ndarra
 
 
 class _Unit:
-    """What unit errors do to the readings of a plan."""
+    """Effect of unit errors on the readings of a plan."""
 
     def __init__(self, machine: TruthMachine, plan: Plan) -> None:
         self.machine = machine
@@ -77,21 +77,21 @@ class _Unit:
         self.into = rotations(np.array([STATIONS[name][1] for name in plan.station])).transpose(0, 2, 1)
 
     def change(self, effect: str, where: str, **numbers: float) -> np.ndarray:
-        """(n, 3) of an effect."""
+        """Return (n, 3) the change of the readings by an effect."""
         return self.machine.readings(self.plan, [Hidden(effect, where, numbers)]) - self.seen
 
     def shift(self, vectors: np.ndarray) -> np.ndarray:
-        """(n, 3) of a shift of the targets in the base, (n, 3) or (3,)."""
+        """Return (n, 3) the change of the readings by a shift, (n, 3) or (3,), of the targets in the base."""
         return np.einsum("nij,nj->ni", self.into, np.broadcast_to(vectors, self.seen.shape))
 
 
 def _times(change: np.ndarray, functions: np.ndarray) -> np.ndarray:
-    """(n, 3, k) a change (n, 3) whose size is a function (n, k) or (n,) of the row."""
+    """Return (n, 3, k) a change (n, 3) multiplied by functions (n, k) or (n,) of the row."""
     return change[:, :, None] * functions.reshape(len(change), 1, -1)
 
 
 def _columns(machine: TruthMachine, plan: Plan) -> Iterator[tuple[Key, np.ndarray]]:
-    """(n, 3, k) changes of the readings, for every form of every effect."""
+    """Yield (n, 3, k) changes of the readings for every form of every effect."""
     unit = _Unit(machine, plan)
     for axis in machine.axes:
         offset = unit.change("zero_offset", axis.name, offset=1.0)

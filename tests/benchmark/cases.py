@@ -1,4 +1,4 @@
-"""The cases: what is hidden in each, drawn from a seed, scaled to a noncentrality λ, and written to a folder."""
+"""Benchmark cases: draw hidden errors from a seed, scale them to a noncentrality λ, and write each case to a folder."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from tests.truth.any_machine import TruthMachine
 from tests.truth.hidden import Hidden
 
 OUTSIDE = 300.0
-"""λ of a pattern outside the catalogue."""
+"""Noncentrality λ of a pattern outside the catalogue."""
 LEAST_LEFT = 0.05
-"""Share of its sum of squares that the set-up must leave of such a pattern."""
+"""Smallest share of a pattern's sum of squares that the set-up may leave."""
 MOST_CARRIED = 0.5
-"""Share of its λ that any known effect may carry: one that carries more would rightly be named."""
+"""Largest share of a pattern's λ that a known effect may explain; naming an effect that explains more would be right."""
 LARGEST_MM = 0.2
 KINDS = (
     "known30",
@@ -39,19 +39,19 @@ KINDS = (
     "mixed300",
     *(f"outside-{pattern}" for pattern in PATTERNS),
 )
-"""A known effect at λ = 30, 60 or 300, one of `known.FURTHER` at 300, two at 60 each, nothing, one at 300 beside a pattern outside at
-300, and each such pattern."""
+"""A known effect with λ = 30, 60 or 300; one of `known.FURTHER` with 300; two with 60 each; nothing; one with 300 together with a
+pattern outside the catalogue with 300; and each such pattern alone."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """Which case it is: the same on every computer.
+    """Identification of a case, which is the same on every computer.
 
     Attributes:
         machine: name of a truth machine.
         kind: one of `KINDS`.
-        number: counts the cases of this kind on this machine.
-        seed: of the benchmark.
+        number: number of the case among those of this kind and machine.
+        seed: random seed of the benchmark.
     """
 
     machine: str
@@ -65,19 +65,19 @@ class Case:
         return f"{self.machine}-{self.kind}-{self.seed}-{self.number:03d}"
 
     def rng(self) -> np.random.Generator:
-        """Its own generator."""
+        """Return the random generator of the case."""
         key = zlib.crc32(f"{self.machine} {self.kind}".encode())
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(key, self.number)))
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What is hidden in a case.
+    """Hidden errors of a case.
 
     Attributes:
-        plan: what is measured.
-        effects: known effects.
-        outside: a pattern of no catalogue.
+        plan: the measurement plan.
+        effects: hidden effects of the catalogue.
+        outside: hidden pattern outside the catalogue.
         read: (n, 3) readings with noise, mm.
     """
 
@@ -89,12 +89,12 @@ class Truth:
 
 @lru_cache(maxsize=1)
 def truth_machines() -> dict[str, TruthMachine]:
-    """All of them, made once."""
+    """Return all truth machines by name, made once."""
     return machines()
 
 
 def truth_of(case: Case) -> Truth:
-    """Draw a case."""
+    """Draw the hidden errors and the readings of a case."""
     machine, rng = truth_machines()[case.machine], case.rng()
     plan = machine.plan(rng)
     effects: Sequence[Hidden] = ()
@@ -113,14 +113,14 @@ def truth_of(case: Case) -> Truth:
 
 
 def _known(rng: np.random.Generator, machine: TruthMachine, plan: Plan, case: Case) -> Hidden:
-    """Of the families in turn; the next one where nothing of a family shows on these data."""
+    """Draw an effect, cycling through the families; skip a family of which no effect is visible in these data."""
     names = families(machine, plan, further=case.kind.startswith("further"))
     size = float(case.kind.lstrip("abcdefghijklmnopqrstuvwxyz"))
     for k in range(len(names)):
         found = drawn(rng, machine, plan, names[(case.number + k) % len(names)], size)
         if found is not None:
             return found
-    raise ValueError(f"nothing that {machine.name} can have shows on its data")
+    raise ValueError(f"no effect of {machine.name} is visible in its data")
 
 
 def outside_of(
@@ -135,21 +135,21 @@ def outside_of(
         seen = machine.noncentrality(plan, change)
         if seen <= LEAST_LEFT * raw or raw == 0.0:
             continue
-        # A shift in the base: linear in its size to the last bit.
+        # A shift in the base is exactly linear in its size.
         found = Outside.from_dict(found.to_dict() | {"size_um": found.size_um * float(np.sqrt(size / seen))})
         if largest(machine, plan, change)[1] > MOST_CARRIED:
             continue
         if np.abs(found.moved(machine, plan)).max() < LARGEST_MM:
             return found
-    raise ValueError(f"no {pattern} shows on the data of {machine.name}")
+    raise ValueError(f"no {pattern} is visible in the data of {machine.name}")
 
 
 def write_case(case: Case, folder: Path) -> Path:
-    """Write a case unless it is there: its folder, with ``measured.csv``, ``machine.txt`` and, last of all, ``truth.json``.
+    """Write the folder of a case, if new: ``measured.csv``, ``machine.txt`` and, last, ``truth.json``.
 
     Args:
-        case: which.
-        folder: of all cases; machine files go to ``machines`` in it.
+        case: the case.
+        folder: folder of all cases; machine files are written to ``machines`` in it.
     """
     own = folder / "cases" / case.name
     if (own / "truth.json").exists():
@@ -163,7 +163,7 @@ def write_case(case: Case, folder: Path) -> Path:
 
 
 def machine_file(machine: TruthMachine, folder: Path) -> str:
-    """Name of a bundled machine, or the path of the machine file in ``machines`` of the folder, written if it is not there."""
+    """Return the name of a bundled machine, or the path of its machine file in ``machines``, which is written if new."""
     if machine.bundled:
         return machine.bundled
     files = folder / "machines" / machine.name
@@ -172,14 +172,14 @@ def machine_file(machine: TruthMachine, folder: Path) -> str:
         made = Path(tempfile.mkdtemp(prefix=".part", dir=files.parent))
         machine.write_machine(made)
         try:
-            made.rename(files)  # both files at once, for another worker may look for them
+            made.rename(files)  # atomic, since another worker may look for the files
         except OSError:
             shutil.rmtree(made)
     return str(next(files.glob("*.yaml")).resolve())
 
 
 def to_dict(case: Case, machine: TruthMachine, truth: Truth) -> dict[str, Any]:
-    """Return what ``truth.json`` says."""
+    """Return the content of ``truth.json``."""
     plan, silent = truth.plan, machine.readings(truth.plan)
 
     def size(change: np.ndarray) -> float:
@@ -217,7 +217,7 @@ def to_dict(case: Case, machine: TruthMachine, truth: Truth) -> dict[str, Any]:
 
 
 def write_whole(path: Path, data: Any) -> None:
-    """Write JSON so that the file is there whole or not at all."""
+    """Write a JSON file atomically."""
     part = path.with_name(f".{path.name}.part")
     part.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     part.replace(path)

@@ -1,4 +1,4 @@
-"""What a written calibration is worth, by the truth machine: how much of the machine's true error it takes out."""
+"""Share of the machine's true error that a written calibration removes, computed by the truth machine."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from twin.measurement.table import load
 
 
 def removed(case: Case, table: Path, machine: str, calibration: Path) -> float | None:
-    """Share of the sum of squares of the machine's hidden error that a calibration takes out, on the same rows without noise.
+    """Return the share of the hidden error's sum of squares that a calibration removes, on the same rows without noise.
 
-    The set-up is projected out of the error and of what is left of it. Effects of the instrument are no error of the machine: where
-    nothing of the machine is hidden the share is None; a calibration that cannot be evaluated takes out nothing.
+    The set-up is projected out of the error and of the remaining error. Effects of the instrument do not count as machine errors: the
+    share is None without a hidden machine error, and zero for a calibration that cannot be evaluated.
 
     Args:
-        case: what is hidden.
+        case: the case.
         table: its measurement table, for the channels.
         machine: its machine file.
-        calibration: the file that a method wrote.
+        calibration: calibration file that a method wrote.
     """
     truth, drawn = truth_machines()[case.machine], truth_of(case)
     effects = [one for one in drawn.effects if origin(one.effect) == "machine"]

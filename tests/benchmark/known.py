@@ -1,4 +1,4 @@
-"""Known effects: every family of the contract's table that a machine can have, at random places with random shapes."""
+"""Known effects: every family of the catalogue that a machine can have, with random locations and parameters."""
 
 from __future__ import annotations
 
@@ -13,55 +13,55 @@ from tests.truth.any_machine import TruthMachine
 from tests.truth.hidden import Hidden
 
 SHAPE = ("order", "period", "phase", "time_constant", "exponent")
-"""Parameters that say what an effect looks like, not how large it is."""
+"""Parameters of an effect's shape, not of its size."""
 INSTRUMENT = ("affine_scale", "frame_shift", "refraction_scale", "station_drift", "target_shift")
 LEAST_LEFT = 1e-4
-"""Share of an effect's sum of squares that the set-up must leave: what it absorbs is no hidden effect."""
+"""Smallest share of an effect's sum of squares that the set-up may leave; an absorbed effect cannot be found."""
 LARGEST_MM = 1.0
-"""An effect that would have to move a point by more to be seen is no hidden effect."""
+"""Largest displacement of a point by a hidden effect, mm."""
 LONGEST_CURVE = 6
 HIGHEST_ORDER = 12
 SHORTEST_PERIOD = 6.0
 ITERATIONS = 3
-"""Of the size, for λ as asked: effects are not linear in it, by some 1e-4."""
+"""Iterations of the size for the required λ: effects are nonlinear in size by about 1e-4."""
 ALONE = 0.5
-"""Share of its λ that each of two effects must keep beside the other, in whatever form."""
+"""Smallest share of its λ that each of two effects keeps when the other is fitted in any form."""
 FURTHER = ("reversal_curve", "thermal_lag", "spindle_growth", "affine_scale")
-"""Families that the contract's table was given last: a kind of case of their own."""
+"""Families added to the catalogue later, with their own kind of case."""
 PLACED = 500
-"""Draws after which an effect of a family, a pair or a pattern is taken to be impossible on these data."""
+"""Number of draws after which no effect, pair or pattern is assumed to be possible in these data."""
 Rng = np.random.Generator
 Where = Callable[[TruthMachine, Plan], list[str]]
 Draw = Callable[[Rng, TruthMachine, Plan, str], dict[str, float]]
 
 
 def origin(effect: str) -> str:
-    """``machine`` or ``instrument``."""
+    """Return the origin of an effect: ``machine`` or ``instrument``."""
     return "instrument" if effect in INSTRUMENT else "machine"
 
 
 def scaled(effect: Hidden, factor: float) -> Hidden:
-    """The same with other sizes."""
+    """Return an effect with its size multiplied by a factor."""
     own = {name: value if name in SHAPE else factor * value for name, value in effect.numbers.items()}
     return Hidden(effect.effect, effect.where, own)
 
 
 def families(machine: TruthMachine, plan: Plan, *, further: bool = False) -> tuple[str, ...]:
-    """Those of which this machine has a place; of `FURTHER` only, or of all others."""
+    """Return the families possible on this machine: those in `FURTHER`, or all others."""
     return tuple(
         name for name, (places, _) in FAMILIES.items() if (name in FURTHER) is further and places(machine, plan)
     )
 
 
 def drawn(rng: Rng, machine: TruthMachine, plan: Plan, family: str, size: float) -> Hidden | None:
-    """Draw an effect of a family and scale it to a noncentrality; None if none of the family shows on these data.
+    """Draw an effect of a family and scale it to a noncentrality; return None if no effect is visible in these data.
 
     Args:
         rng: the case's generator.
         machine: the machine.
-        plan: what is measured.
+        plan: the measurement plan.
         family: a name of `FAMILIES`.
-        size: λ, after the set-up is projected out.
+        size: noncentrality λ after projecting out the set-up.
     """
     places, numbers = FAMILIES[family]
     where = places(machine, plan)
@@ -84,7 +84,7 @@ def drawn(rng: Rng, machine: TruthMachine, plan: Plan, family: str, size: float)
 
 
 def two(rng: Rng, machine: TruthMachine, plan: Plan, size: float) -> list[Hidden]:
-    """Two effects of different families, each of which keeps `ALONE` of its λ beside the other."""
+    """Return two effects of different families, each of which keeps `ALONE` of its λ if the other is fitted."""
     names = families(machine, plan)
     silent = machine.readings(plan)
     for _ in range(PLACED):
@@ -95,7 +95,7 @@ def two(rng: Rng, machine: TruthMachine, plan: Plan, size: float) -> list[Hidden
         changes = [machine.readings(plan, [one]) - silent for one in pair]
         first, second = (machine.left_over(plan, one) for one in changes)
         alike = float((first @ second) ** 2 / ((first @ first) * (second @ second)))
-        # Nor may either be a form of the other: a constant is one of a curve.
+        # Neither may be a special form of the other, as a constant is of a curve.
         alike = max(
             alike,
             *(
@@ -105,7 +105,7 @@ def two(rng: Rng, machine: TruthMachine, plan: Plan, size: float) -> list[Hidden
         )
         if alike < ALONE:
             return pair
-    raise ValueError(f"no two effects of {machine.name} keep their λ beside each other")
+    raise ValueError(f"no two effects of {machine.name} are distinguishable")
 
 
 def _linear(machine: TruthMachine) -> list[str]:
@@ -134,7 +134,7 @@ def _pitch(rng: Rng, machine: TruthMachine, plan: Plan, where: str) -> dict[str,
 
 
 def _curve(rng: Rng, machine: TruthMachine, plan: Plan, where: str) -> dict[str, float]:
-    """Powers of u; in the calibration's datum: no constant, and a straightness has no slope either."""
+    """Return powers of u in the calibration's datum: no constant, and no slope for a straightness."""
     straight = where[2] in "XYZ" and where[2:] not in _along(machine)
     first = 2 if straight else 1
     sums = np.zeros(int(rng.integers(first, LONGEST_CURVE + 1)) + 1)
@@ -143,7 +143,7 @@ def _curve(rng: Rng, machine: TruthMachine, plan: Plan, where: str) -> dict[str,
 
 
 def _along(machine: TruthMachine) -> list[str]:
-    """``XX``, ``YY``: direction and axis of each positioning."""
+    """Return direction and axis of every positioning error: ``XX``, ``YY``."""
     letters = {name: "XYZ"[int(np.argmax(np.abs(machine.direction(name))))] for name in _linear(machine)}
     return [letter + name for name, letter in letters.items()]
 
@@ -160,7 +160,7 @@ def _creep(rng: Rng, machine: TruthMachine, plan: Plan, where: str) -> dict[str,
 
 
 def _reversal_curve(rng: Rng, machine: TruthMachine, plan: Plan, where: str) -> dict[str, float]:
-    """A constant and more that varies: a constant alone is a reversal."""
+    """Return a constant plus a larger varying part; a constant alone is a reversal."""
     sums = np.array([*rng.uniform(-0.5, 0.5, 1), *rng.choice([-1.0, 1.0], 1), *rng.standard_normal(rng.integers(3))])
     return {f"c{k}": float(value) for k, value in enumerate(legendre.leg2poly(sums))}
 
@@ -231,4 +231,4 @@ FAMILIES: dict[str, tuple[Where, Draw]] = {
     ),
     "refraction_scale": (lambda m, p: ["—"], _normal("scale")),
 }
-"""By family: at which places a machine can have it on these data, and its numbers, of any size."""
+"""For every family: its possible locations on a machine in these data, and a function that draws its parameters."""

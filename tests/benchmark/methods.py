@@ -1,4 +1,4 @@
-"""The methods: each gets a measurement table and a machine file, and writes ``diagnosis.json`` (contract §4)."""
+"""Diagnosis methods: each reads a measurement table and a machine file and writes ``diagnosis.json`` (schema twin.diagnosis/1)."""
 
 from __future__ import annotations
 
@@ -31,33 +31,33 @@ from twin.measurement.table import load
 
 LIMIT_S: Final = 900.0
 BROKEN: Final = (ArithmeticError, LookupError, TypeError, ValueError)
-"""How a method that is broken may fail: it has no answer, and the others go on."""
+"""Exceptions of a method that count as no answer and do not stop the other methods."""
 
 
 class Method(ABC):
     """One method of diagnosis.
 
     Attributes:
-        name: in the table.
+        name: name in the table.
     """
 
     name: str
 
     @abstractmethod
     def diagnose(self, table: Path, machine: str, answer: Path, calibration: Path) -> str:
-        """Write the diagnosis of a table to a file; return why there is none, or nothing.
+        """Write the diagnosis of a table to a file; return an error message, or an empty string.
 
         Args:
             table: the measurements.
             machine: name or path of the machine file.
-            answer: the JSON to write.
-            calibration: the extended calibration to write, by a method that can.
+            answer: JSON file to write.
+            calibration: extended calibration to write, if the method supports it.
         """
 
 
 @dataclass(frozen=True)
 class Twin(Method):
-    """`twin diagnose TABLE -m MACHINE --json ANSWER --extended CALIBRATION`, in this process."""
+    """Method `twin diagnose TABLE -m MACHINE --json ANSWER --extended CALIBRATION`, run in this process."""
 
     name: str = "twin"
 
@@ -74,11 +74,11 @@ class Twin(Method):
 
 @dataclass(frozen=True)
 class Rival(Method):
-    """A plain method of `tests.diagnosis.rivals`: it gets the whitened residual and the candidates of `twin`, and gives names only.
+    """Standard method of `tests.diagnosis.rivals`: uses the whitened residuals and the candidates of `twin`; returns names only.
 
     Attributes:
-        name: in the table.
-        names: of the causes, of a problem and its candidates.
+        name: name in the table.
+        names: function that returns the causes of a problem, given its candidates.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Rival(Method):
         except InputError as error:
             return str(error)
         posed = placed.without(placed.bad)
-        # What may be wrong with the calibration itself is never hidden here, and a plain regression cannot ask for it.
+        # Errors of the calibration itself are never hidden here, and are not possible candidates of a plain regression.
         choice = [candidate for candidate in posed.known.candidates if candidate.effect not in UNHIDDEN]
         origin = {candidate.key: candidate.origin for candidate in choice}
         causes = [
@@ -106,11 +106,11 @@ class Rival(Method):
 
 @dataclass(frozen=True)
 class Command(Method):
-    """Any program.
+    """Method run as an external program.
 
     Attributes:
-        name: in the table.
-        command: its words, with ``{table}``, ``{machine}``, ``{json}`` and perhaps ``{calibration}`` in place of the files.
+        name: name in the table.
+        command: command line with ``{table}``, ``{machine}``, ``{json}`` and optionally ``{calibration}`` as placeholders.
     """
 
     name: str
@@ -141,7 +141,7 @@ BUILT_IN: Final[dict[str, Method]] = {
 }
 
 
-def asked(method: Method, table: Path, machine: str) -> dict[str, Any]:
+def run_method(method: Method, table: Path, machine: str) -> dict[str, Any]:
     """Return ``seconds`` of wall time, ``error`` (empty if none), ``diagnosis`` and the text of ``calibration`` (None if none)."""
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(limits=1, user_api="blas"):
         answer = Path(folder) / "diagnosis.json"

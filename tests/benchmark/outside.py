@@ -1,4 +1,4 @@
-"""Patterns that are in no catalogue: shifts of the targets of one side, in one direction, as a function of columns of the table."""
+"""Patterns outside the catalogue: shifts of the targets of one side in one direction, as functions of columns of the table."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from tests.truth.any_machine import TruthMachine
 
 Numbers = dict[str, float]
 HALF_WAVES = (3.0, 8.0)
-"""Of a short wave over the range of its column."""
+"""Range of the number of half waves of a short wave over its column."""
 TEETH = (3, 7)
 BINS = 60
 AS_MUCH = 0.9
-"""Share of a pattern's variance that is a function of another column, for that column to be right as well."""
+"""Share of a pattern's variance explained by another column from which that column also counts as right."""
 MIDDLE = (0.25, 0.75)
-"""Part of a column's range in which a jump or the middle of a bump lies."""
+"""Part of a column's range for the position of a jump or the centre of a bump."""
 
 
 @dataclass(frozen=True)
 class Outside:
-    """One pattern with its numbers.
+    """One pattern with its parameters.
 
     Attributes:
         pattern: a name of `PATTERNS`.
-        columns: those that the pattern is a function of, in the order of its formula.
-        side: whose targets it moves.
-        frame: in which its direction is fixed: ``base`` or ``table``.
+        columns: columns that the pattern depends on, in the order of its formula.
+        side: side whose targets it moves, ``tool`` or ``work``.
+        frame: frame in which its direction is fixed: ``base`` or ``table``.
         direction: unit vector.
-        numbers: of the formula.
-        size_um: factor of the formula.
+        numbers: parameters of the formula.
+        size_um: factor of the formula, µm.
     """
 
     pattern: str
@@ -45,17 +45,17 @@ class Outside:
     size_um: float = 1.0
 
     def moved(self, machine: TruthMachine, plan: Plan) -> np.ndarray:
-        """(n, 3) the shift of each row's target in the base, mm."""
+        """Return (n, 3) the shift of each row's target in the base, mm."""
         size = 1e-3 * self.size_um * PATTERNS[self.pattern].shape(plan, self.columns, self.numbers)
         vector = np.array(self.direction)
         along = machine.carried(plan, vector) if self.frame == "table" else np.broadcast_to(vector, (len(plan), 3))
         return (size * (plan.carrier == self.side))[:, None] * along
 
     def depends_on(self, machine: TruthMachine, plan: Plan) -> tuple[str, ...]:
-        """Columns that are right to be named: those of the formula, and others that the pattern is as much a function of.
+        """Return the columns that count as right: those of the formula, and others that explain the pattern as well.
 
-        For a direction of approach that is its axis; for a function of time or of a temperature any of these of which it is a function
-        on this plan (`AS_MUCH`).
+        For a direction of approach this is its axis; for a function of time or of a temperature, any of these that explains `AS_MUCH`
+        of it on this plan.
         """
         found = [*self.columns, *(axis.column for axis in machine.axes if f"approach_{axis.name}" in self.columns)]
         columns = plan.columns()
@@ -85,21 +85,21 @@ class Outside:
 
 @dataclass(frozen=True)
 class Pattern:
-    """A kind of pattern: how its place and numbers are drawn, and its formula."""
+    """A kind of pattern: a function that draws its location and parameters, and its formula."""
 
     draw: Callable[[np.random.Generator, TruthMachine, Plan], Outside]
     shape: Callable[[Plan, tuple[str, ...], Numbers], np.ndarray]
 
 
 def _explained(shape: np.ndarray, column: np.ndarray) -> float:
-    """Share of a function's variance that its means over `BINS` equally full parts of a column carry."""
+    """Return the share of a function's variance explained by its means over `BINS` equally filled bins of a column."""
     part = np.argsort(np.argsort(column, kind="stable")) * BINS // len(column)
     means = np.bincount(part, shape) / np.bincount(part)
     return 1.0 - float(np.var(shape - means[part]) / np.var(shape))
 
 
 def _unit(plan: Plan, column: str) -> np.ndarray:
-    """(n,) a column from 0 to 1 over its range; of an endless axis over one turn."""
+    """Return (n,) a column scaled from 0 to 1 over its range, or over one turn for an endless axis."""
     values = plan.columns()[column]
     if _endless(plan, column):
         return np.mod(values / 360.0, 1.0)
@@ -116,7 +116,7 @@ def _wave(plan: Plan, column: str, halves: float, phase: float) -> np.ndarray:
 
 
 def _step(plan: Plan, column: str, place: float) -> np.ndarray:
-    """±0.5; an endless axis jumps back half a turn later."""
+    """Return a step of ±0.5; for an endless axis it returns after half a turn."""
     u = _unit(plan, column)
     return np.where(np.mod(u - place, 1.0) < 0.5 if _endless(plan, column) else u > place, 0.5, -0.5)
 
@@ -163,7 +163,7 @@ def _sawtooth(plan: Plan, columns: tuple[str, ...], v: Numbers) -> np.ndarray:
 
 
 def _drift(plan: Plan, columns: tuple[str, ...], v: Numbers) -> np.ndarray:
-    """Two raised cosines in time."""
+    """Return two raised cosines in time."""
     total = np.zeros(len(plan))
     for k in (1, 2):
         off = (_unit(plan, columns[0]) - v[f"place_{k}"]) / v[f"width_{k}"]
@@ -179,7 +179,7 @@ def _placed(
     numbers: Numbers,
     sides: tuple[str, ...] | None = None,
 ) -> Outside:
-    """On a random side in a random direction."""
+    """Return a pattern on a random side in a random direction."""
     found = sides or tuple(sorted({*plan.carrier.tolist()}))
     side = found[rng.integers(len(found))]
     frame = "table" if side == "work" and rng.random() < 0.5 else "base"
@@ -219,7 +219,7 @@ def _draw_lost_motion(rng: np.random.Generator, machine: TruthMachine, plan: Pla
     numbers = {"waves": float(rng.uniform(0.5, 1.0)), "phase": float(rng.uniform(0.0, 2.0 * np.pi))}
     found = _placed(rng, plan, "lost_motion", (f"approach_{axis.name}", by.column), numbers, (axis.side,))
     if axis is by and axis.linear:
-        # Along its command it would be a reversal curve, which has a name.
+        # Along the command it would be a reversal curve, which is in the catalogue.
         own, vector = machine.direction(axis.name), np.array(found.direction)
         direction = _unit_vector(vector - own * (own @ vector))
         return Outside(found.pattern, found.columns, found.side, "base", direction, numbers)
@@ -227,7 +227,7 @@ def _draw_lost_motion(rng: np.random.Generator, machine: TruthMachine, plan: Pla
 
 
 def _place_of_jump(rng: np.random.Generator, plan: Plan, column: str) -> float:
-    """In the middle of the range; of time in the middle of a round, for stations and targets may shift between rounds."""
+    """Return a position in the middle of the range; for time, within a round, as stations and targets may shift between rounds."""
     if column != "time_s":
         return float(rng.uniform(*MIDDLE))
     of_round = plan.time_s[plan.round == rng.choice(np.unique(plan.round))]
@@ -251,7 +251,7 @@ def _draw_jump(rng: np.random.Generator, machine: TruthMachine, plan: Plan) -> O
 def _draw_jump_product(rng: np.random.Generator, machine: TruthMachine, plan: Plan) -> Outside:
     first, second = _two(rng, plan)
     if _endless(plan, second):
-        # A slope needs an end.
+        # A slope needs a limited range.
         first, second = second, first
     return _placed(rng, plan, "jump_product", (first, second), {"place": _place_of_jump(rng, plan, first)})
 
@@ -273,7 +273,7 @@ def _draw_sawtooth(rng: np.random.Generator, machine: TruthMachine, plan: Plan) 
 
 
 def _free(machine: TruthMachine, axis: TruthAxis, side: str) -> bool:
-    """Whether an axis's own motions cannot take up a shift of that side: it is not of that side, or its frame turns."""
+    """Return whether the axis's own error motions cannot explain a shift of a side: it is on the other side, or its frame turns."""
     own = [one for one in machine.axes if one.side == side]
     before = own[: own.index(axis)] if axis in own else []
     return axis.side != side or any(not one.linear for one in before)

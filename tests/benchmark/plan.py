@@ -1,4 +1,4 @@
-"""What is measured, in the order it is measured, and the measurement table of the contract."""
+"""Measurement plan of a truth machine, in the order of measurement, and its measurement table."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class TruthAxis:
     """One axis of a truth machine.
 
     Attributes:
-        name: in tables.
+        name: name in tables.
         linear: whether it translates (mm) or turns (degrees).
-        low, high: the travel that is measured, mm or degrees.
+        low, high: measured range, mm or degrees.
         side: ``tool`` or ``work``.
-        endless: whether it may turn on for ever; ``low`` and ``high`` are then one turn apart.
+        endless: whether its range is unlimited; ``high`` is then ``low`` plus one turn.
     """
 
     name: str
@@ -31,21 +31,21 @@ class TruthAxis:
 
     @property
     def column(self) -> str:
-        """Its column in the table."""
+        """Name of its column in the table."""
         return f"{self.name}_{'mm' if self.linear else 'deg'}"
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """n rows, each a reading of one target.
+    """Measurement plan with n rows, each a reading of one target.
 
     Attributes:
-        axes: of the machine, in command order.
+        axes: axes of the machine, in command order.
         q: (n, axes) commands, mm or degrees.
-        approach: (n, axes) +1 or −1.
+        approach: (n, axes) direction of approach, +1 or −1.
         target, carrier, station, round: (n,) names.
         time_s: (n,) seconds.
-        warm: sensor → (n,) °C.
+        warm: (n,) temperatures by sensor, °C.
         channels: further columns by name.
     """
 
@@ -64,27 +64,27 @@ class Plan:
         return len(self.q)
 
     def at(self, axis: str) -> np.ndarray:
-        """(n,) commands of one axis."""
+        """Return (n,) commands of one axis."""
         return self.q[:, [one.name for one in self.axes].index(axis)]
 
     def approach_of(self, axis: str) -> np.ndarray:
-        """(n,) +1 or −1."""
+        """Return (n,) directions of approach of one axis, +1 or −1."""
         return self.approach[:, [one.name for one in self.axes].index(axis)]
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Positions, time and temperatures by their names in the table."""
+        """Return positions, time and temperatures by their column names."""
         found = {axis.column: self.q[:, i] for i, axis in enumerate(self.axes)}
         return found | {"time_s": self.time_s} | {f"T_{name}_degC": values for name, values in self.warm.items()}
 
 
 def write_table(path: Path, plan: Plan, read: np.ndarray, u_mm: float, comments: Sequence[str] = ()) -> Path:
-    """Write the contract's measurement table.
+    """Write a measurement table.
 
     Args:
-        path: of the table.
-        plan: what was measured.
+        path: path of the table.
+        plan: the measurement plan.
         read: (n, 3) readings, mm.
-        u_mm: their standard uncertainty.
+        u_mm: standard uncertainty of the readings, mm.
         comments: lines before the header.
     """
     columns: dict[str, np.ndarray] = {axis.column: plan.q[:, i] for i, axis in enumerate(plan.axes)}

@@ -1,7 +1,7 @@
-"""The real sets beside the project, and what each must show: computed by others, or apart from this project by least squares.
+"""Real data sets and their expected results, which were published or computed by least squares independently of `twin`.
 
-Sets that need a calibration of their own before they are diagnosed (the UR10) are not among them: a method gets a table and a machine
-file, no more.
+Sets that need their own calibration before a diagnosis (the UR10) are not included, because a method gets only a table and a machine
+file.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ Files = Callable[[Path], tuple[Path, Path]]
 
 @dataclass(frozen=True)
 class Answer:
-    """What a method said of a set.
+    """Answer of a method to a data set.
 
     Attributes:
-        diagnosis: its JSON, None if it refused.
-        calibration: the extended calibration that it wrote, None if it wrote none.
-        table, machine: what it was given.
+        diagnosis: its JSON; None if it refused the data.
+        calibration: extended calibration that it wrote, or None.
+        table, machine: its input files.
     """
 
     diagnosis: Said | None
@@ -46,30 +46,30 @@ class Answer:
 
     @property
     def keys(self) -> list[tuple[str, str]]:
-        """Effect and place of every cause."""
+        """Effect and location of every cause."""
         return [(cause["effect"], cause["where"]) for cause in self.causes]
 
     def cause(self, effect: str, where: str) -> Said | None:
-        """The cause that is it, or that has it in its `equivalent`."""
+        """Return the cause that names an effect, itself or in `equivalent`; None if there is none."""
         for cause in self.causes:
             if {"effect": effect, "where": where} in [{k: cause[k] for k in ("effect", "where")}, *cause["equivalent"]]:
                 return cause
         return None
 
     def size(self, effect: str, where: str) -> float:
-        """First parameter of a cause of just that name; NaN if there is none."""
+        """Return the first parameter of the cause of this name; NaN if there is none."""
         for cause in self.causes:
             if (cause["effect"], cause["where"]) == (effect, where) and cause["parameters"]:
                 return float(cause["parameters"][0]["value"])
         return float("nan")
 
     def u(self, effect: str, where: str) -> float:
-        """Standard uncertainty of `size`."""
+        """Return the standard uncertainty of `size`."""
         cause = self.cause(effect, where)
         return float(cause["parameters"][0]["u"]) if cause and cause["parameters"] else float("nan")
 
     def held_out(self) -> tuple[float, float]:
-        """Residual on held-out data, before and after, µm a coordinate; NaN if it is not given."""
+        """Return the residual on held-out data before and after, µm per coordinate; NaN if not given."""
         held = ((self.diagnosis or {}).get("gain") or {}).get("held_out") or {}
         before, after = (held.get(f"rms_{when}_um") for when in ("before", "after"))
         return float("nan") if before is None else before, float("nan") if after is None else after
@@ -80,13 +80,13 @@ Check = Callable[[Answer], bool]
 
 @dataclass(frozen=True)
 class RealSet:
-    """A set, and what a right answer to it says.
+    """A real data set and the checks of an answer to it.
 
     Attributes:
-        name: in the table.
-        folder: in the folder of real sets.
-        files: table and machine file, some of them written into a folder.
-        checks: words → whether an answer does.
+        name: name in the table.
+        folder: name of its folder among the real data sets.
+        files: function that returns table and machine file, and may write them into a folder.
+        checks: check of an answer, by its description.
     """
 
     name: str
@@ -95,16 +95,16 @@ class RealSet:
     checks: Mapping[str, Check]
 
     def there(self) -> bool:
-        """Whether its files are beside the project."""
+        """Return whether its files are available."""
         return (REAL / self.folder).exists()
 
     def failed(self, answer: Answer) -> list[str]:
-        """Words of the checks that it does not pass."""
+        """Return the descriptions of the failed checks."""
         return [words for words, check in self.checks.items() if not check(answer)]
 
 
 def _without(files: Files, *columns: str) -> Files:
-    """The same table without some columns."""
+    """Return files whose table lacks some columns."""
 
     def written(folder: Path) -> tuple[Path, Path]:
         table, machine = files(folder)
@@ -120,7 +120,7 @@ def _without(files: Files, *columns: str) -> Files:
 
 
 def _frame(want: float) -> dict[str, Check]:
-    """Growth of the printer's frame, µm/K, perhaps with a little of its bed, and nothing else."""
+    """Return the checks for thermal growth of the printer's frame, µm/K, optionally of its bed, and no other cause."""
 
     def small(answer: Answer) -> bool:
         left = (answer.diagnosis or {}).get("unexplained")
@@ -136,7 +136,7 @@ def _frame(want: float) -> dict[str, Check]:
 
 
 def _leaves_no_more(answer: Answer) -> bool:
-    """The calibration that was written leaves no more after the best rigid placement than the machine as drawn."""
+    """Return whether the residual with the written calibration, after the best rigid fit, is not above that of the nominal machine."""
     if answer.calibration is None:
         return False
     machine = Machine.load(answer.machine)
@@ -154,7 +154,7 @@ def _near(effect: str, where: str, want: float, off: float) -> Check:
 
 
 def _near_in_u(effect: str, where: str, want: float, own_u: float) -> Check:
-    """Within three standard uncertainties of both."""
+    """Return a check that a size agrees within three combined standard uncertainties."""
     return lambda a: abs(a.size(effect, where) - want) < 3.0 * np.hypot(a.u(effect, where), own_u)
 
 
@@ -163,7 +163,7 @@ def _one_drift(answer: Answer) -> bool:
 
 
 def _promises_nothing(answer: Answer) -> bool:
-    """No curve through five positions, or no claim that it is right between them."""
+    """Return whether the answer has no curve through five positions, or claims no accuracy between them."""
     point = ((answer.diagnosis or {}).get("gain") or {}).get("tool_point") or {}
     claims = any(effect == "positioning" for effect, _ in answer.keys)
     return not claims or (point.get("after_um") is not None and point["after_um"] >= 10.0)
@@ -182,15 +182,15 @@ def _named(*keys: tuple[str, str]) -> Check:
 _PLATE: Final[dict[str, Check]] = {
     "squareness 64.3 ± 1.4 µrad": _near_in_u("squareness", "E_C0Y", 64.3, 1.4),
     "both scales": _named(("positioning", "E_XX"), ("positioning", "E_YY")),
-    "at most 5.2 µm left in the plane": lambda a: (
+    "at most 5.2 µm remaining in the plane": lambda a: (
         ((a.diagnosis or {}).get("gain") or {}).get("rms_after_um", 1e9) < 5.2 / 2**0.5
     ),
-    "the file leaves no more": _leaves_no_more,
+    "the calibration does not increase the residual": _leaves_no_more,
 }
 _PLATE_2003: Final[dict[str, Check]] = {
     "answers": lambda a: a.diagnosis is not None,
     "squareness 3 ± 2 µrad": lambda a: not abs(a.size("squareness", "E_C0Y") - 3.0) > 6.0,
-    "the file leaves no more": _leaves_no_more,
+    "the calibration does not increase the residual": _leaves_no_more,
 }
 REAL_SETS: Final = (
     *(
@@ -207,7 +207,7 @@ REAL_SETS: Final = (
         {"refused": lambda a: a.diagnosis is None},
     ),
     RealSet("plate of 2011", "plates", of_plate, _PLATE),
-    RealSet("plate of 2011, nothing stated", "plates", _without(of_plate, "u_", "place_"), _PLATE),
+    RealSet("plate of 2011, no uncertainties or places", "plates", _without(of_plate, "u_", "place_"), _PLATE),
     RealSet("plate of 2003", "plate-2003", given("plate-2003", "plate.csv", "drill.yaml"), _PLATE_2003),
     RealSet(
         "plate of 2003, free place",
@@ -252,7 +252,7 @@ REAL_SETS: Final = (
 
 
 def summary(failed: list[str], of: RealSet, answer: Answer, error: str) -> list[str]:
-    """A row of the table: set, verdict, checks passed, what failed, causes."""
+    """Return a row of the table: set, verdict, checks passed, failed checks, causes."""
     verdict = answer.diagnosis["verdict"] if answer.diagnosis else f"refused: {error[:60]}"
     causes = ", ".join(f"{effect} {where}" for effect, where in answer.keys[:6])
     passed = f"{len(of.checks) - len(failed)} of {len(of.checks)}"

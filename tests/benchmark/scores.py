@@ -7,33 +7,33 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 FACTOR: Final = 1.96
-"""Standard uncertainties of a 95 % interval of a normal."""
+"""Coverage factor of a 95 % interval of a normal distribution."""
 SCORES: Final = {
-    "right": "every hidden effect is named, at its place",
-    "in group": "every hidden effect is named or in `equivalent` of a cause; each cause stands for one effect",
-    "group size": "names that a cause stands for: itself and its `equivalent`",
-    "size": "parameters within 1.96 u of the truth, of causes whose name is right",
-    "gain": "held-out residual smaller with the causes than without, where a cause of the machine is there and named",
-    "removed": "share of the machine's true error, squared, that the written calibration takes out, by the truth machine",
+    "right": "every hidden effect is named at its location",
+    "in group": "every hidden effect is named, or in `equivalent` of a cause of its own",
+    "group size": "number of effects in a cause: itself and its `equivalent`",
+    "size": "parameters within 1.96 u of the truth, for causes named right",
+    "gain": "held-out residual smaller with the causes than without, if a hidden machine cause is named",
+    "removed": "share of the true error's sum of squares that the written calibration removes",
     "too many": "more causes than hidden effects",
-    "false machine": "a cause of the machine that is not there, nor anything in its `equivalent`",
-    "unexplained": "the verdict is `unexplained`; beside a known effect: `unexplained` says what else is there",
-    "right column": "`unexplained.depends_on` has a column of the pattern",
-    "alarm": "anything but `consistent` where nothing is hidden",
+    "false machine": "a machine cause of which neither the effect nor any of its `equivalent` is hidden",
+    "unexplained": "the verdict is `unexplained`; together with a known effect, `unexplained` is given",
+    "right column": "`unexplained.depends_on` contains a column of the pattern",
+    "alarm": "a verdict other than `consistent` if nothing is hidden",
     "no answer": "the method failed",
     "seconds": "wall time, one thread",
 }
-"""By name, what is true or counted of an answer."""
+"""Scores of an answer by name, with their meaning."""
 Score = dict[str, float]
 Key = tuple[str, str]
 
 
 def scores(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> Score:
-    """Those scores that such a case has; an answer that is missing is neither right nor an alarm.
+    """Return the scores that apply to a case; a missing answer is neither right nor an alarm.
 
     Args:
-        truth: of ``truth.json``.
-        answer: of `tests.benchmark.methods.asked`.
+        truth: content of ``truth.json``.
+        answer: result of `tests.benchmark.methods.run_method`.
     """
     found: Score = {"no answer": float(answer["diagnosis"] is None), "seconds": float(answer["seconds"])}
     said = answer["diagnosis"] or {"verdict": None, "causes": [], "unexplained": None, "gain": None}
@@ -67,7 +67,7 @@ def _equivalent(cause: Mapping[str, Any]) -> list[Key]:
 
 
 def matched(hidden: Sequence[Key], groups: Sequence[set[Key]]) -> bool:
-    """Whether every hidden effect has a group of its own that it is in."""
+    """Return whether every hidden effect can be assigned to a different group that contains it."""
     if not hidden:
         return True
     rest = list(groups)
@@ -75,7 +75,7 @@ def matched(hidden: Sequence[Key], groups: Sequence[set[Key]]) -> bool:
 
 
 def _sizes(truth: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> Score:
-    """Share of the parameters within their interval, of causes that are right and state parameters."""
+    """Return the share of parameters within their interval, for right causes with parameters."""
     inside: list[bool] = []
     for one in truth["effects"]:
         cause = next((c for c in causes if (c["effect"], c["where"]) == (one["effect"], one["where"])), None)
@@ -83,7 +83,7 @@ def _sizes(truth: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> Sco
             continue
         said = {p["name"]: p for p in cause["parameters"]}
         true = {p["name"]: p["value"] for p in one["parameters"]}
-        # A longer curve states further coefficients, whose truth is zero.
+        # A curve of higher degree has further coefficients, whose true value is zero.
         for name in {**true, **said}:
             inside.append(name in said and _covered(name, said[name], true.get(name, 0.0)))
     return {"size": sum(inside) / len(inside)} if inside else {}
@@ -109,14 +109,14 @@ def _gain(truth: Mapping[str, Any], said: Mapping[str, Any]) -> Score:
 
 
 def is_wrong(score: Score) -> bool:
-    """Whether anything of an answer is wrong but sizes and gain."""
+    """Return whether an answer is wrong, sizes and gain not considered."""
     bad = ("no answer", "alarm", "too many", "false machine")
     good = ("in group", "unexplained", "right column")
     return any(score.get(name, 0.0) > 0.0 for name in bad) or any(score.get(name, 1.0) < 1.0 for name in good)
 
 
 def in_words(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
-    """What is hidden, and what was said, in a line."""
+    """Return hidden errors and answer in one line."""
     hidden = [f"{one['effect']} {one['where']}" for one in truth["effects"]]
     if truth["outside"] is not None:
         pattern = truth["outside"]
@@ -131,6 +131,6 @@ def in_words(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
 
 
 def mean(found: Sequence[Score], name: str) -> float:
-    """Mean of one score over the answers that have it; NaN if none has."""
+    """Return the mean of a score over the answers that have it; NaN if none has."""
     values = [one[name] for one in found if name in one]
     return sum(values) / len(values) if values else math.nan

@@ -9,17 +9,17 @@ from typing import Final
 from tests.benchmark.scores import SCORES, Score, mean
 
 PLAIN: Final = ("group size", "seconds")
-"""Scores that are no shares."""
+"""Scores that are not shares."""
 
 
 def rows(
     answers: Sequence[tuple[str, str, str, Score]], *, names: Sequence[str] = tuple(SCORES)
 ) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: one for each method, machine and kind of case, in the order in which they come.
+    """Return header and rows: one row per method, machine and kind of case, in order of appearance.
 
     Args:
-        answers: method, machine, kind and scores of each.
-        names: of the scores.
+        answers: method, machine, kind and scores of every answer.
+        names: names of the scores.
     """
     groups: dict[tuple[str, str, str], list[Score]] = {}
     for method, machine, kind, score in answers:
@@ -38,7 +38,7 @@ def _shown(name: str, value: float) -> str:
 
 
 def text(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
-    """Columns of even width."""
+    """Return the table as text with aligned columns."""
     every = [header, *body]
     widths = [max(len(row[i]) for row in every) for i in range(len(header))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in every]
@@ -46,6 +46,6 @@ def text(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
 
 
 def markdown(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
+    """Return the table as Markdown."""
     lines = ["| " + " | ".join(row) + " |" for row in (header, ["---"] * len(header), *body)]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""The benchmark itself: its truth machines, its cases, its scores, and that a run can be interrupted."""
+"""Tests of the benchmark: truth machines, cases, scores, and continuation of an interrupted run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.benchmark.builds import machines
 from tests.benchmark.carried import shares
 from tests.benchmark.cases import KINDS, MOST_CARRIED, OUTSIDE, Case, outside_of, truth_machines, write_case
 from tests.benchmark.gain import removed
-from tests.benchmark.methods import Command, Method, asked
+from tests.benchmark.methods import Command, Method, run_method
 from tests.benchmark.outside import HALF_WAVES, PATTERNS, Outside
 from tests.benchmark.plan import Plan, write_table
 from tests.benchmark.real import REAL_SETS, Answer
@@ -45,7 +45,7 @@ NAMES = list(machines())
 
 
 def few(name: str) -> TruthMachine:
-    """A truth machine that measures little."""
+    """Return a truth machine with a small plan."""
     machine = machines()[name]
     return Dmu50(stops=4, poses=15) if isinstance(machine, Dmu50) else replace(machine, stops=4, poses=15)
 
@@ -55,7 +55,7 @@ def targets(machine: TruthMachine) -> dict[str, tuple[str, tuple[float, float, f
 
 
 def base_points(machine: TruthMachine, plan: Plan, read: np.ndarray) -> np.ndarray:
-    """(n, 3) of readings: where the targets are in the base, mm."""
+    """Return (n, 3) positions of the targets in the base from readings, mm."""
     origin, turn = hidden.STATIONS["1"]
     x, y, z = turn
     angle = np.linalg.norm(turn)
@@ -65,7 +65,7 @@ def base_points(machine: TruthMachine, plan: Plan, read: np.ndarray) -> np.ndarr
 
 
 def of_twin(effect: Hidden, machine: Machine, truth: TruthMachine) -> Effect:
-    """The same effect as `twin` has it."""
+    """Return the same effect as an object of `twin`."""
     axis = next((one for one in truth.axes if one.name == effect.where[3:]), None)
     if effect.effect == "squareness":
         return Squareness(effect.where, effect.numbers["angle"], machine.by_name[effect.where[4:]])
@@ -79,7 +79,7 @@ def of_twin(effect: Hidden, machine: Machine, truth: TruthMachine) -> Effect:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_truth_machine_is_what_twin_calculates(name: str, tmp_path: Path) -> None:
-    """With effects of every family that both have, one at a time and all together; neither is linearised."""
+    """Compare effects of every common family, one at a time and all together; neither side is linearised."""
     truth = few(name)
     rng = np.random.default_rng(5)
     plan = truth.plan(rng)
@@ -102,13 +102,13 @@ def test_a_truth_machine_is_what_twin_calculates(name: str, tmp_path: Path) -> N
         own = nominal.extended(effects, Covariance.none(), "a test") if effects else nominal
         points = Observation(machine).points_mm(own, data, places)
         off = base_points(truth, plan, truth.readings(plan, some)) - points
-        # Rounding of some 2 m, and the eighth decimal of temperatures: far below the asked 1e-6 mm.
+        # Rounding at 2 m, and the eighth decimal of temperatures: far below the tolerance of 1e-6 mm.
         assert np.abs(off).max() < 1e-6, [one.key for one in some]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_truth_machine_is_not_linear(name: str) -> None:
-    """Twice an angle of 1 mrad moves a point that is 100 mm away by 0.1 µm more or less than twice as much."""
+    """Twice an angle of 1 mrad does not give exactly twice the displacement of a point at 100 mm: the difference is 0.1 µm."""
     truth = few(name)
     plan = truth.plan(np.random.default_rng(5))
     where = {"dmu50": "E_A0C", "trunnion": "E_A0C", "robot": "E_A0J2", "stage": "E_CX"}[name]
@@ -119,7 +119,7 @@ def test_a_truth_machine_is_not_linear(name: str) -> None:
 
 
 def test_a_trunnion_stands_where_its_file_says() -> None:
-    """The tool point in the workpiece frame, against `twin`'s kinematics over the whole range."""
+    """Compare the tool point in the workpiece frame with `twin`'s kinematics over the whole range."""
     truth = machines()["trunnion"]
     assert isinstance(truth, Chain)
     at_tool = replace(truth, targets={"K": ("tool", (0.0, 0.0, 0.0)), "T": ("work", (0.0, 0.0, 0.0))})
@@ -132,14 +132,14 @@ def test_a_trunnion_stands_where_its_file_says() -> None:
     assert len(pairs) > 100
     first, second = (np.array(side) for side in zip(*pairs, strict=True))
     point = kinematics.forward(plan.q[first]).point_mm
-    # The distance is the same in any frame.
+    # The distance is independent of the frame.
     np.testing.assert_allclose(
         np.linalg.norm(point, axis=1), np.linalg.norm((base[first] - base[second]), axis=1), atol=1e-8
     )
 
 
 def read_back(path: Path, machine: TruthMachine) -> Plan:
-    """The plan of a written table."""
+    """Return the plan of a written table."""
     with path.open(encoding="utf-8", newline="") as file:
         table = list(csv.DictReader(file))
 
@@ -161,8 +161,8 @@ def read_back(path: Path, machine: TruthMachine) -> Plan:
     )
 
 
-def what_the_setup_does(machine: TruthMachine, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
-    """(3n, k) by measuring again with every target 0.1 mm elsewhere; and rigid motions of what each station reads."""
+def setup_columns(machine: TruthMachine, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """Return (3n, k) changes of the readings by shifting every target by 0.1 mm, and by rigid motions of every station."""
     silent = machine.readings(plan)
     columns = []
     known_places = isinstance(machine, Chain) and machine.places_known
@@ -198,13 +198,13 @@ def what_the_setup_does(machine: TruthMachine, plan: Plan, monkeypatch: pytest.M
 def test_a_written_case_has_the_noncentrality_asked_for(
     name: str, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the files alone: the least that any set-up leaves of what is hidden, in standard deviations of the noise."""
+    """Compute λ from the files alone: residual of the hidden change after fitting the set-up, in units of the noise."""
     machine = few(name)
     monkeypatch.setitem(truth_machines(), name, machine)
     folder = write_case(Case(name, kind, 1), tmp_path)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     plan = read_back(folder / "measured.csv", machine)
-    setup = what_the_setup_does(machine, plan, monkeypatch)
+    setup = setup_columns(machine, plan, monkeypatch)
     silent = machine.readings(plan)
     hides: list[tuple[np.ndarray, float]] = []
     for one in truth["effects"]:
@@ -220,11 +220,11 @@ def test_a_written_case_has_the_noncentrality_asked_for(
         scaled = change.reshape(-1) / machine.sigma_mm
         left = scaled - setup @ np.linalg.lstsq(setup, scaled, rcond=1e-9)[0]
         assert float(left @ left) == pytest.approx(wanted, rel=0.01)
-    # And what is read beside it is noise of the stated size.
+    # The rest of the readings is noise of the stated standard deviation.
     with (folder / "measured.csv").open(encoding="utf-8", newline="") as file:
         read = np.array([[float(row[f"{c}_mm"]) for c in "xyz"] for row in csv.DictReader(file)])
     noise = (read - silent - sum(change for change, _ in hides)) / machine.sigma_mm
-    # Four standard deviations of a mean square of n normals; what two effects do together differs from their sum by far less.
+    # Four standard deviations of a mean square of n normals; the nonlinearity of two effects is far smaller.
     assert np.mean(noise**2) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / noise.size))
 
 
@@ -253,7 +253,7 @@ def test_a_pattern_outside_moves_one_side_by_its_formula(name: str, pattern: str
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_a_known_effect_can_carry(name: str) -> None:
-    """Of itself all; of a pattern that is said to be in no catalogue nothing carries more than half."""
+    """An effect explains itself completely, and at most half of a pattern outside the catalogue."""
     machine = few(name)
     rng = np.random.default_rng(11)
     plan = machine.plan(rng)
@@ -263,10 +263,10 @@ def test_what_a_known_effect_can_carry(name: str) -> None:
         if effect is None or family in ("squareness", "table_load", "gravity_compliance"):
             continue
         change = machine.readings(plan, [effect]) - silent
-        # A period and a time constant lie between two that are tried.
+        # Period and time constant lie between grid values.
         least = 0.8 if family == "pitch_error" else 0.98 if family == "thermal_drift" else 1.0 - 1e-4
         assert shares(machine, plan, change)[effect.key] > least
-    # Half of all jumps that are drawn are mostly a curve or a growth: these are no cases.
+    # Half of all random jumps are mostly explained by a curve or a thermal growth and are rejected.
     for _ in range(6):
         drawn = outside_of(rng, machine, plan, "jump")
         found = shares(machine, plan, machine.readings(plan, moved=drawn.moved(machine, plan)) - silent)
@@ -274,7 +274,7 @@ def test_what_a_known_effect_can_carry(name: str) -> None:
 
 
 def test_an_endless_axis_has_whole_waves() -> None:
-    """What a pattern is at 0° it is at 360°, but for the jump of a step and of a tooth."""
+    """A pattern has equal values at 0° and 360°, except for steps and sawteeth."""
     machine = few("trunnion")
     plan = machine.plan(np.random.default_rng(8))
     q = plan.q.copy()
@@ -288,16 +288,16 @@ def test_an_endless_axis_has_whole_waves() -> None:
 
 
 def test_a_lag_follows() -> None:
-    """Of a step the lag is one less an exponential; of a ramp, in the end, its time constant behind."""
+    """A step response is 1 − exp(−t/τ); a ramp is finally followed at a distance of τ."""
     time = np.arange(0.0, 4000.0, 2.0)
     step = lagged(time, np.ones(len(time)), 500.0, 0.0)
     np.testing.assert_allclose(step, 1.0 - np.exp(-time / 500.0), atol=1e-12)
     ramp = lagged(time, time, 500.0, 0.0)
-    assert ramp[-1] == pytest.approx(time[-1] - 500.0, abs=0.5)  # e⁻⁸ of 500 s, and half a step
+    assert ramp[-1] == pytest.approx(time[-1] - 500.0, abs=0.5)  # e⁻⁸ · 500 s, and half a time step
 
 
 def test_every_family_a_machine_can_have_is_drawn() -> None:
-    """The first cases of a kind go through the families in turn."""
+    """The cases of a kind cycle through the families."""
     machine = few("stage")
     plan = machine.plan(np.random.default_rng(9))
     names = known.families(machine, plan)
@@ -306,13 +306,13 @@ def test_every_family_a_machine_can_have_is_drawn() -> None:
     rng = np.random.default_rng(10)
     found = {name: known.drawn(rng, machine, plan, name, 60.0) for name in names}
     assert None not in found.values()
-    # Where places are unknown, a zero that is off moves every target of the slide alike: no measurement shows that.
+    # With unknown target positions, a zero offset shifts all targets of the slide equally and is not identifiable.
     unknown = replace(machine, places_known=False)
     assert known.drawn(rng, unknown, unknown.plan(rng), "zero_offset", 60.0) is None
 
 
 def test_two_effects_do_not_stand_for_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A zero offset is the constant of a positioning curve: of these two no pair is made."""
+    """A zero offset is the constant of a positioning curve, so these two are never paired."""
     machine = few("stage")
     plan = machine.plan(np.random.default_rng(14))
     kept = {name: known.FAMILIES[name] for name in ("positioning", "zero_offset", "reversal")}
@@ -323,7 +323,7 @@ def test_two_effects_do_not_stand_for_each_other(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_directions_of_a_stage_are_known(tmp_path: Path) -> None:
-    """Straightness of Y and Z of one axis differ only by how its station is turned about it: the places of the targets decide."""
+    """Straightness in Y and Z differ only by a rotation of the station about the axis; known target positions separate them."""
     machine = machines()["stage"]
     plan = machine.plan(np.random.default_rng(13))
     bent = Hidden("straightness", "E_YX", {"c0": -5.0, "c1": 0.0, "c2": 15.0})
@@ -349,7 +349,7 @@ def hides(effect: str, where: str, origin: str = "machine", **numbers: float) ->
 def cause(
     effect: str, where: str, *equivalent: tuple[str, str], origin: str = "machine", **numbers: Any
 ) -> dict[str, Any]:
-    """``numbers``: value and u by name."""
+    """Return a cause; ``numbers``: value and u by parameter name."""
     return {
         "effect": effect,
         "where": where,
@@ -395,7 +395,7 @@ def test_a_size_beyond_its_interval_and_a_loss_held_out() -> None:
 
 
 def test_a_size_of_several_parameters() -> None:
-    """A phase goes round, an order is exact, a coefficient that is not there is zero, one that is not stated is wrong."""
+    """Phases are periodic, orders exact; a coefficient absent from the truth is zero, one absent from the answer is wrong."""
     pitch = hides("pitch_error", "X", amplitude=3.0, period=10.0, phase=3.1)
     named = cause("pitch_error", "X", amplitude=(3.1, 0.1), period=(10.1, 0.01), phase=(-3.1, 0.1))
     assert scores(truth([pitch]), said("explained", named))["size"] == pytest.approx(2 / 3)
@@ -432,7 +432,7 @@ def test_a_pattern_outside() -> None:
     assert (found["unexplained"], found["right column"], found["false machine"]) == (1.0, 0.0, 1.0)
     found = scores(truth(outside=pattern), said("explained", cause("pitch_error", "X"), left=["X_mm"]))
     assert found["unexplained"] == 0.0
-    # Beside a known effect the verdict may be either: what else there is must be said.
+    # Together with a known effect either verdict is right, but `unexplained` must be given.
     found = scores(truth([REVERSAL], pattern), said("explained", cause("reversal", "Y"), left=["X_mm"]))
     assert (found["unexplained"], found["right column"], found["right"]) == (1.0, 1.0, 1.0)
 
@@ -501,7 +501,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert again == whole
     assert [row[3] for row in whole[1]] == ["2", "2"]
     assert dict(zip(*(whole[0], whole[1][0]), strict=True))["alarm"] == "0 %"
-    # Of two cases with something in them.
+    # Two cases with hidden errors.
     wrong = (tmp_path / "wrong.txt").read_text(encoding="utf-8").splitlines()
     assert [line.split(":")[0] for line in wrong] == ["plain stage-known60-1-000", "plain stage-known60-1-001"]
     assert all(line.endswith("→ consistent: nothing") for line in wrong)
@@ -520,7 +520,7 @@ def test_cases_are_the_same_wherever_they_are_drawn(tmp_path: Path) -> None:
 
 def test_a_command_that_fails_has_no_answer(tmp_path: Path) -> None:
     method = Command("broken", shlex.join([sys.executable, "-c", "import sys; sys.exit('no such luck')"]))
-    found = asked(method, tmp_path / "measured.csv", "dmu50")
+    found = run_method(method, tmp_path / "measured.csv", "dmu50")
     assert found["diagnosis"] is None and found["error"] == "exit status 1: no such luck"
     assert scores(truth([REVERSAL]), found)["no answer"] == 1.0
 
@@ -540,7 +540,7 @@ def test_a_method_that_breaks_does_not_stop_the_others(tmp_path: Path) -> None:
 
 
 def test_twin_and_its_plain_rivals_answer_from_files(tmp_path: Path) -> None:
-    """A reversal of λ = 300 on a stage: `twin` names it and its size, the rivals name it."""
+    """For a reversal of λ = 300 on a stage, all methods give its name and `twin` also its size."""
     effect = (("reversal", "X"),)
     number = next(k for k in range(20) if names_of(Case("stage", "known300", k)) == effect)
     case = Case("stage", "known300", number)
@@ -550,12 +550,12 @@ def test_twin_and_its_plain_rivals_answer_from_files(tmp_path: Path) -> None:
         one = dict(zip(header, row, strict=True))
         assert one["right"] == "100 %" and one["no answer"] == "0 %"
     assert body[0][header.index("size")] != "–" and body[1][header.index("size")] == "–"
-    # λ = 300 is known to 6 %: of its square the estimate leaves one part in 300, more by chance.
+    # At λ = 300 the size is known to 6 %: the expected remaining sum of squares is 1/300.
     assert int(body[0][header.index("removed")].removesuffix(" %")) > 95
 
 
 def test_what_a_calibration_removes(tmp_path: Path) -> None:
-    """Of a reversal its own size takes out all, half of it three quarters, twice it nothing, its opposite less than nothing."""
+    """A correction by 1, ½, 2 or −1 times the reversal removes 1, ¾, 0 or −3 of the sum of squares."""
     case = next(
         one for one in (Case("stage", "known60", k) for k in range(40)) if names_of(one) == (("reversal", "X"),)
     )
@@ -566,7 +566,7 @@ def test_what_a_calibration_removes(tmp_path: Path) -> None:
     for factor, share in ((1.0, 1.0), (0.5, 0.75), (2.0, 0.0), (-1.0, -3.0)):
         effect = effect_named("reversal", "X", {"size": factor * size}, own)
         Calibration.zero(own).extended([effect], Covariance.none(), "a test").save(tmp_path / "c.yaml")
-        # One minus the square of what is left: exact but for the digits of the file.
+        # One minus the square of the remaining share, exact except for the digits of the file.
         assert removed(case, folder / "measured.csv", machine, tmp_path / "c.yaml") == pytest.approx(share, abs=1e-3)
     nothing = write_case(Case("stage", "nothing", 0), tmp_path)
     assert removed(Case("stage", "nothing", 0), nothing / "measured.csv", machine, tmp_path / "c.yaml") is None

@@ -1,4 +1,4 @@
-"""Every benchmark, one after the other: ``python -m tests.benchmarks [NAME ...]`` (half an hour; a name alone is quicker)."""
+"""Run all benchmarks, or those named: ``python -m tests.benchmarks [NAME ...]`` (half an hour for all)."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ EVERY: dict[str, Callable[[], object]] = {
 
 
 def main(names: list[str]) -> int:
-    """Those named, or all."""
-    strange = [name for name in names if name not in EVERY]
-    if strange:
-        sys.stderr.write(f"no such benchmark: {strange[0]} (there are {', '.join(EVERY)})\n")
+    """Run the named benchmarks, or all."""
+    unknown = [name for name in names if name not in EVERY]
+    if unknown:
+        sys.stderr.write(f"no such benchmark: {unknown[0]}; expected one of {', '.join(EVERY)}\n")
         return 2
     for name in names or EVERY:
         print(f"== {name}", flush=True)

@@ -1,8 +1,8 @@
-"""Which functions an error curve should be written in, measured: run ``python -m tests.benchmarks.curves`` (half a minute).
+"""Compare bases of error curves: run ``python -m tests.benchmarks.curves`` (half a minute).
 
-Three tables. Error of polynomials and cubic splines between the stops, their size chosen by leaving out stops, for kinds of curves
-and numbers of stops. Rounding of one and the same polynomial in five ways of writing and solving it, against exact rational arithmetic.
-When high relative accuracy shows: control points from data of different roughness.
+Prints three tables: the error of polynomials and cubic splines between the measured positions, with the degree chosen by
+cross-validation, for several curves and numbers of positions; the rounding error of one polynomial in five bases and solvers, compared
+with exact rational arithmetic; the effect of high relative accuracy on control points from data of different roughness.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from twin.numerics.curves import FGBernstein
 
 LENGTH_MM = 500.0
 NOISE_UM = 1.0
-"""Scatter of a tracker's distance at 2 m (0.4 µm + 0.3 µm/m at most) and of the machine's own repeatability, together, at one stop."""
+"""Standard deviation at one position: a tracker's distance at 2 m (at most 0.4 µm + 0.3 µm/m) and the machine's repeatability."""
 FOLDS = 5
 DRAWS = 20
 MOST = 60
 IDENTIFIED = 12
-"""Highest degree `twin identify` tries."""
+"""Highest degree in `twin identify`."""
 
 Curve = Callable[[np.ndarray], np.ndarray]
 Fit = Callable[[np.ndarray, np.ndarray, int], Curve]
@@ -39,19 +39,19 @@ CURVES: dict[str, Curve] = {
 
 
 def chebyshev(q: np.ndarray, y: np.ndarray, degree: int) -> Curve:
-    """A polynomial, in the functions that make every other way of writing it comparable."""
+    """Fit a polynomial in Chebyshev form."""
     return np.polynomial.Chebyshev.fit(q, y, degree, domain=[0.0, LENGTH_MM])
 
 
 def spline(q: np.ndarray, y: np.ndarray, intervals: int) -> Curve:
-    """Cubic, least squares, knots where as many stops lie between each."""
+    """Fit a cubic spline by least squares, with equally many positions between knots."""
     inner = np.quantile(q, np.linspace(0.0, 1.0, intervals + 1)[1:-1])
     knots = np.concatenate([[0.0] * 4, inner, [LENGTH_MM] * 4])
     return make_lsq_spline(q, y, knots)  # type: ignore[no-any-return]
 
 
 def best(fit: Fit, q: np.ndarray, y: np.ndarray, sizes: range) -> tuple[int, Curve]:
-    """The size whose fits foretell interior stops left out best, and its fit to all."""
+    """Return the size with the best cross-validation score on interior positions, and its fit to all positions."""
     fold = np.arange(len(q)) % FOLDS
     fold[[0, -1]] = -1
     scores = {}
@@ -62,18 +62,16 @@ def best(fit: Fit, q: np.ndarray, y: np.ndarray, sizes: range) -> tuple[int, Cur
                 out = fold == k
                 total += float(np.sum((fit(q[~out], y[~out], size)(q[out]) - y[out]) ** 2))
         except (ValueError, np.linalg.LinAlgError):
-            continue  # a knot interval without a stop
+            continue  # a knot interval without a measured position
         scores[size] = total
     chosen = min(scores, key=lambda size: scores[size])
     return chosen, fit(q, y, chosen)
 
 
 def held_out() -> None:
-    """RMS error on 2000 positions that were no stops, over draws of the noise."""
-    print(
-        f"error between the stops, µm RMS ({DRAWS} draws of {NOISE_UM:g} µm at each stop; degree or intervals chosen)"
-    )
-    print(f"  {'curve':16} {'stops':>5}  {'degree to 12':>19}  {f'degree to {MOST}':>19}  {'cubic spline':>21}")
+    """Print the RMS error on 2000 other positions, over draws of the noise."""
+    print(f"error between positions, µm RMS ({DRAWS} draws of {NOISE_UM:g} µm noise; degree or intervals chosen)")
+    print(f"  {'curve':16} {'count':>5}  {'degree to 12':>19}  {f'degree to {MOST}':>19}  {'cubic spline':>21}")
     at = np.linspace(0.0, LENGTH_MM, 2001)
     for name, truth in CURVES.items():
         for count in (11, 51, 101):
@@ -97,7 +95,7 @@ def held_out() -> None:
 
 
 def exact(y: np.ndarray, degree: int) -> list[Fraction]:
-    """Control points of the least-squares polynomial at even stops, in rationals: Gram's polynomials of the stop's number."""
+    """Return exact control points of the least-squares polynomial at equidistant positions, by Gram polynomials of the index."""
     count = len(y)
     values = [Fraction(float(v)) for v in y]
     numbers = [Fraction(i) for i in range(count)]
@@ -120,7 +118,7 @@ def exact(y: np.ndarray, degree: int) -> list[Fraction]:
             longer[i] -= beta * c
         coefficients_before, coefficients = coefficients, longer
         before, now = now, [(x - centre) * p - beta * b for x, p, b in zip(numbers, now, before, strict=True)]
-    # Powers of the stop's number to Bernstein polynomials of x = number/(count − 1).
+    # Convert powers of the index to Bernstein polynomials of x = index/(count − 1).
     scaled = [c * (count - 1) ** i for i, c in enumerate(total)]
     return [
         sum((Fraction(comb(i, k), comb(degree, k)) * scaled[k] for k in range(i + 1)), Fraction(0))
@@ -129,7 +127,7 @@ def exact(y: np.ndarray, degree: int) -> list[Fraction]:
 
 
 def at_exactly(control: list[Fraction], x: Fraction) -> float:
-    """A point of the curve, de Casteljau in rationals."""
+    """Return a point of the curve, by de Casteljau's algorithm in rational arithmetic."""
     row = control
     while len(row) > 1:
         row = [(1 - x) * a + x * b for a, b in pairwise(row)]
@@ -137,7 +135,7 @@ def at_exactly(control: list[Fraction], x: Fraction) -> float:
 
 
 def ways(q: np.ndarray, y: np.ndarray, degree: int, at: np.ndarray) -> dict[str, np.ndarray]:
-    """The least-squares polynomial at some positions, written and solved in five ways."""
+    """Return the least-squares polynomial at some positions, in five bases and solvers."""
     basis = FGBernstein(degree, (0.0, LENGTH_MM))
     found = {}
     for name, matrix in (
@@ -153,10 +151,10 @@ def ways(q: np.ndarray, y: np.ndarray, degree: int, at: np.ndarray) -> dict[str,
 
 
 def rounding() -> None:
-    """Largest error at the stops of the same polynomial, beside exact arithmetic."""
-    print("\nrounding of one and the same least-squares polynomial (waves of 100 mm and noise), largest error, nm")
+    """Print the largest rounding error of the same polynomial at the positions."""
+    print("\nrounding error of one least-squares polynomial (waves of 100 mm and noise), largest, nm")
     header = ("power in mm", "power in u", "Chebyshev", "Bernstein", "Bernstein, HRA")
-    print(f"  {'stops':>5} {'degree':>6}  " + "  ".join(f"{name:>14}" for name in header))
+    print(f"  {'count':>5} {'degree':>6}  " + "  ".join(f"{name:>14}" for name in header))
     for count, degree in ((11, 8), (51, 12), (51, 20), (51, 30), (101, 20), (101, 30), (101, 40), (101, 50)):
         q = np.linspace(0.0, LENGTH_MM, count)
         rng = np.random.default_rng(count + degree)
@@ -170,9 +168,9 @@ def rounding() -> None:
 
 
 def control_points() -> None:
-    """Relative error of the control points, ordinary QR and high relative accuracy, by roughness of the data."""
+    """Print the relative error of control points by QR and with high relative accuracy, by roughness of the data."""
     print("\ncontrol points: relative error (largest control point / largest datum in brackets)")
-    print(f"  {'data':24} {'stops':>5} {'degree':>6}  {'ordinary':>9}  {'HRA':>9}  {'size':>9}")
+    print(f"  {'data':24} {'count':>5} {'degree':>6}  {'ordinary':>9}  {'HRA':>9}  {'size':>9}")
     for count, degree in ((11, 10), (21, 20), (51, 20), (51, 50), (101, 40)):
         q = np.linspace(0.0, LENGTH_MM, count)
         rng = np.random.default_rng(count)
@@ -197,7 +195,7 @@ def control_points() -> None:
 
 
 def main() -> None:
-    """All of it."""
+    """Print all tables."""
     held_out()
     rounding()
     control_points()

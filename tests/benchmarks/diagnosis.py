@@ -1,9 +1,9 @@
-"""`twin diagnose` beside an ordinary regression: run ``python -m tests.benchmarks.diagnosis [--draws N]`` (some minutes).
+"""Compare `twin diagnose` with an ordinary regression: run ``python -m tests.benchmarks.diagnosis [--draws N]`` (some minutes).
 
-The rival is stepwise selection by BIC with `statsmodels`, on the same candidates and the same readings, the set-up projected out for it
-(`tests.diagnosis.rivals`). For time, both begin with readings in memory and end with names; `twin` also gives sizes with intervals,
-what could be mistaken for what, the gain on rounds left out and what to measure next, and its time is told with and without that.
-For names, both look at the same draws of hidden effects (`tests.diagnosis.battery`).
+The other method is stepwise selection by BIC with `statsmodels`, on the same candidates and readings, with the set-up projected out
+(`tests.diagnosis.rivals`). Times are from readings in memory to names. `twin` also computes sizes with intervals, confounded effects,
+the gain on held-out rounds and the next measurement; its time is given with and without these. Names are compared on the same draws of
+hidden effects (`tests.diagnosis.battery`).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ROWS = ("nothing", "one30", "one60", "two60", "outside300")
 
 
 def measured(machine: Machine, points: int, seed: int = 5) -> Measurements:
-    """A truth machine with `EFFECTS` in it, read with 3 µm of scatter at about as many points."""
+    """Return readings of a truth machine with `EFFECTS`, with 3 µm noise, at about the given number of points."""
     rng = np.random.default_rng(seed)
     plan = hidden.rounded(hidden.plan(rng, poses=max((points // 3 - 220) // 2, 20), same=False))
     read = hidden.noisy(hidden.points(plan, EFFECTS), rng, "isotropic", 3e-3)
@@ -47,23 +47,23 @@ def measured(machine: Machine, points: int, seed: int = 5) -> Measurements:
 
 
 def time_taken(machine: Machine) -> None:
-    """From readings to names."""
+    """Print the time from readings to names."""
     calibration = Calibration.default(machine)
 
     def by_bic(data: Measurements) -> tuple[tuple[str, str], ...]:
         placed = readings(data, machine, calibration)
-        asked = placed.without(placed.bad)
-        problem, known = asked.problem, asked.known
+        posed_readings = placed.without(placed.bad)
+        problem, known = posed_readings.problem, posed_readings.known
         candidates = [one for one in known.candidates if one.effect not in UNHIDDEN]
         return rivals.stepwise_bic(problem, candidates, design=Design(problem, candidates))
 
-    print("from readings to names, s of processor:")
+    print("from readings to names, processor time in s:")
     for points in POINTS:
         data = measured(machine, points)
         names = timed(lambda data=data: selected(posed(readings(data, machine, calibration))), REPEATS)  # type: ignore[misc]
         whole = timed(lambda data=data: diagnose(data, machine), REPEATS)  # type: ignore[misc]
         other = timed(lambda data=data: by_bic(data), REPEATS)  # type: ignore[misc]
-        print(f"  {len(data):,} points: {names.best:.2f} to the names, {whole.best:.2f} to the whole answer")
+        print(f"  {len(data):,} points: {names.best:.2f} to the names, {whole.best:.2f} to the complete answer")
         print(f"    stepwise BIC (statsmodels) {other.best:.2f}: {ratio(other, names)}")
         print(f"    hidden: {'; '.join(' '.join(effect.key) for effect in EFFECTS)}")
         print(f"    twin: {'; '.join(f'{cause.effect} {cause.where}' for cause in diagnose(data, machine).causes)}")
@@ -71,22 +71,20 @@ def time_taken(machine: Machine) -> None:
 
 
 def named_right(draws: int) -> None:
-    """Shares of draws, with what is expected of chance in them (one standard deviation at a half)."""
-    print(
-        f"causes named right, % of {draws} draws (± {50.0 / np.sqrt(draws):.0f}), seconds an answer, columns at hand:"
-    )
+    """Print shares of draws, with the standard deviation of a share of one half."""
+    print(f"causes named right, % of {draws} draws (± {50.0 / np.sqrt(draws):.0f}), seconds per answer, columns:")
     for row in ROWS:
         for method, found in rivals.compared(row, draws, 1).items():
             shares = rivals.summary(row, found)
-            told = ", ".join(
+            line = ", ".join(
                 f"{name} {value:.2f}" if name in ("seconds", "causes named") else f"{name} {100 * value:.0f}"
                 for name, value in shares.items()
             )
-            print(f"  {row:11} {method:14} {told}", flush=True)
+            print(f"  {row:11} {method:14} {line}", flush=True)
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Time, then names."""
+    """Print times and shares of right names."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draws", type=int, default=50)
     draws = parser.parse_args(arguments).draws

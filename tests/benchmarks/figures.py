@@ -1,7 +1,7 @@
-"""The figures README and the notes quote, measured: run ``python -m tests.benchmarks.figures``.
+"""Measure the figures quoted in the documents: run ``python -m tests.benchmarks.figures``.
 
-Agreement of the formulations, what the inverse leaves, and the thesis's method beside ours (on known and on measured errors). Times are
-those of `tests.benchmarks.solve`.
+Agreement of the kinematic formulations, residuals of the inverse, and the thesis's method compared with this one, for known and for
+identified errors. For times see `tests.benchmarks.solve`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from twin.samples.dmu50_calibration import as_drawn
 
 
 def agreement(machine: Machine) -> None:
-    """Pinocchio, CasADi and the reference over 10,000 poses, errors to 1 mm and 1 mrad; then the closed form."""
+    """Compare Pinocchio, CasADi and the reference over 10,000 poses with errors up to 1 mm and 1 mrad, and with the closed form."""
     n, length = 10_000, 0.123
     rng = np.random.default_rng(1)
     q, errors = random_commands(machine, n, rng), rng.uniform(-1e-3, 1e-3, (n, len(machine.frames), 6))
@@ -71,7 +71,7 @@ def agreement(machine: Machine) -> None:
 
 
 def inverse(machine: Machine) -> None:
-    """Residual of the inverse with errors over 10,000 poses."""
+    """Print residuals of the inverse with errors over 10,000 poses."""
     rng = np.random.default_rng(11)
     n = 10_000
     real = Kinematics(machine, random_calibration(machine, rng), tool_length_mm=100.0)
@@ -87,9 +87,9 @@ def inverse(machine: Machine) -> None:
 
 
 def methods(machine: Machine, calibration: Calibration) -> None:
-    """The thesis's method, on the errors as they were drawn, beside ours: the same machine."""
+    """Compare the thesis's method, given its own error curves, with this one on the same machine."""
     figure = dialect_for(find_program("cone_frustum.nc"))
-    # X = 500 at mid-volume asks for a command beyond the axis's range: left out here, listed when it happens.
+    # X = 500 at mid-volume needs a command beyond the axis range and is omitted here.
     inner = PROGRAM.replace("X0 Y0 Z0", "X50 Y225 Z-200").replace("G1 X500 F1000\n", "")
     cases: list[tuple[str, Program, Dialect, float]] = [
         ("X = 50 … 500, Y = Z = 0", figure.read(PROGRAM.encode(), "figure.nc"), figure, 0.0),
@@ -110,7 +110,7 @@ def methods(machine: Machine, calibration: Calibration) -> None:
 
 
 def identified(machine: Machine, calibration: Calibration) -> None:
-    """Measured once by a tracker, identified and compensated by the thesis's way and ours."""
+    """Identify from one tracker measurement and compensate, with the thesis's method and with this one."""
     with tempfile.TemporaryDirectory() as folder:
         found = gains(machine, calibration, Path(folder))
     print(
@@ -123,7 +123,7 @@ def identified(machine: Machine, calibration: Calibration) -> None:
 
 
 def identification(machine: Machine, calibration: Calibration) -> None:
-    """Time to identify 10,000 points: random poses, six targets, two trackers, three rounds."""
+    """Print the time to identify from 10,000 points: random poses, six targets, two trackers, three rounds."""
     plan = volumetric(machine, np.random.default_rng(5), 10_000)
     data, _ = simulate(plan, machine, calibration, LaserTracker(), np.random.default_rng(1))
     start = time.perf_counter()

@@ -1,8 +1,8 @@
-"""How time and memory grow with size: run ``python -m tests.benchmarks.growth [-o growth.png] [--most N]`` (ten minutes).
+"""Measure time and memory as functions of size: run ``python -m tests.benchmarks.growth [-o growth.png] [--most N]`` (ten minutes).
 
-Poses solved, poses carried forward, blocks compensated from file to file, points identified from, points diagnosed; 10³ to 10⁶ of
-the first three, to 10⁵ of the others. Every one in a process of its own, for its peak of memory, timed after a small one has loaded and
-compiled what there is to. Seconds are by the clock, on whatever cores there are.
+Inverse and forward kinematics of poses, compensation of blocks from file to file (10³ to 10⁶), identification and diagnosis of points
+(10³ to 10⁵). Each runs in its own process, for its peak memory, after a small run that loads and compiles everything. Times are
+wall-clock times on all cores.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from twin.machine.machine import Machine
 
 SIZES = (1_000, 3_162, 10_000, 31_623, 100_000, 316_228, 1_000_000)
 MEASURED = 100_000
-"""Points at most of identification and diagnosis."""
+"""Largest number of points of identification and diagnosis."""
 WARM = 1_000
 COMPILED = 60_000
-"""Poses or blocks from which on everything that is worth compiling has been."""
+"""Number of poses or blocks that triggers all compilation."""
 
 Work = Callable[[], object]
 
@@ -80,11 +80,11 @@ KINDS: dict[str, tuple[Callable[[Machine, int], Work], int, int]] = {
     "identify, points": (_identify, WARM, MEASURED),
     "diagnose, points": (_diagnose, WARM, MEASURED),
 }
-"""What makes the work, the size it is warmed up with, and the largest size."""
+"""For every kind: the function that prepares the work, the size of the warm-up run, and the largest size."""
 
 
 def one(kind: str, size: int) -> dict[str, float]:
-    """Seconds and MB of one."""
+    """Return seconds and peak memory in MB of one run."""
     make, warm, _ = KINDS[kind]
     machine = Machine.load("dmu50")
     make(machine, warm)()
@@ -96,11 +96,11 @@ def one(kind: str, size: int) -> dict[str, float]:
 
 
 def drawn(path: Path, found: dict[str, list[tuple[int, float, float]]], title: str) -> None:
-    """Both on logarithmic axes, with a line of what is proportional."""
+    """Plot time and memory on logarithmic axes, with a line of proportional growth."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
-    for axes, column, label in zip(figure.subplots(1, 2), (1, 2), ("time / s", "peak of memory / MB"), strict=True):
+    for axes, column, label in zip(figure.subplots(1, 2), (1, 2), ("time / s", "peak memory / MB"), strict=True):
         for kind, rows in found.items():
             axes.loglog([row[0] for row in rows], [row[column] for row in rows], "o-", label=kind)
         axes.set_xlabel("size")
@@ -116,7 +116,7 @@ def drawn(path: Path, found: dict[str, list[tuple[int, float, float]]], title: s
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """All kinds and sizes, a table, the exponents at the upper end, and the plot."""
+    """Run all kinds and sizes; print a table with the exponents at the upper end, and save the plot."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=Path("growth.png"))
     parser.add_argument("--most", type=int, default=SIZES[-1])
@@ -131,9 +131,9 @@ def main(arguments: list[str] | None = None) -> None:
     for kind, (_, _, most) in KINDS.items():
         for size in [size for size in SIZES if size <= min(most, options.most)]:
             command = [sys.executable, "-m", "tests.benchmarks.growth", "--one", kind, str(size)]
-            told = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-            found.setdefault(kind, []).append((size, told["seconds"], told["mb"]))
-            print(f"  {kind:28} {size:>10,} {told['seconds']:>9.3f} s {told['mb']:>7.0f} MB", flush=True)
+            result = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+            found.setdefault(kind, []).append((size, result["seconds"], result["mb"]))
+            print(f"  {kind:28} {size:>10,} {result['seconds']:>9.3f} s {result['mb']:>7.0f} MB", flush=True)
         if len(found[kind]) > 1:
             (n, first, _), (m, last, _) = found[kind][-2:]
             print(f"  {kind:28} grows with size to the power {np.log(last / first) / np.log(m / n):.2f} from {n:,} on")

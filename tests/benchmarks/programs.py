@@ -1,8 +1,8 @@
-"""Programs of any length, measured: run ``python -m tests.benchmarks.programs [BLOCKS ...]`` (two minutes; 10³ to 10⁶ if none).
+"""Measure the compensation of programs: run ``python -m tests.benchmarks.programs [BLOCKS ...]`` (two minutes; default 10³ to 10⁶).
 
-Five-axis programs from file to file, all in: read, solve, check, split, write, read back, account for. Beside each the time it takes
-to read and write the same bytes and nothing else, so that the ratio says something on another machine. Every length in a process of
-its own for its peak of memory, after a program of 60,000 blocks that has compiled what is worth compiling (`twin.compute.native`).
+Five-axis programs from file to file: read, solve, check, split, write, read back, report. The time to copy the same bytes is given for
+comparison between computers. Each length runs in its own process, for its peak memory, after a program of 60,000 blocks that triggers
+compilation (`twin.compute.native`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ AT_ONCE = 50_000
 
 
 def program(path: Path, blocks: int) -> None:
-    """A path over most of the DMU 50, every axis moving in every block, three decimals; moves of some tenths of a millimetre."""
+    """Write a program over most of the DMU 50: all axes move by some tenths of a millimetre in every block; three decimals."""
     with path.open("w") as out:
         out.write("%\nG90 G21\nG1 F2000\n")
         for first in range(0, blocks, AT_ONCE):
@@ -40,7 +40,7 @@ def program(path: Path, blocks: int) -> None:
 
 
 def copied(source: Path, target: Path) -> float:
-    """Seconds to read and write the same bytes and to wait until they are on the disk, as `twin._common.files.whole_file` does."""
+    """Return the seconds to copy a file and sync it to disk, as `twin._common.files.whole_file` does."""
     start = time.perf_counter()
     with source.open("rb") as data, target.open("wb") as out:
         while block := data.read(1 << 20):
@@ -51,7 +51,7 @@ def copied(source: Path, target: Path) -> float:
 
 
 def one(blocks: int) -> None:
-    """A line of the table."""
+    """Print one line of the table."""
     machine = Machine.load("dmu50")
     compensator = Compensator(machine, Calibration.default(machine), Options(tool_length_mm=120.0))
     with tempfile.TemporaryDirectory() as folder:
@@ -72,15 +72,15 @@ def one(blocks: int) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """All lengths, each in a process of its own."""
+    """Run all lengths, each in its own process."""
     if arguments[:1] == ["--one"]:
         one(int(arguments[1]))
         return
     print(machine_name())
     print(
-        f"{'blocks':>10} {'s':>9} {'blocks/s':>11} {'µs a block':>12} {'copy, s':>9} {'ratio':>8} {'MB':>8}", flush=True
+        f"{'blocks':>10} {'s':>9} {'blocks/s':>11} {'µs/block':>12} {'copy, s':>9} {'ratio':>8} {'MB':>8}", flush=True
     )
-    print(f"{'':>10} {'':>9} {'':>11} {'of processor':>12}", flush=True)
+    print(f"{'':>10} {'':>9} {'':>11} {'(processor)':>12}", flush=True)
     for blocks in [int(argument) for argument in arguments] or LENGTHS:
         subprocess.run([sys.executable, "-m", "tests.benchmarks.programs", "--one", str(blocks)], check=True)
 

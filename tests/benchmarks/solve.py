@@ -1,12 +1,11 @@
-"""How fast the inverse with errors is, and against what: run ``python -m tests.benchmarks.solve`` (a minute).
+"""Measure the speed of the inverse with errors and of alternatives: run ``python -m tests.benchmarks.solve`` (a minute).
 
-A million five-axis poses of the DMU 50 with all 30 error motions, whole calls of `Inverse.solve`; then `Kinematics.forward`. Beside
-them, pose by pose from Python: `scipy.optimize.root` on Pinocchio's kinematics; one iteration of pink (extra `bench`, left out where
-that is not installed); the polynomials the thesis's listings refit for each block, nothing else of them and no file read; Pinocchio's
-kinematics.
+One million five-axis poses of the DMU 50 with all 30 error motions by `Inverse.solve`; then `Kinematics.forward`. For comparison, one
+pose at a time from Python: `scipy.optimize.root` on Pinocchio's kinematics; one iteration of pink (extra `bench`, omitted if not
+installed); the polynomials that the thesis's listings refit for every block, without reading files; Pinocchio's kinematics.
 
-Times are of the processor, all threads together, so that they are a pose and core and what else runs counts little; each is the
-smallest of its repeats, and ratios are told with the smallest and largest of theirs.
+Times are processor times of all threads, so that they are per pose and core and hardly depend on other load. Each is the smallest of
+its repeats; ratios are given with their smallest and largest value.
 """
 
 from __future__ import annotations
@@ -28,16 +27,16 @@ from twin.machine.machine import Machine
 POSES = 1_000_000
 LENGTH_MM = 100.0
 STOPS = 11
-"""Measured points of a curve of the thesis."""
+"""Number of measured points of a curve of the thesis."""
 LINEAR_DEGREES = (4, 5, 8, 8, 6, 4, 8, 6, 8)
-"""Polynomials of listing 3.4: position and straightness of X, Y, Z."""
+"""Degrees of the polynomials of listing 3.4: positioning and straightness of X, Y, Z."""
 SQUARENESS_DEGREES = (1,) * 6
 ROTARY_DEGREES = (4, 4, 8, 7, 7, 7, 8, 8, 8, 7, 7, 7)
-"""Those of listing 3.3."""
+"""Degrees of the polynomials of listing 3.3."""
 
 
-def told(name: str, timing: Timing, ours: Timing | None = None) -> None:
-    """Of one pose."""
+def print_line(name: str, timing: Timing, ours: Timing | None = None) -> None:
+    """Print the time of one pose, or its ratio to ours."""
     line = f"  {name:44} {timing.best:10.3f}"
     if ours is None:
         print(f"{line}   ({timing.processor_s.max():.3f} at most; {timing.clock_s:.3f} by the clock)")
@@ -46,7 +45,7 @@ def told(name: str, timing: Timing, ours: Timing | None = None) -> None:
 
 
 def poses(machine: Machine, n: int, tilt: tuple[float, float]) -> tuple[Poses, np.ndarray]:
-    """Commands all over the range, B within ``tilt``; the targets of the machine as drawn."""
+    """Return commands over the whole range with B within ``tilt``, and the target poses of the nominal machine."""
     rng = np.random.default_rng(3)
     q = random_commands(machine, n, rng)
     q[:, :3] = np.clip(q[:, :3], [8.0, 8.0, -392.0], [492.0, 442.0, -8.0])
@@ -55,9 +54,9 @@ def poses(machine: Machine, n: int, tilt: tuple[float, float]) -> tuple[Poses, n
 
 
 def ours(real: Kinematics) -> Timing:
-    """Compiled, then plain; returns the first."""
+    """Measure compiled and NumPy code; return the first compiled result."""
     found = []
-    print(f"{POSES:,} poses, µs of processor a pose; {in_use()}")
+    print(f"{POSES:,} poses, µs of processor time per pose; {in_use()}")
     for native in (True, False):
         os.environ[loading.SWITCH] = "1" if native else "0"
         for name, tilt, rotary in (
@@ -75,14 +74,14 @@ def one_way(name: str, real: Kinematics, tilt: tuple[float, float], rotary: bool
     target, q = poses(real.machine, n, tilt)
     solution = inverse.solve(target, q, rotary=rotary)
     timing = timed(lambda: inverse.solve(target, q, rotary=rotary), 9 if native else 3).each(n)
-    told(name, timing)
+    print_line(name, timing)
     singular, most = 100.0 * float(np.mean(solution.where(Status.SINGULAR))), solution.point_residual_mm.max()
-    print(f"    {singular:.1f} % singular; at most {most:.1e} mm left, {solution.iterations} steps")
+    print(f"    {singular:.1f} % singular; residual at most {most:.1e} mm, {solution.iterations} iterations")
     return timing
 
 
 def by_root(machine: Machine, calibration: Calibration, target: Poses, q: np.ndarray) -> Timing:
-    """scipy's hybrid method on Pinocchio's model with the same errors."""
+    """Time scipy's hybrid method on Pinocchio's model with the same errors."""
     real = Kinematics(machine, calibration, tool_length_mm=LENGTH_MM)
     data = machine.model.createData()
 
@@ -98,7 +97,7 @@ def by_root(machine: Machine, calibration: Calibration, target: Poses, q: np.nda
 
 
 def by_pink(machine: Machine, target: Poses, q: np.ndarray) -> Timing | None:
-    """One iteration of the model without errors, from beside the target."""
+    """Time one iteration of pink on the model without errors, starting near the target; None if not installed."""
     try:
         import pink
         from pink.tasks import RelativeFrameTask
@@ -127,7 +126,7 @@ def by_pink(machine: Machine, target: Poses, q: np.ndarray) -> Timing | None:
 
 
 def by_refitting() -> Timing:
-    """numpy.polyfit, as listing 3.1 calls it, for every curve of every block."""
+    """Time numpy.polyfit as called in listing 3.1, for every curve of every block."""
     at = np.linspace(0.0, 500.0, STOPS)
     values = np.random.default_rng(4).normal(size=STOPS)
 
@@ -139,7 +138,7 @@ def by_refitting() -> Timing:
 
 
 def forward(machine: Machine, calibration: Calibration) -> None:
-    """Ours, and Pinocchio's called from Python with the errors given it, in its own vector."""
+    """Time our forward kinematics, and Pinocchio's from Python with given errors."""
     some = poses(machine, POSES // 10, (0.0, 180.0))[1]
     own = []
     for native in ("1", "0"):
@@ -160,9 +159,9 @@ def forward(machine: Machine, calibration: Calibration) -> None:
 
     other = timed(lambda: [once(vector) for vector in vectors], 9).each(len(vectors))
     print("forward kinematics:")
-    told("ours, errors from the curves, compiled", own[0])
-    told("ours, errors from the curves, NumPy", own[1])
-    told("Pinocchio from Python, errors given", other, own[0])
+    print_line("ours, errors from the curves, compiled", own[0])
+    print_line("ours, errors from the curves, NumPy", own[1])
+    print_line("Pinocchio from Python, errors given", other, own[0])
 
 
 def main() -> None:
@@ -173,13 +172,13 @@ def main() -> None:
     best = ours(Kinematics(machine, calibration, tool_length_mm=LENGTH_MM))
     print("the same, one pose at a time:")
     target, q = poses(machine, 1000, (20.0, 160.0))
-    told("scipy.optimize.root on Pinocchio", by_root(machine, calibration, target, q), best)
+    print_line("scipy.optimize.root on Pinocchio", by_root(machine, calibration, target, q), best)
     pink = by_pink(machine, target, q)
     if pink is None:
-        print("  pink is not installed (extra `bench`): left out")
+        print("  pink is not installed (extra `bench`): omitted")
     else:
-        told("pink, one iteration, no errors", pink, best)
-    told("the thesis's polynomials, refitted", by_refitting(), best)
+        print_line("pink, one iteration, no errors", pink, best)
+    print_line("the thesis's polynomials, refitted", by_refitting(), best)
     forward(machine, calibration)
 
 

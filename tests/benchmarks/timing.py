@@ -1,4 +1,4 @@
-"""Times of the processor, smallest and largest of their repeats, and the name of the machine they were taken on."""
+"""Processor times of repeated runs, peak memory, and the name of the computer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds of processor of every repeat, all threads together, and of the clock for the fastest."""
+    """Processor seconds of every repeat, all threads together, and wall-clock seconds of the fastest."""
 
     processor_s: np.ndarray
     clock_s: float
@@ -24,12 +24,12 @@ class Timing:
         return float(self.processor_s.min())
 
     def each(self, items: int) -> Timing:
-        """Microseconds an item."""
+        """Return microseconds per item."""
         return Timing(self.processor_s / items * 1e6, self.clock_s / items * 1e6)
 
 
 def timed(work: Callable[[], object], repeats: int) -> Timing:
-    """What else runs counts little in processor time."""
+    """Time a function; processor time hardly depends on other load."""
     processor, clock = [], []
     for _ in range(repeats):
         start, begun = time.perf_counter(), time.process_time()
@@ -40,20 +40,20 @@ def timed(work: Callable[[], object], repeats: int) -> Timing:
 
 
 def ratio(other: Timing, ours: Timing) -> str:
-    """How many times longer, with the smallest and the largest that the repeats allow."""
+    """Return the ratio of two times, with its smallest and largest value over the repeats."""
     low, high = other.processor_s.min() / ours.processor_s.max(), other.processor_s.max() / ours.best
     best, low, high = (f"{x:,.0f}" if x >= 100.0 else f"{x:.2g}" for x in (other.best / ours.best, low, high))
     return f"{best:>9} times ours ({low} to {high})"
 
 
 def peak_mb() -> float:
-    """Most memory this process has had; ``ru_maxrss`` would be that of whoever started it, if that had more."""
+    """Return the peak memory of this process in MB; ``ru_maxrss`` may include that of the parent process."""
     status = Path("/proc/self/status").read_text()
     return int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]) / 1024.0
 
 
 def machine_name() -> str:
-    """Processor, cores, and how busy they are."""
+    """Return processor, number of cores and load."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

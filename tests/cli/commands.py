@@ -1,4 +1,4 @@
-"""`twin` as a command: in a process of its own, or in this one."""
+"""Run `twin` as a command, in a child process or in this one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def twin(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedPro
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Run in this process; it must end with exit status 2 and one line on stderr."""
+    """Run a command in this process, which must exit with status 2 and one line on stderr; return that line."""
     with pytest.raises(SystemExit) as stopped:
         cli.main([str(argument) for argument in arguments])
     captured = capsys.readouterr()

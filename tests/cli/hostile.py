@@ -1,6 +1,6 @@
-"""Hostile inputs for every kind of file that `twin` reads, and what reading one of them means.
+"""Invalid inputs for every kind of file that `twin` reads, and functions that read them.
 
-`samples` gives a valid text of each kind; `edited` makes hostile ones of it; `KINDS` names what reads them and uses what was read.
+`sample` returns a valid text of each kind; `edited` modifies it; `KINDS` holds the functions that read a file and use the result.
 """
 
 from __future__ import annotations
@@ -155,10 +155,10 @@ class Kind:
     """One kind of file.
 
     Attributes:
-        file: its name.
-        words: what is put into a valid text of it, beside numbers and characters.
-        use: reads a file of it and uses what it says.
-        cost: how dear that is, in units of the cheapest.
+        file: name of the file.
+        words: words inserted into a valid text, in addition to numbers and characters.
+        use: reads a file and uses the result.
+        cost: relative cost of `use`.
     """
 
     file: str
@@ -286,7 +286,7 @@ def _csv(head: str, rows: np.ndarray, tail: str = "") -> str:
 
 @cache
 def sample(kind: str) -> str:
-    """A valid text of a kind."""
+    """Return a valid text of a kind."""
     return _SAMPLES[kind]()
 
 
@@ -393,7 +393,7 @@ _SAMPLES: Mapping[str, Callable[[], str]] = {
 
 
 def beside(kind: str, folder: Path) -> None:
-    """Write what a kind of file is read with."""
+    """Write the files that are read together with a kind of file."""
     if kind in ("ini", "linuxcnc"):
         files = _terms("linuxcnc")
     elif kind == "heidenhain":
@@ -406,7 +406,7 @@ def beside(kind: str, folder: Path) -> None:
 
 @st.composite
 def edited(draw: st.DrawFn, kind: str) -> bytes:
-    """A text of a kind with some places replaced, doubled, moved or cut."""
+    """Return a text of a kind with parts replaced, doubled, moved or cut."""
     lines = sample(kind).splitlines(keepends=True)
     words = st.sampled_from([*KINDS[kind].words, *NUMBERS, *TEXTS])
     for _ in range(draw(st.sampled_from((1, 1, 2, 3)))):
@@ -414,7 +414,7 @@ def edited(draw: st.DrawFn, kind: str) -> bytes:
         line = lines[at]
         what = draw(st.sampled_from(("word", "word", "word", "put", "drop", "double", "swap", "cut", "line")))
         if what in ("word", "put"):
-            # A word, or between two characters.
+            # Replace a word, or insert between two characters.
             places = [i for i, c in enumerate(line) if c in ',: []{}=;"<>\t'] or [0]
             start = draw(st.sampled_from(places)) + 1
             end = next((i for i in places if i >= start), len(line.rstrip("\n"))) if what == "word" else start

@@ -1,7 +1,7 @@
-"""Run a command of `twin`, killed without warning at each of its steps on the files of a folder, one step further each time.
+"""Run a command of `twin` repeatedly and kill it at each of its file operations in a folder, one operation later each time.
 
-`python -m tests.cli.killed FOLDER FILE ARGUMENT…` prints, as JSON, what FILE holds after each kill and, last, after the run that none
-cut short. Steps, not moments: where a kill falls does not depend on how fast the machine is.
+`python -m tests.cli.killed FOLDER FILE ARGUMENT…` prints, as JSON, the content of FILE after each kill and, last, after an undisturbed
+run. Kills happen at operations, not at times, so that they do not depend on the speed of the computer.
 """
 
 from __future__ import annotations
@@ -15,26 +15,30 @@ from pathlib import Path
 from twin import cli
 from twin.cli.commands import load
 
-STEPS = ("open", "os.chmod", "os.rename", "os.remove")  # of `sys.addaudithook`; told before the step is taken
+STEPS = ("open", "os.chmod", "os.rename", "os.remove")  # audit events, raised before the operation
 
 
 def run(folder: Path, arguments: list[str], last: int) -> None:
-    """Run the command until it is about to take its `last` step in the folder."""
+    """Run the command until just before its `last` operation in the folder."""
     taken = 0
 
-    def about_to(event: str, told: tuple[object, ...]) -> None:
+    def audit(event: str, arguments_of_event: tuple[object, ...]) -> None:
         nonlocal taken
-        if event in STEPS and isinstance(told[0], str | os.PathLike) and folder in Path(told[0]).parents:
+        if (
+            event in STEPS
+            and isinstance(arguments_of_event[0], str | os.PathLike)
+            and folder in Path(arguments_of_event[0]).parents
+        ):
             taken += 1
             if taken == last:
                 os.kill(os.getpid(), signal.SIGKILL)
 
-    sys.addaudithook(about_to)
+    sys.addaudithook(audit)
     cli.main(arguments)
 
 
 def main(folder: str, file: str, *arguments: str) -> None:
-    """What the file holds after each kill."""
+    """Print the content of the file after each kill."""
     out = Path(file)
     old, found = out.read_text(), []
     load(arguments[0])  # once, before the forks

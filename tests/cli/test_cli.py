@@ -1,4 +1,4 @@
-"""The command line as its users meet it: what it prints, what it refuses, and what is on disk afterwards."""
+"""Tests of the command line: printed text, error messages, and files on disk."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def part(tmp_path: Path) -> Path:
 
 
 def test_the_main_job_from_any_directory(tmp_path: Path) -> None:
-    """The bundled program by its name, the default machine and calibration, every output."""
+    """Compensate a bundled program by name with the default machine and calibration, with all outputs."""
     done = twin(
         *("compensate", "cone_frustum.nc", "-o", "out.nc", "--tool-length", 120, "--json", "r.json"),
         *("--report", "r.txt"),
@@ -132,7 +132,7 @@ def test_bad_calibrations(part: Path, tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_a_curve_that_ends_short_of_the_program(part: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Outside its domain a curve says nothing, and `twin` does not guess."""
+    """A program outside the domain of a curve is refused."""
     short = tmp_path / "short.yaml"
     short.write_text(CALIBRATION + "curves: {E_XX: {unit: um, domain: [0, 110], basis: power, coefficients: [5]}}\n")
     for command in ("compensate", "scene"):
@@ -174,7 +174,7 @@ def test_unwritable_output_is_found_before_the_work(
 
 
 def test_a_run_killed_at_any_step_leaves_the_old_output_or_the_new_one(tmp_path: Path) -> None:
-    """Killed without warning before each thing it does to a file; the output is whole each time."""
+    """The output is complete when the run is killed before any of its file operations."""
     part, out = tmp_path / "part.nc", tmp_path / "out.nc"
     rng = np.random.default_rng(8)
     part.write_text(
@@ -195,7 +195,7 @@ def test_a_run_killed_at_any_step_leaves_the_old_output_or_the_new_one(tmp_path:
     new = found[-1]
     assert new.count("\n") > 300
     assert set(found) == {old, new}
-    # Reading, the probe, opening the new file, its mode and its place: killed before each the old output is there.
+    # If killed before reading, the probe, opening the new file, setting its mode or renaming it, the old output remains.
     assert found.count(old) >= 5
 
 
@@ -206,10 +206,10 @@ def test_interrupt_leaves_nothing(tmp_path: Path) -> None:
         [*TWIN, "compensate", str(part), "-o", str(out)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        # A shell that runs the tests in its background has its children ignore the signal.
+        # A shell that runs the tests in the background makes its children ignore the signal.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
-    # In the middle of the work: some of the output is there, under another name.
+    # During the work, when a part of the output exists under another name.
     while process.poll() is None and not any(path.stat().st_size for path in tmp_path.glob(".twin-*")):
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)

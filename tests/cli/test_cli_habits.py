@@ -1,4 +1,4 @@
-"""Habits all commands share: examples that work, one-line refusals that name the nearest right name, JSON, completion, a doctor."""
+"""Behaviour common to all commands: working examples, one-line errors with the nearest valid name, JSON, completion, doctor."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 
 def completed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], line: str) -> list[str]:
-    """What bash is offered at the end of a line."""
+    """Return the completions that bash shows at the end of a line."""
     monkeypatch.setenv("_TWIN_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", line)
     monkeypatch.setenv("COMP_CWORD", str(len(line.split()) - (0 if line.endswith(" ") else 1)))
@@ -67,17 +67,15 @@ def test_every_example_is_a_command_line_that_parses(name: str, line: str) -> No
     assert context.params
 
 
-def test_examples_stand_under_help_each_on_its_own_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_shows_examples_on_their_own_lines(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "info", "--help")
     assert status == 0
     shown = [line.strip() for line in out.splitlines()]
     assert all(line in shown for name, line in EXAMPLES if name == "info" and len(line) < 70)
 
 
-def test_examples_run_as_they_stand(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Those that need nothing but what comes with twin and are done at once."""
+def test_examples_run(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run the examples that are fast and need only bundled files."""
     monkeypatch.chdir(tmp_path)
     fast = ("twin doctor --", "twin info --machine", "twin simulate-run", "twin axis-run")
     ran = []
@@ -106,7 +104,7 @@ def test_json_holds_the_numbers_that_are_printed(capsys: pytest.CaptureFixture[s
     status, out, _ = run(capsys, "scene", part, "-o", tmp_path / "s.html", "--json", scene)
     told = json.loads(scene.read_text())
     assert status == 0 and told["schema"] == "twin.scene/1" and told["left_out"] == 0
-    # The two ends of the only feed block lie where the kinematics say.
+    # Compare the two end points of the only feed block with the kinematics.
     machine = twin.Machine.load("dmu50")
     real, drawn = (
         twin.Kinematics(machine, one) for one in (twin.Calibration.default(machine), twin.Calibration.zero(machine))
@@ -123,7 +121,7 @@ def test_json_holds_the_numbers_that_are_printed(capsys: pytest.CaptureFixture[s
     assert f"{told['points']} points" in out
 
 
-def test_a_report_never_takes_the_place_of_an_input(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_report_never_replaces_an_input(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     mine = tmp_path / "mine.yaml"
     mine.write_text(CALIBRATION)
     for arguments in (
@@ -155,7 +153,7 @@ def test_a_report_never_takes_the_place_of_an_input(capsys: pytest.CaptureFixtur
         (("simulate-run", "-l", "nine_beam_x.yaml", "--positions", "0,500,3", "-o", "x.csv"), "nine_beams_x.yaml"),
     ],
 )
-def test_a_name_that_is_not_known_brings_the_nearest_that_is(
+def test_unknown_name_gives_the_nearest_valid_one(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -180,7 +178,7 @@ def test_a_name_that_is_not_known_brings_the_nearest_that_is(
         ("effects: [{effect: cross_axis, where: E_ZY by z, parameters: {coefficient: 3}}]\n", "E_ZY by Z"),
     ],
 )
-def test_files_are_told_the_nearest_name_with_their_line(tmp_path: Path, text: str, meant: str) -> None:
+def test_errors_in_files_give_line_and_nearest_name(tmp_path: Path, text: str, meant: str) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(CALIBRATION + text)
     with pytest.raises(InputError) as stopped:
@@ -189,18 +187,18 @@ def test_files_are_told_the_nearest_name_with_their_line(tmp_path: Path, text: s
     assert f"(did you mean {meant}?)" in str(stopped.value)
 
 
-def test_columns_are_told_the_nearest_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_errors_in_columns_give_the_nearest_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     table = tmp_path / "m.csv"
     table.write_text("X_mn,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm\n1,2,3,4,5,K,tool,1,2,3\n")
     assert "X_mm is missing (did you mean X_mn?)" in refused(capsys, "identify", table, "-o", tmp_path / "x.yaml")
 
 
-def test_nearest_forgives_case_and_invents_nothing() -> None:
+def test_nearest_ignores_case_and_may_find_nothing() -> None:
     assert nearest("e_xx", ["E_XX", "E_YY"]) == "E_XX"
     assert nearest("x_m", ["X_mm", "x_mm"]) == "x_mm" and nearest("X_m", ["X_mm", "x_mm"]) == "X_mm"
     assert nearest("qqqq", ["E_XX"]) is None and is_it("qqqq", ["E_XX"]) == "" and nearest("", []) is None
     error = InputError("no such thing", expected="one of a, b", value="c", nearest="b")
-    # A worker's error arrives as it was raised.
+    # A worker's error arrives unchanged.
     assert (
         str(pickle.loads(pickle.dumps(error)))
         == str(error)
@@ -217,14 +215,12 @@ def test_nearest_forgives_case_and_invents_nothing() -> None:
         (("compare", "a.yaml"), "NEWER"),
     ],
 )
-def test_a_wrong_command_line_is_told_in_one_line(
-    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
-) -> None:
+def test_usage_error_is_one_line(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str) -> None:
     line = refused(capsys, *arguments)
     assert said in line and f"`twin {arguments[0]} --help`" in line
 
 
-def test_without_anything_the_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_without_arguments(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys)
     assert status == 2 and "compensate" in out
 
@@ -266,10 +262,10 @@ def test_the_shell_completes_the_names_of_the_machine_that_was_named(
     assert "E_AA" in completed(monkeypatch, capsys, "twin identify m.csv -m trunnion_ac --only E_A")
 
 
-def test_doctor_says_what_fails_and_what_to_do(
+def test_doctor_reports_failures_and_remedies(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """A machine whose two formulations disagree by a micrometre, and no compiler."""
+    """Run doctor with two formulations of the kinematics that disagree by 1 µm, and without a compiler."""
     own = twin.Machine.configuration
 
     def off(self: twin.Machine, q: np.ndarray, errors: np.ndarray | None = None) -> np.ndarray:
@@ -285,7 +281,7 @@ def test_doctor_says_what_fails_and_what_to_do(
     by_name = {one["name"]: one for one in told["findings"]}
     assert by_name["C++ compiler"]["status"] == "missing" and by_name["inverse"]["status"] == "ok"
     assert by_name["kinematics"]["remedy"] in out and "FAILED: kinematics" in out
-    assert told["seconds"] < 2.0 * 5.0  # two seconds alone on this machine; it may be shared
+    assert told["seconds"] < 2.0 * 5.0  # two seconds on an idle computer
 
 
 def test_every_class_is_a_word_of_scope() -> None:

@@ -1,4 +1,4 @@
-"""Hostile files and words: success, or one `InputError` in bounded time; never another exception, never an output in part."""
+"""Invalid files and words: success, or one `InputError` in limited time; no other exception and no partial output."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from twin.cli import commands
 from twin.cli.commands import load
 
 EXAMPLES = 60
-"""Of a kind of file whose reading costs little; all in all some 1,000."""
+"""Examples for a kind of file that is fast to read; about 1,000 in total."""
 LONGEST_S = 10.0
-"""Process time of one input; the dearest takes a tenth of it."""
+"""Largest processor time of one input; the slowest takes a tenth of it."""
 COMMANDS: dict[str, Any] = {name: load(name) for name in commands.COMMANDS}
 SIMULATE = (
     "simulate-run",
@@ -57,11 +57,11 @@ WORDS = [
 
 
 def read_or_refused(kind: str, folder: Path, examples: int) -> None:
-    """Try hostile texts of a kind; fails on the first that is neither read nor refused."""
+    """Try invalid texts of a kind; fail on the first that is neither read nor refused."""
     path = folder / KINDS[kind].file
     beside(kind, folder)
     path.write_text(sample(kind))
-    KINDS[kind].use(path)  # the text that all others are made of is right
+    KINDS[kind].use(path)  # the unmodified text is valid
 
     @settings(max_examples=examples // KINDS[kind].cost)
     @given(data=edited(kind))
@@ -90,7 +90,7 @@ def test_many_hostile_files_are_read_or_refused(kind: str, tmp_path: Path) -> No
 
 
 def done_or_refused(capsys: pytest.CaptureFixture[str], words: list[str]) -> int:
-    """Run a command in the current folder; 0 or 3 with whole outputs, or 2 with one line and no output."""
+    """Run a command in the current folder; it must exit with 0 or 3 and complete outputs, or with 2, one line and no output."""
     before = set(Path().iterdir())
     with pytest.raises(SystemExit) as stopped:
         cli.main(words)

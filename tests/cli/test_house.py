@@ -1,4 +1,4 @@
-"""The house's own rules, checked with the tools that know them: lint, types, layers, and what may be where."""
+"""Rules of the project, checked by tools: lint, types, layers, and further limits."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def package_files() -> list[Path]:
 
 
 LONG_MODULES = {"calibration.py", "population.py", "pool.py", "machine.py", "plots.py", "files.py"}
-"""Of one thing each, and none of them beyond 600 lines."""
+"""Modules above 450 lines that hold a single subject; none exceeds 600 lines."""
 
 
 def test_modules_are_short() -> None:
@@ -58,7 +58,7 @@ def test_modules_are_short() -> None:
 
 
 LONG_FUNCTIONS = {"scan", "edited"}
-"""Of `twin.nc.iso`: loops over all lines of a program, in one piece for their speed."""
+"""Functions of `twin.nc.iso` that loop over all lines of a program, undivided for speed."""
 
 
 def test_no_function_beyond_60_lines() -> None:
@@ -71,7 +71,7 @@ def test_no_function_beyond_60_lines() -> None:
     assert long == LONG_FUNCTIONS
 
 
-def test_a_name_is_one_class() -> None:
+def test_class_names_are_unique() -> None:
     names = [
         node.name
         for path in package_files()
@@ -94,7 +94,7 @@ def test_no_assert_and_no_catch_all_in_the_package() -> None:
     assert [path.name for path in package_files() if pattern.search(path.read_text())] == []
 
 
-def test_the_product_stands_alone() -> None:
-    """Nothing in it reaches for the workplace it was made in."""
+def test_product_is_self_contained() -> None:
+    """No file of the product refers to a folder outside the project."""
     files = [*package_files(), *(ROOT / "urdf").iterdir(), *(ROOT / "notebooks").glob("*"), ROOT / "README.md"]
     assert [path.name for path in files if path.is_file() and "../shared" in path.read_text(errors="replace")] == []

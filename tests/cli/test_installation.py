@@ -1,4 +1,4 @@
-"""What is stated about installing holds, and a broken package is named in one line."""
+"""Tests of the installation: stated requirements hold, and a broken package is named in one line."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REASON = "libbroken.so.4: cannot open shared object file"
 
 
 def run_with(folder: Path, broken: str, text: str, *words: str) -> subprocess.CompletedProcess[str]:
-    """A command where a package of that name is found first whose import runs ``text``."""
+    """Run a command with a package of the given name, whose import runs ``text``, first on the path."""
     package = folder / "site" / broken
     package.mkdir(parents=True)
     (package / "__init__.py").write_text(text)
@@ -41,16 +41,16 @@ def run_with(folder: Path, broken: str, text: str, *words: str) -> subprocess.Co
         pytest.param("yaml", "pyyaml", marks=pytest.mark.slow),
     ],
 )
-def test_doctor_survives_a_package_that_does_not_import(tmp_path: Path, module: str, package: str) -> None:
+def test_doctor_reports_a_package_that_cannot_be_imported(tmp_path: Path, module: str, package: str) -> None:
     ended = run_with(tmp_path, module, f"raise ImportError({REASON!r})", "doctor")
     assert ended.returncode == 3 and ended.stderr == ""
     (line,) = [line for line in ended.stdout.splitlines() if line.startswith(f"FAILED  {package} ")]
-    assert line.endswith(f"does not import: ImportError: {REASON}")
+    assert line.endswith(f"cannot be imported: ImportError: {REASON}")
     assert re.search(rf"FAILED: {package}\b", ended.stdout)
 
 
 @pytest.mark.parametrize("module", ["meshcat", pytest.param("matplotlib", marks=pytest.mark.slow)])
-def test_doctor_checks_the_machine_where_only_pictures_are_broken(tmp_path: Path, module: str) -> None:
+def test_doctor_checks_the_machine_if_only_pictures_are_broken(tmp_path: Path, module: str) -> None:
     ended = run_with(tmp_path, module, f"raise ImportError({REASON!r})", "doctor", "--json", "doctor.json")
     assert ended.returncode == 3 and ended.stderr == ""
     assert f"FAILED: {module}" in ended.stdout and "least squares" in ended.stdout
@@ -66,7 +66,7 @@ def test_doctor_checks_the_machine_where_only_pictures_are_broken(tmp_path: Path
 )
 def test_doctor_survives_an_import_that_ends_the_process(tmp_path: Path, text: str, reason: str) -> None:
     ended = run_with(tmp_path, "casadi", text, "doctor")
-    assert ended.returncode == 3 and f"does not import: {reason}\n" in ended.stdout
+    assert ended.returncode == 3 and f"cannot be imported: {reason}\n" in ended.stdout
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_another_command_names_the_package_in_one_line(
     ended = run_with(tmp_path, module, f"raise ImportError({REASON!r})", *words)
     assert ended.returncode == 2 and ended.stdout == ""
     assert ended.stderr == (
-        f"twin: {package} does not import (ImportError: {REASON}); expected packages that import: run twin doctor\n"
+        f"twin: {package} cannot be imported (ImportError: {REASON}); expected working packages: run twin doctor\n"
     )
 
 
@@ -95,14 +95,14 @@ def test_an_import_error_of_twin_itself_is_not_hidden() -> None:
 
 
 @pytest.mark.parametrize("name", twin.__all__)
-def test_every_public_name_is_there(name: str) -> None:
+def test_every_public_name_exists(name: str) -> None:
     assert getattr(twin, name).__name__ == name
     assert name in dir(twin)
     with pytest.raises(ModuleNotFoundError):  # a module of that name would take its place
         import_module(f"twin.{name}")
 
 
-def test_a_name_that_is_not_there() -> None:
+def test_unknown_name() -> None:
     with pytest.raises(AttributeError, match="'twin' has no attribute 'machine_of'"):
         _ = twin.machine_of
 
@@ -131,7 +131,7 @@ def lower_bounds() -> dict[str, str]:
 
 
 def test_the_oldest_packages_are_those_of_the_lower_bounds() -> None:
-    """`.ci/run` installs these: a bound that nobody tried is a promise."""
+    """`.ci/run` tests with the oldest packages, which must be those of the lower bounds."""
     lines = [line for line in (ROOT / ".ci" / "oldest.txt").read_text().splitlines() if not line.startswith("#")]
     pins = dict(line.split("==") for line in lines)
     assert len(pins) == len(lines)
@@ -147,5 +147,5 @@ def test_the_bounds_of_the_test_environment_agree() -> None:
     }
 
 
-def test_doctor_looks_at_every_package() -> None:
+def test_doctor_checks_every_package() -> None:
     assert {*installation.NEEDED, *installation.OPTIONAL} == set(lower_bounds())

@@ -1,4 +1,4 @@
-"""Input that used to end in a traceback or never: each is read, or refused with file and line. `test_fuzz` looks for more."""
+"""Input that once caused a traceback or did not terminate: each is read, or refused with file and line. See also `test_fuzz`."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def test_rows_that_no_instrument_reads_are_set_aside(dmu50: twin.Machine, tmp_pa
 
 
 def test_a_curve_with_more_terms_than_its_readings_have_stops() -> None:
-    """Nothing can be said of how the curve was made: nine coefficients, and readings at four positions."""
+    """The origin of a curve with nine coefficients cannot be judged from readings at four positions."""
     curve = Curve("E_XX", "um", (0.0, 500.0), "power", tuple(range(1, 10)))
     space = CurveSpace("E_XX", POWER, (0.0, 500.0), 0, 4)
     assert flaw(space, curve, np.arange(1.0, 5.0), np.eye(4)) == ""
@@ -233,7 +233,7 @@ def test_a_scheduler_without_dask_is_refused_before_the_work(monkeypatch: pytest
         ("info", "--calibration", "a\0b.yaml"),
     ],
 )
-def test_sizes_that_no_machine_has_are_refused(
+def test_implausible_sizes_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, arguments: Sequence[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -249,7 +249,7 @@ def test_a_compiler_whose_name_cannot_be_split_is_none(monkeypatch: pytest.Monke
     assert compiler.find_compiler() is None
 
 
-def test_text_of_a_file_is_no_markup(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_of_a_file_is_not_markup(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "c.yaml"
     path.write_text(f"{HEAD}source: 'measured [/1], [red]see[/] :smile: [2]'\n")
     with pytest.raises(SystemExit) as stopped:

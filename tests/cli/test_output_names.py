@@ -1,4 +1,4 @@
-"""An output's name must end as what is written there does: refused before the work, and nothing is written."""
+"""The suffix of an output must fit its format; otherwise it is refused before any computation, and nothing is written."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from twin import cli
     ],
     ids=lambda one: " ".join(one) if isinstance(one, tuple) else "",
 )
-def test_a_name_that_does_not_fit(
+def test_wrong_suffix(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

@@ -1,4 +1,4 @@
-"""No command overwrites what it reads, replaces what is no regular file, or leaves anything behind when it is ended."""
+"""No command overwrites its inputs, replaces a file that is not regular, or leaves temporary files after being ended."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ BUNDLED = bundled_folder()
 
 
 @pytest.fixture(scope="module")
-def shop(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with one input of every kind; tests work on copies of it."""
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with one input of every kind; tests work on copies of it."""
     folder = tmp_path_factory.mktemp("shop")
     for name in ("dmu50.yaml", "dmu50.urdf", "dmu50.calibration.yaml"):
         shutil.copy(BUNDLED / name, folder / name)
@@ -102,11 +102,11 @@ COMMANDS = {
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_input_is_never_an_output(
-    shop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     line, file = COMMANDS[name]
     folder = tmp_path / "shop"
-    shutil.copytree(shop, folder)
+    shutil.copytree(inputs, folder)
     (folder / "link.nc").symlink_to("p.nc")
     os.link(folder / "p.nc", folder / "hard.nc")
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
@@ -118,7 +118,7 @@ def test_an_input_is_never_an_output(
 
 
 def test_every_path_of_every_command_is_known() -> None:
-    """A path that a command writes is marked; every other one is an input, and is compared with what is written."""
+    """A path that a command writes is marked; every other path is an input and must not be an output."""
     written = {"json_file", "output", "report_file", "html_file", "extended"}
     for command in map(commands.load, commands.COMMANDS):
         function: Callable[..., Any] = command.callback.__wrapped__
@@ -128,7 +128,7 @@ def test_every_path_of_every_command_is_known() -> None:
         assert "json_file" in marked, "every command takes --json"
 
 
-def test_a_device_or_a_pipe_is_not_replaced(shop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_device_or_a_pipe_is_not_replaced(inputs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pipe = tmp_path / "pipe.json"
     os.mkfifo(pipe)
     for path in (pipe, Path(os.devnull)):
@@ -139,7 +139,7 @@ def test_a_device_or_a_pipe_is_not_replaced(shop: Path, tmp_path: Path, capsys: 
 
 
 def test_a_read_only_file_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """For the superuser too, who may write anything."""
+    """This also applies to the superuser, who may write any file."""
     out = tmp_path / "kept.json"
     out.write_text("kept")
     out.chmod(0o444)
@@ -163,7 +163,7 @@ def test_mode_and_link_stay(tmp_path: Path) -> None:
     assert stat.S_IMODE((tmp_path / "fresh").stat().st_mode) == 0o640
 
 
-def test_what_was_written_may_be_read_back_and_what_was_read_not_written(tmp_path: Path) -> None:
+def test_outputs_may_be_read_and_inputs_may_not_be_written(tmp_path: Path) -> None:
     one, other = tmp_path / "one", tmp_path / "other"
     one.write_text("input")
     with command_files():
@@ -177,7 +177,7 @@ def test_what_was_written_may_be_read_back_and_what_was_read_not_written(tmp_pat
     write_whole(one, "outside of a command it may")
 
 
-def test_what_a_killed_run_left_is_removed(tmp_path: Path) -> None:
+def test_files_of_a_killed_run_are_removed(tmp_path: Path) -> None:
     gone = subprocess.Popen(["true"])
     gone.wait()
     stale = tmp_path / f"{TEMPORARY}{gone.pid}-00ff-{platform.node()}"
@@ -195,7 +195,7 @@ LONG = PART + "G1 X110 F500\nX100\n" * 300_000
 
 
 def _children(pid: int) -> list[int]:
-    """All processes below one, from /proc."""
+    """Return all descendants of a process, from /proc."""
     parents = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal():
@@ -210,7 +210,7 @@ def _children(pid: int) -> list[int]:
     return found
 
 
-def _gone(pids: list[int], seconds: float) -> bool:
+def _ended(pids: list[int], seconds: float) -> bool:
     limit = time.monotonic() + seconds
     while time.monotonic() < limit:
         alive = [pid for pid in pids if Path(f"/proc/{pid}/stat").exists() and _state(pid) != "Z"]
@@ -243,7 +243,7 @@ def test_a_signal_leaves_no_file_and_no_process(tmp_path: Path, number: signal.S
     assert len(workers) >= 2, "the workers are at work"
     process.send_signal(number)
     _, errors = process.communicate(timeout=60)
-    assert _gone(workers, 20.0), "no process outlives the command"
+    assert _ended(workers, 20.0), "no process outlives the command"
     if number is signal.SIGKILL:
         assert process.returncode == -number
         again = [*TWIN, "doc", "--json", str(tmp_path / "out" / "doc.json")]
@@ -258,7 +258,7 @@ def test_a_signal_leaves_no_file_and_no_process(tmp_path: Path, number: signal.S
 @pytest.mark.skipif(shutil.which("sh") is None, reason="needs a shell")
 @pytest.mark.parametrize("number", [pytest.param(signal.SIGHUP, marks=pytest.mark.slow), signal.SIGKILL])
 def test_a_compiler_does_not_outlive_the_command(tmp_path: Path, number: signal.Signals) -> None:
-    """A compiler that takes its time, with a child of its own and a temporary file, as g++ has."""
+    """Use a slow compiler with a child process and a temporary file, like g++."""
     slow, temporary, home = tmp_path / "slow", tmp_path / "tmp", tmp_path / "home"
     temporary.mkdir()
     slow.write_text(
@@ -277,7 +277,7 @@ def test_a_compiler_does_not_outlive_the_command(tmp_path: Path, number: signal.
         time.sleep(0.01)
     process.send_signal(number)
     process.wait(60)
-    assert _gone([int(pid) for pid in pids.read_text().split()], 10.0)
+    assert _ended([int(pid) for pid in pids.read_text().split()], 10.0)
     left = [path for path in (*temporary.rglob("*"), *home.rglob("*")) if path.suffix == ".s"]
     if number is not signal.SIGKILL:
         assert not left
@@ -288,7 +288,7 @@ def test_a_compiler_does_not_outlive_the_command(tmp_path: Path, number: signal.
 
 
 def test_an_ignored_hangup_stays_ignored(tmp_path: Path) -> None:
-    """As under nohup."""
+    """A hangup is ignored as under nohup."""
     part, out = tmp_path / "part.nc", tmp_path / "out.nc"
     part.write_text(PART + "G1 X110 F500\nX100\n" * 200_000)
     process = subprocess.Popen(

@@ -1,4 +1,4 @@
-"""Warnings of where numbers come from, in every file that is made of a calibration, and on the way there."""
+"""Warnings about the source of numbers appear in every file made from a calibration or from readings."""
 
 from __future__ import annotations
 
@@ -63,19 +63,19 @@ def run(*arguments: object) -> int:
 
 
 def words(text: str) -> str:
-    """A text without line breaks and comment signs: a comment may go over two lines."""
+    """Return a text without line breaks and comment signs, since a comment may span two lines."""
     kept = [line.lstrip("0123456789 ;#$/(").rstrip(")\r\n") for line in text.splitlines()]
     return " ".join(" ".join(kept).split()).upper().replace("&NBSP;", " ").replace("\u00a0", " ")
 
 
 def said(text: str) -> set[str]:
-    """Names of the warnings a text says in words."""
+    """Return the names of the warnings in a text."""
     found = words(text)
     return {one.name for one in EVERY if one.title in found}
 
 
 def named(path: Path) -> set[str]:
-    """Names of the warnings a JSON file lists."""
+    """Return the names of the warnings in a JSON file."""
 
     def lists(data: Any) -> Iterator[list[dict[str, str]]]:
         if isinstance(data, dict):
@@ -95,7 +95,7 @@ Files = dict[str, set[str]]
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Files]:
-    """By kind of warning: which warnings each file made of such a calibration carries."""
+    """Return a function that gives, for a kind of warning, the warnings in every file made from such a calibration."""
     known: dict[str, Files] = {}
 
     def of(kind: str) -> Files:
@@ -109,7 +109,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Files]:
 
 
 def files(folder: Path, *, cut: bool, drawn: bool) -> Files:
-    """Make every file there is; ``cut``: programs and tables too; ``drawn``: a machine can be drawn from its covariance."""
+    """Make every kind of file; ``cut``: also programs and tables; ``drawn``: also draws from the covariance."""
     mine, out = folder / "mine.yaml", folder / "out.json"
     given = ("-c", mine, "--json", out)
     found: Files = {}
@@ -153,22 +153,20 @@ def files(folder: Path, *, cut: bool, drawn: bool) -> Files:
 
 
 ONE_ALONE: Final = ("nothing", "illustrative", "simulated", "unknown")
-"""Slow; the last three are together in ``all``."""
+"""Slow kinds; the last three are combined in ``all``."""
 
 
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind in ONE_ALONE else kind for kind in KINDS]
 )
-def test_every_file_carries_what_its_calibration_warns_of(kind: str, made: Callable[[str], Files]) -> None:
+def test_every_file_has_the_warnings_of_its_calibration(kind: str, made: Callable[[str], Files]) -> None:
     wanted = {one.name for one in KINDS[kind][3]}
     found = made(kind)
     assert len(found) >= (6 if kind == "unsettled" else 35)
     assert {name: one for name, one in found.items() if one != wanted} == {}
 
 
-def test_of_what_did_not_settle_neither_program_nor_table_is_made(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unconverged_estimate_gives_no_program_and_no_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "mine.yaml").write_text(calibration_text("unsettled"))
     (tmp_path / "p.nc").write_text(PROGRAMS["p.nc"])
     assert run("compensate", tmp_path / "p.nc", "-o", tmp_path / "o.nc", "-c", tmp_path / "mine.yaml") == 2
@@ -194,7 +192,7 @@ def test_simulated_is_true_or_false(dmu50: Machine, tmp_path: Path) -> None:
         Calibration.load(tmp_path / "mine.yaml", dmu50)
 
 
-def test_an_uncertainty_of_some_errors_alone_is_told_from_none(dmu50: Machine, tmp_path: Path) -> None:
+def test_partly_unknown_uncertainty_has_its_own_warning(dmu50: Machine, tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text(calibration_text("nothing") + "squareness: {E_C0Y: 20.0}\n")
     assert Calibration.load(tmp_path / "mine.yaml", dmu50).warnings == (PARTLY_UNKNOWN,)
     assert Calibration.zero(dmu50).warnings == ()
@@ -206,7 +204,7 @@ def test_an_uncertainty_of_some_errors_alone_is_told_from_none(dmu50: Machine, t
 
 @pytest.fixture(scope="module")
 def table(dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Readings of X, as `twin simulate` writes them without a comment of its own."""
+    """Return a table of readings of X, as `twin simulate` writes it without a user comment."""
     plan = thesis_plan.plan(dmu50)
     moved = plan.select(np.ptp(plan.positions[:, 1:] - plan.positions[0, 1:], axis=1) == 0.0)
     readings, _ = simulate(moved, dmu50, calibration, LaserTracker(), np.random.default_rng(3))
@@ -216,7 +214,7 @@ def table(dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.Tem
 
 
 def as_measured(path: Path) -> Path:
-    """The same table without the comment."""
+    """Return the same table without its comment."""
     other = path.parent / "measured.csv"
     other.write_text("".join(line for line in path.read_text().splitlines(True) if not line.startswith("#")))
     return other
@@ -236,17 +234,17 @@ def test_a_comment_of_its_own_is_not_repeated(dmu50: Machine, table: Path, tmp_p
     assert load(tmp_path / "a.csv", dmu50).simulated
 
 
-def test_what_is_identified_from_simulated_readings_says_so(dmu50: Machine, table: Path) -> None:
+def test_calibration_from_simulated_readings_has_the_warning(dmu50: Machine, table: Path) -> None:
     drawn, real = (identify(load(path, dmu50), dmu50) for path in (table, as_measured(table)))
     assert drawn.calibration.simulated and not real.calibration.simulated
     assert drawn.calibration.curves.keys() == real.calibration.curves.keys()
-    # The mark changes no number.
+    # The warning does not change any number.
     assert np.array_equal(drawn.calibration.covariance.matrix, real.calibration.covariance.matrix)
     assert SIMULATED.text in drawn.to_text() and SIMULATED.title not in real.to_text()
     assert [one["name"] for one in drawn.to_dict()["warnings"]] == ["simulated_readings"]
 
 
-def test_the_thesis_method_says_so(dmu50: Machine, calibration: Calibration) -> None:
+def test_thesis_method_has_the_warning(dmu50: Machine, calibration: Calibration) -> None:
     readings, _ = simulate(
         thesis_plan.plan(dmu50), dmu50, calibration, LaserTracker(), np.random.default_rng(3), noise=False
     )
@@ -254,7 +252,7 @@ def test_the_thesis_method_says_so(dmu50: Machine, calibration: Calibration) -> 
     assert not identify_as_thesis(replace(readings, simulated=False), dmu50).calibration.simulated
 
 
-def test_an_axis_run_says_so(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
+def test_axis_run_has_the_warning(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     layout = AxisLayout.load(Path("twin/samples/nine_beams_x.yaml"), dmu50)
     q = np.tile(np.linspace(0.0, 500.0, 11), 2)
     readings, _ = simulate_run(layout, dmu50, calibration, q, np.random.default_rng(1))
@@ -285,7 +283,7 @@ NOTE: Final = ("twin: SIMULATED READINGS: made up.",)
         ("\xef\xbb\xbfG0 X1 (a)\n", "\xef\xbb\xbf(twin: SIMULATED READINGS: made up.)\nG0 X1 (a)\n"),
     ],
 )  # fmt: skip
-def test_comments_stand_behind_what_has_to_come_first(text: str, expected: str) -> None:
+def test_comments_follow_mandatory_first_lines(text: str, expected: str) -> None:
     assert Iso().with_comments(text, NOTE) == expected
     assert Iso().with_comments(expected, NOTE) == expected
     assert Iso().with_comments(text, ()) == text
@@ -309,7 +307,7 @@ def test_numbered_blocks_stay_in_order(text: str, expected: str) -> None:
 
 
 @pytest.mark.parametrize("dialect", DIALECTS, ids=lambda one: one.name)
-def test_long_comments_go_over_lines_and_are_said_once(dialect: Any) -> None:
+def test_long_comments_are_wrapped_and_not_repeated(dialect: Any) -> None:
     text = PROGRAMS[{"iso": "p.nc", "heidenhain": "p.h", "apt": "p.cls"}[dialect.name]]
     once = dialect.with_comments(text, [f"twin: {one.text}" for one in EVERY])
     assert max(map(len, once.splitlines())) < 80
@@ -320,7 +318,7 @@ def test_long_comments_go_over_lines_and_are_said_once(dialect: Any) -> None:
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_a_program_compensated_twice_says_it_once(name: str, tmp_path: Path) -> None:
+def test_a_program_compensated_twice_has_one_comment(name: str, tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text(calibration_text("all"))
     (tmp_path / name).write_text(PROGRAMS[name])
     first, second = tmp_path / f"a{Path(name).suffix}", tmp_path / f"b{Path(name).suffix}"

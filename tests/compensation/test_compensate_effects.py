@@ -504,14 +504,14 @@ def test_the_report_states_conditions_and_backlash(
     )
     assert again.text == (tmp_path / "out.nc").read_text()
     status, printed, _ = run_cli(capsys, "scene", part, "-o", tmp_path / "s.html", *arguments)
-    assert status == 0 and "T_Y_degC was given" in printed and (tmp_path / "s.html").is_file()
+    assert status == 0 and "T_Y_degC has no effect" in printed and (tmp_path / "s.html").is_file()
 
 
 def test_info_lists_omitted_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = extended(tmp_path, reversal("Y", 12.0), EXPANSION, GROWTH)
     status, printed, _ = run_cli(capsys, "info", "-c", path, "--temperature", "X=26")
     assert status == 0
-    assert "left out: thermal_growth:Z by bed (needs --temperature bed=…)" in printed
+    assert "omitted: thermal_growth:Z by bed (needs --temperature bed=…)" in printed
     for word in ("reversal:Y", "thermal_expansion:X", "± half its size", "T_X_degC 26"):
         assert word in printed
     assert run_cli(capsys, "info", "-c", path, "--temperature", "bad=26")[0] == 2

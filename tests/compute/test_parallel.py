@@ -213,7 +213,7 @@ def test_programs_are_the_same_and_a_bad_one_stops_none(
     # The error names the user's own file, wherever it was read.
     assert f"twin: {parts['bad.nc']}:2:" in printed.err and parts["none.nc"] in printed.err
     assert printed.err.count("\n") == 2
-    assert "5 programs: 2 done, 1 done with something not met, 2 failed" in printed.out
+    assert "5 programs: 2 done, 1 done in part, 2 failed" in printed.out
     data = json.loads(total.read_text())
     verdicts = {Path(one["program"]).name: one["verdict"] for one in data["programs"]}
     assert verdicts == {"a.nc": "done", "b.h": "done", "far.nc": "not met", "bad.nc": "failed", "none.nc": "failed"}

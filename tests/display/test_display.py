@@ -1,4 +1,4 @@
-"""How results look in a notebook: markup that parses, units, unknown said as unknown, what is drawn said to be so, nothing fetched."""
+"""Tests of displays in notebooks: valid markup, units, unknown values, illustrative values, no requests to the network."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ TOOL_MM = 120.0
 
 
 class Checked(HTMLParser):
-    """Every tag that opens closes, in order; text and tags are kept."""
+    """Parser that checks the nesting of tags and collects tags and text."""
 
     def __init__(self, text: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -107,7 +107,7 @@ def everything(
     found: Identification,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Mapping[str, Any]:
-    """One of each."""
+    """Return one object of every kind that has a display."""
     arc = tmp_path_factory.mktemp("arc") / "arc.nc"
     angles = np.linspace(0.0, 1.5, 31)
     arc.write_text("".join(f"G1 F900 X{200 + 50 * np.cos(a):.3f} Y{200 + 50 * np.sin(a):.3f} Z-200.\n" for a in angles))
@@ -150,7 +150,7 @@ def everything(
     }
 
 
-def test_everything_parses_and_brings_nothing_from_outside(everything: Mapping[str, Any]) -> None:
+def test_markup_is_valid_and_loads_nothing(everything: Mapping[str, Any]) -> None:
     for name, thing in everything.items():
         text = thing._repr_html_()
         tags = set(Checked(text).tags)
@@ -158,10 +158,10 @@ def test_everything_parses_and_brings_nothing_from_outside(everything: Mapping[s
         assert "http" not in text and "url(" not in text, name
 
 
-def test_colours_are_those_of_the_surroundings(everything: Mapping[str, Any]) -> None:
-    """Legible on light and dark: nothing but the surroundings' own colour, a grey half transparent and two accents."""
+def test_colours_are_legible_on_light_and_dark(everything: Mapping[str, Any]) -> None:
+    """Colours are legible on light and dark: text colour, semi-transparent grey and two accents."""
     allowed = {"currentColor", "none", "inherit", ACCENT, WARNING, "rgba(128,128,128,.4)", "rgba(128,128,128,.18)"}
-    allowed |= {"#009e73", "#e69f00", "#0072b2"}  # the edges of a diagnosis, beside text
+    allowed |= {"#009e73", "#e69f00", "#0072b2"}  # the edges of a diagnosis next to text
     for name, thing in everything.items():
         text = thing._repr_html_()
         named = re.findall(r"(?:fill|stroke)='([^']+)'", text) + re.findall(r"(?:background|[^-]color):([^;']+)", text)
@@ -209,7 +209,7 @@ HEADERS = {
     "refit": [["of 10 µm", "share, µm", "used, µm", ""]],
     "population": [["machines", "error at the tool, µm", "mean", "95 % of the machines", "maximum"]],
 }
-"""Of every table whose columns have units."""
+"""Units in the headers of every display's tables."""
 
 
 @pytest.mark.parametrize("name", UNITS)
@@ -223,7 +223,7 @@ def test_units_of_columns_are_those_of_their_numbers(name: str, everything: Mapp
 DRAWN = ["calibration", "extended", "curve", "kinematics", "compensation", "refit", "diagnosis"]
 
 
-def test_what_is_drawn_is_said_to_be(everything: Mapping[str, Any]) -> None:
+def test_illustrative_values_are_marked(everything: Mapping[str, Any]) -> None:
     for name in DRAWN:
         assert "ILLUSTRATIVE" in shown(everything[name]).text, name
     for name in ("zero", "identified", "identified curve", "compensation known", "map"):
@@ -231,7 +231,7 @@ def test_what_is_drawn_is_said_to_be(everything: Mapping[str, Any]) -> None:
     assert "E_AX*" in shown(everything["calibration"]).text and "E_XX*" not in shown(everything["calibration"]).text
 
 
-def test_unknown_is_unknown_and_never_zero(everything: Mapping[str, Any]) -> None:
+def test_unknown_is_never_zero(everything: Mapping[str, Any]) -> None:
     for name in (
         "calibration",
         "extended",
@@ -244,15 +244,15 @@ def test_unknown_is_unknown_and_never_zero(everything: Mapping[str, Any]) -> Non
     ):
         assert "unknown" in shown(everything[name]).text, name
     unknown = shown(everything["unknown map"])
-    assert "µm" not in unknown.text and "svg" not in unknown.tags  # no number, and nothing drawn at zero
+    assert "µm" not in unknown.text and "svg" not in unknown.tags  # no number, and no picture
     assert "± 0" not in shown(everything["calibration"]).text
     assert shown(everything["calibration"]).tags.count("polygon") == 0  # no band
     assert shown(everything["identified"]).tags.count("polygon") == 30
     assert "not stated" in shown(everything["measurements"]).text
 
 
-def test_what_is_known_in_part_says_of_which(dmu50: Machine, drawn: Calibration) -> None:
-    """One curve has a covariance: its interval is drawn and written, √(fᵀΣf) by hand; of the others it stays unknown."""
+def test_partly_known_uncertainty(dmu50: Machine, drawn: Calibration) -> None:
+    """A curve with a covariance has the interval √(fᵀΣf), computed by hand; the others stay unknown."""
     covariance = np.diag([4.0, 9.0])
     curve = Curve("E_XX", "um", (0.0, 500.0), "power", (0.0, 10.0), covariance)
     mixed = replace(drawn, curves=MappingProxyType({"E_XX": curve, "E_YY": drawn.curves["E_YY"]}))
@@ -281,7 +281,7 @@ def test_text_is_escaped(
     assert "script" not in Checked(graph(np.arange(3.0), np.ones(3), None, SCRIPT, SCRIPT).text).tags
 
 
-def test_a_scene_is_framed_whole() -> None:
+def test_a_scene_is_displayed_in_a_frame() -> None:
     page = "<!doctype html><html><body onload=\"a('b')\"><script>1 < 2 && 3</script></body></html>"
     text = Scene(page, None)._repr_html_()  # type: ignore[arg-type]
     assert set(Checked(text).tags) == {"div", "iframe"}
@@ -300,7 +300,7 @@ def test_the_chain_is_in_order(name: str, order: str) -> None:
     assert order in shown(Machine.load(name)).text
 
 
-def test_nothing_shows_too(dmu50: Machine, everything: Mapping[str, Any], found: Identification) -> None:
+def test_empty_objects_have_a_display(dmu50: Machine, everything: Mapping[str, Any], found: Identification) -> None:
     none = np.zeros((0, 5))
     real = everything["kinematics"]
     poses = real.forward(none)
@@ -317,12 +317,12 @@ def test_nothing_shows_too(dmu50: Machine, everything: Mapping[str, Any], found:
         assert shown(thing).text
 
 
-def test_an_estimate_that_did_not_settle_says_so(found: Identification) -> None:
+def test_an_estimate_that_did_not_converge_is_marked(found: Identification) -> None:
     page = shown(replace(found, converged=False))
     assert "DID NOT CONVERGE" in page.text and WARNING in replace(found, converged=False)._repr_html_()
 
 
-def test_what_is_not_met_is_loud(dmu50: Machine, drawn: Calibration, everything: Mapping[str, Any]) -> None:
+def test_unmet_requirements_are_highlighted(dmu50: Machine, drawn: Calibration, everything: Mapping[str, Any]) -> None:
     real = everything["kinematics"]
     at = np.array([[250.0, 225.0, -200.0, 0.0, 0.0]])
     far = replace(real.forward(at), point_mm=np.array([[5000.0, 0.0, 0.0]]))
@@ -332,14 +332,14 @@ def test_what_is_not_met_is_loud(dmu50: Machine, drawn: Calibration, everything:
 
 
 def test_identified_numbers_are_the_identification_s(everything: Mapping[str, Any], found: Identification) -> None:
-    """Peak and widest interval of every error, against `Identification.rows`, which has its own way to them."""
+    """Compare peak and widest interval of every error with `Identification.rows`, which computes them independently."""
     text = shown(everything["identification"]).text
     for row in found.rows():
         name, unit = row["name"], "µm" if row["unit"] == "um" else "µrad"
         (size, half) = re.findall(rf"{name}[^±]*?(−?[\d.]+) ± ([\d.]+) {unit}", text)[0]
         expected, u = (row["peak"], row["u_max"]) if "peak" in row else (abs(row["value"]), row["u"])
         step = 10.0 ** -len(half.partition(".")[2])
-        # 121 places of a strip against 201 of a row: a peak between them is missed by little, beside rounding to the last digit.
+        # 121 positions of a strip against 201 of a row: small differences of a peak, and rounding to the last digit.
         assert abs(float(size.replace("−", "")) - expected) <= 0.01 * expected + step
         assert float(half) == pytest.approx(1.96 * u, abs=0.02 * u + step)
 
@@ -347,7 +347,7 @@ def test_identified_numbers_are_the_identification_s(everything: Mapping[str, An
 def test_a_measured_number_by_hand() -> None:
     assert measured(9.2871, 0.26, "um") == "9.29 ± 0.51 µm"  # 1.96 · 0.26 = 0.5096
     assert measured(-123.4, 21.0, "urad") == "−123 ± 41 µrad"
-    assert measured(-0.04, 1.0, "um") == "0.0 ± 2.0 µm"  # no minus before a nothing
+    assert measured(-0.04, 1.0, "um") == "0.0 ± 2.0 µm"  # no minus sign before zero
     assert measured(22.0, float("nan"), "urad") == "22 µrad, ± unknown"
     assert rounded(0.5, 0.0) == ("0.500", "0.000")
 
@@ -359,7 +359,7 @@ def test_rounding_keeps_two_digits_of_the_uncertainty(value: float, expanded: fl
     step = 10.0 ** -len(half.partition(".")[2])
     assert abs(float(size) - value) <= 0.5 * step + 1e-9 and abs(float(half) - expanded) <= 0.5 * step + 1e-9
     digits = half.replace(".", "").strip("0")
-    assert len(digits) <= 2 or float(half) >= 100.0  # what is beyond the point of a large one is nobody's digit
+    assert len(digits) <= 2 or float(half) >= 100.0  # a large number has no decimals
     assert step >= 0.001
 
 
@@ -374,7 +374,7 @@ def test_ticks_are_inside_even_and_few(low: float, width: float) -> None:
 
 
 def plotted(text: str) -> tuple[np.ndarray, Mapping[str, tuple[float, float]]]:
-    """Points of the curve in the plot's own numbers: through its printed ticks, as a reader would take them off."""
+    """Return the points of the curve in the units of the plot, converted by its printed ticks."""
     (line,) = re.findall(r"<polyline points='([^']*)'", text)
     points = np.array([[float(v) for v in pair.split(",")] for pair in line.split()])
     labels = re.findall(r"<text x='([\d.]+)' y='([\d.]+)' text-anchor='(\w+)'[^>]*>(−?[\d.]+)<", text)
@@ -388,7 +388,7 @@ def plotted(text: str) -> tuple[np.ndarray, Mapping[str, tuple[float, float]]]:
 def test_a_curve_is_where_its_ticks_say(drawn: Calibration) -> None:
     curve = drawn.curves["E_ZX"]
     values, _ = plotted(curve._repr_html_())
-    # Printed to a tenth of a pixel on some 300 by 140: a part in a thousand.
+    # Printed to 0.1 pixel on about 300 by 140: 0.1 %.
     assert values[:, 0] == pytest.approx(np.linspace(0.0, 500.0, len(values)), abs=1.0)
     assert values[:, 1] == pytest.approx(curve(np.clip(values[:, 0], 0.0, 500.0)), abs=0.15)
 
@@ -405,7 +405,7 @@ def test_a_histogram_counts_all() -> None:
 
 
 def test_no_library_is_needed() -> None:
-    """matplotlib is an extra: displays never ask for it."""
+    """Displays do not import matplotlib, which is optional."""
     code = (
         "import sys; sys.modules['matplotlib'] = None\n"
         "from twin import Calibration, Machine\n"
@@ -415,15 +415,15 @@ def test_no_library_is_needed() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_every_result_a_script_gets_shows_itself() -> None:
-    """Of what `twin` exports: all but what computes, is an error, or is a plain choice."""
+def test_every_exported_result_has_a_display() -> None:
+    """Every result class that `twin` exports has a display; computing classes, errors and enumerations have none."""
     silent = {"Compensator", "Conditions", "InputError", "Inverse", "Status", "Workers"}
     classes = {name for name in twin.__all__ if isinstance(getattr(twin, name), type)}
     assert {name for name in classes if not hasattr(getattr(twin, name), "_repr_html_")} <= silent
 
 
 def test_a_joint_covariance_is_used(dmu50: Machine) -> None:
-    """One whole covariance over two errors: a squareness shows its own interval."""
+    """With one covariance of two errors, the squareness shows its own interval."""
     joint = Covariance(("E_C0Y", "E_X0C"), np.diag([25.0, 4.0]))
     one = replace(
         Calibration.zero(dmu50),

@@ -92,7 +92,7 @@ def test_swapped_columns_leave_nothing(measured: Path, tmp_path: Path, capsys: p
 def test_bad_usage_leaves_nothing(measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "c.yaml"
     for arguments, words in (
-        (["--only", "E_QQ"], "--only names no error"),
+        (["--only", "E_QQ"], "--only matches no error"),
         (["--instrument", "ruler"], "one of tracker"),
         (["--instrument", "interferometer"], "reads lengths only"),
     ):

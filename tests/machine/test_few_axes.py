@@ -209,14 +209,17 @@ def test_a_report_for_a_machine_without_programs(drill: Path) -> None:
     machine = Machine.load(drill)
     one = machine_report(machine, Calibration.load(drill.parent / "mine.yaml", machine), made=MADE)
     done = [step for step in one.advice.steps if step.kind == "do"]
-    assert [step.title for step in done] == ["Fill the control's axis tables"]
-    # No table corrects the straightness perpendicular to the plane of both axes.
-    assert "positioning (L-POS), straightness (L-STR) and tilts of the linear axes (L-ANG) for all" in done[0].text
+    assert [step.title for step in done] == ["Use the control's axis tables"]
+    # The straightness across the plane of both axes is no table's.
+    assert (
+        "positioning (L-POS), straightness (L-STR) and angular errors of the linear axes (L-ANG) for all"
+        in done[0].text
+    )
     only_y = Calibration.load(drill.parent / "mine.yaml", machine).where(lambda name: name in ("E_XX", "E_YX"))
     (step,) = [step for step in machine_report(machine, only_y, made=MADE).advice.steps if step.kind == "do"]
     assert "positioning (L-POS) for all" in step.text
     text = machine_html(one)
-    assert "no programs on this machine" in text and "the calibration gives no uncertainty</span>" not in text
+    assert "not possible on this machine" in text and "the calibration gives no uncertainty</span>" not in text
 
 
 def test_programs_are_refused_with_the_required_axes(drill: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -233,15 +236,15 @@ def test_a_stage_and_an_arm_have_reports(tmp_path: Path) -> None:
         "curves: {E_XX: {unit: um, domain: [-21, 21], basis: power, coefficients: [0, 3]}}\n"
     )
     text = machine_html(machine_report(slide, Calibration.load(tmp_path / "slide.yaml", slide), made=MADE))
-    assert "there is no second linear axis, and none that turns" in text
+    assert "the machine has no second linear axis and no rotary axis" in text
 
     arm = Machine.load(few_axes.write_robot(tmp_path))
     (tmp_path / "arm.cal.yaml").write_text(
         f"schema: twin.calibration/1\nmachine: arm\nsource: by hand\ncurves: {{E_CJ1: {JOINT}, E_CJ3: {JOINT}}}\n"
     )
     one = machine_report(arm, Calibration.load(tmp_path / "arm.cal.yaml", arm), made=MADE)
-    assert "Angle of J3" in machine_html(one)
-    # In a polar plot, two turns would overlap.
+    assert "Angular positioning of J3" in machine_html(one)
+    # Two turns on one circle would be two curves on top of each other.
     (plot,) = plot_motion(one.motions[0]).axes
     assert plot.name == "rectilinear" and plot.get_xlabel() == "J1 [°]"
     turned = Machine.load(few_axes.write_robot(tmp_path, reach_deg=180.0))

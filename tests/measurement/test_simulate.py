@@ -182,7 +182,7 @@ def test_command_with_air_and_drift(tmp_path: Path, dmu50: Machine, capsys: pyte
         (
             "thesis.csv",
             [],
-            "no such plan (did you mean thesis_plan.csv?); expected a measurement table, or one that comes with twin: thesis_plan.csv",
+            "no such plan (did you mean thesis_plan.csv?); expected a measurement table, or a bundled plan: thesis_plan.csv",
         ),
     ):
         with pytest.raises(SystemExit) as stopped:

@@ -1,4 +1,4 @@
-"""`twin report`: its numbers against other ways to them, its page by a parser and a browser, its refusals."""
+"""Tests of `twin report`: numbers by independent computation, the page in a parser and in a browser, error messages."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from twin.machine.machine import Machine
 from twin.measurement.table import load
 from twin.report import MachineReport, machine_report
 from twin.report.page import machine_html
-from twin.report.readings import checked
+from twin.report.readings import compare_points
 from twin.uncertainty.at_tool import ToolUncertainty
 
 MADE = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
 TOOL_MM = 100.0
-SQUARE_URAD, LOST_UM, PERIOD_MM = 60.0, 6.0, 10.0
+SQUARE_URAD, BACKLASH_UM, PERIOD_MM = 60.0, 6.0, 10.0
 MINE = f"""
 schema: twin.calibration/1
 machine: DMU 50 eVolution
@@ -48,7 +48,7 @@ curves:
   E_ZC: {{unit: um, domain: [0, 360], basis: fourier, coefficients: [0, 5.0, 2.0]}}
 squareness: {{E_C0Y: {SQUARE_URAD}}}
 effects:
-  - {{effect: reversal, where: Y, parameters: {{size: {LOST_UM}}}}}
+  - {{effect: reversal, where: Y, parameters: {{size: {BACKLASH_UM}}}}}
   - {{effect: pitch_error, where: X, parameters: {{amplitude: 2.0, period: {PERIOD_MM}, phase: 0.3}}}}
   - {{effect: thermal_expansion, where: Z, parameters: {{coefficient: 11.0}}}}
 """
@@ -62,7 +62,7 @@ IDENTIFIED: dict[str, Any] = {
     "not_identifiable": [{"name": "E_X0B", "reason": "it <moves> with the reflectors"}],
     "misfit": {"rms_um": 2.5, "reduced_chi2": 1.75, "dof": 900.0, "p_value": 1e-9, "lack_of_fit_p_value": 1e-7},
     "set_aside": [{"line": 17, "reason": "an outlier"}],
-    "notices": ["the file says: simulated by somebody"],
+    "notices": ["the file says: simulated by a script"],
     "converged": True,
 }
 
@@ -100,12 +100,12 @@ def page(report: MachineReport) -> str:
 
 @pytest.fixture(scope="module")
 def drawn(dmu50: Machine, calibration: Calibration) -> MachineReport:
-    """The illustrative calibration, which has no covariance."""
+    """Return the report of the illustrative calibration, which has no covariance."""
     return machine_report(dmu50, calibration, made=MADE)
 
 
 class Reader(HTMLParser):
-    """Tags, cells of tables, the text, and what frames hold."""
+    """Parser that collects tags, table cells and text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -141,7 +141,7 @@ def error_of(told: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def test_squareness_at_the_tool_is_angle_times_travel(told: dict[str, Any], report: MachineReport) -> None:
-    """E_XY −= y·E_C0Y (contract §1): whatever the rotary axes do, the tool is off by just that."""
+    """E_XY −= y·E_C0Y is the error at the tool at any position of the rotary axes."""
     y = report.budget.positions[:, 1]
     found = error_of(told, "E_C0Y")
     assert found["rms_um"] == pytest.approx(1e-3 * SQUARE_URAD * np.sqrt(np.mean(y**2)), rel=1e-6)
@@ -152,12 +152,12 @@ def test_squareness_at_the_tool_is_angle_times_travel(told: dict[str, Any], repo
 
 
 def test_uncertainty_of_one_error_at_the_tool(told: dict[str, Any], report: MachineReport) -> None:
-    """Of a positioning error: 1.96 standard uncertainties of the polynomial along one line, which is U there."""
+    """U of a positioning error alone is 1.96 standard uncertainties of its polynomial."""
     u = 2.0 * report.budget.positions[:, 0] / 500.0 - 1.0
     f = np.stack([np.ones_like(u), u, u**2])
     covariance = np.array([[1.0, 0.2, 0.0], [0.2, 2.0, 0.0], [0.0, 0.0, 0.5]])
     variance = np.einsum("kn,kl,ln->n", f, covariance, f)
-    # The radius is within 4e-5 of the quantile (twin.uncertainty.at_tool), and turning by the other errors changes nothing of a length.
+    # The radius is within 4e-5 of the quantile (twin.uncertainty.at_tool); rotations by other errors do not change a length.
     assert error_of(told, "E_XX")["U_rms_um"] == pytest.approx(COVERAGE_FACTOR * np.sqrt(variance.mean()), rel=2e-4)
     assert error_of(told, "E_XX")["peak_half_95"] == pytest.approx(
         COVERAGE_FACTOR * np.sqrt(max(_variance(1.0), _variance(-1.0)))
@@ -165,14 +165,12 @@ def test_uncertainty_of_one_error_at_the_tool(told: dict[str, Any], report: Mach
 
 
 def _variance(u: float) -> float:
-    """Of E_XX of `MINE` at one end of X."""
+    """Return the variance of E_XX of `MINE` at one end of X."""
     f, covariance = np.array([1.0, u, 1.0]), np.array([[1.0, 0.2, 0.0], [0.2, 2.0, 0.0], [0.0, 0.0, 0.5]])
     return float(f @ covariance @ f)
 
 
-def test_the_total_is_the_machine_with_all_of_it(
-    told: dict[str, Any], report: MachineReport, mine: Calibration
-) -> None:
+def test_total_equals_machine_with_all_errors(told: dict[str, Any], report: MachineReport, mine: Calibration) -> None:
     real = Kinematics(mine.machine, mine, tool_length_mm=TOOL_MM, conditions=Conditions({"Z": 24.0}))
     none = Kinematics(mine.machine, Calibration.zero(mine.machine), tool_length_mm=TOOL_MM)
     q, sides = report.budget.positions, report.budget.sides
@@ -186,7 +184,7 @@ def test_the_total_is_the_machine_with_all_of_it(
     np.testing.assert_allclose(told["field"]["U_um"], uncertainty, rtol=1e-12)
 
 
-def test_planes_lie_where_they_say(told: dict[str, Any], report: MachineReport) -> None:
+def test_planes_have_the_errors_of_their_positions(told: dict[str, Any], report: MachineReport) -> None:
     real, none = report.kinematics, Kinematics(report.machine, Calibration.zero(report.machine), tool_length_mm=TOOL_MM)
     assert len(told["field"]["slices"]) == 9
     for plane in told["field"]["slices"]:
@@ -197,7 +195,7 @@ def test_planes_lie_where_they_say(told: dict[str, Any], report: MachineReport) 
         assert plane["error_um"][k][i] == pytest.approx(off, rel=1e-9)
 
 
-def test_curves_hold_what_was_added_to_them(report: MachineReport) -> None:
+def test_curves_include_added_effects(report: MachineReport) -> None:
     by_name = {motion.name: motion for motion in report.motions}
     assert set(by_name) == {"E_XX", "E_YY", "E_ZZ", "E_CX", "E_ZC"}
     along = by_name["E_XX"]
@@ -205,31 +203,31 @@ def test_curves_hold_what_was_added_to_them(report: MachineReport) -> None:
     expected = 3.0 + 9.0 * u - 4.0 * u**2 + 2.0 * np.sin(2.0 * np.pi * along.position / PERIOD_MM + 0.3)
     np.testing.assert_allclose(along.value, expected, atol=1e-9)
     assert np.diff(along.position).max() <= PERIOD_MM / 12.0
-    # One of its numbers has no uncertainty: the band is not known, rather than that of the others.
+    # One parameter has no uncertainty, so the band is unknown.
     assert np.all(np.isnan(along.half)) and along.added == ("pitch_error:X",)
     ways = by_name["E_YY"].ways
     assert ways is not None
-    np.testing.assert_allclose(ways[0] - ways[1], LOST_UM)
+    np.testing.assert_allclose(ways[0] - ways[1], BACKLASH_UM)
     np.testing.assert_allclose(by_name["E_ZZ"].value, 11.0 * 4.0 * by_name["E_ZZ"].position * 1e-3, atol=1e-12)
     np.testing.assert_allclose(by_name["E_CX"].half.max(), COVERAGE_FACTOR * np.sqrt(13.0), rtol=1e-9)
 
 
-def test_compensated_is_rounding_and_what_is_not_known(told: dict[str, Any], report: MachineReport) -> None:
+def test_compensated_error_is_rounding_plus_uncertainty(told: dict[str, Any], report: MachineReport) -> None:
     after = told["compensation"]
     exact = after["compensated_if_exactly_true"]
-    # Three words, each within half a µm, and evenly so: the median of 2,000 poses to 3 %, two standard errors.
+    # Three words, each with a uniform error within ±0.5 µm: the median of 2,000 poses within 3 %, two standard errors.
     assert exact["quantiles_um"]["0.99"] <= 0.5 * np.sqrt(3.0) + 1e-3
     rounded = np.linalg.norm(np.random.default_rng(1).uniform(-0.5, 0.5, (100_000, 3)), axis=1)
     assert exact["quantiles_um"]["0.5"] == pytest.approx(np.median(rounded), rel=0.03)
     real, q, sides = report.kinematics, report.budget.positions, report.budget.sides
     covariance = ToolUncertainty(real).at(q, sides).covariance[:, :3, :3]
     expected = after["compensated_if_exactly_true"]["rms_um"] ** 2 + np.trace(covariance, axis1=1, axis2=2).mean()
-    # 16,000 draws of three numbers: a mean square within 2 % (three standard errors).
+    # 16,000 draws of three numbers: mean square within 2 %, three standard errors.
     assert after["compensated"]["rms_um"] ** 2 == pytest.approx(expected, rel=0.02)
     assert after["compensated_complete"] is False
 
 
-def test_the_page_says_the_numbers_of_the_json(page: str, told: dict[str, Any]) -> None:
+def test_page_has_the_numbers_of_the_json(page: str, told: dict[str, Any]) -> None:
     rows = Reader(page).rows
     for one in told["budget"]["errors"]:
         of = [row for row in rows if len(row) == 5 and row[0] == f"{one['words']} {one['name']}"]
@@ -252,25 +250,27 @@ def test_the_page_says_the_numbers_of_the_json(page: str, told: dict[str, Any]) 
 
 
 def test_every_header_has_the_unit_of_its_numbers(page: str) -> None:
-    """Those that have one: what the cells below are in, as `test_the_page_says_the_numbers_of_the_json` finds them in the JSON."""
+    """Headers with a unit give the unit of their cells, whose values `test_page_has_the_numbers_of_the_json` checks."""
     heads = [html.unescape(re.sub("<[^>]+>", "|", head)) for head in re.findall(r"<thead>.*?</thead>", page, re.S)]
     with_units = [[cell for cell in head.split("|") if "[" in cell] for head in heads if "[" in head]
     at_tool = ["at the tool, RMS [µm]", "largest [µm]", "U [µm]"]
-    tables = ["RMS by the model [µm]", "RMS expected [µm]", "largest by the model [µm]"]
+    tables = ["RMS by the model [µm]", "RMS with uncertainty [µm]", "largest by the model [µm]"]
     assert with_units == [at_tool, at_tool, at_tool[:1], at_tool[:1], ["RMS [µm]"], tables]
 
 
-def test_what_the_identification_says_is_weighed(told: dict[str, Any]) -> None:
-    """It knows one number of this calibration, and its fit leaves something out."""
+def test_identification_of_another_calibration_and_lack_of_fit(told: dict[str, Any]) -> None:
+    """The identification has one number of this calibration, and a lack of fit."""
     others = told["identification"]["other_numbers_than_the_calibration"]
     assert others == ["E_XX", "E_CX", "E_ZC"]
     titles = [step["title"] for step in told["summary"]["steps"]]
-    assert "The identification is not this calibration's" in titles and "Find out what the model leaves out" in titles
-    assert any("identified.json gives other numbers" in text for text in told["unmet"])
+    assert (
+        "The identification belongs to another calibration" in titles and "Find the cause of the lack of fit" in titles
+    )
+    assert any("identified.json and the calibration differ" in text for text in told["unmet"])
 
 
 def test_the_page_fetches_nothing(page: str) -> None:
-    """Neither the page nor the frame in it names an address to be fetched, and both forbid it."""
+    """Neither the page nor its frame contains an address to load, and both forbid loading."""
     frames = [str(tag["srcdoc"]) for name, tag in Reader(page).tags if name == "iframe"]
     assert len(frames) == 1
     for text in (page, *frames):
@@ -302,23 +302,23 @@ def test_unknown_is_never_zero(drawn: MachineReport, calibration: Calibration) -
     assert told["calibration"]["illustrative"] == [c.name for c in calibration.curves.values() if c.illustrative]
     said = [step["text"] for step in told["summary"]["steps"]]
     assert any("U at the tool is unknown" in text for text in said)
-    assert any("What it really leaves is unknown" in text for text in said)
+    assert any("The expected error is unknown" in text for text in said)
     assert any(step["kind"] == "never" and "ILLUSTRATIVE" in step["text"] for step in told["summary"]["steps"])
-    # Without a tool, tilts of the spindle's own axis show nothing: the report says so.
+    # At tool length zero, tilts about the tool centre have no effect; the report states this.
     assert any("At tool length 0 mm" in text and "E_AZ" in text for text in said)
 
 
-def test_a_machine_of_which_nothing_is_known(dmu50: Machine) -> None:
-    """No errors are no accuracy."""
+def test_calibration_without_errors(dmu50: Machine) -> None:
+    """A calibration without errors is not reported as an accurate machine."""
     one = machine_report(dmu50, Calibration.zero(dmu50), made=MADE)
-    assert one.advice.mood == "unknown" and "names no error" in one.advice.headline
+    assert one.advice.rating == "unknown" and "contains no errors" in one.advice.headline
     assert len(one.gaps.absent) == len((*dmu50.motion_names, *dmu50.squareness_names, *dmu50.location_names))
     text = machine_html(one)
-    assert "names no error" in text and "<iframe" not in text
+    assert "contains no errors" in text and "<iframe" not in text
 
 
 def test_another_machine(folder: Path) -> None:
-    """A axis with its z turned along x: named by what it does, nothing by the machine's name."""
+    """An A axis, with the z of its frame along x, is named by its motion on a machine unknown to the code."""
     machine = Machine.load("trunnion_ac")
     path = folder / "ac.yaml"
     path.write_text(
@@ -328,34 +328,36 @@ def test_another_machine(folder: Path) -> None:
     )
     one = machine_report(machine, Calibration.load(path, machine), made=MADE)
     by_name = {error.name: error for error in one.budget.errors}
-    assert by_name["E_AA"].iso_class == "R-POS" and by_name["E_AA"].words == "Angle of A"
+    assert by_name["E_AA"].iso_class == "R-POS" and by_name["E_AA"].words == "Angular positioning of A"
     square = one.constants[0]
     assert (square.axis, square.to) == ("Z", "Y")
 
 
-def test_stops_show_what_the_calibration_lacks(dmu50: Machine, calibration: Calibration, folder: Path) -> None:
-    """A lost motion hidden in readings of the truth machine, which shares no code: it stands between the two directions' marks."""
+def test_estimates_show_backlash_missing_in_the_calibration(
+    dmu50: Machine, calibration: Calibration, folder: Path
+) -> None:
+    """Backlash hidden in readings of the truth machine, which shares no code, appears between both directions of approach."""
     rng = np.random.default_rng(3)
     plan = hidden.rounded(hidden.plan(rng, poses=10, stops=5, rounds=1))
-    # So large that readings are too far off to be chance: they are shown all the same.
-    lost = 14.0
-    read = hidden.noisy(hidden.points(plan, [Hidden("reversal", "Y", {"size": lost})]), rng, "isotropic", 1e-3)
+    # So large that some readings are outliers, which are shown nevertheless.
+    backlash = 14.0
+    read = hidden.noisy(hidden.points(plan, [Hidden("reversal", "Y", {"size": backlash})]), rng, "isotropic", 1e-3)
     path = hidden.write(folder / "measured.csv", plan, read, u_mm=1e-3)
-    found = checked(load(path, dmu50), dmu50, calibration, path)
+    found = compare_points(load(path, dmu50), dmu50, calibration, path)
     below, above = found.stops["E_YY"]
     assert (below.side, above.side) == (1, -1)
     gap = np.mean(below.value - calibration.curves["E_YY"](below.position)) - np.mean(
         above.value - calibration.curves["E_YY"](above.position)
     )
-    # Some of it goes into stations and targets; marks are means of a score of readings at 1 µm.
-    assert gap == pytest.approx(lost, abs=0.15 * lost)
+    # The fit of stations and targets absorbs a part; each estimate is a mean of about twenty readings of 1 µm noise.
+    assert gap == pytest.approx(backlash, abs=0.15 * backlash)
     assert found.points == len(read) and found.far > 0
     assert 1.0 < found.rms_after_um < 0.3 * found.rms_before_um
 
 
 @given(st.floats(min_value=-1e6, max_value=1e6))
-def test_figures_keep_what_they_say(value: float) -> None:
-    """Three digits, two decimals at most: read back, a figure is within half of its last digit; unknown is a word."""
+def test_figures_are_within_their_last_digit(value: float) -> None:
+    """A figure has three digits and at most two decimals and is within half of its last digit; NaN is `UNKNOWN`."""
     text = figure(value).replace("−", "-")
     last = 10.0 ** -len(text.partition(".")[2])
     assert abs(float(text) - value) <= 0.5 * last * (1.0 + 1e-9)
@@ -370,22 +372,22 @@ def run(*arguments: object) -> int:
     return 0
 
 
-def test_what_is_left_out_is_an_exit_status(
+def test_omitted_effect_gives_exit_status_3(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No temperature was given: the effect is left out, said on the page, and the status is 3."""
+    """Without a temperature the effect is omitted and listed, and the exit status is 3."""
     page, told = folder / "cold.html", folder / "cold.json"
-    # The drawing takes its time, and other tests look at it.
+    # Rendering is slow and tested elsewhere.
     monkeypatch.setattr("twin.report.page.machine_html", lambda found: found.advice.headline)
     assert run("report", "-o", page, "-c", folder / "mine.yaml", "--json", told) == 3
-    assert "not met: thermal_expansion:Z left out" in capsys.readouterr().out
+    assert "not met: thermal_expansion:Z omitted" in capsys.readouterr().out
     written = json.loads(told.read_text())
     assert written["gaps"]["left_out"] == {"T_Z_degC": ["thermal_expansion:Z"]}
-    assert any(step["title"] == "thermal_expansion:Z left out" for step in written["summary"]["steps"])
+    assert any(step["title"] == "thermal_expansion:Z omitted" for step in written["summary"]["steps"])
     assert page.read_text() == written["summary"]["headline"]
 
 
-def test_refusals(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bad_input(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     out = folder / "no.html"
     other = folder / "other.json"
     other.write_text(json.dumps(IDENTIFIED | {"machine": "another"}))
@@ -394,7 +396,7 @@ def test_refusals(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch:
     mine = folder / "mine.yaml"
     for arguments, said in (
         (("-o", mine, "-c", mine), "output file is also an input"),
-        (("-o", out, "-c", mine, "--identified", other), "an identification of another machine"),
+        (("-o", out, "-c", mine, "--identified", other), "the identification belongs to another machine"),
         (("-o", out, "-c", mine, "--identified", broken), "not JSON"),
         (("-o", out, "-c", mine, "--identified", folder / "none.json"), "cannot be read"),
         (("-o", out, "-c", mine, "--temperature", "Q=20"), "neither an axis nor a sensor"),
@@ -402,7 +404,7 @@ def test_refusals(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch:
     ):
         assert run("report", *arguments) == 2
         assert said in capsys.readouterr().err
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)  # what an import of it then raises: ImportError
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)  # an import of it then raises ImportError
     assert run("report", "-o", out, "-c", mine) == 2
     assert "pip install" in capsys.readouterr().err
     assert not out.exists() and mine.read_text() == MINE
@@ -415,7 +417,7 @@ def test_a_seed_is_not_negative(folder: Path) -> None:
 def browser() -> str:
     found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if found is None:
-        pytest.skip("no Chromium here to look at the page with (Debian: apt install chromium)")
+        pytest.skip("Chromium is not installed (Debian: apt install chromium)")
     return found
 
 
@@ -426,8 +428,8 @@ OPTIONS = (
 
 
 @pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 420])
-def test_no_screen_is_too_narrow(page: str, folder: Path, width: int) -> None:
-    """A browser lays the page out: nothing sticks out, and the field is drawn in its frame."""
+def test_page_fits_the_screen(page: str, folder: Path, width: int) -> None:
+    """In a browser, the page is not wider than the screen and the field is drawn in its frame."""
     chromium = browser()
     probe = (
         "<script>onload = () => { const f = document.querySelector('iframe').contentWindow; "
@@ -449,7 +451,7 @@ def test_no_screen_is_too_narrow(page: str, folder: Path, width: int) -> None:
     assert told[3] == "true" and told[4] == "3"
 
 
-def test_files_that_do_not_fit(folder: Path, mine: Calibration) -> None:
+def test_invalid_identification_file(folder: Path, mine: Calibration) -> None:
     from twin.report.identified import Identified
 
     path = folder / "wrong.json"
@@ -458,13 +460,13 @@ def test_files_that_do_not_fit(folder: Path, mine: Calibration) -> None:
         Identified.load(path, mine)
 
 
-def test_the_control_is_told(dmu50: Machine, folder: Path) -> None:
-    """Errors that were measured with the control's tables on: the first screen says what is on, and that this is what is left."""
+def test_summary_lists_the_control_tables(dmu50: Machine, folder: Path) -> None:
+    """For errors measured with the control's tables active, the summary lists the tables and states that the errors remain."""
     path = folder / "control.yaml"
     table = f"{{file: cec.mpf, format: siemens, classes: [L-POS], sha256: {'ab' * 32}}}"
     path.write_text(f"{MINE}control:\n  errors_are: remaining\n  tables: [{table}]\n")
     one = machine_report(dmu50, Calibration.load(path, dmu50), made=MADE)
-    (step,) = [step for step in one.advice.steps if "control's tables on" in step.title]
-    assert step.kind == "do" and "cec.mpf: L-POS" in step.text and "what is left" in step.text
+    (step,) = [step for step in one.advice.steps if "control's tables active" in step.title]
+    assert step.kind == "do" and "cec.mpf: L-POS" in step.text and "remain in addition" in step.text
     assert one.to_dict()["control"]["errors_are"] == "remaining"
     assert [source.sha256 for source in one.sources.files if "control" in source.role] == ["ab" * 32]

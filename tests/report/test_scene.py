@@ -1,4 +1,4 @@
-"""The scene: what the page says and shows, in its own data and in a browser."""
+"""Tests of the scene: content of the page, its data, and its picture in a browser."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def real(dmu50: Machine) -> Kinematics:
 
 
 def motion(real: Kinematics, points: int = 400) -> ScenePath:
-    """A rapid, then all five axes at once, on the machine with errors."""
+    """Return a rapid move, then a move of all five axes, on the machine with errors."""
     t = np.linspace(0.0, 1.0, points)
     q = np.column_stack([150 + 200 * t, 225 + 80 * np.sin(6 * t), -250 + 60 * np.cos(6 * t), 20 + 120 * t, 400 * t])
     q = np.vstack([[100, 100, 0, 0, 0], q])
@@ -58,7 +58,7 @@ def motion(real: Kinematics, points: int = 400) -> ScenePath:
 
 
 def ring(machine: Machine, largest_um: float, points: int = 300) -> ScenePath:
-    """A circle in the plane of the table; the deviation, outwards, grows evenly to the one given, at the last point."""
+    """Return a circle in the plane of the table with a radial deviation that grows linearly to ``largest_um``."""
     t = np.linspace(0.0, 2 * np.pi, points)
     out = np.column_stack([np.cos(t), np.sin(t), 0 * t])
     nominal = 60 * out + [0, 0, 40]
@@ -68,7 +68,7 @@ def ring(machine: Machine, largest_um: float, points: int = 300) -> ScenePath:
 
 
 def commands(page: str) -> list[dict[str, Any]]:
-    """meshcat's drawing commands, decoded from the page."""
+    """Return meshcat's drawing commands, decoded from the page."""
     found = re.search(r"for \(const command of (\[.*?\])\)", page)
     assert found is not None
     return [umsgpack.unpackb(base64.b64decode(text)) for text in json.loads(found[1])]
@@ -85,18 +85,18 @@ def page(real: Kinematics) -> str:
     return scene_html(real, motion(real), title="a <b>program</b> & more", warnings=(ILLUSTRATIVE,))
 
 
-# ---- what the page says
+# ---- content of the page
 
 
 def test_nothing_is_loaded_from_elsewhere(page: str) -> None:
     own = re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
     assert not re.findall(r"https?:|url\(|@import", own)
     assert re.findall(r"(?:src|href)=\"([^\"]*)\"", own) == ["data:,"]
-    # The browser is told, too: with this it refuses every fetch, and says so on the console, which is tested below.
+    # This policy makes the browser refuse every request and report it on the console, which is tested below.
     assert "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:" in own
 
 
-def test_no_server_no_process_and_not_a_word(
+def test_no_server_no_process_and_no_output(
     real: Kinematics, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def refuse(*_: object, **__: object) -> None:
@@ -116,7 +116,7 @@ def test_title_is_text_not_markup(page: str) -> None:
     assert "<h1>a &lt;b&gt;program&lt;/b&gt; &amp; more</h1>" in page and "<b>program" not in page
 
 
-def test_illustrative_is_said_where_it_is_so_and_nowhere_else(real: Kinematics, page: str) -> None:
+def test_illustrative_warning_only_if_illustrative(real: Kinematics, page: str) -> None:
     assert ILLUSTRATIVE.text in page
     assert "ILLUSTRATIVE" not in scene_html(real, motion(real, 5), title="t")
 
@@ -126,14 +126,14 @@ def test_legend(real: Kinematics) -> None:
     text = re.sub(r"<script>.*?</script>", "", scene_html(real, path, title="t"), flags=re.DOTALL)
     assert re.findall(r"<span>([\d.]+)</span>", text) == ["0", "2", "4", "6", "8"]
     assert "max</span> <b>8 µm</b> <span>at line 304</span>" in text
-    # Root mean square of an even growth from 0 to 8 over 300 points, to three digits.
+    # Root mean square of linear growth from 0 to 8 over 300 points, to three digits.
     rms = np.sqrt(np.mean(np.linspace(0, 8, 300) ** 2))
     assert f"<b>{rms:.2f} µm</b>" in text
     # 8 % of the diagonal of 120 mm × 120 mm over 8 µm is 1697: 2000.
     assert "deviation × 2\u202f000" in text
 
 
-def test_figures_count_cutting_moves_only(real: Kinematics) -> None:
+def test_statistics_cover_cutting_moves_only(real: Kinematics) -> None:
     path = motion(real, 50)
     actual = path.actual_mm.copy()
     actual[0] += 5.0
@@ -152,7 +152,7 @@ def test_rounding_of_the_exaggeration(value: float, expected: float) -> None:
 
 
 def test_exaggeration(dmu50: Machine) -> None:
-    """About 8 % of the extent, within what rounding to 1, 2, 5 can do; never a shrinking; 1 where there is nothing."""
+    """The largest deviation is drawn at about 8 % of the extent, up to rounding to 1, 2, 5; the factor is at least 1."""
     for largest in (0.3, 5.0, 40.0, 900.0):
         path = ring(dmu50, largest)
         share = chosen_exaggeration(path) * largest * 1e-3 / path.extent_mm
@@ -172,7 +172,7 @@ def test_colours_are_viridis() -> None:
         assert (255 * viridis(np.array([share]))[0]).round().astype(int).tolist() == list(bytes.fromhex(name[1:]))
 
 
-def test_arrows_stand_at_so_many_blocks_with_the_worst_among_them(real: Kinematics) -> None:
+def test_number_of_arrows_and_the_worst_point(real: Kinematics) -> None:
     path = motion(real)
     blocks = arrow_blocks(path, 24)
     assert 12 <= len(blocks) <= 24 and path.worst in blocks and np.all(path.cutting[blocks])
@@ -195,11 +195,11 @@ def test_a_tube_keeps_its_radius_round_reversals_and_repeated_points() -> None:
     assert mesh.faces.min() == 0 and mesh.faces.max() == 41
 
 
-# ---- how it moves
+# ---- animation
 
 
 @pytest.mark.parametrize("points", [1, 2, 37, 599, 600, 601, 5000])
-def test_keyframes_are_bounded_even_and_true_to_the_path(real: Kinematics, points: int) -> None:
+def test_keyframes_are_limited_evenly_spaced_and_on_the_path(real: Kinematics, points: int) -> None:
     path = motion(real, points)
     machine = real.machine
     frames = keyframes(path, machine.linear, machine.rotary)
@@ -212,11 +212,11 @@ def test_keyframes_are_bounded_even_and_true_to_the_path(real: Kinematics, point
         way = np.linalg.norm(steps[:, :3], axis=1) + np.linalg.norm(steps[:, 3:], axis=1)
         cutting = path.cutting[frames.block[1:]] & path.cutting[frames.block[:-1]]
         speed = (way / np.diff(frames.share))[cutting]
-        # Corners are cut where the points outnumber the keyframes; smooth as this path is, by next to nothing.
+        # With more points than keyframes, corners are cut; this smooth path changes by very little.
         assert speed.max() / speed.min() < 1.01
 
 
-def test_standing_still_is_one_keyframe(real: Kinematics) -> None:
+def test_a_path_without_motion_is_one_keyframe(real: Kinematics) -> None:
     path = motion(real, 10)
     still = replace(path, positions=np.tile(path.positions[3], (11, 1)))
     assert len(keyframes(still, (0, 1, 2), (3, 4)).share) == 1
@@ -231,7 +231,7 @@ def test_final_pose_of_the_animation_is_forward_kinematics(real: Kinematics, pag
     tracks = {
         a["path"].split("/")[-1]: {t["name"]: t["keys"] for t in a["clip"]["tracks"]} for a in animation["animations"]
     }
-    # One node a link that moves, none for the bed, none for a shape.
+    # One node per moving link, none for the bed or a shape.
     assert set(tracks) == {"x_slide", "y_slide", "spindle", "spindle_nose", "cradle", "table"}
     assert all(len(keys) <= MAX_KEYFRAMES for track in tracks.values() for keys in track.values())
 
@@ -248,12 +248,12 @@ def test_final_pose_of_the_animation_is_forward_kinematics(real: Kinematics, pag
         work_turn, work_at = pose("table", key)
         tip_mm = work_turn.T @ (tool_at + tool_turn @ [0, 0, -TOOL_MM * 1e-3] - work_at) * 1e3
         expected = real.forward(command).point_mm[0]
-        # Single precision of metres and quaternions over an arm of half a metre: some 10⁻⁴ mm.
+        # Single precision of metres and quaternions at a radius of 0.5 m: about 10⁻⁴ mm.
         assert np.abs(tip_mm - expected).max() < 5e-4
-    assert np.linalg.norm(path.actual_mm[-1] - path.nominal_mm[-1]) > 5e-3  # so that the errors are in it
+    assert np.linalg.norm(path.actual_mm[-1] - path.nominal_mm[-1]) > 5e-3  # the errors are included
 
 
-def test_path_hangs_on_the_table_and_is_exaggerated_there(real: Kinematics) -> None:
+def test_path_is_exaggerated_in_the_frame_of_the_table(real: Kinematics) -> None:
     path = ring(real.machine, 8.0)
     drawn = {
         c["path"]: c["object"]
@@ -268,7 +268,7 @@ def test_path_hangs_on_the_table_and_is_exaggerated_there(real: Kinematics) -> N
 
 
 def test_size_of_the_page(real: Kinematics, page: str) -> None:
-    """However long the program, and however often it lifts off."""
+    """The size of the page is limited for long programs and for many lift-offs."""
     assert len(page) < 3e6
     long = motion(real, 20_000)
     assert len(scene_html(real, long, title="t")) < 5e6
@@ -284,24 +284,24 @@ def test_another_machine(name: str) -> None:
     q = np.linspace(lower, upper, 12)
     path = ScenePath(q, real.forward(q).point_mm, real.forward(q).point_mm, np.ones(12, dtype=bool), np.arange(12))
     text = scene_html(real, path, title=name)
-    # No deviation at all: nothing to exaggerate, no arrow, and a scale none the less.
+    # Without deviation: factor 1, no arrow, but a colour scale.
     assert "deviation × 1<" in text and "/arrows" not in json.dumps([c["path"] for c in commands(text)])
 
 
-# ---- what it refuses
+# ---- bad input
 
 
 @pytest.mark.parametrize(
     ("change", "what"),
     [
         ({"positions": np.zeros((0, 5))}, "nothing to show"),
-        ({"positions": np.zeros((6, 4))}, "positions of the wrong shape"),
-        ({"nominal_mm": np.zeros((5, 3))}, "nominal_mm of the wrong shape"),
-        ({"cutting": np.ones((6, 1), dtype=bool)}, "cutting of the wrong shape"),
-        ({"actual_mm": np.full((6, 3), np.nan)}, "actual_mm with a value that is no number"),
+        ({"positions": np.zeros((6, 4))}, "positions has the wrong shape"),
+        ({"nominal_mm": np.zeros((5, 3))}, "nominal_mm has the wrong shape"),
+        ({"cutting": np.ones((6, 1), dtype=bool)}, "cutting has the wrong shape"),
+        ({"actual_mm": np.full((6, 3), np.nan)}, "actual_mm contains a value that is not finite"),
     ],
 )
-def test_a_path_that_does_not_fit(real: Kinematics, change: dict[str, np.ndarray], what: str) -> None:
+def test_invalid_path(real: Kinematics, change: dict[str, np.ndarray], what: str) -> None:
     with pytest.raises(InputError, match=what):
         scene_html(real, replace(motion(real, 5), **change), title="t")
 
@@ -343,7 +343,7 @@ WIDTH, HEIGHT = 1200, 800
 
 
 def look(chromium: str, text: str, folder: Path, hash: str = "#t=1") -> tuple[np.ndarray, list[str]]:
-    """Screenshot of a page, and the lines on its console."""
+    """Return a screenshot of a page, and the lines on its console."""
     (folder / "scene.html").write_text(text, encoding="utf-8")
     options = [
         "--headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader --disable-background-networking",
@@ -371,7 +371,7 @@ def test_a_browser_shows_machine_and_path(chromium: str, real: Kinematics, tmp_p
     picture, console = look(chromium, text, tmp_path)
     assert console == []
     assert picture.shape == (HEIGHT, WIDTH, 3)
-    # The panel is 42 % of the window wide; between its heading and its legend is the close-up, nothing but the path.
+    # The panel is 42 % of the window wide; the close-up between its heading and legend shows only the path.
     machine, closeup = (
         picture[90 : HEIGHT - 90, : int(0.56 * WIDTH)],
         picture[90 : HEIGHT - 270, int(0.58 * WIDTH) : -20],
@@ -387,8 +387,8 @@ def test_a_browser_shows_machine_and_path(chromium: str, real: Kinematics, tmp_p
 
 
 @pytest.mark.slow
-def test_what_counts_the_pixels_can_tell_an_empty_stage(chromium: str, real: Kinematics, tmp_path: Path) -> None:
-    """Without deviation the path has one colour, and a script that fails is seen on the console."""
+def test_pixel_count_detects_an_empty_scene(chromium: str, real: Kinematics, tmp_path: Path) -> None:
+    """Without deviation the path has one colour, and a failing script appears on the console."""
     text = scene_html(real, ring(real.machine, 0.0), title="ring")
     spoilt = text.replace("</body>", "<script>fetch('http://127.0.0.1:9/'); throw new Error('spoilt')</script></body>")
     picture, console = look(chromium, spoilt, tmp_path)

@@ -1,4 +1,4 @@
-"""``twin axis-run`` and ``twin simulate-run``: one linear axis under a multi-axis interferometer."""
+"""Commands ``twin axis-run`` and ``twin simulate-run``: one linear axis measured by a multi-axis interferometer."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from twin.identification.axis_run import (
 from twin.machine.machine import DEFAULT, Machine
 
 MOST_ROWS = 30_000
-"""Of a simulated run: what `twin axis-run` can work out."""
+"""Largest number of rows of a simulated run, as many as `twin axis-run` can evaluate."""
 
 LayoutOption = Annotated[
     Path,
     typer.Option(
         "--layout",
         "-l",
-        help="The interferometer's layout file, or one that comes with twin.",
+        help="Layout file of the interferometer, or the name of a bundled one.",
         autocompletion=complete.layouts,
     ),
 ]
 
 
-class RunScatter(StrEnum):
-    """Whose scatter an uncertainty carries."""
+class RunUncertaintyChoice(StrEnum):
+    """Source of the noise from which uncertainties of an axis run are computed."""
 
     stated = "stated"
     repeats = "repeats"
@@ -54,28 +54,29 @@ class RunScatter(StrEnum):
 )
 def axis_run(
     readings: Annotated[
-        Path, typer.Argument(help="The table of readings: a column a beam.", autocompletion=complete.tables)
+        Path, typer.Argument(help="Table of readings, one column per beam.", autocompletion=complete.tables)
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="The calibration: six curves of the axis."), CALIBRATION
+        Path, typer.Option("--output", "-o", help="Calibration file to write: six curves of the axis."), CALIBRATION
     ],
     layout: LayoutOption,
     machine: options.MachineOption = DEFAULT,
-    spread: Annotated[
-        RunScatter, typer.Option("--uncertainty", help="From the beams' stated noise, or from the scatter of repeats.")
-    ] = RunScatter.stated,
+    noise_source: Annotated[
+        RunUncertaintyChoice,
+        typer.Option("--uncertainty", help="Noise that the uncertainties are computed from: as stated, or of repeats."),
+    ] = RunUncertaintyChoice.stated,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """Six error motions of one linear axis from a multi-axis interferometer's readings, with their uncertainty."""
+    """Determine the six error motions of a linear axis, with uncertainties, from readings of a multi-axis interferometer."""
     loaded = Machine.load(machine)
-    standing = AxisLayout.load(_layout_file(layout), loaded)
-    data = load_readings(readings, standing)
-    motions = error_motions(standing, data, spread=spread.value)
+    axis_layout = AxisLayout.load(_layout_file(layout), loaded)
+    data = load_readings(readings, axis_layout)
+    motions = error_motions(axis_layout, data, spread=noise_source.value)
     curves = axis_curves(
-        motions, loaded, source=f"measured by {standing.name} and twin from {data.source}: {len(data)} rows"
+        motions, loaded, source=f"measured by {axis_layout.name} and twin from {data.source}: {len(data)} rows"
     )
     curves.calibration.save(output)
-    found = (standing, data, motions, curves)
+    found = (axis_layout, data, motions, curves)
     return CommandResult(to_text(*found), lambda: to_dict(*found), met=not data.set_aside)
 
 
@@ -85,31 +86,31 @@ def axis_run(
     name="simulate-run",
 )
 def simulate_axis_run(
-    output: Annotated[Path, typer.Option("--output", "-o", help="The table of readings."), TABLE],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Table of readings to write."), TABLE],
     layout: LayoutOption,
-    positions: Annotated[str, typer.Option("--positions", help="from,to,count of the axis (mm).")],
+    positions: Annotated[str, typer.Option("--positions", help="Positions of the axis: from,to,count; mm.")],
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,
-    rounds: Annotated[int, typer.Option("--rounds", help="Forth and back so often.")] = 3,
-    seed: Annotated[int, typer.Option("--seed", help="Of the noise and of how the layout really stands.")] = 0,
-    noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Whether the readings err.")] = True,
+    rounds: Annotated[int, typer.Option("--rounds", help="Number of bidirectional runs.")] = 3,
+    seed: Annotated[int, typer.Option("--seed", help="Random seed of the noise and of the installation errors.")] = 0,
+    noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Add measurement noise.")] = True,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """Run one linear axis of the machine with the errors of a calibration, read by a multi-axis interferometer."""
+    """Simulate a run of one linear axis with the errors of a calibration, measured by a multi-axis interferometer."""
     loaded = Machine.load(machine)
-    standing = AxisLayout.load(_layout_file(layout), loaded)
+    axis_layout = AxisLayout.load(_layout_file(layout), loaded)
     for name, value in (("--seed", seed), ("--rounds", rounds - 1)):
         if value < 0:
             raise InputError(f"{name} is too small", expected="--seed 0 or more, --rounds 1 or more", value=value)
-    forth = _positions(positions, standing)
+    forth = _positions(positions, axis_layout)
     n = len(forth)
     if 2 * n * rounds > MOST_ROWS:
         raise InputError(
-            f"{n} positions forth and back in {rounds} rounds are too many", expected=f"at most {MOST_ROWS} rows"
+            f"{n} positions in {rounds} bidirectional rounds are too many", expected=f"at most {MOST_ROWS} rows"
         )
     truth = options.calibration_of(calibration, loaded)
     table, stands = simulate_run(
-        standing,
+        axis_layout,
         loaded,
         truth,
         np.tile(np.concatenate([forth, forth[::-1]]), rounds),
@@ -119,28 +120,28 @@ def simulate_axis_run(
         noise=noise,
     )
     known = ", ".join(
-        f"{name} {value:.3g}" for name, value in zip(standing.beams.installation, stands, strict=True) if value
+        f"{name} {value:.3g}" for name, value in zip(axis_layout.beams.installation, stands, strict=True) if value
     )
     comment = (
-        f"simulated by twin {version('twin')}: {loaded.name}, calibration {truth.path or 'none'}, {standing.name}, "
-        f"seed {seed}, {'with' if noise else 'without'} noise\nthe layout really stands off by (m, rad, 1): {known}"
+        f"simulated by twin {version('twin')}: {loaded.name}, calibration {truth.path or 'none'}, {axis_layout.name}, "
+        f"seed {seed}, {'with' if noise else 'without'} noise\ninstallation errors of the layout (m, rad, 1): {known}"
     )
-    table.save(output, standing, comment=comment)
-    told = {
+    table.save(output, axis_layout, comment=comment)
+    report = {
         "schema": "twin.simulated_run/1",
         "readings": str(output),
         "machine": loaded.name,
         "calibration": None if truth.path is None else str(truth.path),
         "illustrative": truth.illustrative,
         "warnings": to_json(merged([SIMULATED], truth.warnings)),
-        "layout": standing.name,
-        "axis": standing.axis.name,
+        "layout": axis_layout.name,
+        "axis": axis_layout.axis.name,
         "seed": seed,
         "noise": noise,
         "rows": len(table),
-        "stands_off": dict(zip(standing.beams.installation, (float(v) for v in stands), strict=True)),
+        "stands_off": dict(zip(axis_layout.beams.installation, (float(v) for v in stands), strict=True)),
     }
-    return CommandResult("", lambda: told, written=f"written: {{}}, {len(table)} rows")
+    return CommandResult("", lambda: report, written=f"written: {{}}, {len(table)} rows")
 
 
 def _layout_file(path: Path) -> Path:
@@ -154,8 +155,8 @@ def _positions(text: str, layout: AxisLayout) -> np.ndarray:
     if not inside or not first < last or count != int(count) or count < 2:
         span = "" if lower is None else f" from {lower:g} to {upper:g}"
         raise InputError(
-            "--positions does not fit", expected=f"rising positions{span} mm and a count of 2 or more", value=text
+            "--positions cannot be used", expected=f"ascending positions{span} mm and a count of 2 or more", value=text
         )
     if count > MOST_ROWS:
-        raise InputError("--positions has too many", expected=f"a count of at most {MOST_ROWS}", value=text)
+        raise InputError("--positions: count too large", expected=f"a count of at most {MOST_ROWS}", value=text)
     return np.linspace(first, last, int(count))

@@ -69,7 +69,7 @@ class LazyGroup(TyperGroup):
 
 app = typer.Typer(
     cls=LazyGroup,
-    help="A digital twin of a five-axis machine tool that finds out, from measurements, where its own model is wrong.",
+    help="A digital twin of a five-axis machine tool that finds, from measurements, where its own model is wrong.",
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,

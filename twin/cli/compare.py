@@ -1,4 +1,4 @@
-"""``twin compare``."""
+"""Command ``twin compare``."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from twin.machine.machine import DEFAULT, Machine
 )
 def compare(
     first: Annotated[
-        Path, typer.Argument(metavar="OLDER", help="The older calibration.", autocompletion=complete.calibrations)
+        Path, typer.Argument(metavar="OLDER", help="Older calibration.", autocompletion=complete.calibrations)
     ],
     second: Annotated[
         Path,
         typer.Argument(
-            metavar="NEWER", help="The newer calibration of the same machine.", autocompletion=complete.calibrations
+            metavar="NEWER", help="Newer calibration of the same machine.", autocompletion=complete.calibrations
         ),
     ],
     machine: options.MachineOption = DEFAULT,
@@ -34,7 +34,8 @@ def compare(
     tolerance: Annotated[
         float | None,
         typer.Option(
-            "--tolerance", help="mm the older calibration may leave on the machine as the newer describes it."
+            "--tolerance",
+            help="Largest permitted error at the tool, mm, if programs are still compensated with the older calibration.",
         ),
         POSITIVE,
     ] = None,
@@ -42,10 +43,10 @@ def compare(
     time: options.TimeOption = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """What changed between two calibrations of one machine, what of it is significant, and what it means at the tool.
+    """Compare two calibrations of a machine: changes, their significance, and their effect at the tool.
 
-    The exit status is 0 whether anything changed or not, and 3 if an error could not be compared or judged: only one of the two gives
-    it, or one does not say how uncertain it is.
+    The exit status is 0 whether or not anything changed, and 3 if an error could not be compared: only one calibration gives it, or one
+    gives no uncertainty.
     """
     loaded = Machine.load(machine)
     older, newer = (Calibration.load(path, loaded) for path in (first, second))

@@ -1,4 +1,4 @@
-"""``twin compensate``."""
+"""Command ``twin compensate``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SCHEMA = "twin.compensations/1"
 
 
 class Method(StrEnum):
-    """How commands are found."""
+    """Method by which compensated commands are computed."""
 
     exact = "exact"
     thesis = "thesis"
@@ -38,19 +38,21 @@ ProgramsArgument = Annotated[
     list[Path],
     typer.Argument(
         metavar="PROGRAM",
-        help="NC program: ISO, Heidenhain .h, APT .cls; or one that comes with twin. Or several.",
+        help="One or more NC programs: ISO, Heidenhain .h, APT .cls, or the name of a bundled one.",
         autocompletion=complete.programs,
     ),
 ]
 OutputOption = Annotated[
     Path,
-    typer.Option("--output", "-o", help="The compensated program; of several, the folder they go to."),
+    typer.Option("--output", "-o", help="Compensated program to write; for several programs, a folder."),
     Output(folder=True),
 ]
 ToleranceOption = Annotated[
-    float, typer.Option("--tolerance", help="mm of error allowed between the ends of a block."), POSITIVE
+    float, typer.Option("--tolerance", help="Largest permitted error between the end points of a block, mm."), POSITIVE
 ]
-MethodOption = Annotated[Method, typer.Option("--method", help="exact: the inverse with errors; thesis: the baseline.")]
+MethodOption = Annotated[
+    Method, typer.Option("--method", help="exact: inverse kinematics with errors; thesis: Ellingsdalen (2021).")
+]
 
 
 @command(
@@ -83,14 +85,14 @@ def compensate(
     tls_cert: options.TlsCertOption = None,
     tls_key: options.TlsKeyOption = None,
 ) -> CommandResult:
-    """Write the program whose execution on the machine with errors lands where the given one meant.
+    """Rewrite NC programs so that the machine with its errors produces the programmed path.
 
-    A calibration extended by twin diagnose may need more: temperatures (--temperature X=23.1 bed=21) and, for a warm-up, the time
-    (--time). Reversals need nothing: the side each axis comes from follows from the program.
+    A calibration extended by twin diagnose may need temperatures (--temperature X=23.1 bed=21) and, for thermal drift, a time (--time).
+    Backlash needs no option: the direction of approach follows from the program.
 
-    Several programs go into a folder, each under its own name, with its report beside it (.report.txt, .report.json); --json and
-    --report then take the account of all of them. One that cannot be compensated does not stop the others. The exit status is the
-    worst: 2 before 3 before 0. With --scheduler they travel to the workers of a Dask cluster and back.
+    Several programs are written to a folder under their own names, each with its report (.report.txt, .report.json); --json and
+    --report then hold a summary. A program that cannot be compensated does not stop the others. The exit status is the worst of all:
+    2, then 3, then 0. With --scheduler the workers of a Dask cluster compensate them.
     """
     loaded = Machine.load(machine)
     settings = Options(
@@ -108,18 +110,20 @@ def compensate(
     if len(programs) > 1 or (output.is_dir() and not output.suffix):
         with progress() as say:
             every = compensate_files(programs, output, loaded, errors, options=settings, workers=own, progress=say)
-            told, interrupted = _finished(every, strict)
-        account = _several(programs, told, output, interrupted=interrupted)
+            outcomes_done, interrupted = _collect(every, strict)
+        result = _summary(programs, outcomes_done, output, interrupted=interrupted)
     elif scheduler is not None:
-        raise InputError("one program for a cluster", expected="several, and -o with a folder", value=scheduler)
+        raise InputError(
+            "--scheduler needs several programs", expected="several programs, and -o with a folder", value=scheduler
+        )
     else:
-        account = _one(programs[0], output, Compensator(loaded, errors, settings), strict=strict)
+        result = _compensate_one(programs[0], output, Compensator(loaded, errors, settings), strict=strict)
     if report_file is not None:
-        write_whole(report_file, account.text)
-    return account
+        write_whole(report_file, result.text)
+    return result
 
 
-def _one(program: Path, output: Path, compensator: Compensator, *, strict: bool) -> CommandResult:
+def _compensate_one(program: Path, output: Path, compensator: Compensator, *, strict: bool) -> CommandResult:
     source = find_program(program)
     dialect = dialect_of(source)
     target = dialect_for(output)
@@ -134,8 +138,8 @@ def _one(program: Path, output: Path, compensator: Compensator, *, strict: bool)
     return CommandResult(report.to_text(), report.to_dict, met=report.strictly_complete if strict else report.complete)
 
 
-def _finished(outcomes: Generator[ProgramOutcome, None, None], strict: bool) -> tuple[dict[Path, ProgramOutcome], bool]:
-    """The outcome of every program that was finished, and whether a signal ended the work before its end."""
+def _collect(outcomes: Generator[ProgramOutcome, None, None], strict: bool) -> tuple[dict[Path, ProgramOutcome], bool]:
+    """Return the outcome of every finished program, and whether a signal interrupted the work."""
     found: dict[Path, ProgramOutcome] = {}
     try:
         with closing(outcomes):
@@ -146,32 +150,32 @@ def _finished(outcomes: Generator[ProgramOutcome, None, None], strict: bool) -> 
     return found, False
 
 
-def _several(
+def _summary(
     programs: list[Path], found: Mapping[Path, ProgramOutcome], folder: Path, *, interrupted: bool
 ) -> CommandResult:
-    told = [found[program] for program in programs if program in found]
+    outcomes_done = [found[program] for program in programs if program in found]
     wide = max((len(str(program)) for program in programs), default=0)
-    count = Counter(outcome.verdict for outcome in told)
-    lines = [f"{outcome.program!s:<{wide}}  {outcome.line}" for outcome in told]
+    count = Counter(outcome.verdict for outcome in outcomes_done)
+    lines = [f"{outcome.program!s:<{wide}}  {outcome.line}" for outcome in outcomes_done]
     lines.append(
-        f"\n{len(programs)} programs: {count['done']} done, {count['not met']} done with something not met, {count['failed']} failed"
-        + (f", {len(programs) - len(told)} not begun or not finished" if interrupted else "")
+        f"\n{len(programs)} programs: {count['done']} done, {count['not met']} done in part, {count['failed']} failed"
+        + (f", {len(programs) - len(outcomes_done)} not finished" if interrupted else "")
     )
-    failed = [outcome for outcome in told if outcome.error is not None]
+    failed = [outcome for outcome in outcomes_done if outcome.error is not None]
     errors = [f"twin: {outcome.error}" for outcome in failed]
     status = 0
     if interrupted:
         status = INTERRUPTED
-        errors.append(f"twin: {len(told) - len(failed)} of {len(programs)} programs written")
+        errors.append(f"twin: {len(outcomes_done) - len(failed)} of {len(programs)} programs written")
     elif any(isinstance(outcome.error, InputError) for outcome in failed):
         status = BAD_INPUT
     elif failed or count["not met"]:
         status = NOT_ALL_MET
     return CommandResult(
         "\n".join([*lines, ""]),
-        lambda: {"schema": SCHEMA, "exit_status": status, "programs": [outcome.to_dict() for outcome in told]},
+        lambda: {"schema": SCHEMA, "exit_status": status, "programs": [outcome.to_dict() for outcome in outcomes_done]},
         written="",
-        after=[f"written: {folder} (each with {TEXT} and {JSON})"] if len(failed) < len(told) else [],
+        after=[f"written: {folder} (each with {TEXT} and {JSON})"] if len(failed) < len(outcomes_done) else [],
         errors=errors,
         status=status,
     )

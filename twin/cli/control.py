@@ -1,4 +1,4 @@
-"""``twin control``."""
+"""Command ``twin control``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from twin.cli.shared.options import (
     ToolOption,
     calibration_of,
     conditions,
-    tell_unused,
+    print_unused,
 )
 from twin.cli.shared.terminal import echo
 from twin.cli.shared.words import number, positive
@@ -37,32 +37,32 @@ NAMES = [form.name for form in FORMATS]
 Kind = StrEnum("Kind", {name: name for name in NAMES})  # type: ignore[misc]
 TOLERANCE_UM = 1.0
 OTHER_TOLERANCES = "".join(
-    f", of a {form.name} {form.tolerance_um * 1e-3:g}" for form in FORMATS if form.tolerance_um != TOLERANCE_UM
+    f", {form.name} {form.tolerance_um * 1e-3:g}" for form in FORMATS if form.tolerance_um != TOLERANCE_UM
 )
-COUNTED = "; ".join(f"{form.name}: {form.tables} if not given; {form.fewer_tables}" for form in FORMATS if form.tables)
+COUNTED = "; ".join(f"{form.name}: default {form.tables}; {form.fewer_tables}" for form in FORMATS if form.tables)
 MULTIPLIED = " ".join(form.name for form in FORMATS if form.products)
 
 
-Files = Annotated[list[Path] | None, typer.Argument(metavar="FILES", help="With --read: the files of the control.")]
-To = Annotated[Kind | None, typer.Option("--to", help="The format to write.")]
+Files = Annotated[list[Path] | None, typer.Argument(metavar="FILES", help="Files of the control, with --read.")]
+To = Annotated[Kind | None, typer.Option("--to", help="Format of the tables to write.")]
 OutputFolder = Annotated[
-    Path | None, typer.Option("--output", "-o", help="The folder they go to."), Output(folder=True)
+    Path | None, typer.Option("--output", "-o", help="Folder for the tables."), Output(folder=True)
 ]
-Read = Annotated[bool, typer.Option("--read", help="Say what existing tables do, and how the model differs.")]
-FormatRead = Annotated[Kind | None, typer.Option("--format", help="Of the files that are read.")]
+Read = Annotated[bool, typer.Option("--read", help="Read existing tables and compare them with the calibration.")]
+FormatRead = Annotated[Kind | None, typer.Option("--format", help="Format of the files, with --read.")]
 AT_HELP = (
-    "Where the other axes stand while one moves: X=250 Y=225 Z=-200 B=0 C=0; the middle of the linear, zero of the rotary ranges if "
-    "not given."
+    "Position of the other axes while one moves, mm and degrees: X=250 Y=225 Z=-200 B=0 C=0; default: middle of the linear ranges, "
+    "zero of the rotary axes."
 )
 At = Annotated[list[str] | None, typer.Option("--at", help=AT_HELP)]
-TOLERANCE_HELP = f"mm the model may be off the straight lines between nodes; 0.001{OTHER_TOLERANCES}, if not given."
+TOLERANCE_HELP = f"Largest interpolation error between nodes, mm; default: 0.001{OTHER_TOLERANCES}."
 Tolerance = Annotated[float | None, typer.Option("--tolerance", help=TOLERANCE_HELP)]
-STEP_HELP = "mm (degrees) between nodes; as wide as the tolerance allows if not given."
+STEP_HELP = "Distance between nodes, mm or degrees; default: as large as --tolerance allows."
 Step = Annotated[float | None, typer.Option("--step", help=STEP_HELP)]
-Tables = Annotated[int | None, typer.Option("--tables", min=1, help=f"Tables the control has ({COUNTED}).")]
-PRODUCTS_HELP = f"Whether {MULTIPLIED} tables may be multiplied, for angular errors."
+Tables = Annotated[int | None, typer.Option("--tables", min=1, help=f"Number of tables in the control ({COUNTED}).")]
+PRODUCTS_HELP = f"Use products of two tables for angular errors ({MULTIPLIED})."
 Products = Annotated[bool, typer.Option("--products/--no-products", help=PRODUCTS_HELP)]
-ADD_HELP = "The calibration's errors are left under its tables: write those and the new ones together."
+ADD_HELP = "Add to the tables that were active when the calibration was measured."
 Add = Annotated[bool, typer.Option("--add", help=ADD_HELP)]
 
 
@@ -91,40 +91,47 @@ def control(
     time: TimeOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Compensation tables for the machine's own control, from a calibration; or what existing ones say.
+    """Write compensation tables for the machine's control from a calibration, or check existing ones.
 
-    The folder gets the control's files, README.txt (how to load them, what they leave) and calibration.yaml, the same calibration
-    that also says what the control now takes out by itself. Every file is read back and compared with the model before it is there.
-    `twin doc control` has the formats.
+    The folder contains the control's files, README.txt (how to load them, and the remaining errors) and calibration.yaml, which also
+    lists what the control now corrects. Every file is read back and compared with the model before it is written.
+    `twin doc control` describes the formats.
     """
     loaded = Machine.load(machine)
     errors = calibration_of(calibration, loaded)
-    around = conditions(temperature, time)
-    around.check(errors)
-    place = _place(at)
+    at_conditions = conditions(temperature, time)
+    at_conditions.check(errors)
+    others_at = _positions(at)
     if read:
         if to is not None or output is not None or kind is None or not files:
             expected = "FILES --format F, and neither --to nor -o"
-            raise InputError("--read does not fit", expected=expected, value=" ".join(map(str, files or [])))
-        known, _ = known_at(around, errors)
-        _tell(compared(loaded, known, kind.value, files, place, tool_length, around), errors, around, json_file)
+            raise InputError(
+                "--read cannot be combined with other outputs", expected=expected, value=" ".join(map(str, files or []))
+            )
+        known, _ = known_at(at_conditions, errors)
+        _print_result(
+            compared(loaded, known, kind.value, files, others_at, tool_length, at_conditions),
+            errors,
+            at_conditions,
+            json_file,
+        )
         return
     if to is None or output is None or files or kind is not None:
-        raise InputError("what to do", expected=f"--to {'|'.join(NAMES)} -o FOLDER, or --read FILES --format F")
+        raise InputError("no output chosen", expected=f"--to {'|'.join(NAMES)} -o FOLDER, or --read FILES --format F")
     if step is not None:
         positive("--step", step)
     if tolerance is not None:
         positive("--tolerance", tolerance)
     request = Request(
         kind=to.value,
-        at=place,
+        at=others_at,
         tool_length_mm=tool_length,
         classes=_classes(scope),
         tolerance_um=format_named(to.value).tolerance_um if tolerance is None else 1e3 * tolerance,
         step=step,
         most=tables,
         products=products,
-        conditions=around,
+        conditions=at_conditions,
         add=add,
         notes=(f"twin: {loaded.name}, calibration {errors.path or 'none'}".encode("ascii", "replace").decode(),),
     )
@@ -132,11 +139,11 @@ def control(
 
 
 def _write(machine: Machine, errors: Calibration, request: Request, output: Path, json_file: Path | None) -> None:
-    """Make the tables, write the folder, and tell."""
-    room = next(path for path in (output.absolute(), *output.absolute().parents) if path.exists())
-    if not room.is_dir():
-        raise InputError("cannot be written", expected="a folder, or a place for one", file=room)
-    check_folder(room, output)
+    """Make the tables, write the folder and print the result."""
+    existing = next(path for path in (output.absolute(), *output.absolute().parents) if path.exists())
+    if not existing.is_dir():
+        raise InputError("cannot be written", expected="a folder", file=existing)
+    check_folder(existing, output)
     if output.is_dir():
         check_writable(outputs_of(output, request.kind, machine))
     known, missing = known_at(request.conditions, errors)
@@ -145,43 +152,45 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
         made = make(machine, known, request)
         say("what remains", 0.6)
         account = deliver(made, errors, known, missing, output)
-    _tell(account, errors, request.conditions, json_file)
+    _print_result(account, errors, request.conditions, json_file)
     own = written_by(made)
     echo(f"\nwritten: {output}/ {' '.join(own)}")
-    strange = {path.name for path in output.iterdir()} - {*own, "" if json_file is None else json_file.name}
-    if strange:
-        echo(f"also there, and not of these tables: {' '.join(sorted(strange))}")
+    others = {path.name for path in output.iterdir()} - {*own, "" if json_file is None else json_file.name}
+    if others:
+        echo(f"other files in this folder: {' '.join(sorted(others))}")
     if account.unmet:
         raise typer.Exit(NOT_ALL_MET)
 
 
-def _tell(found: Account | Existing, errors: Calibration, around: Conditions, json_file: Path | None) -> None:
-    """Print what was found, and write it as JSON."""
+def _print_result(
+    found: Account | Existing, errors: Calibration, at_conditions: Conditions, json_file: Path | None
+) -> None:
+    """Write the result as JSON and print it."""
     if json_file is not None:
         write_json(json_file, found.to_dict())
     echo(found.to_text(), end="")
-    tell_unused(around, errors)
+    print_unused(at_conditions, errors)
 
 
 def _classes(scope: list[str] | None) -> frozenset[str]:
-    """The basic classes of a scope; all of them if none is given."""
+    """Return the basic classes of a scope; all if none is given."""
     if scope is None:
         return frozenset(BASIC)
     chosen = Scope.parse(scope)
     if chosen.orientation or not chosen.classes:
         raise InputError(
-            "--scope FOR: tables correct the point, not the orientation",
-            expected=f"some of {' '.join(BASIC)}",
+            "--scope FOR is not possible: tables correct the tool point, not the orientation",
+            expected=f"one or more of {' '.join(BASIC)}",
             value="FOR",
         )
     return chosen.classes
 
 
-def _place(at: list[str] | None) -> dict[str, float]:
+def _positions(at: list[str] | None) -> dict[str, float]:
     found: dict[str, float] = {}
     for entry in at or []:
         name, equals, text = entry.partition("=")
         if not equals or name in found:
-            raise InputError("--at does not fit", expected="X=250 Y=225 …, each axis once", value=entry)
+            raise InputError("--at cannot be read", expected="X=250 Y=225 …, each axis once", value=entry)
         found[name] = number("--at", text, entry)
     return found

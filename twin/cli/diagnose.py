@@ -1,4 +1,4 @@
-"""``twin diagnose``."""
+"""Command ``twin diagnose``."""
 
 from __future__ import annotations
 
@@ -30,28 +30,30 @@ def diagnose(
         str | None,
         typer.Option(
             "--instrument",
-            help="Whose scatter to take; if not given: the table's uncertainties, else the repeats'.",
+            help="Instrument whose noise model is used; default: the table's uncertainties, else the repeats.",
             autocompletion=complete.instruments,
         ),
     ] = None,
     json_file: JsonOption = None,
-    html_file: Annotated[Path | None, typer.Option("--html", help="Write the report as one HTML file."), HTML] = None,
+    html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
     extended: Annotated[
         Path | None,
-        typer.Option("--extended", help="Write the calibration with what was found of the machine."),
+        typer.Option(
+            "--extended", help="Write the calibration, extended by the causes found on the machine, to this file."
+        ),
         CALIBRATION,
     ] = None,
     empirical: Annotated[
         bool,
         typer.Option(
             "--empirical",
-            help="Also write what has no known cause, where readings held out confirm it; valid only inside the range measured.",
+            help="Add empirical terms for unexplained residuals if held-out data confirm them; valid in the measured range only.",
         ),
     ] = False,
 ) -> CommandResult:
-    """Show what the model gets wrong about measured data, and name the cause."""
+    """Compare measurements with the calibrated model and name the causes of significant residuals."""
     if empirical and extended is None:
-        raise InputError("--empirical without a file to write", expected="--extended CALIBRATION.yaml as well")
+        raise InputError("--empirical needs --extended", expected="--extended CALIBRATION.yaml as well")
     if html_file is not None:
         options.need_pictures("the HTML report")
     loaded = Machine.load(machine)
@@ -65,7 +67,7 @@ def diagnose(
         found.extended.save(extended)
     if html_file is not None:
         from twin.diagnosis.wording.report import (
-            diagnosis_html,  # matplotlib takes its time, and only this option needs it
+            diagnosis_html,  # imports matplotlib, which is slow and needed only here
         )
 
         write_whole(html_file, diagnosis_html(found))

@@ -1,4 +1,4 @@
-"""``twin doc``."""
+"""Command ``twin doc``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PAGES: Final = {
     "curves": "twin.numerics.curves",
     "speed": "twin.compute.native",
 }
-"""Longer than a README: what a room says of itself, by the name it is asked for."""
+"""Module whose docstring is the page of that name."""
 
 
 @command("twin doc", "twin doc diagnose", "twin doc control")
@@ -37,21 +37,21 @@ def doc(
     page: Annotated[
         str | None,
         typer.Argument(
-            help=f"One of {', '.join(PAGES)}; all of them listed if none.",
+            help=f"One of {', '.join(PAGES)}; default: list all.",
             autocompletion=lambda incomplete: [name for name in PAGES if name.startswith(incomplete)],
         ),
     ] = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """A page of the manual: how one part works, what it is good for and what not.
+    """Show a page of the manual: methods, use and limits of one part of twin.
 
-    The pages are the docstrings of the package: the same in a notebook by `help(twin.diagnosis)`.
+    The pages are docstrings of the package; in a notebook, `help(twin.diagnosis)` shows the same text.
     """
     if page is not None and page not in PAGES:
         raise InputError(
             "no such page", expected=f"one of {', '.join(PAGES)}", value=page, nearest=nearest(page, PAGES)
         )
-    pages = {name: page_text(room) for name, room in PAGES.items() if page in (None, name)}
+    pages = {name: page_text(module) for name, module in PAGES.items() if page in (None, name)}
 
     def show() -> None:
         console = Console()
@@ -64,6 +64,6 @@ def doc(
     return CommandResult("", lambda: {"schema": "twin.doc/1", "pages": pages}, written="", show=show)
 
 
-def page_text(room: str) -> str:
-    """The docstring of a room, as it is printed."""
-    return inspect.cleandoc(importlib.import_module(room).__doc__ or "")
+def page_text(module: str) -> str:
+    """Return the docstring of a module, without its indentation."""
+    return inspect.cleandoc(importlib.import_module(module).__doc__ or "")

@@ -1,4 +1,4 @@
-"""``twin doctor``: what is installed, what is missing, and whether this machine computes what it should."""
+"""Command ``twin doctor``: check the installation and the numerical results on this computer."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from twin.nc import dialect_for
 
 SCHEMA: Final = "twin.doctor/1"
 SLOW_START_S: Final = 5.0
-"""Of processor time before a command begins: two are usual."""
+"""Processor time before a command starts, above which start-up is reported as slow; two seconds are usual."""
 SAME_MM: Final = 1e-9
-"""Two formulations of one chain of 1 m in double precision."""
+"""Agreement of two formulations of a 1 m chain in double precision."""
 SAME_RAD: Final = 1e-11
 LEAST_INCREMENTS: Final = 2.0
-"""What rounding words to the least increment of 1 µm leaves at the tool of a five-axis block, µm."""
+"""Largest error at the tool of a five-axis block from rounding its words to the least increment of 1 µm, µm."""
 POSES: Final = 50
 
 PROGRAM: Final = "G21 G90\nG1 X100 Y100 Z-200 B30 C40 F1000\nX140 Y130 Z-210 B35 C50\nX150\nM30\n"
@@ -39,12 +39,12 @@ PROGRAM: Final = "G21 G90\nG1 X100 Y100 Z-200 B30 C40 F1000\nX140 Y130 Z-210 B35
 
 @command("twin doctor", "twin doctor --json doctor.json")
 def doctor(json_file: JsonOption = None) -> CommandResult:
-    """What is installed, what is missing, and a short check that this machine computes what it should.
+    """Check the installation: packages, compiler, and a few computations with known results.
 
-    The exit status is 0 if all that is needed is there and right, and 3 if a check failed. What is optional may be missing.
+    The exit status is 0 if all required checks pass, and 3 if one fails. Optional parts may be missing.
     """
     began = process_time()
-    looked: tuple[tuple[str, Callable[[], list[Finding]]], ...] = (
+    checks: tuple[tuple[str, Callable[[], list[Finding]]], ...] = (
         ("Python", lambda: [python(), *packages(), *extras(), browser(), _cache(), *size(), _start(began)]),
         ("compiler", lambda: [_compiler()]),
         ("machine", _checks),
@@ -52,31 +52,31 @@ def doctor(json_file: JsonOption = None) -> CommandResult:
     found: list[Finding] = []
     clock = perf_counter()
     with progress() as say:
-        for i, (stage, look) in enumerate(looked):
-            say(stage, i / len(looked))
-            found += look()
+        for i, (stage, check) in enumerate(checks):
+            say(stage, i / len(checks))
+            found += check()
     taken = perf_counter() - clock
     failed = [one.name for one in found if one.status == "FAILED"]
-    told = {"schema": SCHEMA, "ok": not failed, "failed": failed, "seconds": taken, "findings": json_form(found)}
-    return CommandResult(shown(found, taken), lambda: told, met=not failed, written="written: {}")
+    result = {"schema": SCHEMA, "ok": not failed, "failed": failed, "seconds": taken, "findings": json_form(found)}
+    return CommandResult(shown(found, taken), lambda: result, met=not failed, written="written: {}")
 
 
 def _cache() -> Finding:
-    """Where compiled libraries are kept."""
+    """Check the folder of compiled libraries."""
     place = store.folder()
     existing = next((one for one in (place, *place.parents) if one.exists()), Path("/"))
     try:
         with tempfile.TemporaryFile(dir=existing):
             return Finding("cache folder", "ok", f"{place}, writable")
     except OSError as error:
-        remedy = "compiled code is built anew every time; set XDG_CACHE_HOME to a folder that can be written"
+        remedy = "code is compiled again on every run; set XDG_CACHE_HOME to a writable folder"
         return Finding("cache folder", "missing", f"{place}: {error.strerror}", remedy)
 
 
 def _start(seconds: float) -> Finding:
-    """Processor time that Python and all imports took before this command began."""
+    """Check the processor time of Python and all imports before this command started."""
     if seconds > SLOW_START_S:
-        remedy = "a slow disk or a virus scanner on the environment's folder: put it on a local disk"
+        remedy = "a slow disk or a virus scanner may be the cause: put the Python environment on a local disk"
         return Finding("start-up", "missing", f"{seconds:.1f} s of processor", remedy)
     return Finding("start-up", "ok", f"{seconds:.1f} s of processor before a command begins")
 
@@ -84,19 +84,19 @@ def _start(seconds: float) -> Finding:
 def _compiler() -> Finding:
     tool = compiler.find_compiler()
     if tool is None:
-        remedy = "solving takes some twenty times as long from 50,000 poses on; apt install g++, or set CXX"
+        remedy = "from 50,000 poses on, the inverse is about twenty times slower; apt install g++, or set CXX"
         return Finding("C++ compiler", "missing", "none of c++, g++, clang++, $CXX", remedy)
     if not enabled():
         return Finding("C++ compiler", "missing", f"switched off by {SWITCH}=0", f"unset {SWITCH} to compile")
-    told = in_use()  # compiles and runs a few lines, unless they are kept from the last time
-    if not told.startswith("compiled"):
-        remedy = "the slower way without a compiler is taken; repair it, or set CXX to another"
-        return Finding("C++ compiler", "missing", f"{tool.command[0]} fails: {told}", remedy)
-    return Finding("C++ compiler", "ok", told)
+    state = in_use()  # compiles and runs a few lines, unless they are cached
+    if not state.startswith("compiled"):
+        remedy = "twin uses slower code without a compiler; repair the compiler, or set CXX to another"
+        return Finding("C++ compiler", "missing", f"{tool.command[0]} fails: {state}", remedy)
+    return Finding("C++ compiler", "ok", state)
 
 
 def _checks() -> list[Finding]:
-    """What the machine that comes with twin must compute to."""
+    """Check computations on the bundled machine."""
     try:
         machine = Machine.load(DEFAULT)
         calibration = Calibration.default(machine)
@@ -104,18 +104,18 @@ def _checks() -> list[Finding]:
         return [Finding("files of the machine", "FAILED", str(error), "install twin again: pip install .")]
     real = Kinematics(machine, calibration, tool_length_mm=120.0)
     lower, upper = np.array([axis.domain for axis in machine.axes]).T
-    # Away from the ends: the correction leads beyond them there, and B = 0 is where C turns nothing.
+    # Away from the ends of travel, beyond which corrections would lead, and from the singularity at B = 0.
     q = np.random.default_rng(1).uniform(0.9 * lower + 0.1 * upper, 0.1 * lower + 0.9 * upper, (POSES, len(lower)))
     return [
         _guarded("kinematics", lambda: _forward(machine, real, q)),
         _guarded("inverse", lambda: _inverse(machine, real, q)),
-        _guarded("a program compensated", lambda: _program(machine, calibration)),
+        _guarded("compensation", lambda: _program(machine, calibration)),
         _guarded("least squares", _least_squares),
     ]
 
 
 def _guarded(name: str, check: Callable[[], tuple[bool, str]]) -> Finding:
-    """A check whose breaking off is a failure like any other."""
+    """Run a check and report an exception as a failure."""
     remedy = "install twin and its packages again in a fresh environment; if that does not help, report this line"
     try:
         good, detail = check()
@@ -125,7 +125,7 @@ def _guarded(name: str, check: Callable[[], tuple[bool, str]]) -> Finding:
 
 
 def _forward(machine: Machine, real: Kinematics, q: np.ndarray) -> tuple[bool, str]:
-    """Against Pinocchio's own recursion on the model with a free-flyer an error frame."""
+    """Compare with Pinocchio's own recursion on the model with one free-flyer joint per error frame."""
     poses, frames = real.forward(q), real.error_frames(q)
     data = machine.model.createData()
     worst = np.zeros(2)
@@ -136,12 +136,12 @@ def _forward(machine: Machine, real: Kinematics, q: np.ndarray) -> tuple[bool, s
         off = np.linalg.norm(pose.translation * 1e3 - poses.point_mm[i])
         turned = np.linalg.norm(pose.rotation - poses.rotation[i])
         worst = np.maximum(worst, [off, turned])
-    detail = f"{len(q)} poses within {worst[0]:.0e} mm, {worst[1]:.0e} rad of Pinocchio's"
+    detail = f"{len(q)} poses within {worst[0]:.0e} mm, {worst[1]:.0e} rad of Pinocchio"
     return bool(worst[0] <= SAME_MM and worst[1] <= SAME_RAD), detail
 
 
 def _inverse(machine: Machine, real: Kinematics, q: np.ndarray) -> tuple[bool, str]:
-    """Commands that reach the poses of the machine as drawn, executed on the machine with errors."""
+    """Solve for commands that reach nominal poses on the machine with errors, and check the poses reached."""
     meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=real.tool_length_mm).forward(q)
     solved = Inverse(real).solve(meant, q)
     good = solved.where(Status.CONVERGED)
@@ -152,21 +152,21 @@ def _inverse(machine: Machine, real: Kinematics, q: np.ndarray) -> tuple[bool, s
 
 
 def _program(machine: Machine, calibration: Calibration) -> tuple[bool, str]:
-    """Five-axis blocks, written and read back."""
+    """Compensate five-axis blocks, which are written and read back."""
     dialect = dialect_for(Path("check.nc"))
     program = dialect.read(PROGRAM.encode(), "check.nc")
     report = Compensator(machine, calibration, Options(tool_length_mm=120.0)).compensate(program, dialect).report
-    told = report.to_dict()
-    before, after = told["before"]["max_um"], told["after"]["max_um"]
+    values = report.to_dict()
+    before, after = values["before"]["max_um"], values["after"]["max_um"]
     detail = f"{before:.1f} µm at the tool before, {after:.2f} µm after"
     return bool(report.complete and after <= LEAST_INCREMENTS < before), detail
 
 
 def _least_squares() -> tuple[bool, str]:
-    """The linear algebra that identification stands on: a curve of degree 12 out of 400 points without noise."""
+    """Check least squares as used in identification: a curve of degree 12 from 400 noise-free points."""
     x = np.linspace(-1.0, 1.0, 400)
     functions = np.polynomial.legendre.legvander(x, 12)
     truth = np.random.default_rng(2).standard_normal(13)
     q, triangle = np.linalg.qr(functions)
     off = float(np.abs(np.linalg.solve(triangle, q.T @ (functions @ truth)) - truth).max())
-    return off <= 1e-12, f"13 coefficients of 400 points within {off:.0e}"
+    return off <= 1e-12, f"13 coefficients from 400 points within {off:.0e}"

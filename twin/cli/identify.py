@@ -1,4 +1,4 @@
-"""``twin identify``."""
+"""Command ``twin identify``."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from twin.measurement.table import joined
 from twin.measurement.table import load as load_measurements
 
 
-class ScatterChoice(StrEnum):
-    """Whose scatter an uncertainty carries."""
+class UncertaintyChoice(StrEnum):
+    """Source of the noise from which uncertainties are computed."""
 
     stated = "stated"
     repeats = "repeats"
@@ -37,28 +37,32 @@ InstrumentOption = Annotated[
     str | None,
     typer.Option(
         "--instrument",
-        help=f"{', '.join(one.name for one in INSTRUMENTS)}; if not given: interferometer if only lengths were read, else tracker.",
+        help=f"Instrument: {', '.join(one.name for one in INSTRUMENTS)}; default: interferometer if the table has only lengths, "
+        "else tracker.",
         autocompletion=complete.instruments,
     ),
 ]
 UncertaintyOption = Annotated[
-    ScatterChoice,
+    UncertaintyChoice,
     typer.Option(
         "--uncertainty",
-        help="From the readings' stated uncertainty, their repeats, or from pose to pose (where the model leaves something out).",
+        help="Noise that the uncertainties are computed from: as stated, of repeats, or between poses or rounds, which includes "
+        "what the model does not describe.",
     ),
 ]
 OnlyOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--only", help="Errors to seek, by name; * for any letter: E_*X E_C0Y E_*0C.", autocompletion=complete.errors
+        "--only",
+        help="Errors to identify; * for any letters: E_*X E_C0Y E_*0C; default: all.",
+        autocompletion=complete.errors,
     ),
 ]
 ControlOption = Annotated[
     list[str] | None,
     typer.Option(
         "--control",
-        help="FORMAT=FILE, once a file: the control's own tables that were on while it was measured (twin doc control).",
+        help="FORMAT=FILE of a compensation table active in the control during the measurement; repeatable (twin doc control).",
     ),
 ]
 
@@ -71,21 +75,21 @@ ControlOption = Annotated[
 )
 def identify(
     measured: options.MeasuredArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", help="The calibration."), CALIBRATION],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Calibration file to write."), CALIBRATION],
     machine: options.MachineOption = DEFAULT,
     instrument: InstrumentOption = None,
-    spread: UncertaintyOption = ScatterChoice.stated,
+    noise_source: UncertaintyOption = UncertaintyChoice.stated,
     only: OnlyOption = None,
     control: ControlOption = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """Identify error motions, squareness and axis locations from measured points, with their uncertainty."""
+    """Identify error motions, squareness and axis locations, with uncertainties, from measured points."""
     loaded = Machine.load(machine)
     names = (*loaded.motion_names, *loaded.squareness_names, *loaded.location_names)
     for pattern in only or []:
         if not fnmatch.filter(names, pattern):
             raise InputError(
-                "--only names no error of this machine",
+                "--only matches no error of this machine",
                 expected=f"among {', '.join(names)}",
                 value=pattern,
                 nearest=nearest(pattern, names),
@@ -99,28 +103,28 @@ def identify(
             loaded,
             instrument=None if instrument is None else options.instrument_named(instrument),
             wanted=lambda name: only is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in only),
-            spread=spread.value,
+            spread=noise_source.value,
             say=say,
         )
     calibration = found.calibration.with_control(tables)
     with scratch_folder() as folder:
-        # What is reported is what the file does: written, read back and evaluated on the rows before it takes its place.
+        # The report describes the written file: save, read back and evaluate it before it replaces the output.
         calibration.save(folder / output.name)
         found = found.evaluated_with(replace(Calibration.load(folder / output.name, loaded), path=None))
     calibration.save(output)
     text = found.to_text()
     if tables is not None:
-        text += "\nThese errors are what the control's tables left: leave them on; add to them, never replace them "
+        text += "\nThese errors were measured with the control's tables active: keep them active, and add new tables to them "
         text += "(twin control --add).\n"
         text += f"{tables.caution}\n" if tables.caution else ""
     return CommandResult(text, found.to_dict, met=found.complete)
 
 
 def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
-    """The control's tables that were on while a machine was measured, from ``FORMAT=FILE`` each.
+    """Return the control's tables that were active during the measurement, each given as ``FORMAT=FILE``.
 
     Raises:
-        InputError: no such format; a file that cannot be read, or is no such table for this machine.
+        InputError: an unknown format; a file that cannot be read, or is not a table of this machine.
     """
     found: dict[str, list[Path]] = {}
     known = [form.name for form in FORMATS]
@@ -128,8 +132,8 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
         kind, equals, file = entry.partition("=")
         if not equals or kind not in known:
             raise InputError(
-                "--control does not fit",
-                expected=f"FORMAT=FILE, each file of the control once, FORMAT one of {', '.join(known)}",
+                "--control cannot be read",
+                expected=f"FORMAT=FILE, once per file, FORMAT one of {', '.join(known)}",
                 value=entry,
                 nearest=nearest(kind, known),
             )

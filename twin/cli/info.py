@@ -1,4 +1,4 @@
-"""``twin info``."""
+"""Command ``twin info``."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SCHEMA = "twin.info/1"
 
 
 class DatumChoice(StrEnum):
-    """A datum to convert to."""
+    """Datum to which a calibration is converted."""
 
     mean_lines = "mean lines"
     end_points = "end points"
@@ -52,17 +52,17 @@ def info(
     time: options.TimeOption = None,
     datum: Annotated[
         DatumChoice | None,
-        typer.Option("--datum", help="Convert the calibration to this datum first; the same machine (twin doc datum)."),
+        typer.Option("--datum", help="Datum to which the calibration is converted first (twin doc datum)."),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Write the calibration in that datum."), CALIBRATION
+        Path | None, typer.Option("--output", "-o", help="Write the converted calibration, with --datum."), CALIBRATION
     ] = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """Axes, ranges, frames and the error budget of a machine, and its calibration in another datum."""
+    """Show axes, ranges, frames and error budget of a machine, and convert its calibration to another datum."""
     loaded = Machine.load(machine)
     if output is not None and datum is None:
-        raise InputError("nothing to convert to", expected="--datum beside --output", file=output)
+        raise InputError("--output needs --datum", expected="--datum with --output", file=output)
     given = options.calibration_of(calibration, loaded)
     errors = given if datum is None else given.in_datum(datum.value)
     at = options.conditions(temperature, time)
@@ -84,16 +84,16 @@ def info(
 @final
 @dataclass(frozen=True)
 class _Info:
-    """What is told of a machine.
+    """Content of the output of `twin info`.
 
     Attributes:
-        given: the calibration as its file has it.
-        errors: the same in the datum that was asked for.
-        kinematics: with the errors that are known at the conditions.
-        missing: channels that nobody gave, each with the effects left out because of it.
+        given: the calibration as in its file.
+        errors: the calibration in the requested datum.
+        kinematics: with the errors that can be evaluated at the conditions.
+        missing: effects omitted for want of a channel, by channel.
         rows, classes: the error budget by error and by class.
-        over: U of the tool point over the volume; None if nothing has a covariance.
-        without: what has none.
+        over: U of the tool point over the volume; None without a covariance.
+        without: names of the errors without a covariance.
     """
 
     given: Calibration
@@ -106,7 +106,7 @@ class _Info:
     without: list[str]
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON: what is printed; null where it is unknown."""
+        """Return the printed content for JSON; null for unknown values."""
         machine, errors = self.errors.machine, self.errors
         return {
             "schema": SCHEMA,
@@ -150,10 +150,8 @@ class _Info:
         }
 
     def show(self) -> None:
-        """Print it."""
-        console = Console(
-            markup=False, emoji=False, highlight=False
-        )  # names and sources of files are text as it stands
+        """Print the content."""
+        console = Console(markup=False, emoji=False, highlight=False)  # names and sources in files are plain text
         self._show_machine(console)
         title = f"Error budget at the tool over the volume, tool length {self.kinematics.tool_length_mm:g} mm"
         console.print(_budget_table(title, self.rows, peak=True))
@@ -161,22 +159,22 @@ class _Info:
         at = self.kinematics.conditions
         lines = [MEANING[self.errors.datum]]
         if any(row.illustrative for row in self.rows):
-            lines.append("* illustrative: drawn, not measured")
+            lines.append("* illustrative: assumed, not measured")
         lines += texts(self.errors.warnings)
         if any(row.name.startswith("reversal") for row in self.rows):
-            lines.append("a reversal counts as ± half its size")
+            lines.append("a reversal value contributes ± half its size")
         if at.channels:
-            lines.append(f"taken at: {', '.join(f'{name} {value:g}' for name, value in at.channels.items())}")
+            lines.append(f"conditions: {', '.join(f'{name} {value:g}' for name, value in at.channels.items())}")
         lines += options.unused(at, self.errors)
         for channel, effects in self.missing.items():
-            lines.append(f"left out: {', '.join(effects)} (needs {options_of([channel])})")
+            lines.append(f"omitted: {', '.join(effects)} (needs {options_of([channel])})")
         if not self.kinematics.calibration.empty:
             lines += _uncertainty_lines(self.over, self.without)
         for line in lines:
             console.print(line, soft_wrap=True)
 
     def _show_machine(self, console: Console) -> None:
-        """Print its files, axes and error frames."""
+        """Print files, axes and error frames of the machine."""
         machine, given, shown = self.errors.machine, self.given, self.errors
         console.print(machine.name, style="bold", end="")
         console.print(f"   twin {version('twin')}")
@@ -205,7 +203,7 @@ class _Info:
 
 
 def _uncertainty_lines(over: UncertaintyMap | None, without: list[str]) -> list[str]:
-    """What is known of the tool point over the volume, and what is not."""
+    """Return lines on the uncertainty of the tool point over the volume."""
     missing = ", ".join(without)
     if over is None:
         return ["uncertainty of the tool point: unknown (no covariance in the calibration)"]
@@ -215,7 +213,7 @@ def _uncertainty_lines(over: UncertaintyMap | None, without: list[str]) -> list[
         f"uncertainty of the tool point over the volume: U {least}{over.rms_um:.2f} µm RMS, {over.max_um:.2f} µm largest "
         f"(at {place}) over {len(over.positions)} poses; {DEFINITION}"
     ]
-    return [*lines, f"not in it (no covariance in the calibration): {missing}"] if missing else lines
+    return [*lines, f"not included (no covariance in the calibration): {missing}"] if missing else lines
 
 
 def _budget_table(title: str, rows: tuple[BudgetRow, ...], *, peak: bool) -> Table:

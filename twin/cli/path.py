@@ -1,4 +1,4 @@
-"""``twin path``."""
+"""Command ``twin path``."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ def path(
         Path,
         typer.Argument(
             metavar="INPUT",
-            help="NC program: ISO, Heidenhain .h, APT .cls, or one that comes with twin; or points: .csv with x_mm,y_mm,z_mm and "
-            "nothing more, one column a rotary axis (B_deg,C_deg), or a tool vector i,j,k.",
+            help="NC program (ISO, Heidenhain .h, APT .cls, or a bundled one), or points: .csv with x_mm,y_mm,z_mm and optionally "
+            "one column per rotary axis (B_deg,C_deg) or a tool vector i,j,k.",
             autocompletion=lambda incomplete: complete.programs(incomplete) + complete.tables(incomplete),
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The program with fewer blocks."), ANY],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Program with fewer blocks."), ANY],
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,
     tolerance: Annotated[
         float,
-        typer.Option("--tolerance", help="mm the executed path may be from the input's, everything included."),
+        typer.Option("--tolerance", help="Largest total deviation of the executed path from the programmed one, mm."),
         POSITIVE,
     ] = DEFAULT_TOLERANCE_MM,
     compensated: Annotated[
-        bool, typer.Option("--compensate/--no-compensate", help="Whether the machine's errors are compensated, too.")
+        bool, typer.Option("--compensate/--no-compensate", help="Also compensate the machine's errors.")
     ] = True,
     mode: options.ModeOption = options.Mode.axis,
     tool_length: options.ToolOption = None,
     work_offset: options.OffsetOption = None,
     work_origin: options.OriginOption = None,
     feed: Annotated[
-        float | None, typer.Option("--feed", help="mm/min, for points: a program has its own."), POSITIVE
+        float | None, typer.Option("--feed", help="Feed, mm/min; for a table of points only."), POSITIVE
     ] = None,
     scope: options.ScopeOption = None,
     rotary_limit: options.RotaryLimitOption = DEFAULT_ROTARY_LIMIT_DEG,
@@ -59,10 +59,10 @@ def path(
     strict: options.StrictOption = False,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """Write the same path with fewer blocks: runs of short ones fitted by curves, and those cut as coarsely as a tolerance allows.
+    """Reduce the number of blocks of a program: fit curves to runs of short blocks and split them again within a tolerance.
 
-    The tolerance holds for the path the machine with its errors executes; corners stay corners, everything that is no run passes
-    through as it is.
+    The tolerance applies to the path executed by the machine with its errors. Corners are kept; blocks outside such runs are copied
+    unchanged.
     """
     loaded = Machine.load(machine)
     found = source if is_points(source) else find_program(source)

@@ -1,4 +1,4 @@
-"""``twin plan``."""
+"""Command ``twin plan``."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ KitOption = Annotated[
     Path | None,
     typer.Option(
         "--kit",
-        help="What there is to measure with (schema twin.kit/1; dmu50 comes with twin); a guess if not given.",
+        help="File of the available instruments and targets (schema twin.kit/1), or the bundled dmu50; default: an assumed kit.",
         autocompletion=complete.kits,
     ),
 ]
 MinutesOption = Annotated[
     float | None,
-    typer.Option("--minutes", help="That it may take, setting up included: 210, or 60 to separate two causes."),
+    typer.Option("--minutes", help="Time budget in minutes, including set-up; default: 210, or 60 with --separate."),
     POSITIVE,
 ]
 ReduceOption = Annotated[
     list[str] | None,
     typer.Option(
         "--reduce",
-        help="What to make small: tool (default), everything (D-optimal), weakest (the worst direction), or errors: E_C0Y E_*C.",
+        help="Uncertainty to minimise: tool (default), everything (D-optimal), weakest (worst direction), or errors: E_C0Y E_*C.",
         autocompletion=complete.aims,
     ),
 ]
@@ -48,21 +48,19 @@ SeparateOption = Annotated[
     tuple[str, str] | None,
     typer.Option(
         "--separate",
-        help='Two causes to tell apart, quoted: "reversal Y" "pitch_error X amplitude=2 period=10".',
+        help='Two causes to distinguish, each in quotes: "reversal Y" "pitch_error X amplitude=2 period=10".',
         autocompletion=complete.causes,
     ),
 ]
 AfterOption = Annotated[
     Path | None,
-    typer.Option(
-        "--after", help="With --separate: what has been measured already (a table).", autocompletion=complete.tables
-    ),
+    typer.Option("--after", help="Table of previous measurements, with --separate.", autocompletion=complete.tables),
 ]
 JudgeOption = Annotated[
     Path | None,
     typer.Option(
         "--judge",
-        help="Make no plan: say what this one will tell, and how long it takes.",
+        help="Evaluate this plan instead of making one: expected uncertainties and duration.",
         autocompletion=complete.plans,
     ),
 ]
@@ -70,7 +68,7 @@ InstrumentOption = Annotated[
     str,
     typer.Option(
         "--instrument",
-        help=f"With --judge: {', '.join(one.name for one in INSTRUMENTS)}.",
+        help=f"Instrument, with --judge: {', '.join(one.name for one in INSTRUMENTS)}.",
         autocompletion=complete.instruments,
     ),
 ]
@@ -84,7 +82,9 @@ InstrumentOption = Annotated[
 )
 def plan(
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="The plan: a table without coordinates."), TABLE
+        Path | None,
+        typer.Option("--output", "-o", help="Plan to write: a measurement table without coordinates."),
+        TABLE,
     ] = None,
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,
@@ -96,23 +96,25 @@ def plan(
     judged: JudgeOption = None,
     instrument: InstrumentOption = "tracker",
     tool_length: options.ToolOption = None,
-    seed: Annotated[int, typer.Option("--seed", help="Of the poses tried.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Random seed of the candidate poses.")] = 0,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """Plan the next measurement worth making: what tells most in the time there is."""
+    """Plan the measurement that gives the smallest uncertainty in the available time."""
     loaded = Machine.load(machine)
     own = Kit.default(loaded) if kit is None else Kit.load(bundled_kit(kit), loaded)
     errors = options.calibration_of(calibration, loaded)
     if seed < 0:
-        raise InputError("--seed is negative", expected="0 or more", value=seed)
+        raise InputError("--seed must not be negative", expected="0 or more", value=seed)
     if (output is None) is (judged is None):
         raise InputError(
-            "neither a plan to make nor one to judge", expected="-o PLAN.csv, or --judge PLAN.csv, not both"
+            "one output is needed: a new plan or an evaluation", expected="either -o PLAN.csv or --judge PLAN.csv"
         )
     if after is not None and causes is None:
-        raise InputError("--after without --separate", expected="the two causes to tell apart", value=after)
+        raise InputError(
+            "--after needs --separate", expected="--separate with the two causes to distinguish", value=after
+        )
     if causes is not None and reduce:
-        raise InputError("--separate and --reduce", expected="one of them", value=" ".join(reduce))
+        raise InputError("--separate and --reduce exclude each other", expected="one of them", value=" ".join(reduce))
     if judged is not None:
         return _judged(judged, loaded, own, errors, instrument, tool_length)
     with progress() as say:
@@ -146,23 +148,25 @@ def plan(
 def _judged(
     plan: Path, machine: Machine, kit: Kit, errors: Calibration, instrument: str, tool_length_mm: float | None
 ) -> CommandResult:
-    """What somebody's own plan will tell, and how long it takes."""
+    """Evaluate a given plan: expected uncertainties and duration."""
     table = load_measurements(options.plan_file(plan), machine, plan=True)
     reader = options.instrument_named(instrument)
     with progress() as say:
         say("judging", 0.0)
-        told = judge(table, machine, instrument=reader, expected=errors, known=kit.known, tool_length_mm=tool_length_mm)
+        forecast = judge(
+            table, machine, instrument=reader, expected=errors, known=kit.known, tool_length_mm=tool_length_mm
+        )
     minutes = duration(machine, kit, table) / 60.0
     lines = [
-        f"{plan}: {len(table)} readings with {instrument}, {minutes:.0f} minutes by the kit's times\n",
+        f"{plan}: {len(table)} readings with {instrument}, {minutes:.0f} minutes according to the kit\n",
         *(f"expected errors: {text}" for text in texts(errors.warnings)),
-        told.to_text() + "".join(f"  set aside, {text}\n" for text in grouped_notes(table.set_aside)),
+        forecast.to_text() + "".join(f"  set aside, {text}\n" for text in grouped_notes(table.set_aside)),
     ]
     report = {
         "schema": "twin.plan/1",
         "judged": str(plan),
         "minutes": minutes,
-        "forecast": told.to_dict(),
+        "forecast": forecast.to_dict(),
         "warnings": to_json(errors.warnings),
     }
     return CommandResult("\n".join(lines), lambda: report, met=not table.set_aside)

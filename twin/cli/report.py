@@ -1,4 +1,4 @@
-"""``twin report``."""
+"""Command ``twin report``."""
 
 from __future__ import annotations
 
@@ -23,25 +23,23 @@ from twin.report import MachineReport, machine_report
     "twin report -o warm.html -c better.yaml --temperature X=23.1 bed=21 --time 7200",
 )
 def report(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="The report: one HTML file, for screen and paper."), HTML
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="HTML file to write, for screen and paper."), HTML],
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,
     tool_length: options.ToolOption = None,
     identified: Annotated[
-        Path | None, typer.Option("--identified", help="What `twin identify --json` wrote beside the calibration.")
+        Path | None, typer.Option("--identified", help="JSON file of `twin identify --json` for this calibration.")
     ] = None,
     measured: Annotated[
         list[Path] | None,
-        typer.Option("--measured", help="A measurement table to show against it; may be given again."),
+        typer.Option("--measured", help="Measurement table to compare with the calibration; repeatable."),
     ] = None,
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the draws of what is not known.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Random seed of the Monte Carlo draws.")] = 0,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """One page about a machine: what is wrong most, what it makes at the tool, what to do and what not, and what it rests on."""
+    """Write a report of a machine: largest errors, their effect at the tool, recommended actions, uncertainty and sources."""
     options.need_pictures("the report")
     loaded = Machine.load(machine)
     errors = options.calibration_of(calibration, loaded)
@@ -61,7 +59,7 @@ def report(
         )
         from twin.report.page import (
             machine_html,
-        )  # matplotlib and meshcat take their time, and only this command needs them
+        )  # imports matplotlib and meshcat, which are slow and needed only here
 
         say("drawing", 0.5)
         page = machine_html(found)
@@ -71,7 +69,7 @@ def report(
 
 
 def _first_screen(found: MachineReport) -> list[str]:
-    """What is shown of it in a terminal, line by line."""
+    """Return the summary as lines for the terminal."""
     names = {"do": "do", "measure": "measure", "never": "do not", "unknown": "not known"}
     return [
         *([*texts(found.warnings), ""] if found.warnings else []),

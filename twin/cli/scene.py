@@ -1,4 +1,4 @@
-"""``twin scene``."""
+"""Command ``twin scene``."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ from twin.machine.machine import DEFAULT, Machine
 from twin.nc import find_program
 
 ProgramArgument = Annotated[
-    Path, typer.Argument(help="NC program, or one that comes with twin.", autocompletion=complete.programs)
+    Path, typer.Argument(help="NC program, or the name of a bundled one.", autocompletion=complete.programs)
 ]
 ExaggerationOption = Annotated[
-    float | None, typer.Option("--exaggeration", help="Factor on the drawn deviation."), POSITIVE
+    float | None,
+    typer.Option("--exaggeration", help="Exaggeration factor of the drawn deviation; default: chosen to fit."),
+    POSITIVE,
 ]
 
 
@@ -28,7 +30,7 @@ ExaggerationOption = Annotated[
 )
 def scene(
     program: ProgramArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", help="The scene: one HTML file."), HTML],
+    output: Annotated[Path, typer.Option("--output", "-o", help="HTML file to write."), HTML],
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,
     mode: options.ModeOption = options.Mode.axis,
@@ -40,8 +42,8 @@ def scene(
     time: options.TimeOption = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """Draw the machine running a program: meant and actual tool path, in one HTML file that needs no network."""
-    from twin.report.scene import draw_program  # meshcat takes its time, and only this command needs it
+    """Animate the machine running a program, with programmed and actual tool path, in one self-contained HTML file."""
+    from twin.report.scene import draw_program  # imports meshcat, which is slow and needed only here
 
     loaded = Machine.load(machine)
     source = find_program(program)
@@ -62,7 +64,7 @@ def scene(
     run = drawn.execution
     drawn.save(output)
     distance = np.linalg.norm(run.reached_mm - run.meant_mm, axis=1) * 1e3
-    told = {
+    report = {
         "schema": "twin.scene/1",
         "scene": str(output),
         "program": str(source),
@@ -76,11 +78,11 @@ def scene(
         "deviation_um": {"rms": float(np.sqrt(np.mean(distance**2))), "max": float(distance.max())},
         "largest_at_line": int(run.lines[int(np.argmax(distance))]),
     }
-    left = f" ({run.left_out} points outside the ranges left out)" if run.left_out else ""
+    omitted = f" ({run.left_out} points outside the axis ranges omitted)" if run.left_out else ""
     return CommandResult(
         "".join(f"{text}\n" for text in texts(errors.warnings)),
-        lambda: told,
+        lambda: report,
         met=not run.left_out,
-        written=f"written: {{}}{left}",
+        written=f"written: {{}}{omitted}",
         after=options.unused(at, errors),
     )

@@ -1,4 +1,4 @@
-"""``twin simulate``."""
+"""Command ``twin simulate``."""
 
 from __future__ import annotations
 
@@ -24,21 +24,25 @@ from twin.measurement.table import load as load_measurements
 PlanArgument = Annotated[
     Path,
     typer.Argument(
-        help="What to measure: a measurement table, or one that comes with twin; its coordinates are not looked at.",
+        help="Measurement table, or a bundled plan, with the poses to measure; its measured coordinates are ignored.",
         autocompletion=complete.plans,
     ),
 ]
 InstrumentOption = Annotated[
     str,
-    typer.Option("--instrument", help=", ".join(one.name for one in INSTRUMENTS), autocompletion=complete.instruments),
+    typer.Option(
+        "--instrument",
+        help=f"Simulated instrument: {', '.join(one.name for one in INSTRUMENTS)}.",
+        autocompletion=complete.instruments,
+    ),
 ]
 AirOption = Annotated[
     str | None,
-    typer.Option("--air", help="T,p,RH along the beam (°C, hPa, %), where the instrument assumes 20,1013.25,50."),
+    typer.Option("--air", help="Air along the beam, T,p,RH in °C, hPa, %; the instrument assumes 20,1013.25,50."),
 ]
 DriftOption = Annotated[
     list[str] | None,
-    typer.Option("--drift", help="STATION=x,y,z: how its frame creeps in the base frame (µm/h); needs time_s."),
+    typer.Option("--drift", help="Drift of a station in the base frame, µm/h: STATION=x,y,z; needs column time_s."),
 ]
 
 
@@ -49,21 +53,23 @@ DriftOption = Annotated[
 )
 def simulate(
     plan: PlanArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", help="The measured data."), TABLE],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Measurement table to write."), TABLE],
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,
     instrument: InstrumentOption = "tracker",
-    seed: Annotated[int, typer.Option("--seed", help="Of the noise, and of stations and targets nobody placed.")] = 0,
-    noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Whether the readings err.")] = True,
+    seed: Annotated[
+        int, typer.Option("--seed", help="Random seed of the noise and of unspecified station and target positions.")
+    ] = 0,
+    noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Add measurement noise.")] = True,
     air: AirOption = None,
     drift: DriftOption = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """Measure a plan on the machine with the errors of a calibration, as an instrument would."""
+    """Simulate the measurement of a plan on the machine with the errors of a calibration."""
     loaded = Machine.load(machine)
     reader = options.instrument_named(instrument)
     if seed < 0:
-        raise InputError("--seed is negative", expected="0 or more", value=seed)
+        raise InputError("--seed must not be negative", expected="0 or more", value=seed)
     around = _surroundings(air, drift)
     source = options.plan_file(plan)
     truth = options.calibration_of(calibration, loaded)
@@ -80,7 +86,7 @@ def simulate(
         setting.describe(),
     ]
     measured.save(output, loaded, comment="\n".join(part for part in comment if part))
-    told = {
+    report = {
         "schema": "twin.simulation/1",
         "measured": str(output),
         "plan": str(source),
@@ -100,7 +106,7 @@ def simulate(
     notes = [*(f"set aside, {text}" for text in grouped_notes(planned.set_aside)), *planned.notices]
     return CommandResult(
         "",
-        lambda: told,
+        lambda: report,
         met=not planned.set_aside,
         written=f"written: {{}}, {len(measured)} points",
         after=[f"  {note}" for note in notes],
@@ -108,16 +114,16 @@ def simulate(
 
 
 def _surroundings(air: str | None, drift: list[str] | None) -> Surroundings:
-    """Air and drift of a simulation.
+    """Return the air and the drift of a simulation.
 
     Raises:
-        InputError: it is not; with what was expected.
+        InputError: text that cannot be read, or a station given twice.
     """
     rates: dict[str, tuple[float, float, float]] = {}
     for entry in drift or []:
         name, equals, text = entry.rpartition("=")
         if not equals or not name or name in rates:
-            raise InputError("--drift does not fit", expected="STATION=x,y,z in µm/h, each station once", value=entry)
+            raise InputError("--drift cannot be read", expected="STATION=x,y,z in µm/h, each station once", value=entry)
         rates[name] = three_numbers("--drift", text, entry, "x,y,z in µm/h")
     if air is None:
         return Surroundings(None, rates)

@@ -1,4 +1,4 @@
-"""``twin volume``."""
+"""Command ``twin volume``."""
 
 from __future__ import annotations
 
@@ -22,13 +22,18 @@ from twin.uncertainty.population import POSES, TRIALS, Population, Spread, draw_
 def volume(
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,
-    trials: Annotated[int, typer.Option("--trials", help="Machines to draw.")] = TRIALS,
-    poses: Annotated[int, typer.Option("--poses", help="Spread over the volume, the same for all machines.")] = POSES,
-    seed: Annotated[int, typer.Option("--seed", help="Of the draws.")] = 0,
+    trials: Annotated[int, typer.Option("--trials", help="Number of machines drawn.")] = TRIALS,
+    poses: Annotated[
+        int, typer.Option("--poses", help="Number of poses over the volume, the same for all machines.")
+    ] = POSES,
+    seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 0,
     digits: Annotated[
         int,
         typer.Option(
-            "--digits", min=1, max=2, help="Of u that first order must get right; 2 needs a million machines."
+            "--digits",
+            min=1,
+            max=2,
+            help="Significant digits of u to which first order must agree; 2 needs 1,000,000 machines.",
         ),
     ] = 1,
     tool_length: options.ToolOption = None,
@@ -41,9 +46,9 @@ def volume(
     tls_key: options.TlsKeyOption = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """What a million machines like this one would show: drawn from the calibration's covariance, over the volume.
+    """Draw machines from the calibration's covariance and evaluate their errors over the volume (Monte Carlo).
 
-    The same seed gives the same numbers to the last bit on any number of workers, here or on a Dask cluster (--scheduler).
+    The same seed gives bit-identical numbers on any number of workers, local or on a Dask cluster (--scheduler).
     """
     loaded = Machine.load(machine)
     errors = options.calibration_of(calibration, loaded)
@@ -53,17 +58,17 @@ def volume(
     began = monotonic()
     with progress() as say:
 
-        def tell(stage: str, fraction: float) -> None:
+        def report_rate(stage: str, fraction: float) -> None:
             rate = fraction * trials * poses / (monotonic() - began)
             say(f"{rate / 1e6:.1f} million poses/s" if fraction else stage, fraction)
 
         found = draw_machines(
-            kinematics, trials=trials, poses=poses, seed=seed, digits=digits, workers=own, progress=tell
+            kinematics, trials=trials, poses=poses, seed=seed, digits=digits, workers=own, progress=report_rate
         )
     taken = monotonic() - began
     total = found.machines * len(found.positions)
     lines = [
-        f"{found.machines} machines like {loaded.name}, drawn from {errors.path} with seed {seed}",
+        f"{found.machines} machines drawn for {loaded.name} from {errors.path} with seed {seed}",
         *texts(found.warnings),
         f"at {len(found.positions)} poses over the volume, tool length {kinematics.tool_length_mm:g} mm: "
         f"{total / 1e6:.1f} million poses in {taken:.1f} s, {total / 1e6 / taken:.1f} million a second\n",
@@ -74,28 +79,28 @@ def volume(
 
 
 def _lines(found: Population, *, programs: bool) -> list[str]:
-    told = found.to_dict()
-    drawn, first = told["by_draws"], told["first_order"]
+    values = found.to_dict()
+    drawn, first = values["by_draws"], values["first_order"]
     place = ", ".join(f"{name} {round(value)}" for name, value in found.where.items())
-    enough = told["first_order_enough"]
+    enough = values["first_order_enough"]
     least = "at least " if found.without_uncertainty else ""
     lines = [
-        "U of the tool point: the radius around the estimated one within which 95 % lie; first order takes the error as normal",
+        "U of the tool point: radius around the estimate that contains 95 % of the draws; first order assumes a normal distribution",
         f"                RMS over the poses      largest{' (' + least.strip() + ')' if least else ''}",
         f"  by draws      {drawn['rms_um']:12.3f} µm {drawn['max_um']:15.3f} µm   at {place}",
         f"  first order   {first['rms_um']:12.3f} µm {first['max_um']:15.3f} µm",
-        f"  first order was enough (JCGM 101, 8) at {enough['yes']} poses, not at {enough['no']}"
-        + (f"; too few draws to tell at {enough['too_few_draws']}" if enough["too_few_draws"] else ""),
+        f"  first order agrees with the draws (JCGM 101, 8) at {enough['yes']} poses, not at {enough['no']}"
+        + (f"; too few draws to decide at {enough['too_few_draws']}" if enough["too_few_draws"] else ""),
         "",
-        "error over the volume, machine by machine      mean     95 % interval          largest drawn",
-        _row("as it is: RMS over the poses", found.as_it_is[0]),
+        "error over the volume, per machine             mean     95 % interval          largest drawn",
+        _row("uncompensated: RMS over the poses", found.as_it_is[0]),
         _row("          largest of the poses", found.as_it_is[1]),
-        _row(f"{'compensated by' if programs else 'less'} this calibration: RMS", found.compensated[0]),
+        _row(f"{'compensated with' if programs else 'minus'} this calibration: RMS", found.compensated[0]),
         _row("          largest of the poses", found.compensated[1]),
     ]
     if found.without_uncertainty:
         names = ", ".join(found.without_uncertainty)
-        lines.append(f"the same in all machines (no covariance in the calibration): {names}")
+        lines.append(f"not varied (no covariance in the calibration): {names}")
     return lines
 
 

@@ -1,9 +1,8 @@
-"""How results look in a notebook: tables, numbers with their uncertainty, small pictures. HTML and inline SVG, nothing fetched.
+"""Display of results in notebooks and pages: tables, numbers with their uncertainty, small pictures, as self-contained HTML and SVG.
 
-One place for all `_repr_html_` methods, which only say what goes where, and for pages: `render` fills in their templates, and
-`twin.display.figures` (extra ``plots``) has what their pictures share. Colours of a display are those of whatever surrounds it
-(``currentColor``), light or dark, but for two accents that read on both. Text is escaped unless it is an `Html` already. Nothing here
-knows what it shows.
+All `_repr_html_` methods use these functions. `render` fills in page templates; `twin.display.figures` (extra ``plots``) holds the
+common style of matplotlib pictures. Displays use the surrounding text colour (``currentColor``), light or dark, and two accent colours
+that are legible on both. Text is escaped unless it is `Html`. This package is independent of the objects that it displays.
 """
 
 from twin.display.markup import (

@@ -1,7 +1,7 @@
-"""What all pictures share: palette, axes, polar plots, headings; how one is saved or put into a page. Needs the extra ``plots``.
+"""Common style of matplotlib pictures: palette, axes, polar plots, headings; saving and embedding. Needs the extra ``plots``.
 
-Every function that draws returns a `Figure` of its own, which draws on no screen and shares no state; `save` writes it. Colours tell
-apart for colour-blind readers, and line styles and markers do so without colour.
+Every drawing function returns a new `Figure` without a screen or shared state; `save` writes it. Colour-blind readers can distinguish
+the colours; line styles and markers also distinguish curves without colour.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ RUN: Final = "#8a8a8a"
 SHADE: Final = 0.22
 """Opacity of a 95 % band."""
 HOLLOW: Final = 2.0
-"""Radius of a polar plot's zero, in units of the largest deviation: the circle's size is arbitrary, deviations are not."""
+"""Radius of the zero circle of a polar plot, in units of the largest deviation."""
 HEADROOM: Final = 1.15
 DEG: Final = np.pi / 180.0
 
 
 def blank(width: float, height: float, layout: str | None = "constrained") -> Figure:
-    """Return an empty figure of so many inches.
+    """Return an empty figure of a size in inches.
 
     Args:
         width: inches.
         height: inches.
-        layout: who finds room for labels; None where the axes are placed by hand.
+        layout: matplotlib's layout engine; None if the axes are placed explicitly.
     """
     figure = Figure(figsize=(width, height), layout=layout)  # type: ignore[arg-type]
     FigureCanvasAgg(figure)
@@ -50,34 +50,34 @@ def blank(width: float, height: float, layout: str | None = "constrained") -> Fi
 
 
 def dress(plot: Axes) -> None:
-    """A pale grid behind what is drawn, and no frame above and to the right."""
+    """Add a pale grid behind the data and hide the top and right spines."""
     plot.grid(color="#dddddd", linewidth=0.6)
     plot.set_axisbelow(True)
     plot.spines[["top", "right"]].set_visible(False)
 
 
 def dots(plot: Axes, x: Any, y: Any, colour: str, marker: str = "o", size: float = 4.0, **more: Any) -> None:
-    """Markers without a line; ``more`` as for `Axes.plot`."""
+    """Draw markers without a line; ``more`` as for `Axes.plot`."""
     plot.plot(x, y, color=colour, marker=marker, markersize=size, linestyle="", **more)
 
 
 def paper(alpha: float, pad: float) -> dict[str, Any]:
-    """Return the white box behind a text that stands in a picture."""
+    """Return the properties of the white box behind a text in a picture."""
     return {"facecolor": "white", "edgecolor": "none", "alpha": alpha, "pad": pad}
 
 
 def heading(figure: Figure, text: str, size: float = 12.0) -> None:
-    """A heading over all of a figure's plots."""
+    """Add a heading above all plots of a figure."""
     figure.suptitle(text, x=0.01, horizontalalignment="left", fontweight="bold", fontsize=size)
 
 
 def legend_below(figure: Figure, *, columns: int | None = None, size: float = 9.0) -> None:
-    """The legend of a figure's first plot, below all of them.
+    """Add the legend of a figure's first plot below all plots.
 
     Args:
         figure: the figure.
-        columns: entries side by side; all if None.
-        size: of its letters.
+        columns: number of columns; None for one row.
+        size: font size.
     """
     handles, labels = figure.axes[0].get_legend_handles_labels()
     where: dict[str, Any] = {"loc": "outside lower center", "ncols": columns or len(labels)}
@@ -85,15 +85,15 @@ def legend_below(figure: Figure, *, columns: int | None = None, size: float = 9.
 
 
 def polar_ticks(plot: PolarAxes, extent: float, domain: Sequence[float]) -> tuple[list[tuple[float, str]], bool]:
-    """Room for deviations inside and outside of a polar plot's zero, and a range of its own where it is less than a turn.
+    """Set the radial range of a polar plot around its zero circle, and its angular range if less than a turn.
 
     Args:
         plot: the plot.
-        extent: largest deviation.
-        domain: ends of the angle, degrees.
+        extent: largest absolute deviation.
+        domain: ends of the angular range, degrees.
 
     Returns:
-        Round radii with their labels, to be drawn; and whether the plot is a full turn.
+        Tick radii with their labels, to be drawn by the caller; and whether the plot is a full turn.
     """
     plot.set_ylim(-HOLLOW * extent, HEADROOM * extent)
     full = domain[1] - domain[0] > 350.0
@@ -106,29 +106,29 @@ def polar_ticks(plot: PolarAxes, extent: float, domain: Sequence[float]) -> tupl
 
 
 def radius_label(tick: float) -> str:
-    """Return a deviation with its sign; none before nothing."""
+    """Return a deviation with its sign; zero has none."""
     return signed(f"{tick:+g}") if tick else "0"
 
 
 def save(figure: Figure, path: str | Path, *, dpi: int = 150) -> None:
-    """Write a figure; the ending says how (png, pdf, svg).
+    """Write a figure in the format of the file's suffix (png, pdf, svg).
 
     Args:
-        figure: what to write.
-        path: where to.
-        dpi: dots an inch, for a png.
+        figure: the figure.
+        path: path of the file.
+        dpi: dots per inch, for png.
     """
     figure.savefig(path, dpi=dpi)
 
 
 def embedded(figure: Figure, words: str, caption: str = "", kind: str = "") -> Html:
-    """A picture in the page itself, the same bytes for the same picture.
+    """Return a picture embedded as SVG; the same picture gives the same bytes.
 
     Args:
         figure: the picture.
-        words: what it shows, for whoever cannot see it.
-        caption: plain text below it; none if empty.
-        kind: its class in the style sheet; none if empty.
+        words: alternative text.
+        caption: caption as plain text; none if empty.
+        kind: CSS class; none if empty.
     """
     buffer = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "twin", "svg.fonttype": "path"}):

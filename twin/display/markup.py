@@ -1,4 +1,4 @@
-"""HTML of a display: a card with tables in it; and the way to every template of the package."""
+"""HTML elements of displays, and access to the templates of the package."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 ACCENT: Final = "#3d85c6"
-"""Blue and vermilion, over 3:1 against white and against near black, and apart for every kind of colour vision."""
+"""Accent colours, blue and vermilion: contrast above 3:1 on white and on near black, distinct for all colour vision."""
 WARNING: Final = "#d55e00"
 ROWS: Final = 6
-"""Rows of a long array that are shown."""
+"""Number of rows of a long array that are shown."""
 KIT: Final = "display/templates/kit.html.j2"
 PARTS: Final = "display/templates/parts.html.j2"
 
@@ -25,12 +25,12 @@ PARTS: Final = "display/templates/parts.html.j2"
 @final
 @dataclass(frozen=True)
 class Html:
-    """Text that is markup already."""
+    """Text that is HTML and must not be escaped."""
 
     text: str
 
     def __html__(self) -> str:
-        """Return the text as it is, for a template."""
+        """Return the unescaped text, for templates."""
         return self.text
 
 
@@ -39,8 +39,8 @@ Cell = str | Html
 
 @cache
 def templates() -> Environment:
-    """Return the package's templates by their path in it; text is escaped unless it is `Html`."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # takes its time, and only HTML needs it
+    """Return the environment of the package's templates, by path in the package; text is escaped unless it is `Html`."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # slow to import and needed only for HTML
 
     found = Environment(
         loader=PackageLoader("twin", "."),
@@ -60,17 +60,17 @@ def templates() -> Environment:
 
 
 def render(template: str, **context: Any) -> str:
-    """Return a template with its names filled in.
+    """Return a rendered template.
 
     Args:
-        template: path of the file in the package.
-        context: what its names stand for.
+        template: path of the template in the package.
+        context: variables of the template.
     """
     return templates().get_template(template).render(context)
 
 
 def part(name: str, *arguments: Any) -> Html:
-    """Return a part of a display: a macro of `KIT`, filled in."""
+    """Return an element of a display: the result of a macro of `KIT`."""
     return Html(str(getattr(_kit(), name)(*arguments)).strip())
 
 
@@ -80,19 +80,19 @@ def _kit() -> Any:
 
 
 def joined(*parts: Cell) -> Html:
-    """Parts, one after the other."""
+    """Return the concatenation of parts."""
     return part("joined", parts)
 
 
 def card(title: str, *parts: Cell, small: str = "", illustrative: bool = False, wrong: bool = False) -> Html:
-    """The whole display.
+    """Return a display with title and parts.
 
     Args:
-        title: what it is.
-        parts: what stands below, `Html` or plain text.
-        small: said beside the title.
-        illustrative: whether its numbers are drawn, not measured; said right under the title.
-        wrong: whether something was not met: another edge.
+        title: title of the display.
+        parts: content below the title, `Html` or plain text.
+        small: small text next to the title.
+        illustrative: whether some numbers are assumed, not measured; adds a warning under the title.
+        wrong: whether a requirement was not met; sets the warning colour.
     """
     return part("card", title, parts, small, illustrative, WARNING if wrong or illustrative else ACCENT)
 
@@ -100,50 +100,50 @@ def card(title: str, *parts: Cell, small: str = "", illustrative: bool = False, 
 def table(
     headers: Sequence[str], rows: Iterable[Sequence[Cell]], *, right: Iterable[int] = (), title: str = ""
 ) -> Html:
-    """A table; nothing without rows.
+    """Return a table, or empty text if there are no rows.
 
     Args:
-        headers: of the columns, with their units.
-        rows: cells, as many as columns.
-        right: columns of numbers.
-        title: said above.
+        headers: column headers with units.
+        rows: cells of every row.
+        right: indices of right-aligned columns.
+        title: title above the table.
     """
     body = list(rows)
     return part("table", headers, body, set(right), title) if body else Html("")
 
 
 def pairs(rows: Iterable[tuple[str, Cell]]) -> Html:
-    """Names and what they are, one a line; nothing where a value is empty."""
-    told = [(name, value) for name, value in rows if value not in ("", Html(""))]
-    return part("pairs", told) if told else Html("")
+    """Return names with their values, one per line; empty values are omitted."""
+    shown = [(name, value) for name, value in rows if value not in ("", Html(""))]
+    return part("pairs", shown) if shown else Html("")
 
 
 def note(text: Cell, *, loud: bool = False) -> Html:
-    """A sentence below."""
+    """Return a note, highlighted if ``loud``."""
     return part("note", text, loud)
 
 
 def chips(texts: Iterable[Cell]) -> Html:
-    """Short things side by side, that wrap."""
+    """Return short texts in a row that wraps."""
     return part("chips", texts)
 
 
 def chain(links: Sequence[tuple[str, str]]) -> Html:
-    """A chain of boxes from end to end.
+    """Return a chain of connected boxes.
 
     Args:
-        links: text of every box, and ``axis``, ``fixed`` or ``end``.
+        links: text and kind of every box: ``axis``, ``fixed`` or ``end``.
     """
     return part("chain", links)
 
 
 def bar(share: float, *, loud: bool = False) -> Html:
-    """A bar, from 0 to 1 of its column."""
+    """Return a bar whose length is a share, 0 … 1, of its column."""
     return part("bar", f"{7.0 * min(max(share, 0.0), 1.0):.2f}", loud)
 
 
 def spans(values: Iterable[tuple[str, float, float, str]]) -> Html:
-    """Names with the range they go over: (name, low, high, unit)."""
+    """Return names with their ranges, each given as (name, low, high, unit)."""
     return chips(
         f"{name} {f'{low:g}' if low == high else f'{low:g} … {high:g}'} {unit}".replace("-", "−")
         for name, low, high, unit in values
@@ -151,12 +151,12 @@ def spans(values: Iterable[tuple[str, float, float, str]]) -> Html:
 
 
 def framed(page: str, height_px: int) -> Html:
-    """A whole page inside another, as wide as there is room; the page's own scripts run in a frame of their own."""
+    """Return a page in an iframe of full width, which isolates its scripts."""
     return part("framed", page, height_px)
 
 
 def first_rows(count: int, row: Callable[[int], Sequence[Cell]]) -> tuple[list[Sequence[Cell]], Html]:
-    """The first rows of a long array, and how many are not shown."""
+    """Return the first rows of a long array, and a note with the number of rows not shown."""
     shown = min(count, ROWS)
     rest = note(f"… and {count - shown:,} more") if count > shown else Html("")
     return [row(i) for i in range(shown)], rest

@@ -1,4 +1,4 @@
-"""Numbers as people read them: rounded by their uncertainty, unknown where it is not known."""
+"""Formatting of numbers: rounded according to their uncertainty, or marked as unknown."""
 
 from __future__ import annotations
 
@@ -13,41 +13,41 @@ COVERAGE_FACTOR: Final = 1.959963984540054
 """Coverage factor k of a normal distribution for that probability: the interval is the value ± k u (JCGM 100, G.1.3)."""
 UNKNOWN: Final = "unknown"
 TIED: Final = re.compile(r"(\d) (µm|µrad|mm|°|%|ppm)")
-"""A number and its unit, which stay on one line."""
+"""A number and its unit, to be joined by a non-breaking space."""
 _ROUND: Final = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 
 
 def finite(value: float) -> float | None:
-    """For JSON: null for what is not known."""
+    """Return a number for JSON, or None (null) if it is not finite."""
     return float(value) if isfinite(value) else None
 
 
 def rounded(value: float, expanded: float) -> tuple[str, str]:
-    """A value and its uncertainty as printed: at most two significant digits (JCGM 100, 7.2.6), the value to the same place."""
+    """Return value and uncertainty as text: at most two significant digits (JCGM 100, 7.2.6), the value to the same decimal."""
     decimals = 1 - floor(log10(expanded)) if expanded > 0.0 else 3
     decimals = min(max(decimals, 0), 3)
     return f"{value:.{decimals}f}", f"{expanded:.{decimals}f}"
 
 
 def measured(value: float, u: float, unit: str) -> str:
-    """A number with its 95 % interval: ``9.29 ± 0.51 µm``; ``9.3 µm, ± unknown`` where nobody knows it.
+    """Return a number with its 95 % interval: ``9.29 ± 0.51 µm``, or ``9.3 µm, ± unknown`` without an uncertainty.
 
     Args:
         value: the number.
-        u: its standard uncertainty (k = 1); NaN where it is not known.
-        unit: as in files (``um``).
+        u: its standard uncertainty (k = 1); NaN if unknown.
+        unit: unit as in files (``um``).
     """
     sign = readable(unit)
     return f"{_interval(value, COVERAGE_FACTOR * u)} {sign}" if isfinite(u) else f"{plain(value)} {sign}, ± {UNKNOWN}"
 
 
 def with_half(value: float, half: float, unit: str) -> str:
-    """A number with the half width of its 95 % interval, to two digits of that; without one, it says so.
+    """Return a number with the half width of its 95 % interval, to two digits of that, or with ``± unknown``.
 
     Args:
         value: the number.
-        half: half width; NaN where it is not known.
-        unit: as in files (``um``).
+        half: half width; NaN if unknown.
+        unit: unit as in files (``um``).
     """
     sign = readable(unit)
     if not isfinite(half):
@@ -56,12 +56,12 @@ def with_half(value: float, half: float, unit: str) -> str:
 
 
 def figure(value: float, unit: str = "", *, digits: int = 3) -> str:
-    """A number of the shop: three significant digits, no exponent, tenths of a µm at the finest beyond 10.
+    """Return a number with three significant digits, at most two decimals and no exponent.
 
     Args:
-        value: any; not a number is `UNKNOWN`.
-        unit: behind it, as people write it.
-        digits: significant ones.
+        value: the number; NaN gives `UNKNOWN`.
+        unit: unit as displayed, appended to the number.
+        digits: number of significant digits.
     """
     if not isfinite(value):
         return UNKNOWN
@@ -71,17 +71,17 @@ def figure(value: float, unit: str = "", *, digits: int = 3) -> str:
 
 
 def expanded(value: float, *, complete: bool = True, unit: str = "µm", least: str = "at least ") -> str:
-    """U of the tool point; unknown where it is not known, and ``least`` before it where a part has none: it is a lower bound."""
+    """Return U of the tool point as text: `UNKNOWN` for NaN, with ``least`` in front if incomplete, that is, a lower bound."""
     return f"{'' if complete or not isfinite(value) else least}{figure(value, unit)}"
 
 
 def place(where: Mapping[str, float]) -> str:
-    """X 467, Y 433, B 125."""
+    """Return axis positions as text: ``X 467, Y 433, B 125``."""
     return ", ".join(f"{name} {round(value):g}".replace("-", "−") for name, value in where.items())
 
 
 def compact(value: float) -> str:
-    """A number with three significant digits, without zeros at its end and without an exponent."""
+    """Return a number with three significant digits, without trailing zeros and exponent."""
     if value == 0 or not 1e-3 <= abs(value) < 1e9:
         return "0" if value == 0 else f"{value:.2g}"
     text = f"{value:.{max(0, 2 - floor(log10(abs(value))))}f}"
@@ -89,34 +89,34 @@ def compact(value: float) -> str:
 
 
 def plain(value: float) -> str:
-    """A number whose uncertainty nobody knows: three digits, none after the point from 100 on."""
+    """Return a number of unknown uncertainty with three digits, without decimals from 100 on."""
     return fixed(value, 0) if abs(value) >= 100.0 else signed(f"{value:.3g}")
 
 
 def fixed(value: float, decimals: int) -> str:
-    """So many decimals, and a true minus."""
+    """Return a number with fixed decimals and a minus sign (U+2212)."""
     return signed(f"{value:.{decimals}f}")
 
 
 def span(low: float, high: float, unit: str) -> str:
-    """A range: ``−400 … 0 mm``, ``0 … 180°``."""
+    """Return a range as text: ``−400 … 0 mm``, ``0 … 180°``."""
     sign = readable(unit)
     return f"{low:g} … {high:g}{'' if sign == '°' else ' '}{sign}".replace("-", "−")
 
 
 def readable(unit: str) -> str:
-    """A unit as people write it: ``um/(m.K)`` → µm/(m·K), ``deg`` → °."""
+    """Return a unit as displayed: ``um/(m.K)`` → µm/(m·K), ``deg`` → °."""
     plain = unit.replace("urad", "µrad").replace("um", "µm").replace("m2", "m²").replace(".", "·")
     return "°" if plain == "deg" else plain
 
 
 def several(count: int, one: str) -> str:
-    """``1 row``, ``1,234 rows``."""
+    """Return a count with its noun: ``1 row``, ``1,234 rows``."""
     return f"{count:,} {one}{'' if count == 1 else 's'}"
 
 
 def ticks(low: float, high: float, most: int = 5) -> Sequence[float]:
-    """Round places between two ends (steps of 1, 2 or 5), at most ``most`` of them and two at least."""
+    """Return between two and ``most`` tick positions between two ends, in steps of 1, 2 or 5 · 10ⁿ."""
     span = high - low
     for power in range(floor(log10(span)) - 2, floor(log10(span)) + 2):
         for digit in (1, 2, 5):
@@ -128,7 +128,7 @@ def ticks(low: float, high: float, most: int = 5) -> Sequence[float]:
 
 
 def ceiling(value: float) -> float:
-    """The next round number that is no smaller, by less than a third; 1 of nothing."""
+    """Return the next round number at or above a value, less than a third larger; 1 for zero or no number."""
     if not isfinite(value) or value <= 0.0:
         return 1.0
     power = 10.0 ** floor(log10(value))
@@ -136,15 +136,15 @@ def ceiling(value: float) -> float:
 
 
 def tied(text: str, space: str) -> str:
-    """With another space between numbers and their units."""
+    """Return a text with the given space between numbers and their units."""
     return TIED.sub(rf"\1{space}\2", text)
 
 
 def _interval(value: float, half: float) -> str:
-    size, said = rounded(value, half)
-    return f"{signed(size)} ± {said}"
+    size, uncertainty = rounded(value, half)
+    return f"{signed(size)} ± {uncertainty}"
 
 
 def signed(text: str) -> str:
-    """A true minus, and none before a nothing."""
+    """Return a number's text with a minus sign (U+2212), and none before zero."""
     return text.lstrip("-") if not text.strip("-0.") else text.replace("-", "−")

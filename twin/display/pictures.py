@@ -1,4 +1,4 @@
-"""Small pictures as inline SVG: a curve over an axis with its 95 % band, and a histogram. No library: every display has them."""
+"""Small pictures as inline SVG, without matplotlib: a curve with its 95 % band, and a histogram."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twin.display.numbers import ceiling, signed, ticks
 @final
 @dataclass(frozen=True)
 class _Frame:
-    """Where a picture's axes lie, in its pixels."""
+    """Size of a picture and position of its axes, in pixels."""
 
     width: int = 380
     height: int = 190
@@ -29,13 +29,13 @@ FRAME: Final = _Frame()
 
 
 def strip(values: np.ndarray, half: np.ndarray | None, limit: float, says: str) -> Html:
-    """A curve as a strip, a line through zero; its scale is said beside it.
+    """Return a curve as a narrow strip with a zero line; the caller states the scale.
 
     Args:
         values: (n,) at equal steps.
-        half: (n,) half widths of its interval; None or NaN where they are not known.
-        limit: what the upper edge is, in the unit of the values; the lower edge is as far below zero.
-        says: for whoever cannot see it.
+        half: (n,) half widths of its 95 % interval; None or NaN if unknown.
+        limit: value at the upper edge; the lower edge is its negative.
+        says: alternative text.
     """
     x = np.linspace(0.0, 100.0, len(values))
 
@@ -46,14 +46,14 @@ def strip(values: np.ndarray, half: np.ndarray | None, limit: float, says: str) 
 
 
 def graph(q: np.ndarray, values: np.ndarray, half: np.ndarray | None, across: str, up: str) -> Html:
-    """A curve with axes.
+    """Return a curve with axes.
 
     Args:
         q: (n,) positions, ascending.
-        values: (n,) there.
-        half: (n,) half widths of its 95 % interval; None or NaN where they are not known.
-        across: what the horizontal axis is, with its unit.
-        up: what the vertical one is, with its unit.
+        values: (n,) values at these positions.
+        half: (n,) half widths of its 95 % interval; None or NaN if unknown.
+        across: label of the horizontal axis, with unit.
+        up: label of the vertical axis, with unit.
     """
     known = half is not None and bool(np.isfinite(half).all())
     spread = half if known and half is not None else np.zeros_like(values)
@@ -68,13 +68,13 @@ def graph(q: np.ndarray, values: np.ndarray, half: np.ndarray | None, across: st
 
 
 def histogram(values: np.ndarray, across: str, up: str = "poses", bins: int = 20) -> Html:
-    """How values are spread, from zero on; nothing where there is none that is a number.
+    """Return a histogram of values from zero on, or empty text if no value is finite.
 
     Args:
-        values: (n,) none negative.
-        across: what they are, with unit.
-        up: what is counted.
-        bins: how many columns.
+        values: (n,) non-negative values.
+        across: label of the horizontal axis, with unit.
+        up: label of the counts.
+        bins: number of columns.
     """
     known = values[np.isfinite(values)]
     if not len(known):
@@ -99,7 +99,7 @@ def _height(value: np.ndarray, low: float, high: float) -> np.ndarray:
 def _framed(
     ends: tuple[float, float], edges: tuple[float, float], across: str, up: str, says: str, inside: Html
 ) -> Html:
-    """What is drawn, with ticks, and a name and unit for both axes."""
+    """Return drawn content inside axes with ticks and labels."""
     x = [(f"{float(_across(np.array(v), *ends)):.1f}", _number(v)) for v in ticks(*ends)]
     heights = [(float(_height(np.array(v), *edges)), _number(v)) for v in ticks(*edges)]
     y = [(f"{at:.1f}", f"{at + 4:.1f}", text) for at, text in heights]
@@ -111,7 +111,7 @@ def _number(value: float) -> str:
 
 
 def _band(place: Callable[[np.ndarray], np.ndarray], values: np.ndarray, half: np.ndarray | None) -> str:
-    """The outline of an interval; empty where it is not known."""
+    """Return the outline of an interval band, or empty text if unknown."""
     if half is None or not np.isfinite(half).all():
         return ""
     return _points(np.concatenate([place(values + half), place(values - half)[::-1]]))

@@ -1,4 +1,4 @@
-"""The state of a machine on one page: what is wrong most, what it makes at the tool, what to do, and what it rests on.
+"""Report of the state of a machine on one HTML page: largest errors, their effect at the tool, actions, uncertainty, sources.
 
     twin report --calibration mine.yaml --identified identified.json --tool-length 120 -o report.html --json report.json
     twin report --calibration mine.yaml --measured measured.csv -o report.html
@@ -6,24 +6,25 @@
 One self-contained HTML file for a screen, a phone and paper (print it from the browser); `--json` has every number on it
 (`schema: twin.report/1`). It needs the extra `plots`.
 
-**In this order.** What a shop can act on: the largest errors, what they make at the tool with U, what to adjust, what to put into the
-control or into programs, what to measure again, and what not to do. The error budget as bars, by error motion and by class of ISO/TR
-16907. Every error motion with its 95 % interval: both directions where a linear axis has a reversal, polar for a rotary one.
-Squareness and locations. The error over the volume as a field in 3D, and in planes. Before and after compensation. U over the volume.
-What could not be identified, has no uncertainty, or is not in the calibration at all. Files with their digests, versions, seeds.
-Warnings of where the numbers come from (illustrative, simulated readings, unsettled estimate, unknown uncertainty) stand above all.
+**Contents, in this order.** Summary: the largest errors, their effect at the tool with U, and what to adjust, to compensate in the
+control or in programs, to measure again, and not to do. Error budget as bars, by error motion and by class of ISO/TR 16907. Every error
+motion with its 95 % interval: both directions of approach for an axis with backlash, a polar plot for a rotary axis. Squareness and
+axis locations. Error over the volume as a 3D field and in planes. Error before and after compensation. U over the volume. Errors that
+were not identifiable, have no uncertainty, or are absent from the calibration. Files with their SHA-256 digests, versions, random
+seeds. Warnings about the source of the numbers (illustrative, simulated readings, unsettled estimate, unknown uncertainty) stand at the
+top.
 
-**What it can know.** The calibration gives errors and their covariance; where it gives none, U is unknown and never zero, and what is
-known in part reads "at least". `--identified` (the JSON of `twin identify`) adds how well the model fitted and what the data could not
-show; if its numbers are not those of the calibration, the first screen says so and the exit status is 3. `--measured` shows the points
-stop by stop, those that are far off too: a screening would hide a lost motion.
+**Input.** The calibration gives errors and their covariance. Without a covariance U is unknown, never zero; if only some errors have
+one, U is given as "at least". `--identified` (the JSON of `twin identify`) adds the quality of the fit and the errors that were not
+identifiable; if its numbers differ from those of the calibration, the summary states this and the exit status is 3. `--measured` shows
+the measured points at each position, including outliers, because removing them could hide backlash.
 
-**How it is reckoned.** "Compensated" is what a program would get: rotary words rounded and the linear axes solved again, rounded,
-stopped at the ends of travel; what the calibration is uncertain by comes on top, drawn from its covariance. What tables in the control
-leave is worked out by making them, as `twin control` does, with its defaults. Adjusting is advised only
-for what takes off a twentieth of the error over the volume and is larger than its own 95 % half-width. The field stands at rotary zero
-and shows no wave shorter than its grid; the budget covers all axes. Effects that need a temperature or a time take `--temperature` and
-`--time`; without them they are left out, listed, and the exit status is 3.
+**Computation.** "Compensated" is the error after compensation of a program: rotary words are rounded, the linear axes are solved again,
+rounded, and limited to the axis travel. The uncertainty of the calibration is added by draws from its covariance. Errors that tables in
+the control leave are computed by making these tables with the defaults of `twin control`. An adjustment is recommended only if it
+reduces the RMS error over the volume by at least 5 % and the error exceeds its own 95 % half-width. The field is computed with the
+rotary axes at zero and cannot show wavelengths shorter than its grid; the budget covers all axes. Effects that need a temperature or a
+time use `--temperature` and `--time`; without them they are omitted and listed, and the exit status is 3.
 """
 
 from twin.report.result import SCHEMA, MachineReport, machine_report

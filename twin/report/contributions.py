@@ -1,4 +1,4 @@
-"""How much each error makes at the tool, and how well that is known."""
+"""Error budget: contribution of each error to the error at the tool, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ JSON_NAMES: Final = MappingProxyType(
 @final
 @dataclass(frozen=True)
 class Contribution:
-    """One error, or all errors of one class, at the tool over the volume.
+    """Contribution of one error, or of all errors of a class, to the error of the tool point over the volume.
 
     Attributes:
-        name: ISO 230-1 name, the effect's own, or the class of ISO/TR 16907.
-        words: the same in words.
-        iso_class: its class.
+        name: ISO 230-1 name, name of the effect, or class of ISO/TR 16907.
+        words: name in words.
+        iso_class: class of ISO/TR 16907.
         axis: the axis it belongs to; empty for a class.
         unit: ``um`` or ``urad`` of ``peak``; empty for a class.
-        peak: largest absolute value over its range; NaN for a class.
-        peak_half: half width of its widest 95 % interval; NaN where it is not known.
-        rms_um, max_um: error of the tool point from it alone.
-        u_rms_um, u_max_um: U of the tool point from its uncertainty alone, RMS and largest over the poses; NaN where it is not known.
-        u_complete: whether every number of it has an uncertainty; if not, and U is known, U is a lower bound.
-        illustrative: whether it is drawn, not measured.
+        peak: largest absolute value over the range; NaN for a class.
+        peak_half: half width of the widest 95 % interval; NaN if unknown.
+        rms_um, max_um: error of the tool point from this error alone.
+        u_rms_um, u_max_um: U of the tool point from its uncertainty alone, RMS and largest over the poses; NaN if unknown.
+        u_complete: whether all its parameters have an uncertainty; if not, a known U is a lower bound.
+        illustrative: whether it is assumed, not measured.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Contribution:
     illustrative: bool
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON; null where a number is not known."""
+        """Return the content for JSON; null for unknown numbers."""
         of_one_error = ("axis", "unit", "peak", "peak_half")
         return json_form(self, rename=JSON_NAMES, leave_out=() if self.unit else of_one_error)
 
@@ -71,18 +71,18 @@ class Contribution:
 @final
 @dataclass(frozen=True)
 class Budget:
-    """What is wrong with a machine, at the tool over the volume.
+    """Error budget of a machine at the tool, over the volume.
 
     Attributes:
-        kinematics: the machine with the errors the budget is of.
+        kinematics: the machine with its errors.
         positions: (n, axes) poses, mm and degrees.
-        sides: (n, axes) the sides the axes are come to from.
+        sides: (n, axes) directions of approach, +1 or −1.
         error_um: (n, 3) error of the tool point in the work frame.
-        tilt_urad: (n, 2) lean of the tool axis, about x and y of the tool.
-        errors: largest at the tool first.
-        classes: likewise.
-        total: all errors together.
-        without_uncertainty: what has a value and no uncertainty.
+        tilt_urad: (n, 2) tilt of the tool axis about the tool's x and y.
+        errors: contributions of single errors, largest at the tool first.
+        classes: contributions of classes, largest first.
+        total: contribution of all errors together.
+        without_uncertainty: names of the errors with a value but no uncertainty.
     """
 
     kinematics: Kinematics
@@ -97,47 +97,47 @@ class Budget:
 
     @property
     def worst(self) -> dict[str, float]:
-        """Where the tool point is off most, by axis."""
+        """Position of the largest error of the tool point, by axis."""
         row = self.positions[int(np.argmax(np.linalg.norm(self.error_um, axis=1)))]
         return dict(zip(self.kinematics.machine.names, row.tolist(), strict=True))
 
     @property
     def by_name(self) -> dict[str, Contribution]:
-        """Errors by their names."""
+        """Contributions of single errors by name."""
         return {one.name: one for one in self.errors}
 
     def rms_without_um(self, name: str) -> float:
-        """RMS over the volume, were one of the errors not there.
+        """Return the RMS error over the volume with one error removed, µm.
 
         Args:
-            name: of that error.
+            name: name of that error.
         """
         only = without(self.kinematics, {name})
-        left = only.forward(self.positions, self.sides).point_mm - self.drawn().point_mm
-        return float(np.sqrt(np.mean(np.sum(left**2, axis=1)))) * 1e3
+        remaining = only.forward(self.positions, self.sides).point_mm - self.nominal_poses().point_mm
+        return float(np.sqrt(np.mean(np.sum(remaining**2, axis=1)))) * 1e3
 
-    def drawn(self) -> Poses:
-        """Poses of the machine as drawn."""
-        return as_drawn(self.kinematics).forward(self.positions)
+    def nominal_poses(self) -> Poses:
+        """Return the poses of the nominal machine."""
+        return nominal_machine(self.kinematics).forward(self.positions)
 
 
 def without(real: Kinematics, names: Collection[str]) -> Kinematics:
-    """The same machine, tool and conditions without some of the errors."""
+    """Return the kinematics without some of the errors."""
     errors = real.calibration.where(lambda name: name not in names)
     return Kinematics(real.machine, errors, tool_length_mm=real.tool_length_mm, conditions=real.conditions)
 
 
-def as_drawn(real: Kinematics) -> Kinematics:
-    """The same machine and tool without any error."""
+def nominal_machine(real: Kinematics) -> Kinematics:
+    """Return the kinematics of the nominal machine, without errors."""
     none = real.calibration.where(lambda name: False)
     return Kinematics(real.machine, none, tool_length_mm=real.tool_length_mm)
 
 
 def budget(kinematics: Kinematics) -> Budget:
-    """What each error makes at the tool over the volume, and U of it.
+    """Return the error budget over the volume, with U of every contribution.
 
-    U of one error takes the numbers of that error as uncertain and all others as known; the covariance of numbers of one class with
-    one another is in U of that class. First order (JCGM 100, 5.2.2), as `twin.uncertainty.at_tool`.
+    U of one error includes the uncertainty of its own parameters only; U of a class includes the covariance between its errors. First
+    order (JCGM 100, 5.2.2), as in `twin.uncertainty.at_tool`.
 
     Args:
         kinematics: machine, errors, tool, conditions.
@@ -148,7 +148,7 @@ def budget(kinematics: Kinematics) -> Budget:
     )
     q = known_volume(calibration)
     sides = drawn_sides(q)
-    meant, reached = as_drawn(kinematics).forward(q), kinematics.forward(q, sides)
+    meant, reached = nominal_machine(kinematics).forward(q), kinematics.forward(q, sides)
     share = _Shares(kinematics, q, sides)
     acts = {effect.name: acts_as(effect, machine) for effect in calibration.effects}
     errors = [_contribution(row, share, [row.name], acts[row.name]) for row in rows]
@@ -171,7 +171,7 @@ def budget(kinematics: Kinematics) -> Budget:
 
 @final
 class _Shares:
-    """U of the tool point from the numbers of some effects alone, worked out once for all of them."""
+    """U of the tool point from the parameters of selected effects, with sensitivities computed once for all."""
 
     def __init__(self, kinematics: Kinematics, q: np.ndarray, sides: np.ndarray) -> None:
         self.tool = ToolUncertainty(kinematics)
@@ -185,15 +185,15 @@ class _Shares:
         if self._place:
             by_error = kinematics.sensitivities(q, sides).error[:, :3]
             for component, columns, shape in self.tool.rates(q, sides):
-                # Metres a metre, and metres a radian: µm a µm and a µrad.
+                # m/m and m/rad equal µm/µm and µm/µrad.
                 self._rates[:, :, columns] += by_error[:, :, component, None] * shape[:, None, :]
 
     def u_um(self, effects: Iterable[str]) -> tuple[float, float, bool]:
-        """RMS and largest U over the poses, NaN where nothing is known of it, and whether all of it is known."""
+        """Return RMS and largest U over the poses (NaN if unknown), and whether all parameters have an uncertainty."""
         wanted = [number for effect in effects for number in self._numbers[effect]]
         known = [number for number in wanted if number in self._place]
         if not known:
-            # What has no numbers of its own (a control's table) is as it is.
+            # An effect without parameters (a table in the control) has no uncertainty.
             return (np.nan, np.nan, False) if wanted else (0.0, 0.0, True)
         rates = self._rates[:, :, [self._place[number] for number in known]]
         u = radius_95(rates @ self._covariance.of(known).matrix @ rates.transpose(0, 2, 1))

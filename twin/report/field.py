@@ -1,4 +1,4 @@
-"""The error of the tool point as a field over the linear axes, the rotary ones standing still, and U of it."""
+"""Error of the tool point, and its U, as a field over the linear axes at fixed rotary positions."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ import numpy as np
 from twin._common.arrays import locked
 from twin._common.json_form import json_form
 from twin.kinematics.forward import Kinematics
-from twin.report.contributions import as_drawn
-from twin.report.readings import reach
+from twin.report.contributions import nominal_machine
+from twin.report.readings import curve_ranges
 from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.budget import volume
 
 COUNTS: Final = {1: 101, 2: 25, 3: 13}
-"""Positions an axis, by the number of linear axes: odd, so that the middle is among them."""
+"""Grid positions per axis, by the number of linear axes; odd, to include the middle."""
 DRAWN: Final = 7
-"""Arrows an axis, at most."""
+"""Largest number of arrows per axis."""
 POSES: Final = 300
-"""Of a machine without linear axes."""
+"""Number of poses for a machine without linear axes."""
 
 
 @final
 @dataclass(frozen=True)
 class Slice:
-    """One plane of the field.
+    """One plane of the error field.
 
     Attributes:
-        horizontal, vertical: names of the axes it lies along.
-        fixed: where the other axes stand, mm and degrees.
-        across, up: (a,), (b,) positions of the two, mm.
-        error_um: (b, a) size of the error of the tool point.
-        u_um: (b, a) U of it; NaN where it is not known.
+        horizontal, vertical: names of the two axes that span the plane.
+        fixed: positions of the other axes, mm and degrees.
+        across, up: (a,), (b,) positions of the two axes, mm.
+        error_um: (b, a) magnitude of the error of the tool point.
+        u_um: (b, a) U of the tool point; NaN if unknown.
     """
 
     horizontal: str
@@ -48,24 +48,24 @@ class Slice:
     u_um: np.ndarray
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the content for JSON."""
         return json_form(self, rename={"u_um": "U_um"})
 
 
 @final
 @dataclass(frozen=True)
 class Field:
-    """Errors of the tool point at many positions.
+    """Error of the tool point at the nodes of a grid.
 
     Attributes:
-        axes: names, in the order of the columns of ``positions``.
-        spread: names of the axes it is spread over: the linear ones, or all where there is none.
-        positions: (n, axes) commands, mm and degrees; on a grid over the linear axes, or drawn where there is none.
-        counts: of the grid, an axis of ``spread`` each; empty where there is none.
-        point_mm: (n, 3) where the tool was meant to be, in the work frame.
-        error_um: (n, 3) by how much it misses, each axis between its two directions of approach.
-        u_um: (n,) U of it; NaN where it is not known.
-        complete: whether everything that has a value has an uncertainty; if not, a known U is a lower bound.
+        axes: names of all axes, in the order of the columns of ``positions``.
+        spread: names of the axes that vary: the linear ones, or all if there is none.
+        positions: (n, axes) commands, mm and degrees; on a grid over the linear axes, or random if there is none.
+        counts: number of grid positions of every axis of ``spread``; empty without a grid.
+        point_mm: (n, 3) nominal tool points in the work frame.
+        error_um: (n, 3) error of the tool point, mean of both directions of approach.
+        u_um: (n,) U of the tool point; NaN if unknown.
+        complete: whether all errors have an uncertainty; if not, a known U is a lower bound.
     """
 
     axes: tuple[str, ...]
@@ -79,17 +79,17 @@ class Field:
 
     @property
     def standing(self) -> dict[str, float]:
-        """Where the other axes stand."""
+        """Positions of the fixed axes."""
         return {name: float(self.positions[0, i]) for i, name in enumerate(self.axes) if name not in self.spread}
 
     @property
     def size_um(self) -> np.ndarray:
-        """(n,) size of the error."""
+        """(n,) magnitude of the error."""
         return np.asarray(np.linalg.norm(self.error_um, axis=1))
 
     @property
     def mean_um(self) -> np.ndarray:
-        """(3,) mean error: what touching off a workpiece takes out."""
+        """(3,) mean error, which setting the workpiece zero removes."""
         return np.asarray(self.error_um.mean(axis=0))
 
     @property
@@ -99,24 +99,24 @@ class Field:
 
     @property
     def rms_about_mean_um(self) -> float:
-        """What stays of that when the mean error is taken out."""
+        """Root mean square of the error minus its mean."""
         return float(np.sqrt(np.mean(np.sum((self.error_um - self.mean_um) ** 2, axis=1))))
 
     @property
     def steps_mm(self) -> dict[str, float]:
-        """Distance of neighbours of the grid, by axis."""
+        """Grid spacing by axis."""
         columns = [self.positions[:, self.axes.index(name)] for name in self.spread]
         ways = zip(self.spread, self.counts, columns, strict=True)
         return {name: float(np.ptp(column)) / max(count - 1, 1) for name, count, column in ways}
 
     @property
     def known(self) -> bool:
-        """Whether U is."""
+        """Whether U is known at all positions."""
         return bool(np.all(np.isfinite(self.u_um)))
 
     @property
     def drawn(self) -> np.ndarray:
-        """Indices of the positions drawn as arrows: those of a coarser grid, ends included."""
+        """Indices of the positions drawn as arrows, on a coarser grid with its ends."""
         if not self.counts:
             return np.arange(len(self.positions))
         thin = [np.unique(np.round(np.linspace(0, count - 1, min(count, DRAWN))).astype(int)) for count in self.counts]
@@ -124,7 +124,7 @@ class Field:
 
     @cached_property
     def slices(self) -> tuple[Slice, ...]:
-        """Planes: of three axes three each way, at both ends and in the middle; of two the one there is; of one none."""
+        """Planes: for three axes, three per direction at both ends and in the middle; for two axes one; for one axis none."""
         places = [np.unique(self.positions[:, self.axes.index(name)]) for name in self.spread]
         if len(self.counts) == 2:
             return (self._slice(places, {}),)
@@ -134,7 +134,7 @@ class Field:
         return tuple(self._slice(places, {axis: level}) for axis, level in levels)
 
     def _slice(self, places: list[np.ndarray], at: Mapping[int, int]) -> Slice:
-        """The plane of the axes that are not fixed at a level of theirs."""
+        """Return the plane at the given grid level of the fixed axes."""
         across, up = (i for i in range(len(places)) if i not in at)
         levels = tuple(at.get(i, slice(None)) for i in range(len(places)))
         error, u = (locked(values.reshape(self.counts)[levels].T.copy()) for values in (self.size_um, self.u_um))
@@ -142,7 +142,7 @@ class Field:
         return Slice(self.spread[across], self.spread[up], fixed, locked(places[across]), locked(places[up]), error, u)
 
     def edges(self) -> tuple[tuple[str, np.ndarray, np.ndarray], ...]:
-        """Edges of the box the grid makes, ends in mm in the work frame; one of each axis named, with its range."""
+        """Return the edges of the grid's box, each with a label and its end points, mm; one edge per axis has a label."""
         if not self.counts:
             return ()
         found = []
@@ -159,7 +159,7 @@ class Field:
         return tuple(found)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the content for JSON."""
         return json_form(
             {
                 "axes": self.axes,
@@ -180,13 +180,13 @@ class Field:
 
 
 def field(kinematics: Kinematics) -> Field:
-    """The field of a machine with errors: rotary axes at zero, or as near to it as their range comes.
+    """Return the error field of a machine, with the rotary axes at zero or at the end of their range nearest to zero.
 
     Args:
         kinematics: machine, errors, tool, conditions.
     """
     machine = kinematics.machine
-    bounds = reach(kinematics)
+    bounds = curve_ranges(kinematics)
     linear = machine.linear[:3]
     if linear:
         counts = tuple(COUNTS[len(linear)] for _ in linear)
@@ -197,13 +197,13 @@ def field(kinematics: Kinematics) -> Field:
             for i, (axis, (low, high)) in enumerate(zip(machine.axes, bounds, strict=True))
         ]
         q = np.array(list(product(*steps)))
-        # Command order may put the linear axes in any order among the rotary ones; these have one position each.
+        # Linear and rotary axes may alternate in command order; a rotary axis has one position.
         spread = tuple(machine.names[i] for i in linear)
     else:
         counts, spread = (), machine.names
         q = volume(machine, POSES)
         q = q[~kinematics.outside_domain(q).any(axis=1)]
-    meant, reached = as_drawn(kinematics).forward(q), kinematics.forward(q)
+    meant, reached = nominal_machine(kinematics).forward(q), kinematics.forward(q)
     error = (reached.point_mm - meant.point_mm) * 1e3
     u = ToolUncertainty(kinematics).at(q)
     return Field(

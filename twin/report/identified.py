@@ -1,4 +1,4 @@
-"""What `twin identify --json` wrote beside a calibration: how well the model fitted, and what the data could not tell."""
+"""Read the JSON file of `twin identify --json`: quality of the fit, and errors that were not identifiable."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from twin.machine.calibration import Calibration
 
 SCHEMA: Final = "twin.identification/1"
 POINTS: Final = 201
-"""At which `twin identify` looks for a peak."""
+"""Number of points at which `twin identify` evaluates a curve for its peak."""
 SAME: Final = 1e-6
-"""Relative: the calibration's text carries all digits, so that other numbers are other estimates."""
+"""Relative tolerance for equal numbers; files hold all digits, so a larger difference means another estimate."""
 
 
 class _Model(BaseModel):
@@ -26,7 +26,7 @@ class _Model(BaseModel):
 
 @final
 class Points(_Model):
-    """How many rows of a table were used and set aside."""
+    """Numbers of used and of excluded rows of a table."""
 
     used: int
     set_aside: int
@@ -34,7 +34,7 @@ class Points(_Model):
 
 @final
 class IdentifiedError(_Model):
-    """One error, a curve with its order and peak or one number."""
+    """One identified error: a curve with order and peak, or a single value."""
 
     name: str
     order: int | None = None
@@ -43,8 +43,8 @@ class IdentifiedError(_Model):
 
 
 @final
-class SaidUnidentified(_Model):
-    """An error that the data could not show."""
+class NotIdentifiable(_Model):
+    """An error that was not identifiable from the data."""
 
     name: str
     reason: str
@@ -52,7 +52,7 @@ class SaidUnidentified(_Model):
 
 @final
 class Misfit(_Model):
-    """How well the model fitted: null without degrees of freedom, or without repeats."""
+    """Quality of the fit; None without degrees of freedom, or without repeats."""
 
     rms_um: float
     reduced_chi2: float | None
@@ -63,7 +63,7 @@ class Misfit(_Model):
 
 @final
 class Row(_Model):
-    """A row of the table that was set aside."""
+    """An excluded row of the table."""
 
     line: int
     reason: str
@@ -71,7 +71,7 @@ class Row(_Model):
 
 @final
 class IdentificationFile(_Model):
-    """What `twin identify --json` writes, as far as a report of the machine needs it."""
+    """The part of the output of `twin identify --json` that a machine report uses."""
 
     schema_: Literal["twin.identification/1"] = Field(alias="schema")
     machine: str
@@ -79,7 +79,7 @@ class IdentificationFile(_Model):
     points: Points
     uncertainty: str
     errors: tuple[IdentifiedError, ...]
-    not_identifiable: tuple[SaidUnidentified, ...]
+    not_identifiable: tuple[NotIdentifiable, ...]
     misfit: Misfit
     set_aside: tuple[Row, ...]
     notices: tuple[str, ...]
@@ -89,12 +89,12 @@ class IdentificationFile(_Model):
 @final
 @dataclass(frozen=True)
 class Identified:
-    """The report of an identification.
+    """Result of an identification, compared with a calibration.
 
     Attributes:
         path: the file.
-        file: what is in it.
-        others: errors to which it gives other numbers than the calibration has: it belongs to another one, or that was extended since.
+        file: its content.
+        others: errors whose numbers differ from the calibration, because it is another one or was extended since.
     """
 
     path: Path
@@ -103,55 +103,55 @@ class Identified:
 
     @property
     def orders(self) -> dict[str, int]:
-        """How many functions `identify` gave a curve beyond its datum, by name."""
+        """Order of every identified curve, by name."""
         return {one.name: one.order for one in self.file.errors if one.order is not None}
 
     @property
     def rows(self) -> tuple[tuple[int, str], ...]:
-        """Rows of the table that were set aside: line and reason."""
+        """Excluded rows of the table: line and reason."""
         return tuple((row.line, row.reason) for row in self.file.set_aside)
 
     @classmethod
     def load(cls, path: str | Path, calibration: Calibration) -> Identified:
-        """Read the file.
+        """Read the JSON file and compare it with the calibration.
 
         Args:
-            path: what ``twin identify --json`` wrote.
-            calibration: what it wrote beside it.
+            path: file that ``twin identify --json`` wrote.
+            calibration: the calibration written by the same run.
 
         Raises:
-            InputError: it is no such file, or of another machine.
+            InputError: the file has another format, or belongs to another machine.
         """
         path = Path(path)
         try:
-            found = IdentificationFile.model_validate(read_json(path, "what `twin identify --json` wrote"))
+            found = IdentificationFile.model_validate(read_json(path, "the JSON file of `twin identify`"))
         except ValidationError as error:
             first = error.errors()[0]
             entry = ".".join(str(part) for part in first["loc"]) or "the file"
             raise InputError(
-                f"`{entry}` does not fit",
-                expected=f"what `twin identify --json` wrote, schema: {SCHEMA}",
+                f"`{entry}` is invalid",
+                expected=f"the JSON file of `twin identify`, schema: {SCHEMA}",
                 file=path,
                 value=first["msg"],
             ) from None
         if found.machine != calibration.machine.name:
             raise InputError(
-                "an identification of another machine",
+                "the identification belongs to another machine",
                 expected=calibration.machine.name,
                 file=path,
                 value=found.machine,
             )
-        return cls(path, found, _others(found.errors, calibration))
+        return cls(path, found, _differing(found.errors, calibration))
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        told = self.file.model_dump(mode="json", exclude={"schema_", "machine", "errors"})
-        return {"file": str(self.path), **told, "other_numbers_than_the_calibration": list(self.others)}
+        """Return the content for JSON."""
+        identified = self.file.model_dump(mode="json", exclude={"schema_", "machine", "errors"})
+        return {"file": str(self.path), **identified, "other_numbers_than_the_calibration": list(self.others)}
 
 
-def _others(errors: tuple[IdentifiedError, ...], calibration: Calibration) -> tuple[str, ...]:
-    """Names to which file and calibration give different numbers, or only one of them gives any."""
-    told = {one.name: one.value if one.peak is None else one.peak for one in errors}
+def _differing(errors: tuple[IdentifiedError, ...], calibration: Calibration) -> tuple[str, ...]:
+    """Return the names of errors whose numbers differ, or that only the file or only the calibration contains."""
+    identified = {one.name: one.value if one.peak is None else one.peak for one in errors}
     own = {
         name: float(np.abs(curve(np.linspace(*curve.domain, POINTS))).max())
         for name, curve in calibration.curves.items()
@@ -159,8 +159,8 @@ def _others(errors: tuple[IdentifiedError, ...], calibration: Calibration) -> tu
     own |= dict(calibration.squareness) | dict(calibration.location)
     return tuple(
         name
-        for name in dict.fromkeys((*told, *own))
+        for name in dict.fromkeys((*identified, *own))
         if (mine := own.get(name)) is None
-        or (theirs := told.get(name)) is None
+        or (theirs := identified.get(name)) is None
         or abs(mine - theirs) > SAME * max(abs(mine), abs(theirs))
     )

@@ -1,4 +1,4 @@
-"""Each error motion along its axis: value, 95 % interval, both directions where an axis loses motion, what the control takes out."""
+"""Error motions along their axes: value, 95 % interval, both directions of approach, and compensation by the control."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from twin.machine.conditions import APPROACH
 from twin.machine.display import combined_uncertainty
 from twin.machine.effects import Effect, PitchError, unit_of
 from twin.machine.machine import DIRECTIONS
-from twin.report.readings import is_motion, reach, summed
+from twin.report.readings import curve_ranges, is_motion, sum_of_effects
 from twin.report.words import named
 
 FINE: Final = 361
 A_PERIOD: Final = 16
-"""Points a period of a periodic error is drawn with."""
+"""Points per period of a periodic error."""
 MOST: Final = 4001
 
 
 @final
 @dataclass(frozen=True)
 class Motion:
-    """One error motion of an axis as its commands go over the range, the other axes in the middle of theirs.
+    """One error motion of an axis over its range, with the other axes at mid-range.
 
     Attributes:
         name: ISO 230-1 name.
-        words: the same in words.
-        axis: the axis.
-        linear: whether that is a linear one.
+        words: name in words.
+        axis: name of the axis.
+        linear: whether the axis is linear.
         unit: ``um`` or ``urad``.
         position: (k,) mm or degrees.
-        value: (k,) the mean of both directions of approach.
-        half: (k,) half width of the 95 % interval; NaN where it is not known.
-        ways: (2, k) coming from below and coming from above; None where it makes no difference.
-        corrected: (k,) what the control's own tables leave of it; None where they leave it alone.
-        order: degree, or harmonics, of its curve; None where it has none.
-        basis: of its curve, or empty.
-        source: where the numbers come from.
-        added: names of the effects in it beside its curve.
-        illustrative: whether it is drawn, not measured.
+        value: (k,) mean of both directions of approach.
+        half: (k,) half width of the 95 % interval; NaN if unknown.
+        ways: (2, k) value on approach from below and from above; None if they are equal.
+        corrected: (k,) value after compensation by the control's tables; None if they do not act on it.
+        order: degree, or number of harmonics, of its curve; None without a curve.
+        basis: basis of its curve, or empty.
+        source: source of its curve.
+        added: names of effects added to its curve.
+        illustrative: whether it is assumed, not measured.
     """
 
     name: str
@@ -66,23 +66,23 @@ class Motion:
 
     @property
     def peak(self) -> tuple[float, float]:
-        """Its largest value by amount, either direction, and where."""
+        """Value of largest magnitude over both directions, and its position."""
         values = self.value[None] if self.ways is None else self.ways
         row, column = np.unravel_index(int(np.argmax(np.abs(values))), values.shape)
         return float(values[row, column]), float(self.position[column])
 
     @property
     def widest(self) -> float:
-        """Half width of its widest 95 % interval; NaN where it is not known."""
+        """Half width of its widest 95 % interval; NaN if unknown."""
         return float(self.half.max())
 
     @property
     def axis_unit(self) -> str:
-        """The unit of the axis's position, as people write it."""
+        """Unit of the axis position, for display."""
         return "mm" if self.linear else "°"
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the content for JSON."""
         peak, at = self.peak
         below, above = (None, None) if self.ways is None else self.ways
         return json_form(
@@ -110,7 +110,7 @@ class Motion:
 
 
 def motions(kinematics: Kinematics) -> tuple[Motion, ...]:
-    """Every error motion that the calibration gives a value, in the order of the machine's names.
+    """Return every error motion with a value in the calibration, in the order of the machine's names.
 
     Args:
         kinematics: machine, errors, conditions.
@@ -127,11 +127,11 @@ def _motion(kinematics: Kinematics, name: str) -> Motion | None:
     parts = [effect for effect in own if component in effect.components(state)]
     if not parts:
         return None
-    value = summed(parts, state, component)
+    value = sum_of_effects(parts, state, component)
     sides = [state | {f"{APPROACH}{axis.name}": np.full(len(q), side)} for side in (1.0, -1.0)]
-    ways = np.stack([summed(parts, side, component) for side in sides])
+    ways = np.stack([sum_of_effects(parts, side, component) for side in sides])
     tables = [table for table in calibration.corrections if table.axis.name == axis.name]
-    taken = summed(tables, state, component)
+    taken = sum_of_effects(tables, state, component)
     curve = calibration.curves.get(name)
     added = tuple(effect.name for effect in parts if effect.name != name)
     return Motion(
@@ -154,8 +154,8 @@ def _motion(kinematics: Kinematics, name: str) -> Motion | None:
 
 
 def _positions(kinematics: Kinematics, axis: str, effects: Sequence[Effect]) -> np.ndarray:
-    """The range as far as the curves go, fine enough for what is periodic."""
-    low, high = reach(kinematics)[kinematics.machine.names.index(axis)]
+    """Return positions over the domain of the curves, dense enough for periodic errors."""
+    low, high = curve_ranges(kinematics)[kinematics.machine.names.index(axis)]
     periods = [abs(effect.period) for effect in effects if isinstance(effect, PitchError)]
     count = max([FINE, *(int((high - low) / period * A_PERIOD) + 1 for period in periods)])
     return np.linspace(low, high, min(count, MOST))

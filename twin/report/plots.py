@@ -1,7 +1,7 @@
 """Pictures of a machine report. Needs the extra ``plots`` (matplotlib).
 
-Every function returns a `Figure` of its own, narrow enough to be read on a phone. Colours are those of
-`twin.display.figures`, which tell apart for colour-blind readers; markers and line styles do so without colour.
+Every function returns a new `Figure`, narrow enough for a phone. Colours are those of `twin.display.figures`, which colour-blind
+readers can distinguish; markers and line styles also distinguish the curves without colour.
 """
 
 from __future__ import annotations
@@ -32,27 +32,27 @@ from twin.display.figures import (
     paper,
     polar_ticks,
 )
-from twin.report.after import After
+from twin.report.compensation import CompensationForecast
 from twin.report.contributions import Contribution
 from twin.report.field import Field, Slice
 from twin.report.motions import Motion
-from twin.report.readings import Checked, Stops
+from twin.report.readings import PointComparison, PositionEstimates
 from twin.report.result import Constant
 from twin.report.scene.field import chosen_factor
 from twin.report.scene.path import scale_top_um, viridis
 
 WIDTH: Final = 4.4
-"""Inches: at the width of a phone, letters keep their size."""
+"""Width of a figure in inches, so that text keeps its size on a phone."""
 LETTERS: Final = 9.5
 BARS: Final = 18
-"""Errors drawn one by one; the table has them all."""
+"""Largest number of errors drawn as bars; the table lists all."""
 LETTER: Final = 0.072
-"""Inches a letter of a label."""
+"""Width of a letter of a label, inches."""
 LINE: Final = 0.19
-"""Inches a line of a legend."""
+"""Height of a line of a legend, inches."""
 SIDE: Final = 2.75
 MOST_HIGH: Final = 3.4
-"""Inches a plane is wide, and high at most; both its axes have one scale."""
+"""Largest width and height of a plane, inches; both axes have the same scale."""
 SIDES: Final = {
     0: ("s", BACKWARD, "readings"),
     1: ("^", BACKWARD, "readings, from below"),
@@ -62,17 +62,17 @@ VIRIDIS: Final = ListedColormap(viridis(np.linspace(0.0, 1.0, 256)).tolist(), "v
 
 
 def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
-    """Horizontal bars: RMS at the tool, the largest value as a mark, and U of it as a whisker.
+    """Draw the error budget as horizontal bars: RMS at the tool, largest value as a marker, U as a whisker.
 
     Args:
-        rows: largest first.
-        total: all together, drawn last.
+        rows: contributions, largest first.
+        total: contribution of all errors together, drawn last.
     """
     shown = [*rows[:BARS], total]
     names = [
         f"{one.name}{' *' if one.illustrative else ''}{'' if np.isfinite(one.u_rms_um) else ' ?'}" for one in shown
     ]
-    # Effects beside the error motions have names of twenty letters and more.
+    # Names of effects can have more than twenty letters.
     plot = _plot(WIDTH, 0.75 + 0.27 * len(shown), left=max(0.85, 0.2 + LETTER * max(map(len, names))))
     at = np.arange(len(shown))[::-1]
     colours = [FORWARD] * (len(shown) - 1) + [BOTH]
@@ -93,22 +93,22 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
     return cast(Figure, plot.figure)
 
 
-def plot_motion(motion: Motion, stops: Sequence[Stops] = ()) -> Figure:
-    """One error motion with its 95 % interval: against position, of a rotary axis polar, unless it goes beyond a turn.
+def plot_motion(motion: Motion, stops: Sequence[PositionEstimates] = ()) -> Figure:
+    """Draw an error motion with its 95 % interval against position, or as a polar plot for a rotary axis of up to one turn.
 
     Args:
-        motion: what is drawn.
-        stops: what readings say of it.
+        motion: the error motion.
+        stops: its estimates from readings.
     """
     within_turn = float(motion.position[-1] - motion.position[0]) <= TURN + 1e-9
     return _polar(motion, stops) if not motion.linear and within_turn else _along(motion, stops)
 
 
 def plot_constants(found: Sequence[Constant]) -> Figure:
-    """Squareness and locations with their 95 % intervals: dots with whiskers, lengths and angles apart.
+    """Draw squareness and locations with their 95 % intervals, lengths and angles in separate plots.
 
     Args:
-        found: at least one.
+        found: the values, at least one.
     """
     groups = [[one for one in found if one.unit == unit] for unit in ("urad", "um")]
     groups = [group for group in groups if group]
@@ -129,16 +129,16 @@ def plot_constants(found: Sequence[Constant]) -> Figure:
 
 
 def plot_squareness(one: Constant) -> Figure:
-    """Two axes as they should stand and as they do, the angle drawn much too large.
+    """Draw two axes with their nominal and their actual angle, which is exaggerated.
 
     Args:
-        one: a squareness.
+        one: a squareness error.
     """
     drawing = blank(2.3, 2.3)
     plot = drawing.subplots()
     plot.set_axis_off()
     plot.set_aspect("equal")
-    # A sign is seen, a size is read: every angle is drawn alike.
+    # Only the sign is drawn; the text gives the value.
     lean = 0.2 * float(np.sign(one.leans * one.value))
     tip = float(np.sin(lean)), float(np.cos(lean))
     plot.annotate("", (1.06, 0.0), (0.0, 0.0), arrowprops={"arrowstyle": "->", "color": BOTH, "linewidth": 1.8})
@@ -157,7 +157,7 @@ def plot_squareness(one: Constant) -> Figure:
 
 
 def plot_field(field: Field) -> Figure:
-    """The field as a still picture: arrows coloured by size, a colour bar, the factor said."""
+    """Draw the error field as arrows, coloured by magnitude, with the exaggeration factor."""
     rows = field.drawn
     points, errors, size = field.point_mm[rows], field.error_um[rows], field.size_um[rows]
     factor, top = chosen_factor(points, errors), scale_top_um(float(size.max(initial=0.0)))
@@ -184,13 +184,13 @@ def plot_field(field: Field) -> Figure:
 
 
 def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure:
-    """One plane of the field as a heat map.
+    """Draw one plane of the field as a contour map.
 
     Args:
         one: the plane.
-        values: (b, a) what is drawn, µm.
-        top: end of the scale, the same for planes that are compared.
-        label: of the scale.
+        values: (b, a) values to draw, µm.
+        top: end of the colour scale, the same for planes that are compared.
+        label: label of the colour scale.
     """
     high = float(np.ptp(one.up)) / float(np.ptp(one.across))
     wide = min(SIDE, MOST_HIGH / high)
@@ -209,8 +209,8 @@ def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure
     return drawing
 
 
-def plot_after(outcome: After) -> Figure:
-    """Share of the positions that stay below an error, before and after."""
+def plot_compensation(outcome: CompensationForecast) -> Figure:
+    """Draw the cumulative distribution of the error over the positions, before and after compensation."""
     plot = _plot(6.2, 3.3 + LINE * len(outcome.levels), legend=len(outcome.levels))
     smallest = [level.size_um[level.size_um > 0.0].min(initial=np.inf) for level in outcome.levels]
     for level, colour, style in zip(outcome.levels, _styles(outcome), ("-", "--", "-.", ":"), strict=False):
@@ -227,11 +227,11 @@ def plot_after(outcome: After) -> Figure:
     return cast(Figure, plot.figure)
 
 
-def plot_checked(one: Checked) -> Figure:
-    """Share of the measured points that stay below a distance, with the machine as drawn and with the calibration."""
+def plot_residuals(one: PointComparison) -> Figure:
+    """Draw the cumulative distribution of residuals of measured points, for the nominal machine and for the calibration."""
     plot = _plot(WIDTH, 3.0)
     for values, colour, style, text in (
-        (one.before_um, BACKWARD, "--", "machine as drawn"),
+        (one.before_um, BACKWARD, "--", "nominal machine"),
         (one.after_um, FORWARD, "-", "with this calibration"),
     ):
         ordered = np.maximum(np.sort(values), 1e-3)
@@ -239,18 +239,18 @@ def plot_checked(one: Checked) -> Figure:
         plot.plot(ordered, share, color=colour, linestyle=style, linewidth=1.8, label=text)
     plot.set_xscale("log")
     plot.xaxis.set_major_formatter(lambda value, position: f"{value:g}")
-    plot.set(ylim=(0.0, 101.0), xlabel="measured point less expected [µm]", ylabel="share of points below [%]")
+    plot.set(ylim=(0.0, 101.0), xlabel="residual of a point [µm]", ylabel="share of points below [%]")
     _legend(plot, columns=2)
     return cast(Figure, plot.figure)
 
 
-def _styles(outcome: After) -> list[str]:
-    return [*([RUN] if outcome.bare is not None else []), BACKWARD, THIRD, FORWARD]
+def _styles(outcome: CompensationForecast) -> list[str]:
+    return [*([RUN] if outcome.without_tables is not None else []), BACKWARD, THIRD, FORWARD]
 
 
-def _along(motion: Motion, stops: Sequence[Stops]) -> Figure:
+def _along(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
     plot = _plot(WIDTH, 3.0, legend=2)
-    _curves(plot, motion, 1.0, "coming from below (+)", (1.8, 1.4))
+    _curves(plot, motion, 1.0, "approach from below (+)", (1.8, 1.4))
     _stops(plot, stops, 1.0)
     plot.axhline(0.0, color=BOTH, linewidth=0.7)
     plot.set(xlabel=f"{motion.axis} [{motion.axis_unit}]", ylabel=f"{motion.name} [{readable(motion.unit)}]")
@@ -258,7 +258,7 @@ def _along(motion: Motion, stops: Sequence[Stops]) -> Figure:
     return cast(Figure, plot.figure)
 
 
-def _polar(motion: Motion, stops: Sequence[Stops]) -> Figure:
+def _polar(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
     low, high = float(motion.position[0]), float(motion.position[-1])
     drawing = blank(WIDTH, 4.3 if high - low > 200.0 else 3.2)
     plot = cast(PolarAxes, drawing.add_subplot(projection="polar"))
@@ -283,7 +283,7 @@ def _polar(motion: Motion, stops: Sequence[Stops]) -> Figure:
 
 
 def _curves(plot: Axes, motion: Motion, scale: float, below: str, widths: tuple[float, float]) -> list[np.ndarray]:
-    """The interval, the calibration's curve or both directions, and what the control leaves; returns the curves."""
+    """Draw interval, curve (or both directions) and the remainder after the control's tables; return the curves."""
     q = motion.position * scale
     if np.all(np.isfinite(motion.half)):
         low, high = motion.value - motion.half, motion.value + motion.half
@@ -293,12 +293,12 @@ def _curves(plot: Axes, motion: Motion, scale: float, below: str, widths: tuple[
     for values, text, colour, style in zip(lines, labels, (FORWARD, THIRD), ("-", "--"), strict=False):
         plot.plot(q, values, color=colour, linestyle=style, linewidth=widths[0], label=text)
     if motion.corrected is not None:
-        label = "left by the control"
+        label = "after the control's tables"
         plot.plot(q, motion.corrected, color=BOTH, linewidth=widths[1], linestyle=":", label=label)
     return lines
 
 
-def _stops(plot: Axes, stops: Sequence[Stops], scale: float) -> None:
+def _stops(plot: Axes, stops: Sequence[PositionEstimates], scale: float) -> None:
     for one in stops:
         marker, colour, text = SIDES[one.side]
         looks: dict[str, Any] = {"marker": marker, "markersize": 3.5, "color": colour, "linewidth": 0.9, "capsize": 2}
@@ -310,7 +310,7 @@ def _scale(top: float) -> ScalarMappable:
 
 
 def _plot(width: float, height: float, *, left: float = 0.72, legend: int = 1) -> Axes:
-    """One plot with room for labels and so many lines of legend, inches: looking for room takes matplotlib as long as drawing."""
+    """Return one plot with fixed margins for labels and a legend of ``legend`` lines: automatic layout is as slow as drawing."""
     drawing = blank(width, height, layout=None)
     below = 0.52 + LINE * legend
     plot = drawing.add_axes(

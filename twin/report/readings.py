@@ -1,8 +1,8 @@
-"""Measured points against a calibration: what is left of them, and what they say of each error motion at each stop.
+"""Compare measured points with a calibration: residuals, and an estimate of each error motion at each position.
 
-Stations and targets of unknown place are fitted, nothing else (`twin.diagnosis.problem.readings`). A point of a curve is the curve's
-value and what the readings there would change it by, everything else held (component plus residual, as in regression diagnostics:
-Larsen and McCleary 1972); with the 95 % interval from the readings' own scatter.
+Only unknown positions of stations and targets are fitted (`twin.diagnosis.problem.readings`). An estimate is the curve's value plus the
+change that would remove the residuals at that position, all else fixed (component plus residual, as in regression diagnostics: Larsen
+and McCleary 1972). Its 95 % interval follows from the spread of the readings.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from twin.machine.machine import Machine
 from twin.measurement.table import Measurements, state_of
 
 LEGIBLE: Final = 5.0
-"""Times the largest value of a curve beyond which an interval says nothing of it."""
+"""An estimate is omitted if its interval exceeds the curve's largest value by this factor."""
 FEWEST: Final = 3
-"""Positions of an axis below which there is no curve to be seen."""
+"""Smallest number of positions of an axis for a curve."""
 NO_SIDE: Final = 0
 
 
 @final
 @dataclass(frozen=True)
-class Stops:
-    """What the readings say of one error motion, stop by stop.
+class PositionEstimates:
+    """Estimates of one error motion from readings, at each position.
 
     Attributes:
         name: ISO 230-1 name.
-        side: +1 or −1: of readings come to from below or above; 0: of all.
+        side: direction of approach of the readings: +1 from below, −1 from above, 0 all.
         position: (k,) mm or degrees.
         value: (k,) µm or µrad.
         half: (k,) half width of the 95 % interval.
@@ -59,27 +59,27 @@ class Stops:
     half: np.ndarray
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the content for JSON."""
         return {"name": self.name, "unit": unit_of(self.name)} | json_form(self, rename={"half": "half_95"})
 
 
 @final
 @dataclass(frozen=True)
-class Checked:
-    """One table of measured points.
+class PointComparison:
+    """One table of measured points compared with a calibration.
 
     Attributes:
         source: the file.
-        points: how many; all are shown, those that are too far off to be chance as well.
-        far: how many are, with this calibration; the set-up was fitted to the others.
-        rms_before_um: of what is left of the coordinates read, the machine taken as drawn.
-        rms_after_um: the same with the calibration.
-        scatter: how the readings scatter by themselves, in words.
-        before_um, after_um: (n,) distance of each point from where it is expected, or its length's.
-        stops: by error motion.
-        rows: set aside, line and reason.
-        notices: what the file says of itself.
-        left_out: effects that need a channel the table has not.
+        points: number of points, outliers included.
+        far: number of outliers with this calibration; the set-up was fitted to the other points.
+        rms_before_um: RMS residual per coordinate with the nominal machine.
+        rms_after_um: RMS residual per coordinate with the calibration.
+        scatter: noise of the readings, in words.
+        before_um, after_um: (n,) distance of each point, or of its length, from the predicted one.
+        stops: estimates by error motion.
+        rows: excluded rows: line and reason.
+        notices: notices in the file.
+        left_out: effects omitted because the table lacks their channel.
     """
 
     source: str
@@ -90,70 +90,72 @@ class Checked:
     scatter: str
     before_um: np.ndarray
     after_um: np.ndarray
-    stops: Mapping[str, tuple[Stops, ...]]
+    stops: Mapping[str, tuple[PositionEstimates, ...]]
     rows: tuple[tuple[int, str], ...]
     notices: tuple[str, ...]
     left_out: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        told = json_form(self, rename={"source": "file", "far": "too_far_off", "rows": "set_aside"})
-        return told | {
+        """Return the content for JSON."""
+        result = json_form(self, rename={"source": "file", "far": "too_far_off", "rows": "set_aside"})
+        return result | {
             "stops": [stop.to_dict() for stops in self.stops.values() for stop in stops],
             "set_aside": [{"line": line, "reason": reason} for line, reason in self.rows],
         }
 
 
-def checked(data: Measurements, machine: Machine, calibration: Calibration, path: Path) -> Checked:
-    """Fit the set-up to measured points with a calibration held, and see what is left.
+def compare_points(data: Measurements, machine: Machine, calibration: Calibration, path: Path) -> PointComparison:
+    """Fit the set-up to measured points with a fixed calibration and return the residuals.
 
     Args:
         data: the measurements.
         machine: the machine.
-        calibration: held as it is.
-        path: where the data come from.
+        calibration: the calibration, not changed.
+        path: file of the data.
 
     Raises:
-        InputError: data that cannot be a measurement of this machine, or outside the calibration's curves.
+        InputError: data that do not fit the machine, or positions outside the curves.
     """
     given = state_of(data, machine)
     needed = asked(calibration.effects, machine)
     absent = {name for channel, by in needed.items() if channel not in given for name in by}
     held = calibration.where(lambda name: name not in absent)
-    kept = {effect.name for effect in held.effects}
+    evaluated = {effect.name for effect in held.effects}
     placed = readings(data, machine, held)
     network, good = placed.network, ~placed.bad
-    none = Network(machine, network.data, network.instrument, Unknowns(machine, (), ()), None, network.covariance)
-    drawn = solve(none, np.zeros(0), placed.setup, good.astype(float)).setup
+    nominal_network = Network(
+        machine, network.data, network.instrument, Unknowns(machine, (), ()), None, network.covariance
+    )
+    nominal_setup = solve(nominal_network, np.zeros(0), placed.setup, good.astype(float)).setup
     every = np.arange(len(network.data))
-    before = none.residuals_m(np.zeros(0), drawn, every)
-    left = network.residuals_m(np.zeros(0), placed.setup, every)
+    nominal_residual = nominal_network.residuals_m(np.zeros(0), nominal_setup, every)
+    residual = network.residuals_m(np.zeros(0), placed.setup, every)
     read = network.read
-    return Checked(
+    return PointComparison(
         source=str(path),
         points=len(every),
         far=int(np.count_nonzero(placed.bad)),
-        rms_before_um=_rms(before, read),
-        rms_after_um=_rms(left, read),
+        rms_before_um=_rms(nominal_residual, read),
+        rms_after_um=_rms(residual, read),
         scatter=placed.scatter.source,
-        before_um=locked(np.linalg.norm(before, axis=1) / UM),
-        after_um=locked(np.linalg.norm(left, axis=1) / UM),
-        stops=MappingProxyType(_stops(network, placed.setup, held)),
+        before_um=locked(np.linalg.norm(nominal_residual, axis=1) / UM),
+        after_um=locked(np.linalg.norm(residual, axis=1) / UM),
+        stops=MappingProxyType(_estimates(network, placed.setup, held)),
         rows=tuple((note.line, note.text) for note in network.data.set_aside),
         notices=network.data.notices,
-        left_out=tuple(effect.name for effect in calibration.effects if effect.name not in kept),
+        left_out=tuple(effect.name for effect in calibration.effects if effect.name not in evaluated),
     )
 
 
-def _rms(left: np.ndarray, read: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(left[read] ** 2))) / UM
+def _rms(residual: np.ndarray, read: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(residual[read] ** 2))) / UM
 
 
-def _stops(network: Network, setup: SetUp, calibration: Calibration) -> dict[str, tuple[Stops, ...]]:
+def _estimates(network: Network, setup: SetUp, calibration: Calibration) -> dict[str, tuple[PositionEstimates, ...]]:
     machine, data = network.machine, network.data
     view = network.view(np.zeros(0), setup, np.arange(len(data)))
     state = state_of(data, machine)
-    found: dict[str, tuple[Stops, ...]] = {}
+    found: dict[str, tuple[PositionEstimates, ...]] = {}
     for name in machine.motion_names:
         component, _, axis = split_name(name)
         q = state[axis]
@@ -165,42 +167,47 @@ def _stops(network: Network, setup: SetUp, calibration: Calibration) -> dict[str
             continue
         safe = np.where(weight > 0.0, weight, 1.0)
         off = np.einsum("ni,ni->n", derivative, view.residual) / safe / UM
-        # The side of approach is in the value of the curve at each reading already.
+        # The value of the curve at each reading already includes the direction of approach.
         effects = [one for one in calibration.effects if is_motion(one, axis, calibration)]
-        value = summed(effects, state, component)
+        value = sum_of_effects(effects, state, component)
         side = state.get(f"{APPROACH}{axis}", np.zeros(len(q)))
         both = bool(np.any(side > 0) and np.any(side < 0))
-        parts = [_of_side(name, way, q, value + off, weight, np.sign(side) == way) for way in ((1, -1) if both else ())]
+        parts = [
+            _estimates_of_side(name, way, q, value + off, weight, np.sign(side) == way)
+            for way in ((1, -1) if both else ())
+        ]
         parts = [part for part in parts if len(part.position)] or [
-            _of_side(name, NO_SIDE, q, value + off, weight, np.ones(len(q), dtype=bool))
+            _estimates_of_side(name, NO_SIDE, q, value + off, weight, np.ones(len(q), dtype=bool))
         ]
         found[name] = tuple(parts)
     return found
 
 
-def reach(kinematics: Kinematics) -> np.ndarray:
-    """(axes, 2) ranges as far as the curves are defined, mm and degrees; of an axis without limits one turn."""
+def curve_ranges(kinematics: Kinematics) -> np.ndarray:
+    """Return (axes, 2) ranges inside the domains of all curves, mm and degrees; one turn for an unlimited axis."""
     ranges, domains = np.array([axis.domain for axis in kinematics.machine.axes]), kinematics.calibration.domains()
     return np.stack([np.maximum(ranges[:, 0], domains[:, 0]), np.minimum(ranges[:, 1], domains[:, 1])], axis=1)
 
 
 def is_motion(effect: Effect, axis: str, calibration: Calibration) -> bool:
-    """Whether an effect is a motion of an axis; squareness, a line, is told by its angle."""
+    """Return whether an effect is an error motion of an axis; squareness, which is reported as an angle, is not."""
     own = effect.frame.axis == axis and effect.frame.role == "motion"
     return own and effect.name not in calibration.squareness
 
 
-def summed(effects: Sequence[Effect], state: Mapping[str, Any], component: int) -> np.ndarray:
-    """(n,) what effects make together of one component, µm or µrad, in n states."""
+def sum_of_effects(effects: Sequence[Effect], state: Mapping[str, Any], component: int) -> np.ndarray:
+    """Return (n,) the sum of one component over effects, µm or µrad, in n states."""
     count = len(next(iter(state.values())))
     parts = (effect.components(state).get(component, 0.0) for effect in effects)
     return np.asarray(sum(parts, np.zeros(count)), dtype=float)
 
 
-def _of_side(name: str, side: int, q: np.ndarray, value: np.ndarray, weight: np.ndarray, rows: np.ndarray) -> Stops:
+def _estimates_of_side(
+    name: str, side: int, q: np.ndarray, value: np.ndarray, weight: np.ndarray, rows: np.ndarray
+) -> PositionEstimates:
     rows = rows & (weight > 0.0)
     if np.count_nonzero(rows) < FEWEST:
-        return Stops(name, side, np.zeros(0), np.zeros(0), np.zeros(0))
+        return PositionEstimates(name, side, np.zeros(0), np.zeros(0), np.zeros(0))
     at, mean, half = means(q[rows], value[rows], weight[rows], groups_of(q[rows]))
-    said = half <= LEGIBLE * max(float(np.abs(mean).max(initial=0.0)), 1.0)
-    return Stops(name, side, locked(at[said]), locked(mean[said]), locked(half[said]))
+    legible = half <= LEGIBLE * max(float(np.abs(mean).max(initial=0.0)), 1.0)
+    return PositionEstimates(name, side, locked(at[legible]), locked(mean[legible]), locked(half[legible]))

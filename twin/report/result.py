@@ -1,4 +1,4 @@
-"""A machine's calibration, worked out for a report: every number of the page, and its JSON."""
+"""Compute every number of a machine report, and its JSON."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from twin.machine.effects import split_name, unit_of
 from twin.machine.machine import Axis, Machine
 from twin.measurement.table import Measurements
 from twin.report.advice import MachineAdvice, advise
-from twin.report.after import After, after
+from twin.report.compensation import CompensationForecast, forecast_compensation
 from twin.report.contributions import Budget, budget
 from twin.report.field import Field, field
 from twin.report.identified import Identified
 from twin.report.motions import Motion, motions
-from twin.report.readings import Checked, checked
+from twin.report.readings import PointComparison, compare_points
 from twin.report.sources import Sources, sources
 from twin.report.tables import TablesLeft, tables_left
 from twin.report.words import named
@@ -44,20 +44,19 @@ Say = Callable[[str, float], None]
 @final
 @dataclass(frozen=True)
 class Constant:
-    """A squareness, or where a rotary axis lies.
+    """A squareness error, or a location error of a rotary axis.
 
     Attributes:
         name: ISO 230-1 name.
-        words: the same in words.
+        words: name in words.
         unit: ``um`` or ``urad``.
-        value: in that.
-        half: half width of its 95 % interval; NaN where it is not known.
-        axis: whose it is.
-        to: of a squareness the axis, or direction of the base, the other should be square to; else empty.
-        leans: which way a positive squareness leans the axis's own positive direction: towards ``to`` (1) or away from it (−1); 0 of
-            a location.
-        travel_mm: of the linear axis whose line it tilts; None of a location.
-        rms_um: what it alone makes at the tool, over the volume.
+        value: value in ``unit``.
+        half: half width of its 95 % interval; NaN if unknown.
+        axis: name of the axis.
+        to: for squareness, the reference axis or base direction; else empty.
+        leans: direction in which a positive squareness tilts the axis: towards ``to`` (1) or away from it (−1); 0 for a location.
+        travel_mm: travel of the tilted linear axis; None for a location.
+        rms_um: RMS error at the tool from this error alone, over the volume.
     """
 
     name: str
@@ -73,30 +72,30 @@ class Constant:
 
     @property
     def known(self) -> bool:
-        """Whether its uncertainty is."""
+        """Whether its uncertainty is known."""
         return bool(np.isfinite(self.half))
 
     @property
     def over_travel_um(self) -> float | None:
-        """By how much a squareness displaces the end of the travel, µm; None of a location."""
+        """Displacement of the end of travel by a squareness, µm; None for a location."""
         return None if self.travel_mm is None else self.value * self.travel_mm * 1e-3
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        told = json_form(self, rename={"half": "half_95"}, leave_out=("axis", "to", "leans", "travel_mm", "rms_um"))
-        return told | {"over_travel_um": self.over_travel_um, "rms_um": self.rms_um}
+        """Return the content for JSON."""
+        found = json_form(self, rename={"half": "half_95"}, leave_out=("axis", "to", "leans", "travel_mm", "rms_um"))
+        return found | {"over_travel_um": self.over_travel_um, "rms_um": self.rms_um}
 
 
 @final
 @dataclass(frozen=True)
 class Gaps:
-    """What the numbers do not hold.
+    """Errors that the report does not cover.
 
     Attributes:
-        absent: error motions, squareness and locations the machine has and the calibration does not name: counted as zero.
-        without_uncertainty: what has a value and no uncertainty.
-        left_out: effects that need a channel nobody gave, by channel.
-        unused: channels that were given and nothing needs.
+        absent: error motions, squareness and locations that are not in the calibration and count as zero.
+        without_uncertainty: errors with a value but no uncertainty.
+        left_out: effects omitted because no value was given for their channel, by channel.
+        unused: channels that were given but that no effect needs.
     """
 
     absent: tuple[str, ...]
@@ -105,27 +104,27 @@ class Gaps:
     unused: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the content for JSON."""
         return json_form(self, rename={"absent": "absent_counted_as_zero"})
 
 
 @final
 @dataclass(frozen=True)
 class MachineReport:
-    """Everything a page about a machine says.
+    """Content of the report of a machine.
 
     Attributes:
         machine: the machine.
-        calibration: in mean lines, where it can be converted.
-        datum: the sentence that says which datum the numbers are in.
-        kinematics: with the errors that could be worked out under the conditions.
-        budget, motions, constants, field, after: as their classes say.
-        identified: what `identify` said, or None.
-        checked: measured points against this calibration, one for each table.
-        gaps: what is not in it.
-        tables: what tables in the control would leave, format by format.
-        advice: what follows, in words.
-        sources: what it was made of.
+        calibration: in the datum of mean lines, if it can be converted.
+        datum: sentence that names the datum of the numbers.
+        kinematics: with the errors that can be evaluated under the conditions.
+        budget, motions, constants, field, compensation: sections of the report.
+        identified: result of the identification, or None.
+        comparisons: measured points compared with this calibration, one entry per table.
+        gaps: errors that the report does not cover.
+        tables: remaining errors with tables in the control, by format.
+        advice: conclusions and recommended actions, in words.
+        sources: files, versions and seeds.
     """
 
     machine: Machine
@@ -136,9 +135,9 @@ class MachineReport:
     motions: tuple[Motion, ...]
     constants: tuple[Constant, ...]
     field: Field
-    after: After
+    compensation: CompensationForecast
     identified: Identified | None
-    checked: tuple[Checked, ...]
+    comparisons: tuple[PointComparison, ...]
     gaps: Gaps
     tables: tuple[TablesLeft, ...]
     advice: MachineAdvice
@@ -146,41 +145,41 @@ class MachineReport:
 
     @property
     def control(self) -> ControlSection | None:
-        """What the calibration says of the machine's control."""
+        """Tables in the machine's control, as listed in the calibration."""
         return self.calibration.control
 
     @property
     def illustrative(self) -> tuple[str, ...]:
-        """Names of error motions that are drawn, not measured."""
+        """Names of error motions that are assumed, not measured."""
         return tuple(curve.name for curve in self.calibration.curves.values() if curve.illustrative)
 
     @property
     def simulated(self) -> bool:
-        """Whether a file it was made of, or is shown against, says that its readings were simulated."""
-        told = () if self.identified is None else self.identified.file.notices
-        said = (*told, *(text for one in self.checked for text in one.notices))
-        return self.calibration.simulated or any("simulated" in notice for notice in said)
+        """Whether the calibration or a table compared with it is based on simulated readings."""
+        identified = () if self.identified is None else self.identified.file.notices
+        notices = (*identified, *(text for one in self.comparisons for text in one.notices))
+        return self.calibration.simulated or any("simulated" in notice for notice in notices)
 
     @property
     def warnings(self) -> tuple[SourceWarning, ...]:
-        """Warnings of where the numbers come from: those of the calibration and of the readings it is shown against."""
+        """Warnings about the source of the numbers: of the calibration and of the readings compared with it."""
         return merged(self.calibration.warnings, (SIMULATED,) if self.simulated else ())
 
     @property
     def unmet(self) -> tuple[str, ...]:
-        """What was asked for and could not be shown, in words."""
-        found = [f"{', '.join(names)} left out: it needs {channel}" for channel, names in self.gaps.left_out.items()]
+        """Requested content that could not be shown, in words."""
+        found = [f"{', '.join(names)} omitted: needs {channel}" for channel, names in self.gaps.left_out.items()]
         if self.identified is not None and self.identified.others:
             found.append(
-                f"{self.identified.path.name} gives other numbers than the calibration for {', '.join(self.identified.others)}"
+                f"{self.identified.path.name} and the calibration differ in {', '.join(self.identified.others)}"
             )
         return (
             *found,
-            *(f"{Path(one.source).name}: {len(one.rows)} rows set aside" for one in self.checked if one.rows),
+            *(f"{Path(one.source).name}: {len(one.rows)} rows excluded" for one in self.comparisons if one.rows),
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON (``schema: twin.report/1``); null for what is not known."""
+        """Return the content for JSON (``schema: twin.report/1``); null for unknown numbers."""
         control, calibration = self.control, self.calibration
         return json_form(
             {
@@ -213,10 +212,10 @@ class MachineReport:
                 "motions": self.motions,
                 "constants": self.constants,
                 "field": self.field,
-                "compensation": self.after,
+                "compensation": self.compensation,
                 "control_tables": self.tables,
                 "identification": self.identified,
-                "measured": self.checked,
+                "measured": self.comparisons,
                 "gaps": self.gaps,
                 "unmet": self.unmet,
                 "sources": self.sources,
@@ -236,33 +235,33 @@ def machine_report(
     seed: int = SEED,
     say: Say | None = None,
 ) -> MachineReport:
-    """Work out everything a report of a machine says.
+    """Compute the report of a machine.
 
     Args:
         machine: the machine.
         calibration: its errors.
-        made: when, for the page.
+        made: date and time of the report.
         tool_length_mm: None for the machine file's own.
-        conditions: temperatures and time; effects whose channel they do not give are left out, and listed.
-        identified: JSON that ``twin identify`` wrote beside the calibration.
-        measured: tables with their files: points of the same machine, to be shown against this calibration.
-        seed: of the draws of what is not known.
-        say: told what is being done and how far it is.
+        conditions: temperatures and time; effects whose channel is not given are omitted and listed.
+        identified: JSON file that ``twin identify`` wrote with the calibration.
+        measured: measurement tables of the same machine with their files, to be compared with the calibration.
+        seed: random seed of the draws from the covariance.
+        say: progress callback: called with stage and completed fraction.
 
     Raises:
-        InputError: a temperature of nothing the calibration knows; files that do not fit; no pose inside all curves.
+        InputError: a temperature that no effect knows; invalid files; no pose inside the domains of all curves.
     """
     tell = say or (lambda stage, part: None)
     at = Conditions() if conditions is None else conditions
     at.check(calibration)
-    told = None if identified is None else Identified.load(identified, calibration)
+    identification = None if identified is None else Identified.load(identified, calibration)
     calibration, datum = _in_mean_lines(calibration)
     origin = sources(calibration, identified, [path for path, _ in measured], seed, made)
     known, left_out = known_at(at, calibration)
     real = Kinematics(machine, known, tool_length_mm=tool_length_mm, conditions=at)
-    shares, curves, over, outcome = _over_the_volume(real, seed, tell)
-    found = tuple(_checked(measured, known, tell))
-    gaps = Gaps(_absent(known), shares.without_uncertainty, left_out, at.unused(calibration))
+    error_budget, error_motions, error_field, outcome = _over_the_volume(real, seed, tell)
+    found = tuple(_comparisons(measured, known, tell))
+    gaps = Gaps(_absent(known), error_budget.without_uncertainty, left_out, at.unused(calibration))
     tell("control's tables", 0.9)
     tables = tables_left(real, calibration, left_out)
     tell("words", 0.95)
@@ -271,41 +270,45 @@ def machine_report(
         calibration=calibration,
         datum=datum,
         kinematics=real,
-        budget=shares,
-        motions=curves,
-        constants=_constants(real, shares),
-        field=over,
-        after=outcome,
-        identified=told,
-        checked=found,
+        budget=error_budget,
+        motions=error_motions,
+        constants=_constants(real, error_budget),
+        field=error_field,
+        compensation=outcome,
+        identified=identification,
+        comparisons=found,
         gaps=gaps,
         tables=tables,
-        advice=advise(calibration, shares, outcome, told, left_out, found, tables),
+        advice=advise(calibration, error_budget, outcome, identification, left_out, found, tables),
         sources=origin,
     )
 
 
-def _over_the_volume(real: Kinematics, seed: int, tell: Say) -> tuple[Budget, tuple[Motion, ...], Field, After]:
+def _over_the_volume(
+    real: Kinematics, seed: int, tell: Say
+) -> tuple[Budget, tuple[Motion, ...], Field, CompensationForecast]:
     tell("budget", 0.05)
-    shares = budget(real)
+    error_budget = budget(real)
     tell("curves", 0.3)
-    curves = motions(real)
+    error_motions = motions(real)
     tell("field", 0.35)
-    over = field(real)
-    tell("after", 0.4)
-    return shares, curves, over, after(shares, seed)
+    error_field = field(real)
+    tell("compensation", 0.4)
+    return error_budget, error_motions, error_field, forecast_compensation(error_budget, seed)
 
 
-def _checked(measured: Sequence[tuple[Path, Measurements]], known: Calibration, tell: Say) -> Iterator[Checked]:
+def _comparisons(
+    measured: Sequence[tuple[Path, Measurements]], known: Calibration, tell: Say
+) -> Iterator[PointComparison]:
     for i, (path, data) in enumerate(measured):
         tell("measured", 0.5 + 0.35 * i / len(measured))
-        yield checked(data, known.machine, known, path)
+        yield compare_points(data, known.machine, known, path)
 
 
 def _in_mean_lines(calibration: Calibration) -> tuple[Calibration, str]:
-    """The calibration in mean lines as far as the errors it names can take it, and one line about the datum.
+    """Return the calibration converted to the datum of mean lines, if possible, and a sentence on the datum.
 
-    Errors that it does not name stay unnamed: nothing is known of their uncertainty.
+    Errors absent from the calibration stay absent, because their uncertainty is unknown.
     """
     given = calibration.datum
     named = {*calibration.curves, *calibration.squareness, *calibration.location}
@@ -318,9 +321,9 @@ def _in_mean_lines(calibration: Calibration) -> tuple[Calibration, str]:
     return replace(found, path=calibration.path), f"{MEANING[MEAN_LINES]}; converted from: {given}"
 
 
-def _constants(real: Kinematics, shares: Budget) -> tuple[Constant, ...]:
+def _constants(real: Kinematics, error_budget: Budget) -> tuple[Constant, ...]:
     calibration, machine = real.calibration, real.machine
-    made = {one.name: one.rms_um for one in shares.errors}
+    made = {one.name: one.rms_um for one in error_budget.errors}
     found = []
     for name, value in (*calibration.squareness.items(), *calibration.location.items()):
         half = COVERAGE_FACTOR * uncertainty_of(name, calibration.covariance)
@@ -337,7 +340,7 @@ def _constants(real: Kinematics, shares: Budget) -> tuple[Constant, ...]:
 
 
 def _square_to(machine: Machine, axis: Axis, about: int) -> tuple[str, float]:
-    """The linear axis that a turn about x, y or z leans this one towards or away from, and which."""
+    """Return the reference axis of a squareness about x, y or z, and whether the axis tilts towards (1) or away from it (−1)."""
     towards = np.cross(np.eye(3)[about], axis.machine_direction)
     others = [one for one in machine.axes if one.linear and one.name != axis.name]
     best = max(others, key=lambda one: abs(float(towards @ one.machine_direction)), default=None)

@@ -1,4 +1,4 @@
-"""Where a report comes from: files with their digests, programs with their versions, seeds."""
+"""Sources of a report: files with their SHA-256 digests, versions of programs, random seeds."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ MISSING: Final = "not installed"
 @final
 @dataclass(frozen=True)
 class Source:
-    """One file.
+    """One source file.
 
     Attributes:
-        role: what it is.
-        path: where it was.
-        sha256: of its bytes.
+        role: kind of file, in words.
+        path: its path.
+        sha256: SHA-256 digest of its bytes, in hexadecimal.
     """
 
     role: str
@@ -40,13 +40,13 @@ class Source:
 @final
 @dataclass(frozen=True)
 class Sources:
-    """Everything a report was made of.
+    """Files, programs and seeds from which a report was made.
 
     Attributes:
-        files: with their digests.
-        programs: name and version.
-        seeds: of draws, by what is drawn.
-        made: when.
+        files: the source files.
+        programs: version of every program, by name.
+        seeds: random seeds, by their use.
+        made: date and time.
     """
 
     files: tuple[Source, ...]
@@ -55,21 +55,21 @@ class Sources:
     made: datetime
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the content for JSON."""
         return json_form(self, leave_out=("made",)) | {"made": self.made.isoformat(timespec="seconds")}
 
 
 def sources(
     calibration: Calibration, identified: Path | None, measured: Sequence[Path], seed: int, made: datetime
 ) -> Sources:
-    """What a report of a calibration is made of.
+    """Return the sources of a report.
 
     Args:
-        calibration: and its machine.
-        identified: JSON of the identification, if given.
-        measured: tables, if given.
-        seed: of the draws of what is not known.
-        made: when.
+        calibration: the calibration, with its machine.
+        identified: JSON file of the identification, or None.
+        measured: measurement tables.
+        seed: random seed of the draws from the covariance.
+        made: date and time.
 
     Raises:
         InputError: a file cannot be read.
@@ -81,7 +81,7 @@ def sources(
     if identified is not None:
         files.append(("identification", identified))
     files += [("measured", path) for path in measured]
-    # Of the control's tables what the calibration says of them: where they are not read, they need not be here.
+    # The control's tables as listed in the calibration: they are not read, so the files may be absent.
     tables = () if calibration.control is None else calibration.control.tables
     return Sources(
         files=(
@@ -91,9 +91,7 @@ def sources(
         programs=MappingProxyType(
             versions() | {"python": platform.python_version()} | {name: _version(name) for name in MORE}
         ),
-        seeds=MappingProxyType(
-            {"poses of the volume and sides of approach": SEED, "what is not known of the calibration": seed}
-        ),
+        seeds=MappingProxyType({"poses and directions of approach": SEED, "uncertainty of the calibration": seed}),
         made=made,
     )
 

@@ -1,4 +1,4 @@
-"""What tables in the machine's control would leave, format by format: the same computation as ``twin control`` prints."""
+"""Errors that remain with compensation tables in the control, for every format, computed as by ``twin control``."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from twin.machine.control import FORMATS, Terms
 @final
 @dataclass(frozen=True)
 class TablesLeft:
-    """What the tables of one format leave.
+    """Errors that remain with the tables of one format.
 
     Attributes:
-        kind: the format, one with tables of single axes: the volumetric ones, ``isg`` and ``grid``, are left to ``twin control``.
-        at: where the other axes stand while one moves: mm, degrees by axis.
-        tool_length_mm: the tool length they are made for.
+        kind: name of the format; only formats with tables of single axes, not the volumetric ones ``isg`` and ``grid``.
+        at: positions of the other axes while one moves, by axis; mm, degrees.
+        tool_length_mm: tool length for which the tables are made.
         remains: the error at the tool with them.
-        carried: every error of the calibration, and what the format does with it.
+        carried: every error of the calibration, and the part of it that the format compensates.
     """
 
     kind: str
@@ -34,22 +34,22 @@ class TablesLeft:
     carried: tuple[Carried, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the content for JSON."""
         return json_form(self, rename={"kind": "format", "remains": "error_at_tool"}, leave_out=("carried",))
 
 
 def tables_left(
     real: Kinematics, errors: Calibration, missing: Mapping[str, tuple[str, ...]]
 ) -> tuple[TablesLeft, ...]:
-    """Make the tables of every format and return what they leave, the best first.
+    """Make the tables of every format and return the remaining errors, the most effective format first.
 
-    Nothing where the control has tables already, where the estimate did not converge, and of a format that cannot hold tables of this
-    machine.
+    The result is empty if the control has tables already, the estimate did not converge or there are no errors. Formats that cannot
+    hold tables of this machine are omitted.
 
     Args:
-        real: machine, the errors that are known under the conditions, tool length, conditions.
+        real: machine, errors that can be evaluated under the conditions, tool length, conditions.
         errors: the calibration as given.
-        missing: effects left out for want of a channel.
+        missing: effects omitted for want of a channel, by channel.
     """
     if errors.control is not None or not errors.settled or real.calibration.empty:
         return ()

@@ -1,4 +1,4 @@
-"""What errors and classes are called where nobody knows the symbols."""
+"""Names of errors and classes in words, for readers who do not know the symbols."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ CLASSES: Final[Mapping[str, str]] = MappingProxyType(
         "L-POS": "positioning of the linear axes",
         "L-STR": "straightness of the linear axes",
         "L-SQU": "squareness between the linear axes",
-        "L-ANG": "tilts of the linear axes along their travel",
-        "R-POS": "angle of the rotary axes",
-        "R-RAX": "shifts of the rotary axes as they turn",
-        "R-POR": "where the rotary axes lie",
-        "R-ANG": "tilts of the rotary axes as they turn",
-        "control": "what the control takes out by itself",
-        "all": "everything together",
+        "L-ANG": "angular error motions of the linear axes",
+        "R-POS": "angular positioning of the rotary axes",
+        "R-RAX": "radial and axial error motions of the rotary axes",
+        "R-POR": "position and orientation of the rotary axes",
+        "R-ANG": "tilt error motions of the rotary axes",
+        "control": "compensation by the control",
+        "all": "all errors together",
     }
 )
 
 
 def named(name: str, machine: Machine) -> str:
-    """An error, an effect or a class in words; what has none is called as it is.
+    """Return an error, an effect or a class in words, or its symbol if there are no words for it.
 
     Args:
         name: ISO 230-1 name, ``reversal:Y``, or the class of ISO/TR 16907.
-        machine: whose it is.
+        machine: the machine it belongs to.
     """
     if name in CLASSES:
         return capital(CLASSES[name])
@@ -55,7 +55,9 @@ def _of_motion(name: str, machine: Machine) -> str:
     if one.linear and component < 3:
         return f"Positioning of {axis}" if component == along else f"Straightness of {axis} in {direction}"
     if one.linear:
-        return f"{axis} tilts about {direction} as it travels"
+        return f"Angular error motion of {axis} about {direction}"
     if component == along + 3:
-        return f"Angle of {axis}"
-    return f"{axis} {'shifts along' if component < 3 else 'tilts about'} {direction} as it turns"
+        return f"Angular positioning of {axis}"
+    if component >= 3:
+        return f"Tilt error motion of {axis} about {direction}"
+    return f"{'Axial' if component == along else 'Radial'} error motion of {axis} in {direction}"

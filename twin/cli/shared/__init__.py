@@ -1,1 +1,1 @@
-"""What all commands share: their options, the checks before and the account after each, and how they speak to a terminal."""
+"""Shared by all commands: options, checks of inputs and outputs, printing of results, and terminal handling."""

@@ -1,8 +1,8 @@
-"""The frame around every command: inputs and outputs are checked before it; what it found is written, printed and rated after it.
+"""The `command` decorator: check inputs and outputs, run the command, write and print its result, set the exit status.
 
-Every path that a command is given is an input unless it is marked as an `Output`, and no output may be an input. Every number that it
-is given has a size that arithmetic can bear. `command` replaces Typer's own decorator, so that no command can forget this. Files that
-a command reads indirectly (the URDF a machine file names, a default calibration) are noted by `twin._common.files` when they are read.
+Every path parameter of a command is an input unless it is marked as an `Output`; no output may be an input. Every number must be of a
+magnitude that can be computed with. `command` replaces Typer's own decorator, so that no command can omit these checks. Files that a
+command reads indirectly (the URDF that a machine file names, a default calibration) are recorded by `twin._common.files` when read.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ registered = typer.Typer()
 @final
 @dataclass(frozen=True)
 class Output:
-    """Marks a path that a command writes.
+    """Marker of a path parameter that the command writes.
 
     Attributes:
-        suffixes: the endings its name may have; empty for any.
-        folder: whether it may be a folder: what is written into it is checked when the names are known.
+        suffixes: permitted suffixes of the file name; empty for any.
+        folder: whether the path may be a folder; the files in it are checked once their names are known.
     """
 
     suffixes: tuple[str, ...] = ()
@@ -49,24 +49,24 @@ CALIBRATION: Final = Output((".yaml", ".yml"))
 TABLE: Final = Output((".csv",))
 ANY: Final = Output()
 POSITIVE: Final = "positive"
-"""Marks a number that must be larger than zero."""
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the report as JSON."), ANY]
+"""Marker of a number that must be positive."""
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result as JSON to this file."), ANY]
 
 
 @final
 @dataclass(frozen=True)
 class CommandResult:
-    """What a command found, for people and for programs.
+    """Result of a command, as text and as JSON.
 
     Attributes:
-        text: for the standard output.
-        report: gives what `--json` writes.
-        met: whether all was met; exit status 3 if not.
-        written: the line that names the files that were written, ``{}`` where they stand; empty for none.
-        after: lines after that.
-        errors: lines for the standard error.
-        status: exit status where there are more than these two; that of ``met`` if None.
-        show: prints what comes after the text, where that is more than text.
+        text: printed to standard output.
+        report: returns the content of the `--json` file.
+        met: whether all requirements were met; exit status 3 if not.
+        written: line that lists the files written, with ``{}`` in place of their names; empty for no line.
+        after: lines printed after that line.
+        errors: lines printed to standard error.
+        status: exit status, if not the one that follows from ``met``; None otherwise.
+        show: prints further output after the text, such as tables; None for none.
     """
 
     text: str
@@ -83,57 +83,57 @@ Function = TypeVar("Function", bound=Callable[..., CommandResult | None])
 
 
 def command(*examples: str, name: str | None = None) -> Callable[[Function], Function]:
-    """Register a command: its inputs, outputs and numbers are checked before it begins, its account is given when it is done.
+    """Register a command whose inputs, outputs and numbers are checked before it runs, and whose result is reported after it.
 
     Args:
-        examples: calls to copy, for its help.
+        examples: example calls for its help text.
         name: the command's name; the function's if None.
     """
 
     def register(function: Function) -> Function:
-        hints = {key: list(_parts(hint)) for key, hint in get_type_hints(function, include_extras=True).items()}
+        hints = {key: list(_nested_types(hint)) for key, hint in get_type_hints(function, include_extras=True).items()}
         paths = path_parameters(function)
 
         @functools.wraps(function)
-        def framed(*arguments: Any, **options: Any) -> None:
-            given = inspect.signature(function).bind(*arguments, **options).arguments
-            for parameter, value in given.items():
+        def checked(*arguments: Any, **options: Any) -> None:
+            values = inspect.signature(function).bind(*arguments, **options).arguments
+            for parameter, value in values.items():
                 option = f"--{parameter.replace('_', '-')}"
-                if isinstance(value, float) and isfinite(value):  # the command says what else it wants
+                if isinstance(value, float) and isfinite(value):  # the command itself checks the rest
                     usable_number(option, value, value)
                 if value is not None and POSITIVE in hints[parameter]:
                     positive(option, value)
-            outputs = _given(given, paths, outputs=True)
+            outputs = _selected_paths(values, paths, outputs=True)
             with command_files() as files:
-                for path in _given(given, paths, outputs=False):
+                for path in _selected_paths(values, paths, outputs=False):
                     if path.exists():
                         files.add_input(path)
                 check_writable([path for path in outputs if not path.is_dir()])
                 for parameter, mark in paths.items():
-                    if mark is not None and given.get(parameter) is not None:
-                        _check(given[parameter], mark)
-                account = function(*arguments, **options)
-                if account is not None:
-                    _give(account, outputs, given.get("json_file"))
+                    if mark is not None and values.get(parameter) is not None:
+                        _check_output(values[parameter], mark)
+                result = function(*arguments, **options)
+                if result is not None:
+                    _report(result, outputs, values.get("json_file"))
 
-        registered.command(name, epilog="\n\n".join(("Examples:", *examples)))(framed)
+        registered.command(name, epilog="\n\n".join(("Examples:", *examples)))(checked)
         return function
 
     return register
 
 
 def path_parameters(function: Callable[..., Any]) -> dict[str, Output | None]:
-    """Return the parameters that are paths, each with its mark; None for an input."""
+    """Return the path parameters of a command, each with its `Output` marker, or None if it is an input."""
     found = {}
     for name, hint in get_type_hints(function, include_extras=True).items():
-        if Path in _parts(hint):
-            found[name] = next((part for part in _parts(hint) if isinstance(part, Output)), None)
+        if Path in _nested_types(hint):
+            found[name] = next((part for part in _nested_types(hint) if isinstance(part, Output)), None)
     return found
 
 
 @contextmanager
 def progress() -> Iterator[Any]:
-    """One line on stderr while it lasts; nothing where stderr is not a terminal."""
+    """Show a progress bar on stderr; show nothing if stderr is not a terminal."""
     console = Console(stderr=True)
     if not console.is_terminal:  # a disabled `Progress` of rich before 14.1 writes an empty line
         yield lambda stage, fraction: None
@@ -150,46 +150,46 @@ def progress() -> Iterator[Any]:
         yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
 
 
-def _give(account: CommandResult, outputs: Sequence[Path], json_file: Path | None) -> None:
-    """Write the JSON, print the rest, and end with the account's exit status."""
+def _report(result: CommandResult, outputs: Sequence[Path], json_file: Path | None) -> None:
+    """Write the JSON file, print the text, and exit with the result's status."""
     if json_file is not None:
-        write_json(json_file, account.report())
-    echo(account.text, end="")
-    if account.show is not None:
-        account.show()
-    if outputs and account.written:
-        echo(account.written.format(", ".join(map(str, outputs))))
-    for line in account.after:
+        write_json(json_file, result.report())
+    echo(result.text, end="")
+    if result.show is not None:
+        result.show()
+    if outputs and result.written:
+        echo(result.written.format(", ".join(map(str, outputs))))
+    for line in result.after:
         echo(line)
-    for line in account.errors:
+    for line in result.errors:
         tell_error(line)
-    status = account.status if account.status is not None else 0 if account.met else NOT_ALL_MET
+    status = result.status if result.status is not None else 0 if result.met else NOT_ALL_MET
     if status:
         raise typer.Exit(status)
 
 
-def _parts(hint: Any) -> Iterator[Any]:
-    """The type and everything it is made of."""
+def _nested_types(hint: Any) -> Iterator[Any]:
+    """Yield a type hint and all its nested type arguments."""
     yield hint
     for part in get_args(hint):
-        yield from _parts(part)
+        yield from _nested_types(part)
 
 
-def _given(given: Mapping[str, Any], paths: Mapping[str, Output | None], *, outputs: bool) -> list[Path]:
+def _selected_paths(values: Mapping[str, Any], paths: Mapping[str, Output | None], *, outputs: bool) -> list[Path]:
     found = []
     for name, mark in paths.items():
-        value = given.get(name)
+        value = values.get(name)
         if value is not None and (mark is not None) is outputs:
             found += [value] if isinstance(value, Path) else list(value)
     return found
 
 
-def _check(path: Path, mark: Output) -> None:
+def _check_output(path: Path, mark: Output) -> None:
     if path.is_dir() and not mark.folder:
         raise InputError("cannot be written", expected="a file, not a folder", file=path)
     if mark.suffixes and path.suffix.lower() not in mark.suffixes:
         raise InputError(
-            "the output's name does not fit what is written",
+            "wrong suffix of the output file",
             expected=f"a name ending in {' or '.join(mark.suffixes)}",
             file=path,
         )

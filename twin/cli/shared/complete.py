@@ -1,6 +1,6 @@
-"""What the shell offers at the Tab key: names the options take, and files beside them.
+"""Shell completion: values of options, and files in the current folder.
 
-`twin --install-completion` writes the shell's part once. Every function takes what is written so far and gives what may follow.
+`twin --install-completion` installs it in the shell. Every function takes the incomplete word and returns its possible completions.
 """
 
 from __future__ import annotations
@@ -23,34 +23,36 @@ Completer = Callable[[str], list[str]]
 
 
 def classes(incomplete: str) -> list[str]:
-    """Classes of ISO/TR 16907."""
-    return _begun(incomplete.upper(), NAMES)
+    """Complete a class of ISO/TR 16907."""
+    return _starting_with(incomplete.upper(), NAMES)
 
 
 def instruments(incomplete: str) -> list[str]:
-    """Instruments."""
-    return _begun(incomplete, [one.name for one in INSTRUMENTS])
+    """Complete the name of an instrument."""
+    return _starting_with(incomplete, [one.name for one in INSTRUMENTS])
 
 
 def errors(ctx: Any, incomplete: str) -> list[str]:
-    """ISO 230-1 names of the machine that was named before."""
-    return _begun(incomplete.upper(), _names(ctx))
+    """Complete an ISO 230-1 error name of the machine given before on the line."""
+    return _starting_with(incomplete.upper(), _names(ctx))
 
 
 def aims(ctx: Any, incomplete: str) -> list[str]:
-    """What a plan can make small."""
-    return _begun(incomplete, ["tool", "everything", "weakest"]) + errors(ctx, incomplete)
+    """Complete an uncertainty that a plan can minimise."""
+    return _starting_with(incomplete, ["tool", "everything", "weakest"]) + errors(ctx, incomplete)
 
 
 def causes(ctx: Any, incomplete: str) -> list[str]:
-    """Effects and where they can be, as two words in quotes."""
+    """Complete an effect and its location, two words in quotes."""
     machine = _machine(ctx)
     places = {one.name: one.places(machine) for one in MACHINE_EFFECTS if one.places(machine)}
-    # Until the effect is written, its places would be a list of hundreds.
-    effects = _begun(incomplete, sorted(places))
+    # Until the effect is complete, listing all its locations would give hundreds of entries.
+    effects = _starting_with(incomplete, sorted(places))
     if incomplete not in effects and " " not in incomplete:
         return effects
-    return _begun(incomplete, [f"{effect} {where}" for effect, wheres in sorted(places.items()) for where in wheres])
+    return _starting_with(
+        incomplete, [f"{effect} {where}" for effect, wheres in sorted(places.items()) for where in wheres]
+    )
 
 
 def _machine(ctx: Any) -> Machine:
@@ -65,7 +67,7 @@ def _names(ctx: Any) -> tuple[str, ...]:
     return (*machine.motion_names, *machine.squareness_names, *machine.location_names)
 
 
-def _begun(incomplete: str, names: Any) -> list[str]:
+def _starting_with(incomplete: str, names: Any) -> list[str]:
     return [name for name in names if name.startswith(incomplete)]
 
 
@@ -81,13 +83,13 @@ def _samples(suffixes: tuple[str, ...]) -> list[str]:
 
 
 def _named_or_file(names: Callable[[], list[str]], suffixes: tuple[str, ...]) -> Completer:
-    """Names of what comes with twin, and files with one of the suffixes."""
-    return lambda incomplete: _begun(incomplete, names()) + _files(incomplete, suffixes)
+    """Return a completer of bundled names and of files with one of the suffixes."""
+    return lambda incomplete: _starting_with(incomplete, names()) + _files(incomplete, suffixes)
 
 
 def _files(incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
-    """Files with one of the suffixes, and folders, whose path begins so."""
-    folder, _, begun = incomplete.rpartition("/")
+    """Return the folders, and the files with one of the suffixes, whose path starts with `incomplete`."""
+    folder, _, start = incomplete.rpartition("/")
     lead = f"{folder}/" if folder or incomplete.startswith("/") else ""
     try:
         entries = sorted(Path(lead or ".").iterdir())
@@ -95,7 +97,7 @@ def _files(incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
         return []
     found = []
     for entry in entries:
-        if entry.name.startswith(begun) and (begun or not entry.name.startswith(".")):
+        if entry.name.startswith(start) and (start or not entry.name.startswith(".")):
             if entry.is_dir():
                 found.append(f"{lead}{entry.name}/")
             elif entry.suffix.lower() in suffixes:

@@ -1,4 +1,4 @@
-"""What is installed and whether it imports. It imports no package, so that it works where one is broken."""
+"""Check which packages are installed and can be imported. This module imports none of them, so it works if one is broken."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ NEEDED: Final[Mapping[str, str]] = MappingProxyType(
         "u-msgpack-python": "umsgpack",
     }
 )
-"""Packages that twin needs, each with the modules to import."""
+"""Required packages, each with the modules to import."""
 NEEDED_LATER: Final = frozenset({"meshcat", "u-msgpack-python"})
-"""Those of them that only the scene imports."""
+"""Required packages that only the 3D scene imports."""
 OPTIONAL: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
     {
         "matplotlib": ("matplotlib.figure", "pictures: pip install 'twin[plots]'"),
@@ -51,13 +51,13 @@ OPTIONAL: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
         "distributed": ("distributed", "a cluster: pip install 'twin[cluster]'"),
     }
 )
-"""Packages that may be missing, each with a module to import and its use."""
+"""Optional packages, each with a module to import and its use."""
 IMPORT_FAILURES: Final = (
     ImportError, AttributeError, LookupError, OSError, RuntimeError, SyntaxError, SystemError, TypeError, ValueError
 )  # fmt: skip
-"""What a broken package raises when it is imported."""
+"""Exceptions that the import of a broken package may raise."""
 IMPORT_S: Final = 120.0
-"""Longest time for the import of a package."""
+"""Timeout of the import of a package, s."""
 BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
 EARLIEST: Final = (3, 11)
 LITTLE_MEMORY_GB: Final = 2.0
@@ -67,13 +67,13 @@ LITTLE_MEMORY_GB: Final = 2.0
 @final
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at.
+    """Result of one check.
 
     Attributes:
-        name: what.
-        status: ``ok``; ``missing``: something optional is not there; ``FAILED``.
+        name: what was checked.
+        status: ``ok``; ``missing``: something optional is absent; ``FAILED``.
         detail: what was found.
-        remedy: what to do; empty if nothing.
+        remedy: what to do; empty if nothing is needed.
     """
 
     name: str
@@ -84,15 +84,15 @@ class Finding:
 
 @cache
 def imports_all() -> bool:
-    """Return whether all packages that are installed import, in one process of their own."""
+    """Return whether all installed packages can be imported, tested together in a child process."""
     return _failure(", ".join(_modules().values())) is None
 
 
 @cache
 def broken() -> Mapping[str, str]:
-    """Return the installed packages that do not import, each with the reason in one line.
+    """Return the installed packages that cannot be imported, each with the reason in one line.
 
-    Each is imported in a process of its own: an import may also end the process.
+    Each is imported in its own process, since an import can also crash the process.
     """
     if imports_all():
         return {}
@@ -103,15 +103,15 @@ def broken() -> Mapping[str, str]:
 
 
 def can_start() -> bool:
-    """Return whether every package that a command needs before it begins imports."""
+    """Return whether all packages that a command imports at start-up can be imported."""
     return not _not_installed() and not (broken().keys() & NEEDED.keys()) - NEEDED_LATER
 
 
 def end(error: BaseException) -> NoReturn:
-    """End a command that could not be imported: one line that names the packages, exit status 2.
+    """Exit with status 2 after a failed import, and name the packages in one line.
 
     Raises:
-        BaseException: the error itself, where all packages import: it is one of twin's own.
+        BaseException: the error itself, if all packages can be imported: then the defect is in twin.
         SystemExit: otherwise.
     """
     accept_any_text()
@@ -119,18 +119,15 @@ def end(error: BaseException) -> NoReturn:
     for name, reason in broken().items():
         names.setdefault(reason, []).append(name)
     found = [f"{name} is not installed" for name in _not_installed()]
-    found += [
-        f"{', '.join(some)} {'does' if len(some) == 1 else 'do'} not import ({reason})"
-        for reason, some in names.items()
-    ]
+    found += [f"{', '.join(some)} cannot be imported ({reason})" for reason, some in names.items()]
     if not found:
         raise error
-    tell_error(f"twin: {'; '.join(found)}; expected packages that import: run twin doctor")
+    tell_error(f"twin: {'; '.join(found)}; expected working packages: run twin doctor")
     sys.exit(BAD_INPUT)
 
 
 def end_with_findings() -> NoReturn:
-    """Print what can be said without the packages, as `twin doctor` does, and end with its exit status of a failed check.
+    """Print the checks of `twin doctor` that need no packages, and exit with the status of a failed check.
 
     Raises:
         SystemExit: always.
@@ -139,12 +136,12 @@ def end_with_findings() -> NoReturn:
     clock = perf_counter()
     found = [python(), *packages(), *extras(), browser(), *size()]
     echo(shown(found, perf_counter() - clock), end="")
-    echo("machine, compiler and JSON: left out, because they need the packages that failed")
+    echo("machine, compiler and JSON: not checked, because they need the packages that failed")
     sys.exit(NOT_ALL_MET)
 
 
 def shown(findings: Sequence[Finding], seconds: float) -> str:
-    """Return findings, one a line, and a summary."""
+    """Return the findings, one per line, and a summary."""
     lines = []
     for one in findings:
         lines.append(f"{one.status:<8}{one.name:<26}{one.detail}")
@@ -152,13 +149,13 @@ def shown(findings: Sequence[Finding], seconds: float) -> str:
             lines.append(f"{'':<10}{one.remedy}")
     failed = [one.name for one in findings if one.status == "FAILED"]
     missing = [one.name for one in findings if one.status == "missing"]
-    summary = f"FAILED: {', '.join(failed)}" if failed else "all that is needed is there and right"
-    summary += f"; optional and missing: {', '.join(missing)}" if missing else ""
-    return "\n".join([*lines, "", f"{len(findings)} things looked at in {seconds:.1f} s: {summary}", ""])
+    summary = f"FAILED: {', '.join(failed)}" if failed else "all required checks passed"
+    summary += f"; optional, missing: {', '.join(missing)}" if missing else ""
+    return "\n".join([*lines, "", f"{len(findings)} checks in {seconds:.1f} s: {summary}", ""])
 
 
 def python() -> Finding:
-    """Return the version of Python."""
+    """Check the version of Python."""
     detail = f"{platform.python_version()} ({sys.executable}), twin {_version('twin') or 'not installed'}"
     if sys.version_info < EARLIEST:
         return Finding("Python", "FAILED", detail, f"install Python {'.'.join(map(str, EARLIEST))} or newer")
@@ -166,38 +163,38 @@ def python() -> Finding:
 
 
 def packages() -> list[Finding]:
-    """Return the packages that twin needs; those that fail one by one."""
+    """Check the required packages; each that fails is a finding of its own."""
     reasons = broken()
     found = [
-        Finding(name, "FAILED", f"{_version(name)} does not import: {reasons[name]}", _again(name))
+        Finding(name, "FAILED", f"{_version(name)} cannot be imported: {reasons[name]}", _reinstall(name))
         for name in NEEDED
         if name in reasons
     ]
-    gone = _not_installed()
-    if gone:
+    absent = _not_installed()
+    if absent:
         found.append(
-            Finding("packages", "FAILED", f"not installed: {', '.join(gone)}", "install twin again: pip install .")
+            Finding("packages", "FAILED", f"not installed: {', '.join(absent)}", "install twin again: pip install .")
         )
-    good = ", ".join(f"{name} {_version(name)}" for name in NEEDED if name not in gone and name not in reasons)
-    return found if gone else [*found, Finding("packages", "ok", good)]
+    good = ", ".join(f"{name} {_version(name)}" for name in NEEDED if name not in absent and name not in reasons)
+    return found if absent else [*found, Finding("packages", "ok", good)]
 
 
 def extras() -> list[Finding]:
-    """Return the optional packages."""
+    """Check the optional packages."""
     found = []
     for name, (_, use) in OPTIONAL.items():
         installed, reason = _version(name), broken().get(name)
         if installed is None:
             found.append(Finding(name, "missing", "not installed", f"for {use}"))
         elif reason is not None:
-            found.append(Finding(name, "FAILED", f"{installed} does not import: {reason}", _again(name)))
+            found.append(Finding(name, "FAILED", f"{installed} cannot be imported: {reason}", _reinstall(name)))
         else:
             found.append(Finding(name, "ok", installed))
     return found
 
 
 def browser() -> Finding:
-    """Return the browser that tests of the scene use."""
+    """Look for the browser that the tests of the scene use."""
     for name in BROWSERS:
         path = shutil.which(name)
         if path is not None:
@@ -206,20 +203,20 @@ def browser() -> Finding:
         "Chromium",
         "missing",
         "not found",
-        "only the test of the scene in a browser needs it; any browser shows the pages",
+        "needed only for the browser test of the scene; any browser shows the pages",
     )
 
 
 def size() -> list[Finding]:
-    """Return the computer's cores and memory."""
+    """Return findings on processor cores and memory."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     found = [Finding("processor cores", "ok", f"{cores}")]
     try:
         total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
     except (AttributeError, ValueError, OSError):
-        return [*found, Finding("memory", "missing", "this system does not say")]
+        return [*found, Finding("memory", "missing", "not reported by this system")]
     if total < LITTLE_MEMORY_GB:
-        remedy = "tables of 100,000 readings take 1.2 GB; take fewer at once"
+        remedy = "a table of 100,000 readings takes 1.2 GB; use smaller tables"
         return [*found, Finding("memory", "missing", f"{total:.1f} GB", remedy)]
     return [*found, Finding("memory", "ok", f"{total:.1f} GB")]
 
@@ -235,24 +232,24 @@ def _not_installed() -> list[str]:
     return [name for name in NEEDED if _version(name) is None]
 
 
-def _again(name: str) -> str:
+def _reinstall(name: str) -> str:
     return f"install it again: pip install --force-reinstall {name}"
 
 
 def _modules() -> dict[str, str]:
-    """Return the modules of every package that is installed."""
+    """Return the modules to import of every installed package."""
     every = {**NEEDED, **{name: modules for name, (modules, _) in OPTIONAL.items()}}
     return {name: modules for name, modules in every.items() if _version(name) is not None}
 
 
 def _failure(modules: str) -> str | None:
-    """Return why modules do not import in a process of their own, in one line; None if they do."""
+    """Return, in one line, why the import of modules fails in a child process; None if it succeeds."""
     words = [sys.executable, "-P", "-c", f"import {modules}"]
     try:
         ended = subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=IMPORT_S)
     except subprocess.TimeoutExpired:
-        return f"not done after {IMPORT_S:g} s"
+        return f"timeout after {IMPORT_S:g} s"
     if ended.returncode == 0:
         return None
-    said = ended.stderr.strip().splitlines()
-    return said[-1] if said else f"the process ended with status {ended.returncode}"
+    lines = ended.stderr.strip().splitlines()
+    return lines[-1] if lines else f"the process ended with status {ended.returncode}"

@@ -1,4 +1,4 @@
-"""Options that several commands share: how each is given, and what it stands for."""
+"""Options shared by several commands, and the conversion of their values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from twin.samples import PLANS
 
 
 class Mode(StrEnum):
-    """Who does the kinematics."""
+    """Meaning of the words of an NC program: axis positions, or tool-tip coordinates that the control transforms."""
 
     axis = "axis"
     tcp = "tcp"
@@ -38,7 +38,7 @@ MachineOption = Annotated[
     typer.Option(
         "--machine",
         "-m",
-        help="Machine file, or the name of one that comes with twin.",
+        help="Machine file, or the name of a bundled machine.",
         autocompletion=complete.machines,
     ),
 ]
@@ -47,136 +47,154 @@ CalibrationOption = Annotated[
     typer.Option(
         "--calibration",
         "-c",
-        help="Calibration file; the machine file's own if not given.",
+        help="Calibration file; default: the one that the machine file names.",
         autocompletion=complete.calibrations,
     ),
 ]
-ToolOption = Annotated[float | None, typer.Option("--tool-length", help="mm from spindle nose to tool tip.")]
+ToolOption = Annotated[
+    float | None,
+    typer.Option(
+        "--tool-length", help="Tool length from spindle nose to tool tip, mm; default: the machine file's, else 0."
+    ),
+]
 OffsetOption = Annotated[
-    list[str] | None, typer.Option("--work-offset", help="Added to axis words: X=… Y=… Z=… B=… C=… (mm, degrees).")
+    list[str] | None,
+    typer.Option("--work-offset", help="Offset added to the axis words, mm and degrees: X=… Y=… B=…; default: 0."),
 ]
 OriginOption = Annotated[
-    str | None, typer.Option("--work-origin", help="x,y,z of the program's zero in the work frame (mm), in mode tcp.")
+    str | None,
+    typer.Option("--work-origin", help="Program zero x,y,z in the work frame, mm; with --mode tcp; default: 0,0,0."),
 ]
-ModeOption = Annotated[Mode, typer.Option("--mode", help="axis: words are axis positions; tcp: tool-tip coordinates.")]
+ModeOption = Annotated[
+    Mode,
+    typer.Option(
+        "--mode", help="Meaning of the program's words: axis: axis positions; tcp: tool-tip coordinates (RTCP)."
+    ),
+]
 TemperatureOption = Annotated[
     list[str] | None,
-    typer.Option("--temperature", help="°C of an axis's scale or of a sensor, over the whole program: X=23.1 bed=21."),
+    typer.Option("--temperature", help="Constant temperature of an axis's scale or of a sensor, °C: X=23.1 bed=21."),
 ]
 TimeOption = Annotated[
     float | None,
     typer.Option(
         "--time",
-        help="For a warm-up: seconds on the clock of the measured table's time_s, which starts with the cold machine; held over "
-        "the whole program, so take its middle. A machine warmed through: a large number.",
+        help="Time for thermal drift effects, s since the cold start (clock of the table's time_s); constant over the program, "
+        "so give its mid-time. Warm machine: a large number.",
     ),
 ]
 ScopeOption = Annotated[
     list[str] | None,
-    typer.Option("--scope", help=f"ISO/TR 16907 classes: {' '.join(NAMES)}.", autocompletion=complete.classes),
+    typer.Option(
+        "--scope",
+        help=f"ISO/TR 16907 classes to compensate: {' '.join(NAMES)}; default: all that can be corrected.",
+        autocompletion=complete.classes,
+    ),
 ]
 StrictOption = Annotated[
     bool,
     typer.Option(
-        "--strict", help="Exit with status 3 for anything that could not be corrected, rapids and orientation included."
+        "--strict", help="Exit with status 3 if anything was not corrected, including rapid moves and orientation."
     ),
 ]
 RotaryLimitOption = Annotated[
-    float, typer.Option("--rotary-limit", help="Degrees a rotary axis may move to repair an orientation."), POSITIVE
+    float, typer.Option("--rotary-limit", help="Largest correction of a rotary axis, degrees."), POSITIVE
 ]
 MeasuredArgument = Annotated[
-    list[Path], typer.Argument(help="The measurement table, or several of one machine.", autocompletion=complete.tables)
+    list[Path], typer.Argument(help="Measurement table, or several of one machine.", autocompletion=complete.tables)
 ]
 WorkersOption = Annotated[
     int | None,
-    typer.Option("--workers", help="Processes of this computer: one a core if not given; 1: no other than this one."),
+    typer.Option("--workers", help="Number of local processes; default: one per core; 1: no child process."),
 ]
 SchedulerOption = Annotated[
     str | None,
     typer.Option(
         "--scheduler",
-        help="Address of a Dask scheduler (tcp://host:8786): its workers do it instead. It is trusted like your own code.",
+        help="Address of a Dask scheduler whose workers to use instead: tcp://host:8786. Trusted like local code.",
     ),
 ]
 TlsCaOption = Annotated[
     Path | None,
     typer.Option(
-        "--tls-ca", help="Certificate authority (PEM) of a scheduler at tls://host:8786; Dask's setting if not given."
+        "--tls-ca", help="Certificate authority (PEM) for a scheduler at tls://host:8786; default: Dask's setting."
     ),
 ]
-TlsCertOption = Annotated[Path | None, typer.Option("--tls-cert", help="This computer's certificate (PEM) for it.")]
+TlsCertOption = Annotated[
+    Path | None, typer.Option("--tls-cert", help="This computer's certificate (PEM) for the scheduler.")
+]
 TlsKeyOption = Annotated[
-    Path | None, typer.Option("--tls-key", help="The certificate's key (PEM), where it is not in the same file.")
+    Path | None, typer.Option("--tls-key", help="Private key (PEM) of --tls-cert, if in another file.")
 ]
 
 
 def calibration_of(path: Path | None, machine: Machine) -> Calibration:
-    """The calibration of that file, or the machine file's own."""
+    """Load a calibration, or the machine's default if no path is given."""
     return Calibration.default(machine) if path is None else Calibration.load(path, machine)
 
 
 def unused(at: Conditions, errors: Calibration) -> list[str]:
-    """What was given and not needed, a line each."""
-    return [f"{name} was given and the calibration does not need it" for name in at.unused(errors)]
+    """Return one line for each condition that the calibration does not need."""
+    return [f"{name} has no effect: the calibration does not need it" for name in at.unused(errors)]
 
 
-def tell_unused(at: Conditions, errors: Calibration) -> None:
-    """Print `unused`."""
+def print_unused(at: Conditions, errors: Calibration) -> None:
+    """Print the lines of `unused`."""
     for line in unused(at, errors):
         echo(line)
 
 
 def bundled_sample(path: Path, what: str, kind: str, known: Sequence[str]) -> Path:
-    """A file by its path, or one that comes with twin by its bare name.
+    """Return a file by its path, or a bundled file by its name.
 
     Args:
-        path: as it was given.
-        what: what it should be, in a word.
-        kind: the same, of the user's own.
-        known: names of those that come with twin.
+        path: path or bare name.
+        what: kind of file, in one word, for the message.
+        kind: kind of the user's own file, for the message.
+        known: names of the bundled files.
 
     Raises:
-        InputError: it is neither.
+        InputError: there is no such file.
     """
     try:
-        return find_program(path)  # looks for a file of any kind
+        return find_program(path)  # finds any kind of file
     except InputError:
         raise InputError(
             f"no such {what}",
-            expected=f"a {kind}, or one that comes with twin: {' '.join(known)}",
+            expected=f"a {kind}, or a bundled {what}: {' '.join(known)}",
             file=path,
             nearest=nearest(path.name, known),
         ) from None
 
 
 def plan_file(path: Path) -> Path:
-    """A plan by its path, or one that comes with twin.
+    """Return a plan by its path, or a bundled plan by its name.
 
     Raises:
-        InputError: it is neither.
+        InputError: there is no such file.
     """
     return bundled_sample(path, "plan", "measurement table", [plan.name for plan in PLANS])
 
 
 def need_pictures(what: str) -> None:
-    """Find out before the work whether pictures can be drawn.
+    """Raise `InputError` if matplotlib is missing, before any computation.
 
     Raises:
-        InputError: matplotlib does not import.
+        InputError: matplotlib cannot be imported.
     """
     try:
         import_module("matplotlib.figure")
     except ImportError as error:
         raise InputError(
-            f"{what} draws pictures, and matplotlib is not installed", expected="pip install 'twin[plots]'", value=error
+            f"{what} needs matplotlib, which is not installed", expected="pip install 'twin[plots]'", value=error
         ) from error
 
 
 def instrument_named(name: str) -> Instrument:
-    """An instrument by its name.
+    """Return an instrument by its name.
 
     Raises:
-        InputError: it is not; with what was expected.
+        InputError: no instrument has this name.
     """
     known = {one.name: one for one in INSTRUMENTS}
     if name in known:
@@ -187,23 +205,23 @@ def instrument_named(name: str) -> Instrument:
 
 
 def setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Setup:
-    """Offsets and origin of a program.
+    """Return the work offsets and the work origin of a program.
 
     Raises:
-        InputError: it is not; with what was expected.
+        InputError: an unknown axis, an axis given twice, or text that is not a number.
     """
     found = {}
     for entry in offsets or []:
         name, _, text = entry.partition("=")
         if name not in machine.by_name:
             raise InputError(
-                "--work-offset of an unknown axis",
+                "--work-offset names an unknown axis",
                 expected=f"one of {', '.join(machine.names)}",
                 value=entry,
                 nearest=nearest(name, machine.names),
             )
         if name in found:
-            raise InputError("--work-offset given twice", expected="each axis once", value=entry)
+            raise InputError("--work-offset names an axis twice", expected="each axis once", value=entry)
         found[name] = number("--work-offset", text, entry)
     if origin is None:
         return Setup(found)
@@ -211,18 +229,20 @@ def setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Se
 
 
 def conditions(temperatures: list[str] | None, time_s: float | None) -> Conditions:
-    """Temperatures and time of a program.
+    """Return the temperatures and the time of a program.
 
     Raises:
-        InputError: it is not; with what was expected.
+        InputError: text that is not NAME=°C, or a name given twice.
     """
     found = {}
     for entry in temperatures or []:
         name, equals, text = entry.partition("=")
         if not equals or not name:
-            raise InputError("--temperature does not fit", expected="an axis or sensor and °C: X=23.1", value=entry)
+            raise InputError("--temperature cannot be read", expected="axis or sensor and °C: X=23.1", value=entry)
         if name in found:
-            raise InputError("--temperature given twice", expected="each axis or sensor once", value=entry)
+            raise InputError(
+                "--temperature names an axis or sensor twice", expected="each axis or sensor once", value=entry
+            )
         found[name] = number("--temperature", text, entry)
     return Conditions(found, time_s)
 
@@ -230,16 +250,16 @@ def conditions(temperatures: list[str] | None, time_s: float | None) -> Conditio
 def workers(
     processes: int | None, scheduler: str | None, ca: Path | None, cert: Path | None, key: Path | None
 ) -> Workers:
-    """Return who does the work.
+    """Return the workers: local processes or a Dask cluster.
 
     Raises:
-        InputError: TLS files that are not complete, or without a scheduler that uses TLS.
+        InputError: incomplete TLS files, or TLS files without a scheduler that uses TLS.
     """
     if ca is None and cert is None and key is None:
         return Workers(processes, scheduler)
     if ca is None or cert is None:
         raise InputError(
-            "TLS files that are not complete",
-            expected="--tls-ca and --tls-cert, and --tls-key where the certificate's file holds no key",
+            "incomplete TLS files",
+            expected="--tls-ca and --tls-cert, and --tls-key if the certificate file holds no key",
         )
     return Workers(processes, scheduler, Tls(ca, cert, key))

@@ -1,4 +1,4 @@
-"""Makes SIGTERM and SIGHUP end a command as Ctrl-C does: temporary files are removed and child processes stopped."""
+"""Handle SIGTERM and SIGHUP like Ctrl-C: remove temporary files and stop child processes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Received:
         self.number: int | None = None
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt on the first signal; the clean-up that follows is not interrupted again.
+        """Raise KeyboardInterrupt on the first signal; ignore later ones, so that the clean-up completes.
 
         Raises:
             KeyboardInterrupt: on the first signal.
@@ -31,18 +31,18 @@ class Received:
 
     @property
     def status(self) -> int:
-        """The exit status of a command that a signal ended: 128 plus its number, that of Ctrl-C if there was none."""
+        """Exit status of an interrupted command: 128 plus the signal's number; that of SIGINT if none was received."""
         return 128 + (signal.SIGINT if self.number is None else self.number)
 
     @property
     def reason(self) -> str:
-        """How the command ended, in a word or two."""
+        """Reason for the end of the command, in a few words."""
         return "interrupted" if self.number is None else f"ended by {signal.Signals(self.number).name}"
 
 
 @contextmanager
 def as_interrupt() -> Iterator[Received]:
-    """Turn the signals into KeyboardInterrupt meanwhile; one that is ignored, as under nohup, stays ignored."""
+    """Turn the signals into KeyboardInterrupt inside the context; a signal that is ignored, as under nohup, stays ignored."""
     received = Received()
     before = {}
     if threading.current_thread() is threading.main_thread():

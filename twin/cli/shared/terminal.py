@@ -1,4 +1,4 @@
-"""What a command prints, on any terminal: readable in its encoding, and unable to steer it."""
+"""Print to a terminal: replace characters its encoding lacks, and escape control characters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Final
 from twin._common.errors import printable
 
 BROKEN_PIPE: Final = 141
-"""Exit status where nothing reads the standard output any more: 128 + SIGPIPE, as of other Unix tools."""
+"""Exit status if standard output is closed: 128 + SIGPIPE, as for other Unix tools."""
 _PLAIN: Final = {
     **{
         "−": "-",
@@ -29,7 +29,7 @@ _PLAIN: Final = {
     },
     **{"²": "^2", "³": "^3", "χ": "chi", "σ": "sigma", "λ": "lambda", "θ": "theta", "“": '"', "”": '"', "’": "'"},
 }
-"""ASCII for the characters in messages that not every encoding has."""
+"""ASCII replacements of characters that some encodings lack."""
 
 
 def _readable(error: UnicodeError) -> tuple[str, int]:
@@ -43,7 +43,7 @@ codecs.register_error("twin.readable", _readable)
 
 
 def accept_any_text() -> None:
-    """Let the standard streams write characters that their encoding does not have as ASCII."""
+    """Make the standard streams replace characters that their encoding lacks by ASCII."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="twin.readable")
@@ -55,13 +55,13 @@ def echo(text: object = "", *, end: str = "\n") -> None:
 
 
 def tell_error(text: str) -> None:
-    """Print one line to the standard error, with control characters escaped; nothing where that cannot be written."""
+    """Print one line to the standard error, with control characters escaped; ignore a failure to write."""
     with suppress(OSError):
         print(printable(text, one_line=True), file=sys.stderr, flush=True)
 
 
 def flush() -> None:
-    """Write out what was printed.
+    """Flush the standard output.
 
     Raises:
         OSError: it cannot be written.
@@ -71,7 +71,7 @@ def flush() -> None:
 
 
 def discard_output() -> None:
-    """Drop what is left to print, so that the interpreter does not try again when it ends."""
+    """Discard unwritten output, so that the interpreter does not try to write it at exit."""
     with suppress(OSError, ValueError, AttributeError):
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, sys.stdout.fileno())
@@ -79,6 +79,6 @@ def discard_output() -> None:
 
 
 def line_of_failure(error: OSError) -> str:
-    """Return what the operating system refused, in one line."""
+    """Return the message of an operating system error, in one line."""
     place = "standard output or TMPDIR" if error.filename is None else str(error.filename)
-    return f"{place}: cannot be read or written: {error.strerror or error}; expected room and permission to write"
+    return f"{place}: cannot be read or written: {error.strerror or error}; expected free space and permission"

@@ -1,4 +1,4 @@
-"""What is wrong with a command line, in one line: what was given, the nearest right name, where to read on."""
+"""Usage errors in one line: the offending text, the nearest valid name, and the help to consult."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ import typer
 
 from twin._common.errors import is_it
 
-# The parser's own classes have no public name in every version of typer; their common base has this place.
+# Not every version of typer exports the parser's exception classes; this is their common base.
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 
 def line_of_usage(error: Any) -> str:
-    """The line.
+    """Return the message of a usage error, in one line.
 
     Args:
         error: an instance of `UsageError`.
     """
     context = getattr(error, "ctx", None)
     path = "twin" if context is None else str(context.command_path)
-    return f"{_said(error, context)}; expected what `{path} --help` lists"
+    return f"{_message(error, context)}; expected what `{path} --help` lists"
 
 
 def help_of(error: Any) -> str | None:
-    """The help, where the error is that nothing was given at all; None otherwise."""
+    """Return the help text if the command line was empty; None otherwise."""
     if type(error).__name__ != "NoArgsIsHelpError":
         return None
     return str(error.ctx.get_help())
 
 
-def _said(error: Any, context: Any) -> str:
+def _message(error: Any, context: Any) -> str:
     text = " ".join(str(error.format_message()).split()).rstrip(".")
     option = getattr(error, "option_name", None)
     if option is not None and context is not None and type(error).__name__ == "NoSuchOption":

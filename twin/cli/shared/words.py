@@ -1,4 +1,4 @@
-"""What the words of the command line mean: several words of one option, and numbers that arithmetic can bear."""
+"""Parsing of the command line: options with several words, and numbers of a usable magnitude."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
     "--only": re.compile(r"E_[A-Z0-9*?]+"),
     "--reduce": re.compile(r"E_[A-Z0-9*?]+"),
 }
-"""Options that take several words (contract §3), and what every word after the first looks like."""
+"""Options that take several words, each with the pattern of every word after the first."""
 VARIABLE: Final = "_TWIN_COMPLETE"
 WORDS: Final = "COMP_WORDS"
 WORD: Final = "COMP_CWORD"
-"""What bash sets: the whole line, and the number of the word that is being written."""
+"""Variables that bash sets: the whole command line, and the index of the word being completed."""
 SMALLEST: Final = 1e-12
 LARGEST: Final = 1e12
-"""Of a number on the command line, whatever its unit: less than an atom, more than the seconds since 1970."""
+"""Limits of a number on the command line in any unit: below the size of an atom, above the seconds since 1970."""
 
 
 def gathered(arguments: list[str]) -> list[str]:
-    """Options that take several words (contract §3: ``--work-offset X=1 Y=2``, ``--scope L-POS L-STR``), one option a word."""
+    """Return the arguments with an option of several words repeated for each word: ``--scope L-POS L-STR``, ``--at X=1 Y=2``."""
     patterns = MANY_WORDS
     out: list[str] = []
     gathering: str | None = None
@@ -51,42 +51,42 @@ def gathered(arguments: list[str]) -> list[str]:
 
 
 def told_word_by_word() -> None:
-    """Make the line that bash hands over one that the parser understands: an option of several words once for each of them."""
+    """Rewrite bash's command line for the parser: an option with several words is repeated before each of them."""
     if os.environ.get(VARIABLE) != "complete_bash" or WORDS not in os.environ:
         return
     line = os.environ[WORDS].split()
     try:
-        at = int(os.environ.get(WORD, ""))
+        position = int(os.environ.get(WORD, ""))
     except ValueError:
         return
-    before, now = line[1:at], line[at] if at < len(line) else ""
+    before, current = line[1:position], line[position] if position < len(line) else ""
     if any(mark in " ".join(line) for mark in "\"'\\"):
-        return  # quoted words are the shell's affair
+        return  # splitting at spaces would break quoted words
     words = gathered(before)
-    if len(words) >= 2 and words[-2] in MANY_WORDS and not now.startswith("-") and not Path(now).exists():
+    if len(words) >= 2 and words[-2] in MANY_WORDS and not current.startswith("-") and not Path(current).exists():
         words.append(words[-2])
-    os.environ[WORDS] = " ".join([line[0] if line else "twin", *words, now])
+    os.environ[WORDS] = " ".join([line[0] if line else "twin", *words, current])
     os.environ[WORD] = str(len(words) + 1)
 
 
 def three_numbers(option: str, text: str, shown: str, expected: str) -> tuple[float, float, float]:
-    """Three numbers with commas between.
+    """Parse three numbers separated by commas.
 
     Raises:
-        InputError: it is not; with what was expected.
+        InputError: the text is not three usable numbers.
     """
     parts = text.split(",")
     if len(parts) != 3:
-        raise InputError(f"{option} is not three numbers", expected=expected, value=shown)
+        raise InputError(f"{option} must be three numbers", expected=expected, value=shown)
     x, y, z = (number(option, part, shown) for part in parts)
     return x, y, z
 
 
 def number(option: str, text: str, shown: str) -> float:
-    """Return a number as `usable_number` wants it.
+    """Parse a number and check it with `usable_number`.
 
     Raises:
-        InputError: it is not; with what was expected.
+        InputError: the text is not a usable number.
     """
     try:
         value = float(text)
@@ -97,31 +97,31 @@ def number(option: str, text: str, shown: str) -> float:
 
 
 def usable_number(option: str, value: float, shown: object) -> None:
-    """Raise `InputError` unless a number is finite and of a size that can be squared and divided by.
+    """Raise `InputError` unless a number is finite and its square and reciprocal can be computed.
 
     Args:
-        option: what it was given with.
+        option: name of the option, for the message.
         value: the number.
-        shown: the text it was given as, for the message.
+        shown: the text as typed, for the message.
 
     Raises:
-        InputError: it is not.
+        InputError: the number is not finite, or its magnitude is outside `SMALLEST` … `LARGEST`.
     """
     if not abs(value) < float("inf"):
-        raise InputError(f"{option} is no number", expected="a finite number", value=shown)
+        raise InputError(f"{option} must be a finite number", expected="digits, as in 12.5", value=shown)
     if value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
         raise InputError(
-            f"{option} is beyond any machine",
-            expected=f"0, or a number between {SMALLEST:g} and {LARGEST:g} in size",
+            f"{option} is too large or too small",
+            expected=f"0, or a magnitude between {SMALLEST:g} and {LARGEST:g}",
             value=shown,
         )
 
 
 def positive(option: str, value: float) -> None:
-    """Nothing, if a value is a positive number.
+    """Raise `InputError` unless a value is positive and finite.
 
     Raises:
-        InputError: it is not; with what was expected.
+        InputError: the value is not positive or not finite.
     """
     if not 0.0 < value < float("inf"):
-        raise InputError(f"{option} is out of place", expected="a positive number", value=value)
+        raise InputError(f"{option} must be positive", expected="a number above 0", value=value)

@@ -1,4 +1,4 @@
-"""The machine running a program, as one HTML page that needs no network. Only `draw` and `viewer` import meshcat."""
+"""Animation of the machine running a program, as one self-contained HTML page. Only `draw` and `viewer` import meshcat."""
 
 from twin.report.scene.draw import scene_html
 from twin.report.scene.path import ScenePath

@@ -1,6 +1,6 @@
-"""A program on its machine as one HTML page.
+"""Draw the animation of a program on its machine as one HTML page.
 
-Inside this module everything is in metres; the path and its deviations come in mm.
+Lengths in this module are in metres; the path and its deviations are given in mm.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from twin.report.scene.viewer import (
 SECONDS: Final = 20.0
 """Duration of the animation."""
 VECTORS: Final = 24
-"""At how many points the deviation is drawn as an arrow."""
+"""Number of points at which the deviation is drawn as an arrow."""
 TOOL_RADIUS_MM: Final = 5.0
 _NOMINAL: Final = (0.42, 0.45, 0.49)
 _RAPID: Final = (0.72, 0.78, 0.86)
@@ -66,7 +66,7 @@ _LIGHTS: Final = (
     ("FillLight", "intensity", 0.38),
     ("FillLight", "position", [-2.0, -5.0, 4.0]),
     ("PointLightNegativeX", "visible", False),
-    # The second point light stands in for the bounce from the floor, far enough to be even.
+    # The second point light imitates reflection from the floor; its distance makes it uniform.
     ("PointLightPositiveX", "intensity", 0.16),
     ("PointLightPositiveX", "position", [4.0, -3.0, 1.0]),
     ("PointLightPositiveX", "distance", 0.0),
@@ -81,25 +81,25 @@ def scene_html(
     exaggeration: float | None = None,
     warnings: Sequence[SourceWarning] = (),
 ) -> str:
-    """The page: the machine moving through a program, and the tool path with its deviation exaggerated and coloured.
+    """Return the page with the moving machine and the tool path, whose deviation is exaggerated and coloured.
 
     Args:
-        kinematics: the machine with the errors it is shown with, and the tool's length.
+        kinematics: the machine with its errors and the tool length.
         path: the motion; positions in mm and degrees, points in mm in the work frame.
         title: headline, plain text.
-        exaggeration: factor on the deviation; None picks a round one that shows it well.
-        warnings: of where the calibration comes from; the page shows them.
+        exaggeration: factor of the drawn deviation; None chooses a round number.
+        warnings: warnings about the source of the calibration, shown on the page.
 
     Returns:
-        The page's text, some megabytes.
+        The page's text, several megabytes.
 
     Raises:
-        InputError: the path does not fit the machine, the factor is out of range, or the URDF has shapes that cannot be drawn.
+        InputError: the path does not fit the machine, the factor is not positive, or the URDF has shapes that cannot be drawn.
     """
     machine = kinematics.machine
     path.check(len(machine.axes))
     if exaggeration is not None and not (math.isfinite(exaggeration) and exaggeration > 0):
-        raise InputError("exaggeration out of range", expected="a positive number", value=exaggeration)
+        raise InputError("exaggeration must be positive", expected="a number above 0", value=exaggeration)
     factor = chosen_exaggeration(path) if exaggeration is None else exaggeration
     top_um = scale_top_um(path.max_um)
     frames = keyframes(path, machine.linear, machine.rotary)
@@ -135,9 +135,9 @@ def scene_html(
 
 
 def _path_data(path: ScenePath, frames: Keyframes, factor: float) -> dict[str, Any]:
-    """What the page's script has to know of the path."""
+    """Return the data of the path for the page's script."""
     worst = path.shown_mm(factor)[path.worst] * MM
-    shown = np.concatenate([path.nominal_mm[path.judged], path.shown_mm(factor)[path.judged]]) * MM
+    shown = np.concatenate([path.nominal_mm[path.counted], path.shown_mm(factor)[path.counted]]) * MM
     return {
         "pathOutline": (np.where(_CORNERS > 0, shown.max(axis=0), shown.min(axis=0))).round(6).tolist(),
         "worst": {"at": worst.round(6).tolist(), "um": compact(path.max_um), "line": int(path.lines[path.worst])},
@@ -151,12 +151,12 @@ def _path_data(path: ScenePath, frames: Keyframes, factor: float) -> dict[str, A
 
 
 def link_poses(kinematics: Kinematics, positions: np.ndarray, links: tuple[str, ...]) -> np.ndarray:
-    """(n, links, 4, 4) poses of links in the base frame, metres, on the machine with its errors.
+    """Return (n, links, 4, 4) poses of links in the base frame of the machine with its errors, metres.
 
     Args:
-        kinematics: machine and errors.
+        kinematics: the machine with its errors.
         positions: (n, axes) commands in mm and degrees.
-        links: names of links in the URDF.
+        links: names of the links in the URDF.
     """
     machine = kinematics.machine
     model = machine.model
@@ -173,7 +173,7 @@ def link_poses(kinematics: Kinematics, positions: np.ndarray, links: tuple[str, 
 @final
 @dataclass(frozen=True)
 class _Visual:
-    """One shape of the URDF, placed in its link's frame; ``edges`` (2k, 3) and ``corners`` (8, 3) in that frame too."""
+    """One shape of the URDF with its placement, ``edges`` (2k, 3) and ``corners`` (8, 3) in the frame of its link."""
 
     link: str
     geometry: Any
@@ -183,9 +183,9 @@ class _Visual:
     corners: np.ndarray
 
     def commands(self, node: NodePath, pale: bool = False) -> list[Any]:
-        """Drawing commands; ``pale`` for the close-up, where it is only the ground the path is seen against."""
+        """Return the drawing commands; ``pale`` for the close-up, in which the shape is the background of the path."""
         red, green, blue, alpha = (1 - 0.2 * (1 - part) if pale else part for part in self.colour)
-        # Pushed back a hair, so that the edges drawn on the faces win.
+        # A small depth offset keeps the edges visible on the faces.
         back = {"polygonOffset": True, "polygonOffsetFactor": 1, "polygonOffsetUnits": 1}
         material = shapes.MeshLambertMaterial(color=_hex((red, green, blue)), opacity=alpha, **back)
         return [SetObject(self.geometry, material, node), SetTransform(self.placement, node)]
@@ -198,7 +198,7 @@ def _visuals(kinematics: Kinematics) -> list[_Visual]:
     try:
         found = pin.buildGeomFromUrdf(model, str(machine.urdf), pin.GeometryType.VISUAL)
     except (ValueError, RuntimeError) as error:
-        raise refused("shapes that cannot be loaded", value=error) from error
+        raise refused("shapes cannot be loaded", value=error) from error
     visuals = []
     for entry in found.geometryObjects:
         frame, shape, turn = model.frames[entry.parentFrame], entry.geometry, np.eye(4)
@@ -208,14 +208,14 @@ def _visuals(kinematics: Kinematics) -> list[_Visual]:
         elif isinstance(shape, coal.Cylinder):
             half = np.array([shape.radius, shape.radius, shape.halfLength])
             geometry = shapes.Cylinder(2 * shape.halfLength, shape.radius)
-            # URDF's cylinder stands along z, that of three.js along y.
+            # The axis of a cylinder is z in a URDF and y in three.js.
             turn[:3, :3] = pin.rpy.rpyToMatrix(math.pi / 2, 0.0, 0.0)
             edges = _rims(shape.radius, shape.halfLength)
         elif isinstance(shape, coal.Sphere):
             half = np.full(3, shape.radius)
             geometry, edges = shapes.Sphere(shape.radius), np.zeros((0, 3))
         else:
-            raise refused(f"a shape of {frame.name} that cannot be drawn", value=type(shape).__name__)
+            raise refused(f"a shape of {frame.name} cannot be drawn", value=type(shape).__name__)
         place = (frame.placement.inverse() * entry.placement).homogeneous
         colour = tuple(float(part) for part in entry.meshColor)
         edges, corners = _moved(place, edges), _moved(place, half * _CORNERS)
@@ -237,8 +237,8 @@ def _rims(radius: float, half_length: float, count: int = 40) -> np.ndarray:
 
 
 def _outline(visuals: list[_Visual], links: tuple[str, ...], poses: np.ndarray) -> np.ndarray:
-    """(k, 3) points of the machine, over its motion, that lie farthest out, for the camera to keep in view."""
-    # Some fifty moments are enough to frame a picture.
+    """Return (k, 3) outermost points of the machine over its motion, which the camera must keep in view."""
+    # About fifty keyframes suffice to find the extent.
     poses = np.concatenate([poses[:: 1 + len(poses) // 50], poses[-1:]])
     points = [poses[:, :, :3, 3].reshape(-1, 3)]
     for visual in visuals:
@@ -249,7 +249,7 @@ def _outline(visuals: list[_Visual], links: tuple[str, ...], poses: np.ndarray) 
 
 
 def _machine_commands(visuals: list[_Visual], links: tuple[str, ...], work: str) -> list[Any]:
-    """The links' shapes, those of the work side once more for the close-up, and their edges."""
+    """Return commands for the shapes and edges of the links; those of the work side are repeated for the close-up."""
     commands: list[Any] = []
     for number, visual in enumerate(visuals):
         commands += visual.commands(node_of(visual.link, f"shape{number}"))
@@ -270,7 +270,7 @@ def _tool_commands(kinematics: Kinematics, node: NodePath, dot: float) -> list[A
         upright = transformations.rotation_matrix(math.pi / 2, [1, 0, 0])
         upright[:3, 3] = tip / 2
         cylinder = shapes.Cylinder(length, TOOL_RADIUS_MM * MM)
-        # Twice: solid on the machine, a ghost in the close-up, where it must not hide the path.
+        # Drawn twice: solid on the machine, transparent in the close-up, where it must not hide the path.
         for name, opacity in (("tool", 1.0), ("ghost", 0.22)):
             material = shapes.MeshLambertMaterial(color=_TOOL, opacity=opacity, depthWrite=opacity == 1.0)
             commands += [SetObject(cylinder, material, node.append(name)), SetTransform(upright, node.append(name))]
@@ -284,7 +284,7 @@ def _tool_commands(kinematics: Kinematics, node: NodePath, dot: float) -> list[A
 
 
 def _path_commands(path: ScenePath, factor: float, top_um: float, node: NodePath, size: float) -> list[Any]:
-    """The path in the work frame, twice: fine for the close-up, bold for the view of the whole machine (``size`` across)."""
+    """Return commands for the path in the work frame: fine in the close-up, bold in the view of the machine of extent ``size``."""
     shown, nominal = path.shown_mm(factor) * MM, path.nominal_mm * MM
     colours = viridis(np.clip(path.deviation_um / top_um, 0.0, 1.0))
     cuts, rapids = runs(path.cutting, True), runs(path.cutting, False)
@@ -297,7 +297,7 @@ def _path_commands(path: ScenePath, factor: float, top_um: float, node: NodePath
         ("nominal", nominal, grey, 0.35 * fine, 3, MAX_POINTS),
     ):
         pieces = thinned(cuts, limit, path.worst)
-        # A program of ten thousand short cuts has too many ends for tubes, in a file and in a browser.
+        # For a program of ten thousand short cuts, tubes would be too large for the file and the browser.
         if sum(len(piece) for piece in pieces) > 2 * limit:
             commands.append(lines_command(*_pairs(points, tints, pieces), node.append(name)))
         elif pieces and radius > 0:
@@ -315,14 +315,14 @@ def _path_commands(path: ScenePath, factor: float, top_um: float, node: NodePath
 
 
 def _motion_commands(frames: Keyframes, links: tuple[str, ...], poses: np.ndarray) -> list[Any]:
-    """Poses of the links, and the animation of those that move: one node a link, whatever it consists of."""
+    """Return commands for the poses of the links and the animation of the moving ones, one node per link."""
     commands: list[Any] = []
     animation = Animation()
     for number, link in enumerate(links):
         track = poses[:, number]
         commands.append(SetTransform(track[0], node_of(link)))
         if len(track) > 1 and np.ptp(track, axis=0).max() > 1e-9:
-            # With one frame a second the keys' times are seconds.
+            # At one frame per second, key times are in seconds.
             times = (frames.share * SECONDS).tolist()
             clip = AnimationClip(fps=1)
             quaternions = [pin.Quaternion(pose[:3, :3]).coeffs().tolist() for pose in track]
@@ -335,7 +335,7 @@ def _motion_commands(frames: Keyframes, links: tuple[str, ...], poses: np.ndarra
 
 
 def _stage_commands(box: np.ndarray) -> list[Any]:
-    """Floor, light and background; the page sets the camera, which depends on the window."""
+    """Return commands for floor, lights and background; the page sets the camera, which depends on the window."""
     low, high = box
     centre, span = (low + high) / 2, high - low
     floor = NodePath(("floor",))
@@ -350,7 +350,7 @@ def _stage_commands(box: np.ndarray) -> list[Any]:
 
 
 def _pairs(points: np.ndarray, colours: np.ndarray, pieces: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of all segments of all runs, and their colours."""
+    """Return the end points of all segments of all runs, and their colours."""
     ends = np.concatenate([np.repeat(piece, 2)[1:-1] for piece in pieces])
     return points[ends], colours[ends]
 

@@ -1,4 +1,4 @@
-"""A field of errors as one HTML page: an arrow at every point, as long as its error a stated number of times, coloured by its size."""
+"""Error field as one HTML page: an arrow at every point, exaggerated by a stated factor and coloured by magnitude."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from twin.report.scene.path import Mesh, arrow, joined, rounded_125, scale_top_u
 from twin.report.scene.viewer import bare_stage, lines_command, mesh_command, node_of, outermost, viewer_page
 
 LONGEST: Final = 0.12
-"""Of the field's extent: how long the longest arrow is drawn, about."""
+"""Approximate length of the longest arrow, as a share of the field's extent."""
 THIN: Final = 0.0035
-"""Radius of an arrow in the field's extent."""
+"""Radius of an arrow, as a share of the field's extent."""
 MOST_ARROWS: Final = 1500
-"""A browser of a phone turns that many smoothly."""
+"""Largest number of arrows that the browser of a phone rotates smoothly."""
 SMALLEST: Final = 0.3
-"""Of the scale: what an arrow shorter than its own head is drawn as thick as."""
+"""Smallest radius of a short arrow, as a share of the regular radius."""
 
 
 def chosen_factor(points_mm: np.ndarray, errors_um: np.ndarray) -> float:
-    """Factor that shows the largest error at about `LONGEST` of the field's extent: 1, 2 or 5 times a power of ten, never below 1.
+    """Return the exaggeration factor that draws the largest error at about `LONGEST` of the field's extent: 1, 2 or 5 · 10ⁿ, n ≥ 0.
 
     Args:
-        points_mm: (n, 3).
-        errors_um: (n, 3).
+        points_mm: (n, 3) tool points.
+        errors_um: (n, 3) errors.
     """
     extent = float(np.linalg.norm(np.ptp(points_mm, axis=0)))
     largest = float(np.linalg.norm(errors_um, axis=1).max())
@@ -43,22 +43,22 @@ def field_html(
     edges: tuple[tuple[str, np.ndarray, np.ndarray], ...] = (),
     illustrative: bool = False,
 ) -> str:
-    """The page: arrows, a box with its edges named, a colour bar; drag turns it, wheel or two fingers zoom.
+    """Return the page with arrows, a labelled box and a colour bar; drag rotates it, wheel or two fingers zoom.
 
     Args:
-        points_mm: (n, 3) where the tool was meant to be.
-        errors_um: (n, 3) by how much it missed.
-        title: what is shown, plain text.
-        edges: of the box, each with its name, and its (3,) ends in mm, where they have a name to be shown.
-        illustrative: say in the page that the errors are drawn, not measured.
+        points_mm: (n, 3) nominal tool points.
+        errors_um: (n, 3) errors of the tool point.
+        title: title of the page, plain text.
+        edges: edges of the box, each with its label (or empty) and its (3,) end points, mm.
+        illustrative: state on the page that the errors are assumed, not measured.
 
     Raises:
-        InputError: no points, too many, or arrays that do not belong together.
+        InputError: no points, too many, or arrays of different length.
     """
     count = len(points_mm)
     if points_mm.shape != (count, 3) or errors_um.shape != (count, 3) or not 1 <= count <= MOST_ARROWS:
         raise InputError(
-            "no field that can be drawn", expected=f"(n, 3) points and errors, n from 1 to {MOST_ARROWS}", value=count
+            "field cannot be drawn", expected=f"(n, 3) points and errors, n from 1 to {MOST_ARROWS}", value=count
         )
     factor = chosen_factor(points_mm, errors_um)
     size = np.linalg.norm(errors_um, axis=1)
@@ -86,6 +86,6 @@ def field_html(
 
 
 def _arrow(start: np.ndarray, end: np.ndarray, radius: float, colour: np.ndarray) -> Mesh:
-    """Thinner where it would be shorter than its head: a small error looks small."""
+    """Return an arrow; a short one is thinner, so that a small error looks small."""
     length = float(np.linalg.norm(end - start))
     return arrow(start, end, min(radius, max(length / 9.0, SMALLEST * radius)), colour)

@@ -1,4 +1,4 @@
-"""What a scene draws of a program: keyframes, the exaggerated path and its colours, arrows at chosen blocks. Arrays only."""
+"""Arrays for the animation of a program: keyframes, exaggerated path with colours, arrows at selected blocks."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from twin._common.errors import InputError
 
 MAX_KEYFRAMES = 600
 MAX_POINTS = 4000
-"""Of the drawn path; a browser turns that many smoothly, and the file stays small."""
+"""Largest number of points of the drawn path, for smooth rotation in a browser and a small file."""
 RAPID_SPEED = 3.0
-"""How much faster than a cut a rapid is shown."""
+"""Speed of a rapid move in the animation, relative to a cutting move."""
 SHOWN_SHARE = 0.08
-"""Of the path's extent: how large the largest deviation is shown, about."""
+"""Approximate length of the largest deviation as drawn, as a share of the path's extent."""
 
-# Viridis (CC0, Smith and van der Walt) at 0, 1/8 … 1: even to the eye and readable without colour vision.
+# Viridis (CC0, Smith and van der Walt) at 0, 1/8 … 1: perceptually uniform and readable without colour vision.
 _VIRIDIS = "440154 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725"
 
 
 @final
 @dataclass(frozen=True)
 class ScenePath:
-    """A motion to show, point by point.
+    """Tool path to show, point by point.
 
     Attributes:
         positions: (n, axes) commands, mm and degrees, command order.
@@ -44,10 +44,10 @@ class ScenePath:
     lines: np.ndarray
 
     def check(self, axes: int) -> None:
-        """See that the arrays belong together and to a machine with so many axes.
+        """Raise `InputError` unless the arrays are consistent with each other and with the number of axes.
 
         Raises:
-            InputError: no point at all, arrays of the wrong shape, or a value that is no finite number.
+            InputError: no points, an array of the wrong shape, or a value that is not finite.
         """
         count = len(self.positions)
         if count == 0:
@@ -56,10 +56,10 @@ class ScenePath:
         for name, of_one in rest.items():
             array, shape = np.asarray(getattr(self, name)), (count, *of_one)
             if array.shape != shape:
-                raise InputError(f"{name} of the wrong shape", expected=str(shape), value=array.shape)
+                raise InputError(f"{name} has the wrong shape", expected=str(shape), value=array.shape)
             if not np.all(np.isfinite(array)):
                 wrong = array[~np.isfinite(array)][0]
-                raise InputError(f"{name} with a value that is no number", expected="finite values", value=wrong)
+                raise InputError(f"{name} contains a value that is not finite", expected="finite values", value=wrong)
 
     @cached_property
     def deviation_um(self) -> np.ndarray:
@@ -67,45 +67,45 @@ class ScenePath:
         return np.asarray(np.linalg.norm(self.actual_mm - self.nominal_mm, axis=1) * 1e3)
 
     @cached_property
-    def judged(self) -> np.ndarray:
-        """(n,) points the figures count: those reached by cutting, or all where nothing cuts."""
+    def counted(self) -> np.ndarray:
+        """(n,) whether a point counts for the statistics: points of cutting moves, or all if there are none."""
         return self.cutting.astype(bool) if np.any(self.cutting) else np.ones(len(self.cutting), dtype=bool)
 
     @cached_property
     def worst(self) -> int:
-        """Index of the judged point with the largest deviation."""
-        return int(np.argmax(np.where(self.judged, self.deviation_um, -1.0)))
+        """Index of the counted point with the largest deviation."""
+        return int(np.argmax(np.where(self.counted, self.deviation_um, -1.0)))
 
     @property
     def max_um(self) -> float:
-        """Largest deviation of the judged points, µm."""
+        """Largest deviation of the counted points, µm."""
         return float(self.deviation_um[self.worst])
 
     @property
     def rms_um(self) -> float:
-        """Root mean square deviation of the judged points, µm."""
-        return float(np.sqrt(np.mean(self.deviation_um[self.judged] ** 2)))
+        """Root mean square deviation of the counted points, µm."""
+        return float(np.sqrt(np.mean(self.deviation_um[self.counted] ** 2)))
 
     @cached_property
     def extent_mm(self) -> float:
-        """Diagonal of the box around the judged nominal points, mm."""
-        return float(np.linalg.norm(np.ptp(self.nominal_mm[self.judged], axis=0)))
+        """Diagonal of the bounding box of the counted nominal points, mm."""
+        return float(np.linalg.norm(np.ptp(self.nominal_mm[self.counted], axis=0)))
 
     def shown_mm(self, exaggeration: float) -> np.ndarray:
-        """(n, 3) nominal points plus the exaggerated deviation, mm."""
+        """Return (n, 3) nominal points plus the exaggerated deviation, mm."""
         return np.asarray(self.nominal_mm + exaggeration * (self.actual_mm - self.nominal_mm))
 
 
 @final
 @dataclass(frozen=True)
 class Keyframes:
-    """A motion at the moments that are shown.
+    """Keyframes of the animation.
 
     Attributes:
-        share: (m,) time as a share of the whole, 0 … 1, strictly increasing.
+        share: (m,) time as a share of the duration, 0 … 1, strictly increasing.
         positions: (m, axes) commands, mm and degrees.
         deviation_um: (m,) deviation at the tool.
-        block: (m,) index of the point of the path being approached.
+        block: (m,) index of the next point of the path.
     """
 
     share: np.ndarray
@@ -115,15 +115,15 @@ class Keyframes:
 
 
 def keyframes(path: ScenePath, linear: tuple[int, ...], rotary: tuple[int, ...]) -> Keyframes:
-    """At most `MAX_KEYFRAMES` moments of a motion, at an even speed; rapids `RAPID_SPEED` times faster.
+    """Return at most `MAX_KEYFRAMES` keyframes at constant speed, rapid moves `RAPID_SPEED` times faster.
 
-    The path's own points are kept as far as they fit, and what is left over goes between them, evenly.
-    One degree counts as one millimetre, so that turning on the spot takes time as well.
+    The points of the path are kept if they do not exceed that number, and further keyframes are spread evenly between them. One degree
+    counts as one millimetre, so that a pure rotation also takes time.
     """
     steps = np.diff(path.positions, axis=0)
     way = np.linalg.norm(steps[:, list(linear)], axis=1) + np.linalg.norm(steps[:, list(rotary)], axis=1)
     along = np.concatenate([[0.0], np.cumsum(np.where(path.cutting[1:], way, way / RAPID_SPEED))])
-    # A step lost in the rounding of the sum would be a keyframe at the same time as the one before.
+    # A step below the rounding of the sum would give two keyframes at the same time.
     kept = np.concatenate([[0], 1 + np.flatnonzero(np.diff(along) > 1e-12 * max(along[-1], 1e-300))])
     if len(kept) < 2:
         return Keyframes(np.zeros(1), path.positions[:1], path.deviation_um[:1], np.zeros(1, dtype=int))
@@ -143,9 +143,9 @@ def keyframes(path: ScenePath, linear: tuple[int, ...], rotary: tuple[int, ...])
 
 
 def chosen_exaggeration(path: ScenePath) -> float:
-    """Factor that shows the largest deviation at about `SHOWN_SHARE` of the path's extent: 1, 2 or 5 times a power of ten.
+    """Return the factor that draws the largest deviation at about `SHOWN_SHARE` of the path's extent: 1, 2 or 5 · 10ⁿ.
 
-    Never below 1: a deviation is not made to look smaller than it is.
+    It is never below 1, so that no deviation looks smaller than it is.
     """
     if path.max_um <= 0.0 or path.extent_mm <= 0.0:
         return 1.0
@@ -153,37 +153,37 @@ def chosen_exaggeration(path: ScenePath) -> float:
 
 
 def rounded_125(value: float) -> float:
-    """The number of the series 1, 2, 5, 10 … nearest to a positive value, by ratio."""
+    """Return the number of the series 1, 2, 5, 10 … with the ratio to a positive value closest to 1."""
     decade = 10.0 ** math.floor(math.log10(value))
     return min((step * decade for step in (1.0, 2.0, 5.0, 10.0)), key=lambda step: abs(math.log(step / value)))
 
 
 def scale_top_um(largest_um: float) -> float:
-    """End of the colour scale, a number with round quarters at or above the largest deviation; 1 µm where there is none."""
+    """Return the end of the colour scale, a round number at or above the largest deviation; 1 µm for zero deviation."""
     if largest_um <= 0.0:
         return 1.0
     decade = 10.0 ** math.floor(math.log10(largest_um))
-    # One part in 10⁹: a maximum that is itself a round number, but for rounding, stays the end of the scale.
+    # Tolerance of 1e-9: a maximum that equals a round number, except for rounding errors, is the end of the scale.
     steps = (1.0, 1.2, 1.6, 2.0, 2.4, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
     return next(step * decade for step in steps if step * decade >= largest_um * (1 - 1e-9))
 
 
 def viridis(share: np.ndarray) -> np.ndarray:
-    """(n, 3) colours, 0 … 1, for (n,) shares of the scale."""
+    """Return (n, 3) colours, 0 … 1, for (n,) shares of the scale."""
     colours = np.array([list(bytes.fromhex(colour)) for colour in _VIRIDIS.split()]) / 255.0
     at = np.linspace(0.0, 1.0, len(colours))
     return np.column_stack([np.interp(share, at, channel) for channel in colours.T])
 
 
 def runs(cutting: np.ndarray, wanted: bool) -> list[np.ndarray]:
-    """Indices of the points of every unbroken run of moves that cut, or that do not; each starts where its first move does."""
+    """Return the point indices of every run of consecutive cutting (or non-cutting) moves, start point of the first included."""
     moves = np.asarray(cutting[1:], dtype=bool) == wanted
     edges = np.flatnonzero(np.diff(np.concatenate([[False], moves, [False]]).astype(int)))
     return [np.arange(start, stop + 1) for start, stop in edges.reshape(-1, 2)]
 
 
 def thinned(pieces: list[np.ndarray], limit: int, keep: int) -> list[np.ndarray]:
-    """Runs with about ``limit`` points altogether: ends and the point ``keep`` stay, the rest is taken evenly."""
+    """Return the runs reduced to about ``limit`` points in total; end points and the point ``keep`` are retained."""
     total = sum(len(piece) for piece in pieces)
     if total <= limit:
         return pieces
@@ -196,25 +196,25 @@ def thinned(pieces: list[np.ndarray], limit: int, keep: int) -> list[np.ndarray]
 
 
 def arrow_blocks(path: ScenePath, count: int) -> np.ndarray:
-    """Indices of at most ``count`` judged points, evenly along the path, the worst among them."""
-    judged = np.flatnonzero(path.judged)
+    """Return indices of at most ``count`` counted points, evenly spaced along the path, including the worst."""
+    counted = np.flatnonzero(path.counted)
     if count < 1:
-        return judged[:0]
-    steps = np.linalg.norm(np.diff(path.nominal_mm[judged], axis=0), axis=1)
+        return counted[:0]
+    steps = np.linalg.norm(np.diff(path.nominal_mm[counted], axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
     at = along[-1] * (np.arange(count - 1) + 0.5) / max(count - 1, 1)
-    nearest = judged[np.minimum(np.searchsorted(along, at), len(judged) - 1)]
+    nearest = counted[np.minimum(np.searchsorted(along, at), len(counted) - 1)]
     return np.unique(np.append(nearest, path.worst))
 
 
 @final
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles with a colour at each corner.
+    """Triangle mesh with a colour at each vertex.
 
     Attributes:
-        vertices: (v, 3), in the unit of the points it was made of.
-        faces: (f, 3) indices of vertices.
+        vertices: (v, 3) in the unit of the source points.
+        faces: (f, 3) vertex indices.
         colours: (v, 3), 0 … 1.
     """
 
@@ -224,7 +224,7 @@ class Mesh:
 
 
 def joined(meshes: list[Mesh]) -> Mesh:
-    """Several meshes as one."""
+    """Return several meshes as one mesh."""
     if not meshes:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), np.zeros((0, 3)))
     starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
@@ -236,7 +236,7 @@ def joined(meshes: list[Mesh]) -> Mesh:
 
 
 def tube(points: np.ndarray, radii: np.ndarray, colours: np.ndarray, sides: int) -> Mesh:
-    """A tube along (k, 3) points with (k,) radii and (k, 3) colours; lines of WebGL are one pixel wide whatever is asked."""
+    """Return a tube along (k, 3) points with (k,) radii and (k, 3) colours, since lines in WebGL are always one pixel wide."""
     moves = np.diff(points, axis=0)
     lengths = np.linalg.norm(moves, axis=1)
     directions = np.where(lengths[:, None] > 0, moves / np.maximum(lengths, 1e-300)[:, None], 0.0)
@@ -246,7 +246,7 @@ def tube(points: np.ndarray, radii: np.ndarray, colours: np.ndarray, sides: int)
     side = np.cross(tangent, np.eye(3)[int(np.argmin(np.abs(tangent)))])
     for index, candidate in enumerate(tangents):
         size = float(np.linalg.norm(candidate))
-        # At a full reversal or a repeated point there is no tangent: the last one serves.
+        # At a full reversal or a repeated point the tangent is undefined: use the previous one.
         tangent = candidate / size if size > 1e-6 else tangent
         side = side - (side @ tangent) * tangent
         if np.linalg.norm(side) < 1e-6:
@@ -265,10 +265,10 @@ def tube(points: np.ndarray, radii: np.ndarray, colours: np.ndarray, sides: int)
 
 
 def arrow(start: np.ndarray, end: np.ndarray, radius: float, colour: ArrayLike) -> Mesh:
-    """A shaft with a pointed head from (3,) start to (3,) end."""
+    """Return an arrow from (3,) start to (3,) end."""
     length = float(np.linalg.norm(end - start))
     neck = start + (end - start) * max(0.4, 1.0 - 7.0 * radius / max(length, 1e-300))
     points = np.array([start, neck, neck, end])
-    # The head's foot lies a hair beyond the neck, so that the tube has a direction there.
+    # The base of the head is slightly beyond the neck, so that the tube has a direction there.
     points[2] += 1e-4 * (end - start)
     return tube(points, radius * np.array([1.0, 1.0, 2.6, 0.0]), np.tile(colour, (4, 1)), 7)

@@ -1,4 +1,4 @@
-"""The scene of a program from a script or a notebook: from a program's file to the page in one call."""
+"""Animate a program from a script or a notebook in one call."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from twin.report.scene.path import ScenePath
 
 Progress = Callable[[str, float], None]
 HEIGHT_PX: Final = 600
-"""Of the frame in a notebook."""
+"""Height of the frame in a notebook."""
 
 
 @final
 @dataclass(frozen=True)
 class Scene:
-    """A machine running a program; in a notebook it shows itself.
+    """Animation of a machine running a program; displayed by a notebook.
 
     Attributes:
-        html: the page, self-contained.
-        execution: what it shows.
+        html: the self-contained page.
+        execution: the simulated execution that it shows.
     """
 
     html: str
     execution: Execution
 
     def save(self, path: str | Path) -> None:
-        """Write the page, whole or not at all."""
+        """Write the page atomically."""
         write_whole(Path(path), self.html)
 
     def _repr_html_(self) -> str:
@@ -58,21 +58,21 @@ def draw_program(
     exaggeration: float | None = None,
     progress: Progress = lambda stage, fraction: None,
 ) -> Scene:
-    """The machine running the program of a file, or one that comes with twin.
+    """Return the animation of a machine running an NC program.
 
     Args:
-        program: its path.
+        program: path of the program, or the name of a bundled one.
         machine: the machine it runs on.
         calibration: the machine's errors; the machine file's own if None.
         tool_length_mm: the machine file's own if None.
-        tcp: whether the control's kinematics are on from the start.
+        tcp: whether tool centre point control (RTCP) is active from the start.
         setup: work offsets and origin; none if None.
         conditions: temperatures and time, for the effects that need them.
-        exaggeration: factor on the drawn deviation; a round one that shows it well if None.
-        progress: told what is being done and how far it is.
+        exaggeration: factor of the drawn deviation; None chooses a round number.
+        progress: callback, called with stage and completed fraction.
 
     Raises:
-        InputError: as `twin.compensation.execute.execute_file`; no motion within the machine's ranges.
+        InputError: as `twin.compensation.execute.execute_file`; no motion within the axis ranges.
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     progress("running", 0.0)
@@ -81,9 +81,7 @@ def draw_program(
     )
     source = find_program(program)
     if len(run.positions) < 2:
-        raise InputError(
-            "nothing to draw: no motion within the machine's ranges", expected="a program with motion", file=source
-        )
+        raise InputError("no motion within the axis ranges", expected="a program with motion", file=source)
     progress("drawing", 0.5)
     page = scene_html(
         Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=conditions),

@@ -1,7 +1,7 @@
-"""meshcat's viewer as one HTML page: headless, self-contained, no network and no server.
+"""Meshcat's viewer as one self-contained HTML page, made without a browser, network or server.
 
-meshcat's own drawing commands are embedded, as its ``static_html`` embeds them. That one asks a server process for them; here they are
-collected straight from meshcat's classes, so none is started. Lengths are metres.
+The page embeds meshcat's drawing commands, like meshcat's ``static_html``, which gets them from a server process. Here they are
+collected from meshcat's classes, so that no server is started. Lengths are in metres.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from twin.display import compact, render
 from twin.report.scene.path import Mesh, viridis
 
 FIRST_LINK: Final = "machine"
-"""Under which everything is drawn."""
+"""Node of the scene tree that contains all objects."""
 _EDGE: Final = 0x4A525C
 _WAYS: Final = np.array(list(product((-2, -1, 0, 1, 2), repeat=3)), dtype=float)
 
 
 def viewer_page(template: str, commands: Sequence[Any], data: Mapping[str, Any], top_um: float, **words: Any) -> str:
-    """Return the page's text, some megabytes.
+    """Return the page's text, several megabytes.
 
     Args:
-        template: its file beside this module; it extends ``viewer.html.j2``.
+        template: name of the template, which extends ``viewer.html.j2``.
         commands: meshcat's drawing commands.
         data: numbers for the page's script.
         top_um: end of the colour scale.
-        words: what else the template names.
+        words: further variables of the template.
     """
     colours = viridis(np.linspace(0.0, 1.0, 17))
     main = importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js"
@@ -52,24 +52,24 @@ def viewer_page(template: str, commands: Sequence[Any], data: Mapping[str, Any],
 
 
 def node_of(*names: str) -> NodePath:
-    """A place in the viewer's tree."""
+    """Return a node of the viewer's scene tree."""
     return NodePath(("meshcat", FIRST_LINK, *names))
 
 
 def bare_stage() -> list[Any]:
-    """Commands that take away what the viewer shows by itself."""
+    """Return commands that hide the viewer's default objects."""
     return [SetProperty("visible", False, NodePath((name,))) for name in ("Grid", "Axes", "Background")]
 
 
 def mesh_command(mesh: Mesh, node: NodePath) -> SetObject:
-    """Draws a mesh."""
-    # Unlit, so that a colour in the picture is the colour of the legend.
+    """Return the command that draws a mesh."""
+    # Unlit, so that colours match the legend.
     geometry = shapes.TriangularMeshGeometry(mesh.vertices, mesh.faces, mesh.colours)
     return SetObject(geometry, shapes.MeshBasicMaterial(vertexColors=True), node)
 
 
 def lines_command(segments: np.ndarray, colours: np.ndarray | None, node: NodePath) -> SetObject:
-    """(2k, 3) ends of segments with their colours; the colour of edges where none are given."""
+    """Return the command that draws segments with (2k, 3) end points and colours, or in the edge colour if None."""
     ends = segments.astype(np.float32).T
     if colours is None:
         drawn = shapes.PointsGeometry(ends), shapes.LineBasicMaterial(color=_EDGE, opacity=0.55)
@@ -79,24 +79,24 @@ def lines_command(segments: np.ndarray, colours: np.ndarray | None, node: NodePa
 
 
 def outermost(points: np.ndarray) -> np.ndarray:
-    """Indices of those of (n, 3) points that lie farthest out, for the camera to keep in view."""
+    """Return the indices of the outermost of (n, 3) points, which the camera must keep in view."""
     return np.asarray(np.unique(np.argmax(points @ _WAYS.T, axis=0)))
 
 
 def packed(command: Any) -> str:
-    """A drawing command as the viewer takes it: msgpack in base64. Names of objects are fixed: same input, same page."""
+    """Return a drawing command as msgpack in base64, with fixed object names, so that equal input gives an equal page."""
     data = command.lower()
     if isinstance(command, SetObject):
         entry = data["object"]
         for kind, mark in (("geometries", "geometry"), ("materials", "material")):
             entry[kind][0]["uuid"] = entry["object"][mark] = mark
         entry["object"]["uuid"] = data["path"]
-    # Single precision: 0.1 µm at a metre, below anything to be seen, and half the size.
+    # Single precision halves the size; 0.1 µm at 1 m is invisible.
     return base64.b64encode(umsgpack.packb(_plain(data), force_float_precision="single")).decode("ascii")
 
 
 def _plain(data: Any) -> Any:
-    """The same with NumPy's numbers as Python's, which is all msgpack knows."""
+    """Return the data with NumPy numbers converted to Python numbers, as msgpack needs."""
     if isinstance(data, dict):
         return {key: _plain(value) for key, value in data.items()}
     if isinstance(data, list | tuple):

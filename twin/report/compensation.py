@@ -1,0 +1,215 @@
+"""Expected error after compensation with a calibration: rounding to least increments, limits of travel, and uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin._common.arrays import locked
+from twin._common.json_form import json_form
+from twin.compute.parallel import Workers
+from twin.kinematics.forward import rms_and_max
+from twin.kinematics.inverse import Inverse, Status
+from twin.report.contributions import Budget, without
+from twin.uncertainty.at_tool import ToolUncertainty
+from twin.uncertainty.population import Spread, draw_machines
+
+DRAWS_A_POSE: Final = 8
+"""Draws from the covariance per pose: 16,000 at 2,000 poses give the 99th percentile within 2 %."""
+MACHINES: Final = 1000
+MACHINE_POSES: Final = 100
+SHARES: Final = (0.5, 0.95, 0.99)
+
+
+@final
+@dataclass(frozen=True)
+class ErrorDistribution:
+    """Distribution of the error of the tool point over the volume in one case.
+
+    Attributes:
+        name: name of the case.
+        size_um: (k,) magnitudes, ascending.
+    """
+
+    name: str
+    size_um: np.ndarray
+
+    @property
+    def rms_um(self) -> float:
+        """Root mean square, µm."""
+        return float(np.sqrt(np.mean(self.size_um**2)))
+
+    @property
+    def max_um(self) -> float:
+        """Largest magnitude, µm."""
+        return float(self.size_um[-1])
+
+    def quantile(self, share: float) -> float:
+        """Return the magnitude that a given share of the poses does not exceed, µm."""
+        return float(np.quantile(self.size_um, share))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content for JSON."""
+        return {
+            "rms_um": self.rms_um,
+            "max_um": self.max_um,
+            "quantiles_um": {f"{share:g}": self.quantile(share) for share in SHARES},
+        }
+
+
+@final
+@dataclass(frozen=True)
+class CompensationForecast:
+    """Error of the tool point before and after compensation.
+
+    Attributes:
+        before: error of the machine, including the tables in its control.
+        without_tables: error without the tables in the control; None if there are none.
+        exact: error after compensation if the calibration is exact (rounding, travel limits); None if the machine runs no programs.
+        with_uncertainty: the same including the uncertainty of the calibration; None if that is unknown or ``exact`` is None.
+        complete: whether all errors have an uncertainty; if not, ``with_uncertainty`` is a lower bound.
+        poses: number of poses.
+        out_of_range: number of poses at which the correction exceeds the travel.
+        out_of_range_um: largest remaining error at these poses.
+        orientation_missed: number of poses at which the point is reached but the orientation is not.
+        tilt_before_urad, tilt_after_urad: RMS and largest tilt of the tool axis, about x and about y; after as for ``exact``.
+        machines: distribution of the RMS over the volume for machines drawn from the covariance, uncompensated and compensated without
+            rounding; None if U is unknown.
+        seed: random seed of the draws.
+    """
+
+    before: ErrorDistribution
+    without_tables: ErrorDistribution | None
+    exact: ErrorDistribution | None
+    with_uncertainty: ErrorDistribution | None
+    complete: bool
+    poses: int
+    out_of_range: int
+    out_of_range_um: float
+    orientation_missed: int
+    tilt_before_urad: tuple[tuple[float, float], tuple[float, float]]
+    tilt_after_urad: tuple[tuple[float, float], tuple[float, float]] | None
+    machines: tuple[Spread, Spread] | None
+    seed: int
+
+    @property
+    def levels(self) -> tuple[ErrorDistribution, ...]:
+        """All available cases, in the order of the report."""
+        return tuple(
+            one for one in (self.without_tables, self.before, self.exact, self.with_uncertainty) if one is not None
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content for JSON; null for unknown numbers."""
+        tilts = [tilt and {"rms": tilt[0], "max": tilt[1]} for tilt in (self.tilt_before_urad, self.tilt_after_urad)]
+        spread = self.machines
+        return json_form(
+            {
+                "poses": self.poses,
+                "before": self.before,
+                "without_control": self.without_tables,
+                "compensated_if_exactly_true": self.exact,
+                "compensated": self.with_uncertainty,
+                "compensated_complete": self.with_uncertainty is not None and self.complete,
+                "out_of_range": self.out_of_range,
+                "out_of_range_max_um": self.out_of_range_um,
+                "orientation_not_reached": self.orientation_missed,
+                "tilt_before_urad": tilts[0],
+                "tilt_after_urad": tilts[1],
+                "machines": None if spread is None else {"as_it_is_rms": spread[0], "compensated_rms": spread[1]},
+                "seed": self.seed,
+            }
+        )
+
+
+def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
+    """Compensate every pose of a budget and return the errors before and after.
+
+    The commands are those of a compensated program: rotary words are rounded to their increment, linear ones solved for the rounded
+    rotary positions and then rounded; all are limited to the axis travel.
+
+    Args:
+        found: the error budget.
+        seed: random seed of the draws from the covariance.
+    """
+    real, q, sides = found.kinematics, found.positions, found.sides
+    before = np.linalg.norm(found.error_um, axis=1)
+    without_tables = None
+    if real.calibration.corrections:
+        alone = without(real, {table.name for table in real.calibration.corrections})
+        remaining_bare = (alone.forward(q, sides).point_mm - found.nominal_poses().point_mm) * 1e3
+        without_tables = _distribution("without the control's tables", remaining_bare)
+    exact = with_uncertainty = tilt_after = spreads = None
+    out = unoriented_count = 0
+    worst_out = np.nan
+    uncertainty = ToolUncertainty(real)
+    if real.machine.runs_programs:
+        commands, beyond, unoriented = _commanded(found)
+        meant, reached = found.nominal_poses(), real.forward(commands, sides)
+        remaining = (reached.point_mm - meant.point_mm) * 1e3
+        exact = _distribution("compensated, for an exact calibration", remaining)
+        tilt_after = rms_and_max(reached.tilt_urad(meant))
+        out, unoriented_count = int(np.count_nonzero(beyond)), int(np.count_nonzero(unoriented))
+        if out:
+            worst_out = float(np.linalg.norm(remaining[beyond], axis=1).max())
+        if uncertainty.parameters:
+            with_uncertainty = _distribution(
+                "compensated, with uncertainty", _with_uncertainty(remaining, uncertainty, q, sides, seed)
+            )
+    if uncertainty.parameters:
+        nominal_poses = draw_machines(real, trials=MACHINES, poses=MACHINE_POSES, seed=seed, workers=Workers(1))
+        spreads = (nominal_poses.as_it_is[0], nominal_poses.compensated[0])
+    return CompensationForecast(
+        before=ErrorDistribution("uncompensated", locked(np.sort(before))),
+        without_tables=without_tables,
+        exact=exact,
+        with_uncertainty=with_uncertainty,
+        complete=not uncertainty.without_uncertainty,
+        poses=len(q),
+        out_of_range=out,
+        out_of_range_um=worst_out,
+        orientation_missed=unoriented_count,
+        tilt_before_urad=rms_and_max(found.tilt_urad),
+        tilt_after_urad=tilt_after,
+        machines=spreads,
+        seed=seed,
+    )
+
+
+def _distribution(name: str, error_um: np.ndarray) -> ErrorDistribution:
+    return ErrorDistribution(name, locked(np.sort(np.linalg.norm(error_um, axis=1))))
+
+
+def _commanded(found: Budget) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (n, axes) compensated commands, (n,) whether the travel is exceeded, (n,) whether the orientation is missed."""
+    real, q, sides = found.kinematics, found.positions, found.sides
+    machine, inverse, meant = real.machine, Inverse(real), found.nominal_poses()
+    approach = sides if real.directed else None
+    increment = np.array([axis.increment for axis in machine.axes])
+    ranges, domains = machine.limits / machine.scale[:, None], real.calibration.domains()
+    low, high = np.maximum(ranges[:, 0], domains[:, 0]), np.minimum(ranges[:, 1], domains[:, 1])
+    rotary, linear = list(machine.rotary), list(machine.linear)
+    first = inverse.solve(meant, q, approach=approach)
+    commands = _clipped(first.positions, low, high)
+    commands[:, rotary] = _clipped(np.round(commands / increment) * increment, low, high)[:, rotary]
+    second = inverse.solve(meant, commands, rotary=False, approach=approach)
+    commands[:, linear] = _clipped(np.round(second.positions / increment) * increment, low, high)[:, linear]
+    beyond = second.where(Status.OUT_OF_RANGE)
+    return commands, beyond, first.where(Status.SINGULAR) | first.where(Status.OUT_OF_RANGE)
+
+
+def _clipped(commands: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    return np.clip(commands, low, high)
+
+
+def _with_uncertainty(
+    remaining: np.ndarray, uncertainty: ToolUncertainty, q: np.ndarray, sides: np.ndarray, seed: int
+) -> np.ndarray:
+    """Return (n·draws, 3) remaining errors plus normal draws from the covariance of the tool point at each pose, µm."""
+    covariance = uncertainty.at(q, sides).covariance[:, :3, :3]
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    nominal_poses = np.random.default_rng(seed).standard_normal((len(q), 3, DRAWS_A_POSE))
+    return np.asarray((remaining[:, :, None] + root @ nominal_poses).transpose(0, 2, 1).reshape(-1, 3))
