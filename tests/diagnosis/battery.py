@@ -34,7 +34,7 @@ from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import of_unit
 from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.judgement.in_place import equivalent
-from twin.diagnosis.problem.pool import Form
+from twin.diagnosis.problem.forms import Form
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.selection.searcher import Searcher
@@ -338,7 +338,7 @@ def answers_of(case: Case, task: tuple[int, int]) -> list[Answer]:
         by_itself = ROWS[case.row][0] == 1 and alone(searcher, draw.truth[0][0], draw.truth[0][1])
         problem.judge(draw.residual)
         began = time.process_time()
-        searcher.pool.judge(problem)
+        searcher.candidates.judge(problem)
         best = searcher.run()
         seconds = time.process_time() - began
         found.append(_answer(best, draw.truth, draw.columns, by_itself, seconds))
@@ -352,8 +352,8 @@ def _answer(
     alone: bool,
     seconds: float,
 ) -> Answer:
-    pool = found.beside
-    named = [pool.forms[form.index] for form in found.structure.forms]
+    candidates = found.beside
+    named = [candidates.forms[form.index] for form in found.structure.forms]
     groups = []
     for form in named:
         others = [one for one in named if one is not form]
@@ -375,16 +375,16 @@ def _answer(
 
 def alone(searcher: Searcher, key: Key, signature: np.ndarray) -> bool:
     """Whether nothing could be mistaken for a cause even without scatter, by the measure of ``equivalent``."""
-    problem, pool = searcher.problem, searcher.pool
+    problem, candidates = searcher.problem, searcher.candidates
     problem.judge(signature)
-    pool.judge(problem)
-    explained, dof = pool.scan([])
+    candidates.judge(problem)
+    explained, dof = candidates.scan([])
     form = max(
-        (one for one in pool.forms if one.key == key and dof[one.index] > 0),
-        key=lambda one: explained[one.index] - pool.cost(one, float(dof[one.index])),
+        (one for one in candidates.forms if one.key == key and dof[one.index] > 0),
+        key=lambda one: explained[one.index] - candidates.cost(one, float(dof[one.index])),
     )
     only = Structure((form,), None, None, problem, ())
-    found = Findings(replace(searcher.posed, problem=problem), (), pool, pool, only)
+    found = Findings(replace(searcher.posed, problem=problem), (), candidates, candidates, only)
     return not equivalent(found, form, [])
 
 

@@ -30,7 +30,7 @@ from tests.diagnosis.battery import HERE, ROWS, UNHIDDEN, Case, DataSet, Key, To
 from twin.compute.parallel import Workers, in_order
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.problem.pool import SEEN
+from twin.diagnosis.problem.forms import SEEN
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.selection.searcher import Searcher
 
@@ -352,7 +352,7 @@ def _methods(
     """By name, what gives the names, and the columns of what stays unnamed."""
 
     def own() -> tuple[tuple[Key, ...], tuple[str, ...]]:
-        searcher.pool.judge(problem)
+        searcher.candidates.judge(problem)
         found = searcher.run().structure
         unnamed = (name for trace in found.traces for name in trace.pattern.names)
         return tuple(form.key for form in found.forms), tuple(unnamed)

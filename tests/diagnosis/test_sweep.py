@@ -16,7 +16,7 @@ from tests.truth.hidden import Hidden
 from twin._common.arrays import locked
 from twin.diagnosis import diagnose
 from twin.diagnosis.candidates.signatures import of_effect
-from twin.diagnosis.problem.pool import ALARMS, SAMPLED
+from twin.diagnosis.problem.forms import ALARMS, SAMPLED
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
@@ -58,7 +58,7 @@ def searched(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> tuple[
 def whole(searched: tuple[Problem, Searcher]) -> np.ndarray:
     """(3n, columns) all signatures, as only a small set of points allows."""
     problem, searcher = searched
-    return problem.signature(searcher.pool.products.columns)
+    return problem.signature(searcher.candidates.products.columns)
 
 
 def close(found: np.ndarray, truth: np.ndarray, size: np.ndarray | float) -> None:
@@ -70,21 +70,23 @@ def test_inner_products_with_vectors_by_part(searched: tuple[Problem, Searcher],
     parts = split(problem)
     rng = np.random.default_rng(1)
     vectors = rng.standard_normal((len(parts), 3, 70))
-    found = Signatures(problem.view, searcher.pool.products.columns, parts).along(lambda block: vectors[block.rows])
+    found = Signatures(problem.view, searcher.candidates.products.columns, parts).along(
+        lambda block: vectors[block.rows]
+    )
     assert len(found) == parts.max() + 1 > 1
     for part, own in enumerate(found):
         rows = np.repeat(parts == part, 3)
         close(own, whole[rows].T @ vectors.reshape(-1, 70)[rows], np.linalg.norm(whole))
     some = np.sort(rng.choice(len(parts), 100, replace=False))
-    few = searcher.pool.products.signatures.along(lambda block: vectors[block.rows], some)
+    few = searcher.candidates.products.signatures.along(lambda block: vectors[block.rows], some)
     rows = (3 * some[:, None] + np.arange(3)).ravel()
     close(few[0], whole[rows].T @ vectors.reshape(-1, 70)[rows], np.linalg.norm(whole))
 
 
 def test_inner_products_within_forms(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
     _, searcher = searched
-    pool = searcher.pool
-    for columns, blocks in zip(pool._columns, pool.products.within, strict=True):
+    candidates = searcher.candidates
+    for columns, blocks in zip(candidates._columns, candidates.products.within, strict=True):
         for own, block in zip(columns[::17], blocks[::17], strict=True):
             close(block, whole[:, own].T @ whole[:, own], np.abs(block).max() + 1e-30)
 
@@ -104,7 +106,7 @@ def test_what_is_left_beside_set_up_and_doubt(searched: tuple[Problem, Searcher]
         kept = some * keep[:, None]
         truth = kept.T @ kept - (basis.T @ kept).T @ (basis.T @ kept)
         size = np.linalg.norm(kept, axis=0).max() ** 2
-        found = part.products(searcher.pool.products.columns[::97])
+        found = part.products(searcher.candidates.products.columns[::97])
         assert np.abs(found.gram - truth).max() <= 1e-10 * size
         assert np.abs(part.inner(some) - truth).max() <= 1e-10 * size
         residual = problem.residual * keep
@@ -131,7 +133,7 @@ def test_a_doubt_too_small_to_show_is_not_lost(dmu50: Machine, searched: tuple[P
 def test_what_is_taken_away(searched: tuple[Problem, Searcher], whole: np.ndarray, which: str) -> None:
     problem, searcher = searched
     parts = split(problem)
-    products = Products(problem, searcher.pool.products.columns, searcher.pool._columns, parts=parts)
+    products = Products(problem, searcher.candidates.products.columns, searcher.candidates._columns, parts=parts)
     gone = np.flatnonzero(parts == 1)
     if which == "any points":
         gone = np.sort(np.random.default_rng(2).choice(len(parts), 60, replace=False))
@@ -146,9 +148,9 @@ def test_what_is_taken_away(searched: tuple[Problem, Searcher], whole: np.ndarra
 
 def test_another_column_in_the_place_of_one(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
     problem, searcher = searched
-    pool = searcher.pool
-    products = Products(problem, pool.products.columns, pool._columns)
-    alone = np.array([pool.forms[i].columns[0] for i in pool._rows[0][:2]])
+    candidates = searcher.candidates
+    products = Products(problem, candidates.products.columns, candidates._columns)
+    alone = np.array([candidates.forms[i].columns[0] for i in candidates._rows[0][:2]])
     products.cross(np.array([0, 5, 9]))
     products.replace(alone[:1], [products.columns[int(alone[1])]])
     changed = np.array(whole)
@@ -196,7 +198,7 @@ def test_the_price_of_the_search_from_some_of_the_points(dmu50: Machine, tmp_pat
         data = measured(dmu50, tmp_path, poses)
         placed = readings(data, dmu50, Calibration.default(dmu50))
         posed = placed.without(placed.bad)
-        levels.append(Searcher(posed).pool.level)
+        levels.append(Searcher(posed).candidates.level)
     assert min(levels) >= ALARMS
     assert levels[0] == pytest.approx(levels[1], rel=0.5)
 

@@ -82,8 +82,8 @@ def test_the_functions_of_a_pattern_are_products_of_half_waves_and_turns(searche
 
 def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) -> None:
     """Statistic and weights of every direction from dense matrices, the set-up and a cause taken out by least squares."""
-    problem, pool = searched.problem, searched.pool
-    form = next(one for one in pool.forms if one.key == ("reversal", "Y"))
+    problem, candidates = searched.problem, searched.candidates
+    form = next(one for one in candidates.forms if one.key == ("reversal", "Y"))
     pattern = next(p for p in searched.patterns if p.names == ("Y_mm", "Z_mm") and p.side == "tool")
     (trace,) = scan(problem, [pattern], [form], np.inf)
     columns = [problem.signature(pattern.columns(trace.level, [i])) for i in trace.directions]
@@ -124,20 +124,20 @@ def found_pattern(searched: Searcher, pattern: Pattern, size: float) -> Likeliho
     columns = pattern.columns(2, [0])
     made = problem.signature(columns) @ rng.standard_normal(len(columns))
     problem.judge(made * size + rng.standard_normal(len(made)) * problem.network.read.reshape(-1))
-    searched.pool.judge(problem)
+    searched.candidates.judge(problem)
     (trace,) = scan(problem, [pattern], (), np.inf)
     assert trace.found
-    return Likelihood(searched.pool, [trace])
+    return Likelihood(searched.candidates, [trace])
 
 
 def test_the_likelihood_beside_a_pattern_is_that_of_the_dense_covariance(searched: Searcher) -> None:
     """−log|V| − rᵀV⁻¹r with the set-up projected out, V = s²(1 + ΦDΦᵀ), at the variances that were found; no others are likelier."""
-    problem, pool = searched.problem, searched.pool
+    problem, candidates = searched.problem, searched.candidates
     before = problem.residual
     try:
         pattern = next(p for p in searched.patterns if p.names == ("X_mm",) and p.side == "tool")
         likelihood = found_pattern(searched, pattern, 1.0)
-        form = next(one for one in pool.forms if one.key == ("reversal", "Y"))
+        form = next(one for one in candidates.forms if one.key == ("reversal", "Y"))
         model = likelihood.fit([form])
         phi = beside(problem, problem.signature(likelihood.columns))
         x = beside(problem, problem.signature(form.cell.columns))
@@ -162,12 +162,12 @@ def test_the_likelihood_beside_a_pattern_is_that_of_the_dense_covariance(searche
             assert twice(model.variances * factor) < model.twice + 0.02
     finally:
         problem.judge(before)
-        pool.judge(problem)
+        candidates.judge(problem)
 
 
 def test_what_a_pattern_most_likely_is_follows_from_the_dense_covariance(searched: Searcher) -> None:
     """s²(ΦᵀMΦ + D⁻¹)⁻¹ and its product with Φᵀr: Bayesian linear regression, also along what no reading shows."""
-    problem, pool = searched.problem, searched.pool
+    problem, candidates = searched.problem, searched.candidates
     before = problem.residual
     try:
         pattern = max((p for p in searched.patterns if p.side == "work"), key=lambda p: len(p.columns(p.highest, [0])))
@@ -183,7 +183,7 @@ def test_what_a_pattern_most_likely_is_follows_from_the_dense_covariance(searche
         np.testing.assert_allclose(likelihood.slope_with(problem.residual), alone, atol=1e-6 * np.abs(alone).max())
     finally:
         problem.judge(before)
-        pool.judge(problem)
+        candidates.judge(problem)
 
 
 def test_columns_along_the_base_are_the_patterns_own(searched: Searcher) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.diagnosis.candidates.candidate import STRAIGHT, Drift
 from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.problem.pool import pseudo
+from twin.diagnosis.problem.forms import pseudo
 from twin.diagnosis.problem.problem import Problem
 
 FINE: Final = 81

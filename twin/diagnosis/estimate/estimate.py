@@ -14,7 +14,7 @@ from twin.diagnosis.candidates.candidate import STRAIGHT
 from twin.diagnosis.candidates.signatures import Column, of_effect
 from twin.diagnosis.estimate.drift_fit import fit_drift, over_forms
 from twin.diagnosis.estimate.misfit import larger, more_left, widened
-from twin.diagnosis.problem.pool import Form, pseudo
+from twin.diagnosis.problem.forms import Form, pseudo
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.result import Quantity
 from twin.machine.effects import Effect

@@ -22,8 +22,8 @@ from twin.diagnosis.judgement.causes import Judged
 from twin.diagnosis.judgement.extend import Extended, extend
 from twin.diagnosis.judgement.gain import gain, of_file
 from twin.diagnosis.judgement.sizes import Sized
+from twin.diagnosis.problem.forms import SEEN, Candidates, Form
 from twin.diagnosis.problem.noise import Scatter
-from twin.diagnosis.problem.pool import SEEN, Form, Pool
 from twin.diagnosis.problem.problem import Problem, plain, rms, unwhitened
 from twin.diagnosis.result import Trend, Unexplained, Verdict
 from twin.diagnosis.selection.structure import Findings
@@ -76,8 +76,8 @@ def answer(judged: Judged, calibration: Calibration, *, empirical: bool = False)
         not_evaluated=found.posed.known.not_evaluated,
         next_measurement=judged.next_measurement,
         trends=misfit.trends,
-        ranking=_ranking(found.pool),
-        # Last: it puts the pool back to what was tried.
+        ranking=_ranking(found.candidates),
+        # Last: it puts the candidates back to what was tried.
         gain=gain(sized, (residual, after), left, unnamed) if changed else None,
         tried=len(found.posed.known.candidates),
         scatter=found.posed.scatter.source,
@@ -116,22 +116,24 @@ def _verdict(judged: Judged, left: Unexplained | None) -> Verdict:
 
 def _unidentifiable(found: Findings) -> dict[tuple[str, str], str]:
     """Candidates that the data could not show, and what looks the same as each."""
-    pool = found.pool
+    candidates = found.candidates
     seen: dict[tuple[str, str], bool] = {}
-    for form, score in zip(pool.forms, pool.scores([], range(len(pool.forms))), strict=True):
+    for form, score in zip(candidates.forms, candidates.scores([], range(len(candidates.forms))), strict=True):
         seen[form.key] = seen.get(form.key, False) or score[1] > 0
     hidden = [candidate.key for candidate in found.posed.known.candidates if not seen.get(candidate.key, True)]
-    why = looks_like(found.problem, [form for form in pool.forms if form.key in set(hidden)])
+    why = looks_like(found.problem, [form for form in candidates.forms if form.key in set(hidden)])
     return {key: why[key] for key in hidden}
 
 
-def _ranking(pool: Pool) -> tuple[tuple[str, str, float, float], ...]:
+def _ranking(candidates: Candidates) -> tuple[tuple[str, str, float, float], ...]:
     best: dict[tuple[str, str], tuple[float, float]] = {}
-    for form, (explained, _, log_p) in zip(pool.forms, pool.scores([], range(len(pool.forms))), strict=True):
+    for form, (explained, _, log_p) in zip(
+        candidates.forms, candidates.scores([], range(len(candidates.forms))), strict=True
+    ):
         if log_p < best.get(form.key, (0.0, 1.0))[1]:
             best[form.key] = float(explained), float(log_p)
     ranked = sorted(best.items(), key=lambda one: (one[1][1], -one[1][0]))[:RANKED]
-    return tuple((effect, where, explained, pool.chance(log_p)) for (effect, where), (explained, log_p) in ranked)
+    return tuple((effect, where, explained, candidates.chance(log_p)) for (effect, where), (explained, log_p) in ranked)
 
 
 SEEN_AT: Final = 0.05

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.diagnosis.candidates.flaws import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.estimate.estimate import Estimate
-from twin.diagnosis.problem.pool import Form, Pool
+from twin.diagnosis.problem.forms import Candidates, Form
 from twin.diagnosis.result import readable_unit
 from twin.diagnosis.selection.left_out import foretells
 from twin.diagnosis.wording.words import listed
@@ -32,7 +32,7 @@ def evidence(form: Form, found: Estimate, k: int) -> str:
     return f"{text} ({abs(size.value) / size.u:.0f} standard uncertainties)" if size.u > 0.0 else text
 
 
-def curve_flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calibration) -> str:
+def curve_flaw(candidates: Candidates, forms: Sequence[Form], form: Form, calibration: Calibration) -> str:
     """What was done wrong in making the calibration's own curve, if that is plain."""
     space, curve = form.candidate.space, calibration.curves.get(form.candidate.where)
     if curve is not None:
@@ -42,12 +42,16 @@ def curve_flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calib
     # With as many functions as the calibration's curve has: what they all are is asked, not what need be corrected.
     count = max(len(curve.coefficients), len(form.columns))
     wide = next(
-        (f for f in pool.forms if f.key == form.key and len(f.columns) == count and f.cell.fixed.get("first") == 0.0),
+        (
+            f
+            for f in candidates.forms
+            if f.key == form.key and len(f.columns) == count and f.cell.fixed.get("first") == 0.0
+        ),
         form,
     )
     if "stops" in form.cell.fixed:
         wide = form
-    columns, values, inverse = pool.fitted([wide, *(one for one in forms if one is not form)])
+    columns, values, inverse = candidates.fitted([wide, *(one for one in forms if one is not form)])
     own = np.searchsorted(columns, wide.columns)
     scale = np.array([column.scale for column in wide.cell.columns])
     if "stops" in form.cell.fixed:
@@ -63,37 +67,39 @@ def curve_flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calib
     return f"; {text}" if text else ""
 
 
-def between_positions(pool: Pool, forms: Sequence[Form], form: Form) -> str:
+def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form) -> str:
     """Why a cause is not promised between the measured positions; empty if it is.
 
     Args:
-        pool: the data.
+        candidates: the data.
         forms: the causes.
         form: one of them.
     """
-    periods = _other_periods(pool, forms, form)
+    periods = _other_periods(candidates, forms, form)
     if periods:
         other = listed([f"{one:.3g}" for one in periods])
         return f"; with other periods, as {other}, it fits as well at these positions: nothing is promised between them"
-    if not foretells(pool, form, forms):
+    if not foretells(candidates, form, forms):
         return "; no curve through the positions measured foretells those left out: nothing is promised between them"
     return ""
 
 
-def _other_periods(pool: Pool, forms: Sequence[Form], form: Form) -> list[float]:
+def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) -> list[float]:
     """Periods, mm, at which a pitch error fits the readings as well (aliases)."""
     if "period" not in form.cell.fixed:
         return []
-    network = pool.problem.network
+    network = candidates.problem.network
     q = network.data.positions[:, network.machine.names.index(form.candidate.where)]
     span, even = float(np.ptp(q)), sampling(q)
     if even is not None:
         own = 1.0 / form.cell.fixed["period"]
         aliases = (1.0 / max(abs(even - own), 1e-9), 1.0 / (even + own))
         return [float(one) for one in aliases if one >= SHORTEST_PERIOD]
-    tried = [one for one in pool.forms if one.key == form.key and one is not form]
+    tried = [one for one in candidates.forms if one.key == form.key and one is not form]
     periods = np.array([one.cell.fixed["period"] for one in tried])
-    explained = pool.scores([one for one in forms if one is not form], [one.index for one in (form, *tried)])[:, 0]
+    explained = candidates.scores([one for one in forms if one is not form], [one.index for one in (form, *tried)])[
+        :, 0
+    ]
     away = np.abs(1.0 / periods - 1.0 / form.cell.fixed["period"]) * span
     found: list[float] = []
     for i in np.argsort(-explained[1:]):

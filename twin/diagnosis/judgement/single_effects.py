@@ -20,7 +20,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.diagnosis.problem.pool import SEEN
+from twin.diagnosis.problem.forms import SEEN
 
 ODDS: Final = 20.0
 """Odds of an effect against none from which on it counts as found."""

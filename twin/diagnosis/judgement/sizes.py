@@ -13,7 +13,7 @@ from twin._common.distributions import f_log_sf
 from twin.diagnosis.estimate.estimate import Estimate, estimate
 from twin.diagnosis.estimate.misfit import MANY
 from twin.diagnosis.judgement.evidence import between_positions
-from twin.diagnosis.problem.pool import Form, log_chance
+from twin.diagnosis.problem.forms import Form, log_chance
 from twin.diagnosis.selection.structure import Findings
 from twin.machine.effects import Effect
 from twin.numerics.covariance import Covariance
@@ -94,20 +94,20 @@ def sized(found: Findings) -> Sized:
                 if MANY <= against[2] < np.inf
             ]
         worst = max(judged, key=lambda one: one[0], default=None)
-        if worst is None or worst[0] <= np.log(found.pool.level):
+        if worst is None or worst[0] <= np.log(found.candidates.level):
             break
         dropped.append(worst[1])
         forms = [form for form in forms if form is not worst[1]]
     beside = tuple(found.beside.forms[form.index] for form in forms)
-    doubts = tuple(between_positions(found.pool, forms, form) for form in forms)
+    doubts = tuple(between_positions(found.candidates, forms, form) for form in forms)
     return Sized(found, tuple(forms), beside, estimated, tuple(dropped), doubts)
 
 
 def log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
     """As `Sized.log_p`."""
-    explained, dof, _ = found.pool.scores([one for one in forms if one is not form], [form.index])[0]
+    explained, dof, _ = found.candidates.scores([one for one in forms if one is not form], [form.index])[0]
     left = max((found.problem.chi2 - estimated.explained) / max(found.problem.dof, 1), 1.0)
-    chance = log_chance(np.array(explained / left), max(float(dof), 1.0), found.pool.dof)
+    chance = log_chance(np.array(explained / left), max(float(dof), 1.0), found.candidates.dof)
     return min(float(chance) + form.price, 0.0)
 
 

@@ -1,4 +1,4 @@
-"""What the data say of every column of a pool, before anything is projected out: kept, and mended where only little changes."""
+"""What the data say of every column of the candidates, before anything is projected out: kept, and mended where only little changes."""
 
 from __future__ import annotations
 

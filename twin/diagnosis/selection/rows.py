@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 
 from twin.diagnosis.estimate.estimate import estimate
-from twin.diagnosis.problem.pool import Pool
+from twin.diagnosis.problem.forms import Candidates
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import ROBUST, Posed, Readings
-from twin.diagnosis.selection.search import glimpse, pool_of
+from twin.diagnosis.selection.search import candidates_of, glimpse
 from twin.identification.outliers import outliers
 
 WITNESSES: Final = 3
@@ -47,12 +47,12 @@ def _still_bad(placed: Readings) -> np.ndarray:
         found[rows] = _still_bad(placed.some(rows))
         return found
     everything = placed.without(np.zeros(len(placed.bad), dtype=bool))
-    whole, pool = everything.problem, pool_of(everything)
+    whole, candidates = everything.problem, candidates_of(everything)
     size = np.linalg.norm(placed.network.residual(np.zeros(0), placed.setup), axis=1)
     for share in TAKEN_BACK:
         bad = placed.bad & (size > np.quantile(size[placed.bad], share))
         for _ in range(ROBUST):
-            still = _beyond(placed, whole, pool, bad)
+            still = _beyond(placed, whole, candidates, bad)
             settled = np.count_nonzero(still & ~bad) == 0 and np.count_nonzero(still) > 0.9 * np.count_nonzero(bad)
             if settled or np.count_nonzero(still) > 0.5 * np.count_nonzero(placed.bad):
                 break
@@ -62,11 +62,11 @@ def _still_bad(placed: Readings) -> np.ndarray:
     return placed.bad
 
 
-def _beyond(placed: Readings, whole: Problem, pool: Pool, bad: np.ndarray) -> np.ndarray:
+def _beyond(placed: Readings, whole: Problem, candidates: Candidates, bad: np.ndarray) -> np.ndarray:
     """(n,) rows too far off once the causes that the other rows show are taken out of all."""
     part = whole.without(bad) if np.any(bad) else whole
     if part is None:
         return placed.bad
-    forms = glimpse(pool.on(part), CLEAR)
+    forms = glimpse(candidates.on(part), CLEAR)
     left = whole.residual - estimate(part, forms).signature.sum(axis=1)
     return outliers(placed.network, part.following(left).reshape(-1, 3))

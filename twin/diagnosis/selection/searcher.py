@@ -6,12 +6,12 @@ from typing import Final, final
 
 from twin.diagnosis.candidates.machine_effects import cell_at
 from twin.diagnosis.estimate.estimate import estimate
-from twin.diagnosis.problem.pool import Form
+from twin.diagnosis.problem.forms import Form
 from twin.diagnosis.problem.readings import Posed
 from twin.diagnosis.selection.left_out import foretells, held_up
 from twin.diagnosis.selection.patterns import patterns
 from twin.diagnosis.selection.payload import chosen
-from twin.diagnosis.selection.search import Selection, pool_of
+from twin.diagnosis.selection.search import Selection, candidates_of
 from twin.diagnosis.selection.structure import Findings, Structure, named, settled
 from twin.measurement.table import state_of
 
@@ -42,7 +42,7 @@ class Searcher:
     def __init__(self, posed: Posed) -> None:
         self.posed = posed
         self.problem = posed.problem
-        self.pool = pool_of(posed)
+        self.candidates = candidates_of(posed)
         self.patterns = patterns(self.problem.network.machine, self.problem.network.data)
 
     def run(self) -> Findings:
@@ -52,12 +52,12 @@ class Searcher:
         while varying := [
             form
             for form in found.forms
-            if form.candidate.specification.more_of and not foretells(self.pool, form, found.forms)
+            if form.candidate.specification.more_of and not foretells(self.candidates, form, found.forms)
         ]:
-            self.pool.forbid({form.key for form in varying})
+            self.candidates.forbid({form.key for form in varying})
             found, refuted = self._settled()
-        beside = self.pool.beside(found.problem) if found.traces else self.pool
-        return Findings(self.posed, self.patterns, self.pool, beside, found, refuted)
+        beside = self.candidates.beside(found.problem) if found.traces else self.candidates
+        return Findings(self.posed, self.patterns, self.candidates, beside, found, refuted)
 
     def _settled(self) -> tuple[Structure, tuple[Form, ...]]:
         """The causes that stand and the patterns beside them, and the causes that readings left out refute.
@@ -65,13 +65,13 @@ class Searcher:
         Where these are too few for what was fitted to them, they are too few as well to ask what causes a pattern could do.
         """
         chosen = self._best().forms
-        kept = held_up(self.pool, chosen)
+        kept = held_up(self.candidates, chosen)
         if len(kept) == len(chosen):
-            found = settled(self.pool, chosen, self.patterns)
-            chosen, kept = found.forms, held_up(self.pool, found.forms)
+            found = settled(self.candidates, chosen, self.patterns)
+            chosen, kept = found.forms, held_up(self.candidates, found.forms)
             if len(kept) == len(chosen):
                 return found, ()
-        return named(self.pool, kept, self.patterns), tuple(form for form in chosen if form not in kept)
+        return named(self.candidates, kept, self.patterns), tuple(form for form in chosen if form not in kept)
 
     def _best(self) -> Selection:
         """Named causes alone.
@@ -79,11 +79,11 @@ class Searcher:
         Between two periods or time constants that were tried, a large cause leaves more than another cause is: what is large is put
         where the data have it, and the search made again.
         """
-        best = chosen(self.pool)
+        best = chosen(self.candidates)
         for _ in range(REFINED):
             if not self._refined(best):
                 break
-            best = chosen(self.pool, best.forms)
+            best = chosen(self.candidates, best.forms)
         return best
 
     def _refined(self, best: Selection) -> bool:
@@ -92,7 +92,7 @@ class Searcher:
         large = [
             form
             for form in bent
-            if self.pool.scores([one for one in best.forms if one is not form], [form.index])[0, 0] > LARGE
+            if self.candidates.scores([one for one in best.forms if one is not form], [form.index])[0, 0] > LARGE
         ]
         if not large:
             return False
@@ -106,5 +106,5 @@ class Searcher:
                 continue
             moved = True
             fixed = {name: q.value for name, q in put.items()}
-            self.pool.refine(form, cell_at(form.candidate, fixed, machine, state))
+            self.candidates.refine(form, cell_at(form.candidate, fixed, machine, state))
         return moved

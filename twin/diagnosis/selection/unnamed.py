@@ -16,7 +16,7 @@ from scipy import special
 
 from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import Fields
-from twin.diagnosis.problem.pool import Form, log_chance
+from twin.diagnosis.problem.forms import Form, log_chance
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.selection.patterns import Pattern
 from twin.numerics.functions import Rows, pieces

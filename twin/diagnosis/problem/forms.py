@@ -3,7 +3,7 @@
 A form of a candidate (a cell) explains F = bᵀG⁻¹b of the misfit, given the causes already in. Its p-value is that of a chi² with as
 many degrees of freedom as the data see of it (of an F where the scatter itself is estimated), times the number of forms tried in its
 family times the number of families: the price of the search. Forms go with one another, so that price is too high; how much, the
-same search on scatter alone says (`Pool.calibrate`).
+same search on scatter alone says (`Candidates.calibrate`).
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ BATCH: Final = 48
 @final
 @dataclass(frozen=True, eq=False)
 class Form:
-    """One cell of one candidate, among the columns of a pool.
+    """One cell of one candidate, among the columns of the candidates.
 
     Attributes:
         candidate: whose it is.
         cell: which form.
-        columns: in the pool.
+        columns: in the candidates.
         price: natural log of the number of forms tried.
-        index: among the pool's forms.
+        index: among the forms.
     """
 
     candidate: Candidate
@@ -81,7 +81,7 @@ class Form:
 
 
 @final
-class Pool:
+class Candidates:
     """Forms with what the data say of each: inner products within a form, and on demand those with the forms that are in.
 
     Args:
@@ -126,10 +126,10 @@ class Pool:
             self.calibrate()
         self._all_costs = self._costs = _costs(self.forms, self.level, self.dof)
 
-    def beside(self, problem: Problem) -> Pool:
+    def beside(self, problem: Problem) -> Candidates:
         """The same forms, refined and barred ones too, at the same level, on the same readings with more beside them."""
         forms = [(form.candidate, form.cell, form.price) for form in self.forms]
-        found = Pool(problem, forms, self.dof, level=self.level)
+        found = Candidates(problem, forms, self.dof, level=self.level)
         found._costs = self._costs
         return found
 
@@ -229,7 +229,7 @@ class Pool:
         right = self.problem.root.T @ self.problem.along_basis
         self.slope = self.products.by_residual - self._within.T @ right
 
-    def on(self, part: Problem) -> Pool:
+    def on(self, part: Problem) -> Candidates:
         """The same forms on a part of the same data."""
         other = copy(self)
         other._tried = {}
@@ -244,7 +244,7 @@ class Pool:
         """Let a form have its non-linear parameters where the data put them, beside those that were tried; until other data are judged.
 
         Args:
-            form: of this pool.
+            form: of this candidates.
             cell: with as many columns.
         """
         self._tried.setdefault(form.index, self.forms[form.index])
@@ -299,7 +299,7 @@ class Pool:
         return left < 1e-2 * min(own, 1.0)
 
     def scan(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
-        """What every form of the pool explains beside some others, and the degrees of freedom it does it with."""
+        """What every form of the candidates explains beside some others, and the degrees of freedom it does it with."""
         key = frozenset(form.index for form in forms)
         if key in self._scans:
             return self._scans[key]
@@ -331,7 +331,7 @@ class Pool:
         return np.asarray(self._costs[np.arange(len(dof)), dof])
 
     def along(self, columns: Sequence[Column]) -> np.ndarray:
-        """(columns, all) inner products of any columns with those of the pool, beside the set-up."""
+        """(columns, all) inner products of any columns with those of the candidates, beside the set-up."""
         points = np.setdiff1d(np.arange(len(self.problem.view.rows)), self.problem.held)
         found = np.zeros((len(columns), len(self.slope)))
         for start in range(0, len(columns), BATCH):
