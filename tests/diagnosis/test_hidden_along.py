@@ -170,5 +170,5 @@ def test_orders_that_the_positions_cannot_tell_are_not_tried(dmu50: Machine, tmp
         of = replace(of, q=q)
         data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)
         found = {one.where: one for one in catalogue(dmu50, data, Calibration.default(dmu50)).candidates}
-        assert len(found["E_CC"].cells) == most and found["E_CC"].tests == most
-        assert len(found["E_XC"].cells) == 30
+        assert len(found["E_CC"].variants) == most and found["E_CC"].tests == most
+        assert len(found["E_XC"].variants) == 30

@@ -143,10 +143,10 @@ def test_the_size_of_an_affine_error_allows_for_its_centre(
     rng = np.random.default_rng(53)
     of = hidden.rounded(hidden.plan(rng, poses=POSES))
     data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)
-    posed = readings(data, dmu50, calibration).without(np.zeros(len(data), dtype=bool))
-    problem, known = posed.problem, posed.known
-    cells = next(one for one in known.candidates if one.key == ("affine_scale", "round 2")).cells
-    forms = [[replace(column, scale=1.0) for column in cell.columns] for cell in cells]
+    task = readings(data, dmu50, calibration).without(np.zeros(len(data), dtype=bool))
+    problem, known = task.problem, task.catalogue
+    variants = next(one for one in known.candidates if one.key == ("affine_scale", "round 2")).variants
+    forms = [[replace(column, scale=1.0) for column in variant.columns] for variant in variants]
     columns = [problem.signature(own) for own in forms]
     covariances = [np.linalg.inv(problem.inner(own)) for own in columns]
     pulls, alone = [], []
@@ -154,7 +154,7 @@ def test_the_size_of_an_affine_error_allows_for_its_centre(
         value = rng.standard_normal(6)
         value *= np.sqrt(30.0 / (value @ np.linalg.inv(covariances[1]) @ value))
         residual = problem.project(columns[1] @ value + rng.standard_normal(len(problem.residual)))
-        problem.judge(residual)
+        problem.set_residual(residual)
         slopes = [problem.along(own, residual) for own in columns]
         best = int(np.argmax([slope @ own @ slope for slope, own in zip(slopes, covariances, strict=True)]))
         off = covariances[best] @ slopes[best] - value

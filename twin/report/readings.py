@@ -135,7 +135,7 @@ def checked(data: Measurements, machine: Machine, calibration: Calibration, path
         far=int(np.count_nonzero(placed.bad)),
         rms_before_um=_rms(before, read),
         rms_after_um=_rms(left, read),
-        scatter=placed.scatter.source,
+        scatter=placed.noise.source,
         before_um=locked(np.linalg.norm(before, axis=1) / UM),
         after_um=locked(np.linalg.norm(left, axis=1) / UM),
         stops=MappingProxyType(_stops(network, placed.setup, held)),

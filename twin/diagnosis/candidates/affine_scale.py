@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
-from twin.diagnosis.candidates.signatures import STRAINS, Column, Part, strained
+from twin.diagnosis.candidates.signatures import STRAINS, Column, SignatureTerm, strained
 from twin.machine.effects.specification import NOTHING, REST, Advice, Specification
 from twin.measurement.table import Measurements
 from twin.numerics.functions import given
@@ -80,13 +80,13 @@ def _candidate(data: Measurements, part: _Part) -> Candidate | None:
     kept = [k for k, (i, j) in enumerate(STRAINS) if seen[i] and seen[j]]
     if not kept:
         return None
-    cells = [Cell(_columns(part.mask, kept, np.zeros(3)))]
+    variants = [Cell(_columns(part.mask, kept, np.zeros(3)))]
     if part.anew:
         # An instrument is aligned anew with a round: its origin is where the readings are.
         middle = [np.nanmean(data.point_mm[part.mask, i]) if seen[i] else 0.0 for i in range(3)]
-        cells.append(Cell(_columns(part.mask, kept, MM * np.array(middle))))
+        variants.append(Cell(_columns(part.mask, kept, MM * np.array(middle))))
     names = tuple(NAMES[k] for k in kept)
-    return Candidate(AFFINE_SCALE, part.where, names, tuple(cells), float(len(cells)))
+    return Candidate(AFFINE_SCALE, part.where, names, tuple(variants), float(len(variants)))
 
 
 def _extended(points: np.ndarray) -> np.ndarray:
@@ -104,8 +104,12 @@ def _columns(mask: np.ndarray, kept: list[int], middle: np.ndarray) -> tuple[Col
     return tuple(
         Column(
             (
-                Part(("strain", k), function, 0, 1e-6),
-                *(Part(("station", i), function, 0, -1e-6 * float(back[i, k])) for i in range(3) if back[i, k] != 0.0),
+                SignatureTerm(("strain", k), function, 0, 1e-6),
+                *(
+                    SignatureTerm(("station", i), function, 0, -1e-6 * float(back[i, k]))
+                    for i in range(3)
+                    if back[i, k] != 0.0
+                ),
             ),
             PLAUSIBLE,
         )

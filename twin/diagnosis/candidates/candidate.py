@@ -55,7 +55,7 @@ class Drift:
     straight: bool
 
     @property
-    def cells(self) -> tuple[Cell, ...]:
+    def variants(self) -> tuple[Cell, ...]:
         """A straight line, and exponentials."""
         bent = (Cell(self.columns(constant), {"time_constant": constant}) for constant in self.constants)
         return (Cell(self.columns(STRAIGHT)), *bent)
@@ -69,8 +69,8 @@ class Candidate:
     Attributes:
         specification: of the effect.
         where: contract §5.
-        names: (name, unit) of its linear parameters, the first of as many as a cell has.
-        cells: the forms it can take.
+        names: (name, unit) of its linear parameters, the first of as many as a variant has.
+        variants: the forms it can take.
         tests: how many independent ones that is, for the price of the search.
         build: linear parameters and fixed ones → the effects that extend the model; None for the instrument's.
         units: fixed parameters → one effect a linear parameter, that one being one; None where columns are not made so.
@@ -81,7 +81,7 @@ class Candidate:
     specification: Specification
     where: str
     names: tuple[tuple[str, str], ...]
-    cells: tuple[Cell, ...]
+    variants: tuple[Cell, ...]
     tests: float
     build: Build | None = None
     units: Units | None = None
@@ -110,7 +110,7 @@ class Candidate:
 
     def range(self, name: str) -> float:
         """The largest value of a fixed parameter that is tried; infinite if it has none."""
-        return max((cell.fixed[name] for cell in self.cells if name in cell.fixed), default=np.inf)
+        return max((variant.fixed[name] for variant in self.variants if name in variant.fixed), default=np.inf)
 
 
 @final

@@ -58,14 +58,14 @@ def _candidate(given: Given, axis: Axis, component: int) -> Candidate | None:
     functions = _shaped(space, at, tuple(patterns.values()))
     at_frame = first_component(given.machine, axis.name) + component
     columns = tuple(of_components([(at_frame, functions, k, 1.0)]) for k in range(functions.count))
-    cells = [
+    variants = [
         Cell(columns[first : degree + 1], {"first": float(first)}) for degree in range(own, count) for first in (0, own)
     ]
     short = [Cell((columns[space.count + k],), {"stops": stops}) for k, stops in enumerate(patterns)]
     tests = float(count - own + min(len(short), 2))
     names = tuple((f"g{k}", unit_of(name)) for k in range(count))
     build = _builder(space, patterns, wrapped=axis.lower is None)
-    return Candidate(specification, name, names, (*cells, *short), tests, build, space=space)
+    return Candidate(specification, name, names, (*variants, *short), tests, build, space=space)
 
 
 def _tried(axis: Axis, known: Curve | None, curve: Curve | None) -> tuple[tuple[float, float], int] | None:

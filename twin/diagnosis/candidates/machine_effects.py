@@ -47,11 +47,11 @@ def _candidate(one: Specification, where: str, given: Given, payloads: Sequence[
     if forms.drifts:
         drift = _drift(forms, given)
         return Candidate(
-            one, where, forms.names, drift.cells, forms.tests or 1.0, forms.build, forms.units, drift=drift
+            one, where, forms.names, drift.variants, forms.tests or 1.0, forms.build, forms.units, drift=drift
         )
-    cells = tuple(Cell(columns, fixed) for columns, fixed in zip(_columns(forms, given), forms.trials, strict=True))
-    tests = float(max(len(cells), 1)) if forms.tests is None else forms.tests
-    return Candidate(one, where, forms.names, cells, tests, forms.build, forms.units, forms.space)
+    variants = tuple(Cell(columns, fixed) for columns, fixed in zip(_columns(forms, given), forms.trials, strict=True))
+    tests = float(max(len(variants), 1)) if forms.tests is None else forms.tests
+    return Candidate(one, where, forms.names, variants, tests, forms.build, forms.units, forms.space)
 
 
 def _single(one: Specification, where: str, given: Given) -> Forms:
@@ -63,7 +63,7 @@ def _single(one: Specification, where: str, given: Given) -> Forms:
     return single((name, unit), lambda value: make(given.machine, where, {name: value}, ()))
 
 
-def cell_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machine, state: Mapping[str, Any]) -> Cell:
+def variant_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machine, state: Mapping[str, Any]) -> Cell:
     """The form of a candidate at any values of its non-linear parameters.
 
     Args:

@@ -15,7 +15,14 @@ import numpy as np
 
 from twin._common.units import UM
 from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateSource, Catalogue, Cell, Given
-from twin.diagnosis.candidates.signatures import Column, Part, first_component, of_components, of_values, scaled_to
+from twin.diagnosis.candidates.signatures import (
+    Column,
+    SignatureTerm,
+    first_component,
+    of_components,
+    of_values,
+    scaled_to,
+)
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect, ErrorMotion, split_name
 from twin.machine.effects.specification import Advice, Found, Specification
@@ -219,7 +226,7 @@ def _renamed(motion: ErrorMotion, name: str, calibration: Calibration) -> Build 
     return build
 
 
-def _before_the_chain(own: Mapping[int, int], curves: Functions, carried: np.ndarray) -> list[Part]:
+def _before_the_chain(own: Mapping[int, int], curves: Functions, carried: np.ndarray) -> list[SignatureTerm]:
     """An axis's errors as a shift and a turn about the base frame's origin of all that its side carries.
 
     Args:
@@ -228,7 +235,7 @@ def _before_the_chain(own: Mapping[int, int], curves: Functions, carried: np.nda
         carried: (n,) whether a reading's target is.
     """
     masked = Functions(curves.points, curves.count, lambda rows: curves.values(rows) * carried[rows, None])
-    return [Part(("base", i) if i < 3 else ("base turn", i - 3), masked, k, UM) for i, k in own.items()]
+    return [SignatureTerm(("base", i) if i < 3 else ("base turn", i - 3), masked, k, UM) for i, k in own.items()]
 
 
 SOURCE: Final = CandidateSource((MISPLACED,), misplaced)

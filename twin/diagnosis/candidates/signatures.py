@@ -57,7 +57,7 @@ def strained(points: np.ndarray) -> np.ndarray:
 
 
 @final
-class Fields:
+class ReadingDerivatives:
     """Derivatives of some readings, each worked out once.
 
     Args:
@@ -84,7 +84,7 @@ class Fields:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Part:
+class SignatureTerm:
     """One product of a signature.
 
     Attributes:
@@ -110,7 +110,7 @@ class Column:
         scale: units of the parameter that make it as large as plausible.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[SignatureTerm, ...]
     scale: float
 
 
@@ -164,12 +164,12 @@ def of_components(parts: Sequence[tuple[int, Functions, int, float]]) -> Column:
     Args:
         parts: component, functions, which of them, and µm or µrad a unit of it.
     """
-    return scaled_to([Part(("error", at), functions, k, weight * UM) for at, functions, k, weight in parts])
+    return scaled_to([SignatureTerm(("error", at), functions, k, weight * UM) for at, functions, k, weight in parts])
 
 
 def of_base(direction: int, functions: Functions, index: int) -> Column:
     """A shift of the target along a direction of the base, µm a unit of a function."""
-    return scaled_to([Part(("base", direction), functions, index, UM)])
+    return scaled_to([SignatureTerm(("base", direction), functions, index, UM)])
 
 
 def of_values(parts: Mapping[int, np.ndarray]) -> Column:
@@ -188,19 +188,19 @@ def reading(fields: Sequence[Field], mask: np.ndarray, weight: float, scale: flo
         scale: units that make a column as large as plausible.
     """
     function = given(mask[:, None].astype(float))
-    return tuple(Column((Part(field, function, 0, weight),), scale) for field in fields)
+    return tuple(Column((SignatureTerm(field, function, 0, weight),), scale) for field in fields)
 
 
-def scaled_to(parts: Sequence[Part]) -> Column:
+def scaled_to(parts: Sequence[SignatureTerm]) -> Column:
     """Scaled so that what moves most moves by `LARGEST`, µm or µrad, where it does so most."""
-    alike: dict[tuple[Field, Functions], list[Part]] = {}
+    alike: dict[tuple[Field, Functions], list[SignatureTerm]] = {}
     for part in parts:
         alike.setdefault((part.field, part.functions), []).append(part)
     largest = max((_largest(functions, own) for (_, functions), own in alike.items()), default=0.0) / UM
     return Column(tuple(parts), float(LARGEST / largest) if largest > 0.0 else 1.0)
 
 
-def _largest(functions: Functions, parts: Sequence[Part]) -> float:
+def _largest(functions: Functions, parts: Sequence[SignatureTerm]) -> float:
     """Of the sum of some parts that move the same."""
     if len(parts) == 1:
         return float(abs(parts[0].weight) * functions.largest[parts[0].index])

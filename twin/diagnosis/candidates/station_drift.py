@@ -9,7 +9,7 @@ import numpy as np
 
 from twin._common.units import UM
 from twin.diagnosis.candidates.candidate import STRAIGHT, Candidate, CandidateSource, Catalogue, Drift, Given
-from twin.diagnosis.candidates.signatures import LARGEST, Column, Part
+from twin.diagnosis.candidates.signatures import LARGEST, Column, SignatureTerm
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
 from twin.machine.effects.thermal_drift import constants, course
 from twin.numerics.functions import Functions, Rows
@@ -40,7 +40,7 @@ def station_drifts(given: Given) -> Catalogue:
     found = []
     for name in stations:
         drift = of_station(given.state["time_s"], given.data.station == name)
-        found.append(Candidate(STATION_DRIFT, name, names, drift.cells, 3.0, drift=drift))
+        found.append(Candidate(STATION_DRIFT, name, names, drift.variants, 3.0, drift=drift))
     return Catalogue(tuple(found))
 
 
@@ -67,7 +67,7 @@ def of_station(time_s: np.ndarray, mask: np.ndarray) -> Drift:
         functions = Functions(len(hours), len(several), values, mask)
         scale = LARGEST / np.maximum(functions.largest, 1e-9)
         return [
-            tuple(Column((Part(("base", i), functions, k, -UM),), float(scale[k])) for i in range(3))
+            tuple(Column((SignatureTerm(("base", i), functions, k, -UM),), float(scale[k])) for i in range(3))
             for k in range(len(several))
         ]
 

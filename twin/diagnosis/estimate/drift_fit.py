@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.diagnosis.candidates.candidate import STRAIGHT, Drift
 from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.problem.forms import pseudo
+from twin.diagnosis.problem.forms import pseudo_inverse
 from twin.diagnosis.problem.problem import Problem
 
 FINE: Final = 81
@@ -110,7 +110,7 @@ def _profile(
     count = width * len(forms)
     found = problem.products([*(column for own in columns for column in own), *others])
     beside = slice(count, None)
-    inverse = pseudo(found.gram[beside, beside])[0] if others else np.zeros((0, 0))
+    inverse = pseudo_inverse(found.gram[beside, beside])[0] if others else np.zeros((0, 0))
     gain, values, spread = np.zeros(len(forms)), np.zeros((len(forms), width)), np.zeros((len(forms), width, width))
     for k in range(len(forms)):
         own = slice(k * width, (k + 1) * width)

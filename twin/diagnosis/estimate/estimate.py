@@ -14,7 +14,7 @@ from twin.diagnosis.candidates.candidate import STRAIGHT
 from twin.diagnosis.candidates.signatures import Column, of_effect
 from twin.diagnosis.estimate.drift_fit import fit_drift, over_forms
 from twin.diagnosis.estimate.misfit import larger, more_left, widened
-from twin.diagnosis.problem.forms import Form, pseudo
+from twin.diagnosis.problem.forms import Form, pseudo_inverse
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.result import Quantity
 from twin.machine.effects import Effect
@@ -28,7 +28,7 @@ TOGETHER: Final = 64
 
 @final
 @dataclass(frozen=True)
-class Beside:
+class RandomEffects:
     """Patterns without a name, and what the scatter is beside them.
 
     Attributes:
@@ -51,7 +51,7 @@ class Estimate:
         covariance: of the parameters of all effects, under their names in a calibration.
         signature: (3n, k) what the causes do to the whitened readings, held out or not, one column a cause.
         explained: of the misfit.
-        against: by cause, what the Wald statistic of all its numbers is beside their covariance, their number, and the groups that
+        wald: by cause, what the Wald statistic of all its numbers is beside their covariance, their number, and the groups that
             covariance is known from (infinite where it is the stated scatter's).
     """
 
@@ -60,7 +60,7 @@ class Estimate:
     covariance: Covariance
     signature: np.ndarray
     explained: float
-    against: tuple[tuple[float, int, float], ...] = ()
+    wald: tuple[tuple[float, int, float], ...] = ()
 
 
 @dataclass
@@ -110,7 +110,7 @@ class _Part:
 
 
 def estimate(
-    problem: Problem, forms: Sequence[Form], scatter: float = float("inf"), beside: Beside | None = None
+    problem: Problem, forms: Sequence[Form], scatter: float = float("inf"), beside: RandomEffects | None = None
 ) -> Estimate:
     """Gauss-Newton on all parameters of the causes, the set-up projected out.
 
@@ -142,18 +142,18 @@ def estimate(
 
 def _begun(problem: Problem, forms: Sequence[Form]) -> list[_Part]:
     """All causes as they are linear, and each drift at its most likely time constant beside the others."""
-    scales = [np.array([column.scale for column in form.cell.columns]) for form in forms]
-    columns = [problem.signature(form.cell.columns) / own for form, own in zip(forms, scales, strict=True)]
+    scales = [np.array([column.scale for column in form.variant.columns]) for form in forms]
+    columns = [problem.signature(form.variant.columns) / own for form, own in zip(forms, scales, strict=True)]
     _, start = _solved(problem, np.concatenate(columns, axis=1), problem.residual, np.concatenate(scales))
     values = np.split(start, np.cumsum([len(own) for own in scales])[:-1])
     parts = []
     for form, own, made, found in zip(forms, scales, columns, values, strict=True):
-        fixed = dict(form.cell.fixed)
+        fixed = dict(form.variant.fixed)
         effects = _built(form, found, fixed)
         part = _Part(form, fixed, own, made, found, effects, form.candidate.drift is None and _bent(form, effects))
         parts.append(part)
     for part in parts:
-        _drifting(problem, part, [column for form in forms if form is not part.form for column in form.cell.columns])
+        _drifting(problem, part, [column for form in forms if form is not part.form for column in form.variant.columns])
     return parts
 
 
@@ -235,11 +235,11 @@ def _built(form: Form, values: np.ndarray, fixed: Mapping[str, float]) -> tuple[
 
 
 def _with_patterns(
-    problem: Problem, columns: np.ndarray, inverse: np.ndarray, sizes: np.ndarray, beside: Beside
+    problem: Problem, columns: np.ndarray, inverse: np.ndarray, sizes: np.ndarray, beside: RandomEffects
 ) -> np.ndarray:
     """Covariance of the least-squares values where scatter and patterns without a name are both in the readings."""
     scaled = columns * sizes
-    own, _ = pseudo(problem.inner(scaled))
+    own, _ = pseudo_inverse(problem.inner(scaled))
     gain = np.zeros((len(sizes), len(beside.random)))
     for start in range(0, len(beside.random), TOGETHER):
         some = beside.random[start : start + TOGETHER]
@@ -271,7 +271,7 @@ def _solved(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Covariance and least-squares step; nothing along what the data do not see of the largest plausible size."""
     scaled = columns * scale
-    inverse, _ = pseudo(problem.inner(scaled))
+    inverse, _ = pseudo_inverse(problem.inner(scaled))
     slope = problem.along(scaled, problem.project(residual))
     return inverse * np.outer(scale, scale), (inverse @ slope) * scale
 
@@ -290,15 +290,15 @@ def _made(problem: Problem, state: Mapping[str, Any], effects: Sequence[Effect])
 
 def _of_either_form(problem: Problem, forms: Sequence[Form], form: Form, covariance: np.ndarray) -> np.ndarray:
     """Covariance of a cause's numbers, whichever of its forms with the same numbers is the true one."""
-    own = form.cell
+    own = form.variant
     same = [
-        cell.columns
-        for cell in form.candidate.cells
-        if cell is not own and cell.fixed == own.fixed and len(cell.columns) == len(own.columns)
+        variant.columns
+        for variant in form.candidate.variants
+        if variant is not own and variant.fixed == own.fixed and len(variant.columns) == len(own.columns)
     ]
     if not same:
         return covariance
-    others = [column for one in forms if one is not form for column in one.cell.columns]
+    others = [column for one in forms if one is not form for column in one.variant.columns]
     return larger(covariance, over_forms(problem, [own.columns, *same], others))
 
 
@@ -310,7 +310,9 @@ def _bent(form: Form, effects: Sequence[Effect]) -> bool:
 
 def _longest(form: Form) -> float:
     """Longest period or time constant that a form can have."""
-    tried = [cell.fixed[name] for cell in form.candidate.cells for name in form.bent if name in cell.fixed]
+    tried = [
+        variant.fixed[name] for variant in form.candidate.variants for name in form.nonlinear if name in variant.fixed
+    ]
     return max(tried, default=np.inf)
 
 
@@ -346,8 +348,8 @@ def _quantities(
         for (name, unit), value, one in zip(form.candidate.names, values, u, strict=False)
         if one > 1e-9 * u.max()  # a direction these data do not see has no size
     )
-    if "order" in form.cell.fixed:
-        found = (Quantity("order", form.cell.fixed["order"], "1", 0.0), *found)
+    if "order" in form.variant.fixed:
+        found = (Quantity("order", form.variant.fixed["order"], "1", 0.0), *found)
     if form.candidate.drift is not None and "time_constant" in fixed:
         found = (*found, Quantity("time_constant", fixed["time_constant"], "s", float(u[-1])))
     return found

@@ -24,8 +24,8 @@ from twin.diagnosis.judgement.evidence import curve_flaw, evidence
 from twin.diagnosis.judgement.in_place import equivalent, measured_next, ruled_out
 from twin.diagnosis.judgement.second_opinion import Comparison, SingleEffect, compared, second_opinion
 from twin.diagnosis.judgement.sizes import Sized
-from twin.diagnosis.problem.forms import Candidates, Form, log_chance
-from twin.diagnosis.problem.problem import unwhitened
+from twin.diagnosis.problem.forms import Candidates, Form, log_p_value
+from twin.diagnosis.problem.problem import unwhitened_um
 from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
 from twin.diagnosis.selection.payload import Load, asked, axis_of_form, weights
 from twin.machine.calibration import Calibration
@@ -104,11 +104,11 @@ def _cause(sized: Sized, k: int, calibration: Calibration) -> Cause:
         where=form.candidate.where,
         origin=form.candidate.origin,
         parameters=quantities,
-        p_value=found.candidates.chance(sized.log_p(form)),
+        p_value=found.candidates.p_value(sized.log_p(form)),
         share=float(np.clip(explained / sized.excess, 0.0, 1.0)),
         equivalent=equal,
         evidence=text,
-        pattern_um=locked(unwhitened(found.problem, sized.estimate.signature[:, k])),
+        pattern_um=locked(unwhitened_um(found.problem, sized.estimate.signature[:, k])),
         effects=() if doubt else sized.estimate.effects[k],
         promised=not doubt,
         bounded=_bounded(form, quantities),
@@ -196,7 +196,7 @@ def reported(candidates: Candidates, forms: Sequence[Form]) -> tuple[list[Cause]
         off = largest_off(data, machine.names.index(axis.name))
         text = f"the positions reported for {axis.name} differ from the commands by up to {off:.3g} {axis.unit}"
         columns, values, inverse = candidates.fitted([form, *forms])
-        at, scale = int(np.searchsorted(columns, form.columns[0])), form.cell.columns[0].scale
+        at, scale = int(np.searchsorted(columns, form.columns[0])), form.variant.columns[0].scale
         share, u = float(values[at] * scale), float(scale * np.sqrt(inverse[at, at]))
         if candidates.scan([one for one in forms if one is not form])[1][form.index] == 0 or u == 0.0:
             if candidates.scan([])[1][form.index] > 0:
@@ -216,7 +216,9 @@ def reported(candidates: Candidates, forms: Sequence[Form]) -> tuple[list[Cause]
                     equivalent=(),
                     evidence=f"{text}, and the measurement follows the commands: they were read before {axis.name} had settled",
                     pattern_um=locked(
-                        unwhitened(candidates.problem, candidates.problem.signature(form.cell.columns)[:, 0] / scale)
+                        unwhitened_um(
+                            candidates.problem, candidates.problem.signature(form.variant.columns)[:, 0] / scale
+                        )
                     ),
                 )
             )
@@ -261,7 +263,9 @@ def payload_causes(
     causes, found = list(causes), []
     for side in SIDES:
         load = asked(candidates, forms, side)
-        known = () if load is None else payloads_of(axis_of_form(candidates, load.joints[0]), load.joints[0].cell.fixed)
+        known = (
+            () if load is None else payloads_of(axis_of_form(candidates, load.joints[0]), load.joints[0].variant.fixed)
+        )
         if load is None or not known:
             continue
         (payload,) = known
@@ -294,7 +298,7 @@ def _load_cause(candidates: Candidates, load: Load, payload: Payload, variances:
     four, nothing = load.four(payload), np.zeros(4)
     explained, compliances = load.under(four)
     own, _ = load.under(nothing)
-    log_p = float(log_chance(np.array(max(explained - own, 0.0)), 4.0, candidates.dof)) + load.joints[0].price
+    log_p = float(log_p_value(np.array(max(explained - own, 0.0)), 4.0, candidates.dof)) + load.joints[0].log_tests
     excess = max(candidates.problem.chi2 - candidates.problem.dof, explained)
     text = f"the {load.side} side carries a mass that the URDF does not have: joints give way under it"
     at_bound = _heaviest(load, payload)
@@ -303,7 +307,7 @@ def _load_cause(candidates: Candidates, load: Load, payload: Payload, variances:
             f". The mass is at the largest considered ({load.heaviest:.3g} kg): the machine's own weight shows less than "
             "its URDF says, as if the control corrected it; only the products of mass and compliance are known"
         )
-    columns = [column for form in load.free for column in form.cell.columns]
+    columns = [column for form in load.free for column in form.variant.columns]
     size = np.array([column.scale for column in columns])
     shape = np.kron(compliances, weights(four) - weights(nothing))
     return Cause(
@@ -311,11 +315,11 @@ def _load_cause(candidates: Candidates, load: Load, payload: Payload, variances:
         where=load.side,
         origin="machine",
         parameters=_quantities(payload, np.sqrt(variances), load.heaviest),
-        p_value=candidates.chance(min(log_p, 0.0)),
+        p_value=candidates.p_value(min(log_p, 0.0)),
         share=float(np.clip((explained - own) / excess, 0.0, 1.0)),
         equivalent=(),
         evidence=text,
-        pattern_um=locked(unwhitened(candidates.problem, (candidates.problem.signature(columns) / size) @ shape)),
+        pattern_um=locked(unwhitened_um(candidates.problem, (candidates.problem.signature(columns) / size) @ shape)),
         bounded=at_bound,
     )
 

@@ -24,7 +24,7 @@ ALIKE: Final = 9.0
 def evidence(form: Form, found: Estimate, k: int) -> str:
     """What the k-th cause does, and how far beyond its uncertainty that is."""
     specification = form.candidate.specification
-    sizes = [q for q in found.quantities[k] if q.name not in {*specification.bent, *form.cell.fixed}]
+    sizes = [q for q in found.quantities[k] if q.name not in {*specification.bent, *form.variant.fixed}]
     size = max(sizes, key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
     numbers = {q.name: q.value for q in found.quantities[k]}
     what = Found(form.candidate.where, size.value, readable_unit(size.unit), numbers, found.effects[k])
@@ -45,21 +45,21 @@ def curve_flaw(candidates: Candidates, forms: Sequence[Form], form: Form, calibr
         (
             f
             for f in candidates.forms
-            if f.key == form.key and len(f.columns) == count and f.cell.fixed.get("first") == 0.0
+            if f.key == form.key and len(f.columns) == count and f.variant.fixed.get("first") == 0.0
         ),
         form,
     )
-    if "stops" in form.cell.fixed:
+    if "stops" in form.variant.fixed:
         wide = form
     columns, values, inverse = candidates.fitted([wide, *(one for one in forms if one is not form)])
     own = np.searchsorted(columns, wide.columns)
-    scale = np.array([column.scale for column in wide.cell.columns])
-    if "stops" in form.cell.fixed:
+    scale = np.array([column.scale for column in wide.variant.columns])
+    if "stops" in form.variant.fixed:
         size = float(values[own[0]] * scale[0])
-        text = times(1.0 + size) if form.cell.fixed["stops"] == ITSELF else constant_dropped(curve, size)
+        text = times(1.0 + size) if form.variant.fixed["stops"] == ITSELF else constant_dropped(curve, size)
     else:
         # Functions that the form leaves out it says nothing of: no correction, and none known.
-        first = round(wide.cell.fixed.get("first", 0.0))
+        first = round(wide.variant.fixed.get("first", 0.0))
         correction = np.concatenate([np.zeros(first), values[own] * scale])
         covariance = np.zeros((len(correction), len(correction)))
         covariance[first:, first:] = inverse[np.ix_(own, own)] * np.outer(scale, scale)
@@ -86,21 +86,21 @@ def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form)
 
 def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) -> list[float]:
     """Periods, mm, at which a pitch error fits the readings as well (aliases)."""
-    if "period" not in form.cell.fixed:
+    if "period" not in form.variant.fixed:
         return []
     network = candidates.problem.network
     q = network.data.positions[:, network.machine.names.index(form.candidate.where)]
     span, even = float(np.ptp(q)), sampling(q)
     if even is not None:
-        own = 1.0 / form.cell.fixed["period"]
+        own = 1.0 / form.variant.fixed["period"]
         aliases = (1.0 / max(abs(even - own), 1e-9), 1.0 / (even + own))
         return [float(one) for one in aliases if one >= SHORTEST_PERIOD]
     tried = [one for one in candidates.forms if one.key == form.key and one is not form]
-    periods = np.array([one.cell.fixed["period"] for one in tried])
+    periods = np.array([one.variant.fixed["period"] for one in tried])
     explained = candidates.scores([one for one in forms if one is not form], [one.index for one in (form, *tried)])[
         :, 0
     ]
-    away = np.abs(1.0 / periods - 1.0 / form.cell.fixed["period"]) * span
+    away = np.abs(1.0 / periods - 1.0 / form.variant.fixed["period"]) * span
     found: list[float] = []
     for i in np.argsort(-explained[1:]):
         if explained[1 + i] < explained[0] - ALIKE:

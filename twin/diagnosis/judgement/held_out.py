@@ -41,7 +41,7 @@ def held_out(sized: Sized, written: Collection[int] = ()) -> HeldOut | None:
     problem, candidates = found.problem, found.candidates
     barred = {form.key for form, promise in zip(forms, sized.promised, strict=True) if not promise}
     split = parts(problem.network.data, problem.network.machine, [form.candidate for form in forms])
-    candidates.judge(problem)
+    candidates.set_problem(problem)
     payload_again(candidates, forms)
     if split is None:
         return None

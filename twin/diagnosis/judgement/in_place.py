@@ -16,7 +16,7 @@ import numpy as np
 from twin._common.arrays import locked
 from twin._common.units import MM
 from twin.diagnosis.estimate.estimate import estimate
-from twin.diagnosis.problem.forms import DOUBT, Candidates, Form
+from twin.diagnosis.problem.forms import DEVIANCE_RULED_OUT, Candidates, Form
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.result import Cause, Next, Rival
 from twin.diagnosis.selection.search import excessive
@@ -50,7 +50,7 @@ def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tup
     kept = [plain.forms[one.index] for one in others]
     explained, _ = plain.scan(kept)
     own = float(explained[form.index])
-    allowed = found.structure.explained([*kept, plain.forms[form.index]]) + DOUBT
+    allowed = found.structure.explained([*kept, plain.forms[form.index]]) + DEVIANCE_RULED_OUT
     best = {key: 0.0 for key in keys}
     for one in plain.forms:
         if one.key in best:
@@ -68,20 +68,24 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
     own = candidates.scores(others, [form.index])[0, 1]
     for i, (explained, dof, _) in zip(tried, scores, strict=True):
         if dof > 0:
-            worth = float(explained - candidates.cost(candidates.forms[i], dof))
+            worth = float(explained - candidates.critical_value(candidates.forms[i], dof))
             elsewhere = candidates.forms[i].candidate.origin != form.candidate.origin
             more = dof > own and not elsewhere
-            if worth > margin - DOUBT and more and candidates.contains([*others, candidates.forms[i]], others, form):
+            if (
+                worth > margin - DEVIANCE_RULED_OUT
+                and more
+                and candidates.contains([*others, candidates.forms[i]], others, form)
+            ):
                 continue  # the same thing, said with more
-            if worth > margin - DOUBT and candidates.cancels(candidates.forms[i], others, form):
+            if worth > margin - DEVIANCE_RULED_OUT and candidates.cancels(candidates.forms[i], others, form):
                 continue
             if (
-                worth > margin - DOUBT
+                worth > margin - DEVIANCE_RULED_OUT
                 and excessive(candidates, candidates.forms[i], [*others, candidates.forms[i]]) > 1.0
             ):
                 continue
             best[candidates.forms[i].key] = max(best.get(candidates.forms[i].key, -np.inf), worth)
-    keys = [key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT]
+    keys = [key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DEVIANCE_RULED_OUT]
     return tuple(dict.fromkeys([*keys, *_several(candidates, form, others)]))
 
 
@@ -104,10 +108,13 @@ def _several(candidates: Candidates, form: Form, others: Sequence[Form]) -> list
         if not 1 < len(group) <= len(form.columns):
             continue
         together = candidates.explained_by([*others, *group])
-        if together < whole - DOUBT:
+        if together < whole - DEVIANCE_RULED_OUT:
             continue
         for one in group:
-            if candidates.explained_by([*others, *(other for other in group if other is not one)]) < together - DOUBT:
+            if (
+                candidates.explained_by([*others, *(other for other in group if other is not one)])
+                < together - DEVIANCE_RULED_OUT
+            ):
                 keys.append(one.key)
     return keys
 
@@ -115,7 +122,7 @@ def _several(candidates: Candidates, form: Form, others: Sequence[Form]) -> list
 def _margin(candidates: Candidates, form: Form, others: Sequence[Form]) -> float:
     """What a cause explains beside others, its price paid."""
     explained, dof = (float(values[form.index]) for values in candidates.scan(others))
-    return explained - candidates.cost(form, dof)
+    return explained - candidates.critical_value(form, dof)
 
 
 def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], excess: float) -> tuple[Rival, ...]:
@@ -126,10 +133,10 @@ def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], excess
     best: dict[tuple[str, str], Rival] = {}
     for one, (explained, dof, _) in zip(tried, candidates.scores(others, [one.index for one in tried]), strict=True):
         if dof > 0:
-            behind = 0.5 * (margin - float(explained - candidates.cost(one, dof)))
+            behind = 0.5 * (margin - float(explained - candidates.critical_value(one, dof)))
             if one.key not in best or behind < best[one.key].log_odds:
                 best[one.key] = Rival(*one.key, float(np.clip(explained / excess, 0.0, 1.0)), behind)
-    out = [rival for rival in best.values() if rival.log_odds >= 0.5 * DOUBT]
+    out = [rival for rival in best.values() if rival.log_odds >= 0.5 * DEVIANCE_RULED_OUT]
     return tuple(sorted(out, key=lambda rival: rival.log_odds)[:RUNNERS_UP])
 
 
@@ -228,7 +235,7 @@ def _prediction(problem: Problem, forms: Sequence[Form], plan: Any) -> np.ndarra
     found = estimate(problem, forms)
     left = problem.residual - found.signature.sum(axis=1)
     effects = [effect for own in found.effects for effect in own]
-    return _moves(problem, effects, problem.followed(left), plan)
+    return _moves(problem, effects, problem.setup_step(left), plan)
 
 
 def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan: Any) -> np.ndarray:

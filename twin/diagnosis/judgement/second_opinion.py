@@ -178,11 +178,13 @@ def _alternatives(candidates: Candidates) -> list[Alternatives]:
         largest, centre, width = np.ones(columns.shape), np.zeros(columns.shape), np.zeros(len(rows))
         for i, form in enumerate(forms):
             if np.isfinite(form.candidate.largest):
-                largest[i] = form.candidate.largest / np.array([column.scale for column in form.cell.columns])
+                largest[i] = form.candidate.largest / np.array([column.scale for column in form.variant.columns])
             if form.candidate.specification.whole:
-                centre[i], width[i] = 1.0 / form.cell.columns[0].scale, ROUGHLY
+                centre[i], width[i] = 1.0 / form.variant.columns[0].scale, ROUGHLY
         # A form's part of the price of the search, which counts independent forms.
-        prior = np.array([np.exp(-form.price) * form.candidate.tests / len(form.candidate.cells) for form in forms])
+        prior = np.array(
+            [np.exp(-form.log_tests) * form.candidate.tests / len(form.candidate.variants) for form in forms]
+        )
         found.append(Alternatives(rows, columns, inner, prior, largest, centre, width))
     return found
 

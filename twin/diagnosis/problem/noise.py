@@ -14,7 +14,7 @@ import numpy as np
 from twin._common.arrays import locked
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.problem.sweep import signatures_of
+from twin.diagnosis.problem.signature_products import signatures_of
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
 from twin.identification.spread import repeats
@@ -28,7 +28,7 @@ WEIGHINGS: Final = 3
 
 @final
 @dataclass(frozen=True)
-class Scatter:
+class ReadingNoise:
     """Covariance of the readings.
 
     Attributes:
@@ -44,8 +44,8 @@ class Scatter:
 
 def from_repeats(
     data: Measurements, view: View, read: np.ndarray, known: tuple[Candidate, ...], seen: np.ndarray
-) -> Scatter | None:
-    """Scatter along and across the beam from repeats; None if they are too few.
+) -> ReadingNoise | None:
+    """ReadingNoise along and across the beam from repeats; None if they are too few.
 
     Args:
         data: the measurements.
@@ -63,8 +63,8 @@ def from_repeats(
         column
         for c in known
         if c.specification.varies != "never"
-        for cell in c.cells[:: max(len(c.cells) // 4, 1)]
-        for column in cell.columns
+        for variant in c.variants[:: max(len(c.variants) // 4, 1)]
+        for column in variant.columns
     ]
     raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
     nuisance = signatures_of(view, columns)
@@ -79,8 +79,8 @@ def from_repeats(
 
 def from_the_rest(
     network: Network, setup: SetUp, view: View, known: tuple[Candidate, ...], seen: np.ndarray
-) -> Scatter | None:
-    """Scatter along and across the beam from what the set-up and every plain form of every cause leave; None if that is too little.
+) -> ReadingNoise | None:
+    """Noise along and across the beam from what the set-up and every plain form of every cause leave; None if that is too little.
 
     For readings that nothing else is said of: no uncertainties, no instrument, no repeats. What is taken for scatter here is too much
     if an effect has none of these forms, so causes are missed rather than invented.
@@ -109,13 +109,13 @@ def _plain(candidate: Candidate) -> tuple[Column, ...]:
     """The widest curve, the lowest harmonics, the first of everything else; none of what has only forms that others have."""
     count = candidate.specification.plain_forms
     if count is not None:
-        return tuple(column for cell in candidate.cells[:count] for column in cell.columns)
-    return max(candidate.cells, key=lambda cell: len(cell.columns)).columns
+        return tuple(column for variant in candidate.variants[:count] for column in variant.columns)
+    return max(candidate.variants, key=lambda variant: len(variant.columns)).columns
 
 
 def _scatter(
     every: np.ndarray, free: float, view: View, read: np.ndarray, seen: np.ndarray, source: str
-) -> Scatter | None:
+) -> ReadingNoise | None:
     """Along and across the beam, from (n, 3, k): what scatters, and what is to be taken out of it.
 
     Args:
@@ -133,7 +133,7 @@ def _scatter(
             return None
         found = np.zeros((len(seen), 3, 3))
         found[:, 0, 0] = np.sum(left[:, 0] ** 2) / dof
-        return Scatter(
+        return ReadingNoise(
             locked(found), dof, f"{source}: {np.sqrt(found[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)"
         )
     if not read.all():
@@ -144,7 +144,7 @@ def _scatter(
             return None
         sigma = float(np.sqrt(np.sum(left**2) / dof))
         text = f"{source}: {sigma * 1e6:.2g} µm a coordinate ({dof:.0f} degrees of freedom)"
-        return Scatter(locked(np.tile(sigma**2 * np.eye(3), (len(seen), 1, 1))), dof, text)
+        return ReadingNoise(locked(np.tile(sigma**2 * np.eye(3), (len(seen), 1, 1))), dof, text)
     beam = view.seen / np.linalg.norm(view.seen, axis=1, keepdims=True)
     a = c = 1.0
     for _ in range(WEIGHINGS):
@@ -165,7 +165,7 @@ def _scatter(
         a = c = float(np.sqrt(np.sum(left**2) / (3.0 * free - taken.shape[2])))
     n = len(seen)
     text = f"{source}: {a * 1e6:.2g} µm along the beam, {c * 1e6:.2g} µm across ({dof_along + dof_across:.0f} degrees of freedom)"
-    return Scatter(locked(along_and_across(seen, np.full(n, a), np.full(n, c))), dof_along + dof_across, text)
+    return ReadingNoise(locked(along_and_across(seen, np.full(n, a), np.full(n, c))), dof_along + dof_across, text)
 
 
 def _cleared(every: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 
 from twin._common.threads import side_by_side
 from twin.diagnosis.candidates.signatures import Column, of_effect
-from twin.diagnosis.problem.sweep import PointBlock, Signatures
+from twin.diagnosis.problem.signature_products import PointBlock, Signatures
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
 from twin.machine.calibration import Calibration
@@ -80,14 +80,14 @@ class Problem:
             doubt = [*doubt, *(column for column, _ in random)]
             root = block_diag(root, np.diag([deviation for _, deviation in random]))
         self.prior = np.concatenate([np.zeros((root.shape[1], len(setup))), np.eye(root.shape[1])], axis=1)
-        self.basis, self.back = self._orthonormal(doubt, root)
+        self.basis, self.nuisance_coordinates = self._orthonormal(doubt, root)
         self.root = np.eye(self.basis.shape[1])
-        self.held: np.ndarray = np.zeros(0, dtype=int)
+        self.held_out: np.ndarray = np.zeros(0, dtype=int)
         self.absorbed = self.basis.shape[1] - root.shape[1]
-        self.judge(self.residual)
+        self.set_residual(self.residual)
         self.readings = int(np.count_nonzero(network.read))
 
-    def beside(self, random: Sequence[tuple[Column, float]], scatter: float = 1.0) -> Problem:
+    def with_random_effects(self, random: Sequence[tuple[Column, float]], scatter: float = 1.0) -> Problem:
         """The same readings with effects without a name free beside the set-up, and with another scatter.
 
         Args:
@@ -96,9 +96,9 @@ class Problem:
         """
         network = self.network if scatter == 1.0 else self.network.scattered(scatter)
         found = Problem(network, self.setup, self.calibration, random)
-        found.judge(self.residual / np.sqrt(scatter))
-        if len(self.held):
-            found = found.without(np.isin(np.arange(len(self.view.rows)), self.held)) or found
+        found.set_residual(self.residual / np.sqrt(scatter))
+        if len(self.held_out):
+            found = found.without(np.isin(np.arange(len(self.view.rows)), self.held_out)) or found
         return found
 
     def without(self, points: np.ndarray) -> Problem | None:
@@ -108,60 +108,62 @@ class Problem:
             points: (n,) booleans, those to take out.
         """
         part = copy(self)
-        part.held = np.flatnonzero(points)
-        gone = self._gram(part.held)
-        own = self.back[:, : len(self.setup)]
+        part.held_out = np.flatnonzero(points)
+        gone = self._gram(part.held_out)
+        own = self.nuisance_coordinates[:, : len(self.setup)]
         size = np.einsum("ij,ij->j", own, own)
         left = size - np.einsum("ki,kl,li->i", own, gone, own)
         if np.any((left <= LOST * size) & (size > 0.0)):
             return None
         part.root = _root(np.eye(len(gone)) - gone)
-        part.judge(self.residual)
+        part.set_residual(self.residual)
         return part
 
     def orthonormal_on(self, points: np.ndarray) -> np.ndarray:
         """(directions, k) factor that makes the basis orthonormal again where only some points (their numbers) count."""
-        own = self.prior @ np.linalg.pinv(self.back, rcond=TOLD_APART)
+        own = self.prior @ np.linalg.pinv(self.nuisance_coordinates, rcond=TOLD_APART)
         return _root(own.T @ own + self._gram(points))
 
-    def judge(self, residual: np.ndarray) -> None:
+    def set_residual(self, residual: np.ndarray) -> None:
         """Another (3n,) whitened residual at the same set-up."""
         self.residual = residual
-        self.along_basis = self.basis.T @ self.kept(residual)
+        self.along_basis = self.basis.T @ self.zero_held_out(residual)
         self.projected = self.project(residual)
         self.chi2 = float(self.residual @ self.projected)
 
     def project(self, residual: np.ndarray) -> np.ndarray:
         """A (3n,) residual beside the set-up and the calibration's doubt; rows that are held out are zero."""
-        return self.kept(self.following(residual))
+        return self.zero_held_out(self.refit_setup(residual))
 
-    def following(self, residual: np.ndarray) -> np.ndarray:
+    def refit_setup(self, residual: np.ndarray) -> np.ndarray:
         """A (3n,) whitened residual once the set-up has been fitted to the rows that are not held out; all rows of it."""
-        return np.asarray(residual - self.basis @ (self.root @ (self.root.T @ (self.basis.T @ self.kept(residual)))))
+        return np.asarray(
+            residual - self.basis @ (self.root @ (self.root.T @ (self.basis.T @ self.zero_held_out(residual))))
+        )
 
-    def followed(self, residual: np.ndarray) -> np.ndarray:
+    def setup_step(self, residual: np.ndarray) -> np.ndarray:
         """(set-up,) its unknowns as a (3n,) residual moves them, metres and radians; the smallest where they can be chosen."""
-        size = np.maximum(np.linalg.norm(self.back, axis=0), 1e-300)
-        moved = np.linalg.lstsq(self.back / size, self.basis.T @ residual, rcond=1e-9)[0] / size
+        size = np.maximum(np.linalg.norm(self.nuisance_coordinates, axis=0), 1e-300)
+        moved = np.linalg.lstsq(self.nuisance_coordinates / size, self.basis.T @ residual, rcond=1e-9)[0] / size
         return np.asarray(moved[: len(self.setup)] * self.setup.plausible)
 
-    def kept(self, rows: np.ndarray) -> np.ndarray:
+    def zero_held_out(self, rows: np.ndarray) -> np.ndarray:
         """(3n, …) with the rows that are held out zero."""
-        if len(self.held) == 0:
+        if len(self.held_out) == 0:
             return rows
         found = np.array(rows)
-        found.reshape(len(self.view.rows), 3, -1)[self.held] = 0.0
+        found.reshape(len(self.view.rows), 3, -1)[self.held_out] = 0.0
         return found
 
     @property
     def nuisance(self) -> np.ndarray:
         """(3n, k) derivatives by the set-up (plausible sizes), and one standard deviation of each direction of the doubt."""
-        return np.asarray(self.basis @ self.back)
+        return np.asarray(self.basis @ self.nuisance_coordinates)
 
     @property
-    def doubt(self) -> np.ndarray:
+    def calibration_directions(self) -> np.ndarray:
         """(directions, k) the latter of these, of the basis."""
-        return np.asarray(self.back[:, len(self.setup) :])
+        return np.asarray(self.nuisance_coordinates[:, len(self.setup) :])
 
     @property
     def dof(self) -> int:
@@ -180,7 +182,7 @@ class Problem:
         """What there is to know of some columns, without ever holding them at all points."""
         own = Signatures(self.view, columns)
         keep = np.ones(len(self.view.rows), dtype=bool)
-        keep[self.held] = False
+        keep[self.held_out] = False
         residual = self.residual.reshape(-1, 3)
 
         def with_others(block: PointBlock) -> np.ndarray:
@@ -198,7 +200,7 @@ class Problem:
 
     def inner(self, a: np.ndarray) -> np.ndarray:
         """aᵀMa of signatures."""
-        a = self.kept(a)
+        a = self.zero_held_out(a)
         within = self.root.T @ (self.basis.T @ a)
         return np.asarray(a.T @ a - within.T @ within)
 
@@ -282,13 +284,13 @@ def _root(gram: np.ndarray) -> np.ndarray:
     return np.asarray(vectors[:, there] / np.sqrt(values[there]))
 
 
-def unwhitened(problem: Problem, residual: np.ndarray) -> np.ndarray:
+def unwhitened_um(problem: Problem, residual: np.ndarray) -> np.ndarray:
     """(n, 3) µm of a (3n,) whitened residual; NaN where nothing was read."""
-    found = plain(problem, residual.reshape(-1, 3)[:, :, None])[:, :, 0]
+    found = unwhiten(problem, residual.reshape(-1, 3)[:, :, None])[:, :, 0]
     return np.where(problem.network.read, found * 1e6, np.nan)
 
 
-def plain(problem: Problem, whitened: np.ndarray, rows: Rows = slice(None)) -> np.ndarray:
+def unwhiten(problem: Problem, whitened: np.ndarray, rows: Rows = slice(None)) -> np.ndarray:
     """(rows, 3, k) as it was before it was whitened; zero where nothing was read."""
     read = problem.network.read[rows]
     safe = np.where(read[:, :, None] & read[:, None, :], problem.network.whitening[rows], np.eye(3))

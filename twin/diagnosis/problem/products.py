@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.sweep import PointBlock, Signatures
+from twin.diagnosis.problem.signature_products import PointBlock, Signatures
 
 
 @final
@@ -90,7 +90,7 @@ class Products:
         right = vectors.reshape(len(points), 3, -1)
         return self.signatures.along(lambda block: right[np.searchsorted(points, np.asarray(block.rows))], points)[0]
 
-    def judge(self, residual: np.ndarray) -> None:
+    def set_residual(self, residual: np.ndarray) -> None:
         """Another (3n,) residual."""
         if residual is not self._residual:
             self._residual = residual

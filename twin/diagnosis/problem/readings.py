@@ -13,7 +13,7 @@ from twin._common.distributions import chi2_isf
 from twin._common.units import MM
 from twin.diagnosis.candidates.candidate import Catalogue
 from twin.diagnosis.candidates.catalogue import catalogue
-from twin.diagnosis.problem.noise import ENOUGH, Scatter, from_repeats, from_the_rest
+from twin.diagnosis.problem.noise import ENOUGH, ReadingNoise, from_repeats, from_the_rest
 from twin.diagnosis.problem.problem import Problem
 from twin.identification.inputs import prepared
 from twin.identification.network import Network, stated_covariance
@@ -32,18 +32,18 @@ ROBUST: Final = 4
 
 @final
 @dataclass(frozen=True, eq=False)
-class Posed:
+class DiagnosisTask:
     """What is to be solved.
 
     Attributes:
         problem: the rows that count, whitened.
-        known: the causes to try.
+        catalogue: the causes to try.
         scatter: of the readings.
     """
 
     problem: Problem
-    known: Catalogue
-    scatter: Scatter
+    catalogue: Catalogue
+    noise: ReadingNoise
 
 
 @final
@@ -61,11 +61,11 @@ class Readings:
 
     network: Network
     setup: SetUp
-    scatter: Scatter
+    noise: ReadingNoise
     calibration: Calibration
     bad: np.ndarray
 
-    def some(self, rows: np.ndarray, notes: Sequence[RowNote] = ()) -> Readings:
+    def select_rows(self, rows: np.ndarray, notes: Sequence[RowNote] = ()) -> Readings:
         """Some of the rows, the set-up as it was fitted to all.
 
         Args:
@@ -73,7 +73,7 @@ class Readings:
             notes: of those that are left out.
         """
         network = self.network
-        covariance = locked(np.array(self.scatter.covariance[rows]))
+        covariance = locked(np.array(self.noise.covariance[rows]))
         data = network.data.select(rows)
         fewer = Network(
             network.machine,
@@ -83,11 +83,9 @@ class Readings:
             self.calibration,
             covariance,
         )
-        return Readings(
-            fewer, self.setup, replace(self.scatter, covariance=covariance), self.calibration, self.bad[rows]
-        )
+        return Readings(fewer, self.setup, replace(self.noise, covariance=covariance), self.calibration, self.bad[rows])
 
-    def without(self, bad: np.ndarray) -> Posed:
+    def without(self, bad: np.ndarray) -> DiagnosisTask:
         """What is to be solved with some rows listed and left out, the causes to try, and how the rows scatter.
 
         Args:
@@ -97,9 +95,9 @@ class Readings:
         if np.any(bad):
             difference = network.difference(np.zeros(0), self.setup, np.arange(len(network.data)))
             notes = explained(network, difference, network.residual(np.zeros(0), self.setup), bad)
-            left = self.some(np.flatnonzero(~bad), notes)
+            left = self.select_rows(np.flatnonzero(~bad), notes)
         known = catalogue(network.machine, left.network.data, self.calibration)
-        return Posed(Problem(left.network, self.setup, self.calibration), known, left.scatter)
+        return DiagnosisTask(Problem(left.network, self.setup, self.calibration), known, left.noise)
 
 
 def readings(
@@ -127,7 +125,7 @@ def readings(
     figures = f"the figures of the {reader.name}" + (
         "" if instrument is not None else ", presumed: nothing else is said"
     )
-    scatter = Scatter(covariance, np.inf, "the table's uncertainties" if given else figures)
+    scatter = ReadingNoise(covariance, np.inf, "the table's uncertainties" if given else figures)
     network = Network(machine, data, reader, nothing, calibration, covariance)
     setup, bad = _settled(network, setup)
     if not stated:

@@ -17,8 +17,8 @@ import numpy as np
 
 from twin._common.distributions import student_isf
 from twin.diagnosis.candidates.candidate import Candidate
-from twin.diagnosis.problem.forms import Candidates, Form, log_chance, together
-from twin.diagnosis.problem.problem import Problem, plain, rms, unwhitened
+from twin.diagnosis.problem.forms import Candidates, Form, columns_of, log_p_value
+from twin.diagnosis.problem.problem import Problem, rms, unwhiten, unwhitened_um
 from twin.diagnosis.selection.likelihood import Likelihood
 from twin.machine.effects.names import axis_of
 from twin.machine.machine import Machine
@@ -137,11 +137,11 @@ def on_parts(
         part = problem.without(rows)
         if part is None:
             return None
-        small = candidates.on(part)
+        small = candidates.on_part(part)
         squares = []
         for made in judged(small):
-            left = part.following(problem.residual - made).reshape(-1, 3, 1)[rows]
-            squares.append(np.sum((plain(problem, left, rows)[:, :, 0] * 1e6) ** 2, axis=1))
+            left = part.refit_setup(problem.residual - made).reshape(-1, 3, 1)[rows]
+            squares.append(np.sum((unwhiten(problem, left, rows)[:, :, 0] * 1e6) ** 2, axis=1))
         read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
         counted = np.stack([*squares, read], axis=1)
         table = np.zeros((int(split.group.max()) + 1, counted.shape[1])) if table is None else table
@@ -243,7 +243,7 @@ def held_up(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
         candidates: the data.
         forms: the causes.
     """
-    if PLENTY * len(together(forms)) < candidates.problem.dof:
+    if PLENTY * len(columns_of(forms)) < candidates.problem.dof:
         return list(forms)
     split = parts(
         candidates.problem.network.data, candidates.problem.network.machine, [form.candidate for form in forms]
@@ -271,8 +271,8 @@ def _beyond_rest(candidates: Candidates, forms: Sequence[Form]) -> int:
         explained, dof, _ = candidates.scores(forms[:k], [form.index])[0]
         free -= dof
         left = (problem.chi2 - candidates.explained_by(forms[: k + 1])) / max(free, 1.0)
-        chance = log_chance(np.array(explained / max(left, 1.0)), max(float(dof), 1.0), max(free, 1.0))
-        if float(chance) + form.price > np.log(candidates.level):
+        chance = log_p_value(np.array(explained / max(left, 1.0)), max(float(dof), 1.0), max(free, 1.0))
+        if float(chance) + form.log_tests > np.log(candidates.level):
             return k
     return len(forms)
 
@@ -297,4 +297,4 @@ def _in_fit(candidates: Candidates, forms: Sequence[Form]) -> float:
     """RMS residual of the fit, µm."""
     problem = candidates.problem
     residual = problem.project(problem.residual - foretold(problem, candidates, forms))
-    return rms(unwhitened(problem, residual), problem.network.read)
+    return rms(unwhitened_um(problem, residual), problem.network.read)

@@ -17,7 +17,7 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dpotri
 
 from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.problem.forms import Candidates, Form, pseudo, together
+from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
 from twin.diagnosis.selection.unnamed import Trace
 
 STEPS: Final = 40
@@ -46,7 +46,7 @@ class Model:
         variances: of each group of the patterns' columns, relative to the scatter, µm².
         scatter: s², at least one.
         explained: of the misfit, by causes and patterns together.
-        values: (columns,) of the causes, in the order of `together`.
+        values: (columns,) of the causes, in the order of `columns_of`.
         random: of the patterns' rotated columns, µm.
         covariance: (columns, columns) of the causes' values at these variances, in units of the scatter.
         followed: degrees of freedom that the patterns follow the readings with.
@@ -111,7 +111,7 @@ class Likelihood:
             variances, scatter = np.maximum(start.variances, SMALL * first), start.scatter
         if without is not None:
             variances = np.where(np.arange(len(variances)) // 3 == without, 0.0, variances)
-        columns = together(forms)
+        columns = columns_of(forms)
         fixed = self.candidates.gram(forms)
         for _ in range(STEPS):
             model, moved = self._at(columns, fixed, variances, scatter)
@@ -143,7 +143,7 @@ class Likelihood:
         inverse, log_det = _inverse(inner)
         values, back = np.zeros(len(columns)), np.zeros((0, 0))
         if len(columns):
-            back, _ = pseudo(fixed - cross.T @ inverse @ cross)
+            back, _ = pseudo_inverse(fixed - cross.T @ inverse @ cross)
             values = back @ (self.candidates.slope[columns] - cross.T @ (inverse @ slope))
         found = inverse @ (slope - cross @ values)
         explained = float(self.candidates.slope[columns] @ values + slope @ found)
@@ -161,7 +161,7 @@ class Likelihood:
 
     def gained(self, forms: Sequence[Form], model: Model, form: Form) -> float:
         """What one of the causes makes the readings more likely by at most: at variances that are not fitted anew without it."""
-        at = np.searchsorted(together(forms), form.columns)
+        at = np.searchsorted(columns_of(forms), form.columns)
         values = model.values[at]
         return float(values @ np.linalg.pinv(model.covariance[np.ix_(at, at)], hermitian=True) @ values) / model.scatter
 
@@ -257,9 +257,9 @@ class Likelihood:
         """(3n,) what the patterns do to the whitened readings, most likely, beside set-up and causes: what those cannot do."""
         problem = self.candidates.problem
         found = self.made(np.arange(len(self.columns)), self._rotation @ model.random)
-        columns = together(forms)
+        columns = columns_of(forms)
         if len(columns):
-            back, _ = pseudo(self.candidates.gram(forms))
+            back, _ = pseudo_inverse(self.candidates.gram(forms))
             signature = problem.signature([self.candidates.products.columns[i] for i in columns])
             found -= signature @ (back @ (self._cross[:, columns].T @ model.random))
         return problem.project(found)

@@ -9,7 +9,7 @@ import numpy as np
 from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.problem.forms import Candidates
 from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.readings import ROBUST, Posed, Readings
+from twin.diagnosis.problem.readings import ROBUST, DiagnosisTask, Readings
 from twin.diagnosis.selection.search import candidates_of, glimpse
 from twin.identification.outliers import outliers
 
@@ -24,7 +24,7 @@ LOOKED_AT: Final = 20_000
 SEED: Final = 1964
 
 
-def posed(placed: Readings) -> Posed:
+def diagnosis_task(placed: Readings) -> DiagnosisTask:
     """What is to be solved: the rows that count, whitened, and the causes to try.
 
     Args:
@@ -44,7 +44,7 @@ def _still_bad(placed: Readings) -> np.ndarray:
         drawn = np.random.default_rng(SEED).choice(np.flatnonzero(~placed.bad), LOOKED_AT - len(bad), replace=False)
         rows = np.sort(np.concatenate([bad, drawn]))
         found = np.zeros(count, dtype=bool)
-        found[rows] = _still_bad(placed.some(rows))
+        found[rows] = _still_bad(placed.select_rows(rows))
         return found
     everything = placed.without(np.zeros(len(placed.bad), dtype=bool))
     whole, candidates = everything.problem, candidates_of(everything)
@@ -67,6 +67,6 @@ def _beyond(placed: Readings, whole: Problem, candidates: Candidates, bad: np.nd
     part = whole.without(bad) if np.any(bad) else whole
     if part is None:
         return placed.bad
-    forms = glimpse(candidates.on(part), CLEAR)
+    forms = glimpse(candidates.on_part(part), CLEAR)
     left = whole.residual - estimate(part, forms).signature.sum(axis=1)
-    return outliers(placed.network, part.following(left).reshape(-1, 3))
+    return outliers(placed.network, part.refit_setup(left).reshape(-1, 3))

@@ -13,13 +13,13 @@ import numpy as np
 
 from twin.diagnosis.candidates.candidate import Candidate, Cell
 from twin.diagnosis.problem.forms import FURTHER, Candidates, Form
-from twin.diagnosis.problem.readings import Posed
+from twin.diagnosis.problem.readings import DiagnosisTask
 from twin.diagnosis.selection.left_out import parts
 
 SHARE: Final = 0.25
-"""A family's share of `ALARMS` grows with its number of forms to this power: more is lost where each form is dear already."""
+"""A family's share of `FALSE_ALARM_RATE` grows with its number of forms to this power: more is lost where each form is dear already."""
 SELDOM: Final = 0.1
-"""Share of `ALARMS`, beside that of others, of mistakes of which one look tells if they are there at all."""
+"""Share of `FALSE_ALARM_RATE`, beside that of others, of mistakes of which one look tells if they are there at all."""
 MOST: Final = 30
 """Causes at most: as many as a machine has curves."""
 FEW: Final = 6
@@ -71,7 +71,7 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
     if begun:
         candidates.prepare(begun)
         forms = grown(candidates, list(begun))
-        return Selection(tuple(forms), candidates.worth(forms))
+        return Selection(tuple(forms), candidates.penalised_gain(forms))
     margin = candidates.margins([])
     order = [int(i) for i in np.argsort(-margin, kind="stable") if margin[i] > 0.0]
     first: dict[int, int] = {}
@@ -83,7 +83,7 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
     likely = [[candidates.forms[i]] for i in list(first.values())[:STARTS]]
     for start in likely:
         forms = grown(candidates, start)
-        worth = candidates.worth(forms)
+        worth = candidates.penalised_gain(forms)
         if worth > found.worth + 1e-6:
             found = Selection(tuple(forms), worth)
         if len(forms) > FEW:
@@ -92,11 +92,11 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
         # A machine whose constants were never identified: each of them is worth little before the others are in.
         numbers = np.array([form.candidate.specification.constant for form in candidates.forms])
         forms = grown(candidates, grown(candidates, [], numbers))
-        worth = candidates.worth(forms)
+        worth = candidates.penalised_gain(forms)
         if worth > (1.0 - SAME) * found.worth:
             found = Selection(tuple(forms), worth)
     forms = _split(candidates, list(found.forms))
-    return Selection(tuple(forms), candidates.worth(forms))
+    return Selection(tuple(forms), candidates.penalised_gain(forms))
 
 
 def glimpse(candidates: Candidates, most: int) -> tuple[Form, ...]:
@@ -115,16 +115,16 @@ def possible(candidates: Candidates, best: Selection, anew: bool) -> Selection:
         best: the best set, whatever its size (`select`).
         anew: whether the search is made anew without a cause that is too large, or goes on from the others.
     """
-    allowed = candidates.allowed
+    allowed = candidates.critical_table
     while True:
         if any(
             form.candidate.specification.pliable and excessive(candidates, form, best.forms) == np.inf
             for form in best.forms
         ):
             # None of them: what they displaced comes back.
-            candidates.allowed = allowed
-            candidates.forbid({form.key for form in candidates.forms if form.candidate.specification.pliable})
-            allowed = candidates.allowed
+            candidates.critical_table = allowed
+            candidates.exclude({form.key for form in candidates.forms if form.candidate.specification.pliable})
+            allowed = candidates.critical_table
             best = select(candidates, () if anew else [f for f in best.forms if not f.candidate.specification.pliable])
             continue
         excess = [excessive(candidates, form, best.forms) for form in best.forms]
@@ -132,7 +132,7 @@ def possible(candidates: Candidates, best: Selection, anew: bool) -> Selection:
             return best
         # One at a time: what it made up for may be possible without it.
         worst = best.forms[int(np.argmax(excess))].key
-        candidates.forbid({worst})
+        candidates.exclude({worst})
         best = select(candidates, () if anew else [form for form in best.forms if form.key != worst])
 
 
@@ -166,7 +166,7 @@ def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, e
     if form.candidate.specification.pliable and own < LEAST * explained:
         return np.inf
     found = own / (CANCELS * (explained + FEWEST))
-    scale = np.array([column.scale for column in form.cell.columns])
+    scale = np.array([column.scale for column in form.variant.columns])
     if np.isfinite(form.candidate.largest):
         found = max(found, float(np.max((np.abs(values) - DOUBTED * u) * scale)) / form.candidate.largest)
     if form.candidate.specification.one_way and len(values) == 1 and values[0] < -DOUBTED * u[0]:
@@ -182,9 +182,11 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
     The datum gives a curve neither (`twin.identification.unknowns`). Where they are the smaller part of it, one cause says it in fewer
     words; where they are the larger, the number is what is wrong with the machine, and curves that share it hide it.
     """
-    pure = {(one.key, one.cell.columns[-1]): one for one in candidates.forms if one.cell.fixed.get("first", 0.0) > 0.0}
-    bent = [pure[form.key, form.cell.columns[-1]] for form in forms if form.cell.fixed.get("first") == 0.0]
-    trial = [form for form in forms if form.cell.fixed.get("first") != 0.0]
+    pure = {
+        (one.key, one.variant.columns[-1]): one for one in candidates.forms if one.variant.fixed.get("first", 0.0) > 0.0
+    }
+    bent = [pure[form.key, form.variant.columns[-1]] for form in forms if form.variant.fixed.get("first") == 0.0]
+    trial = [form for form in forms if form.variant.fixed.get("first") != 0.0]
     whole = candidates.explained_by(forms)
     enough = whole - SAME * (whole - candidates.explained_by(trial))
     trial += bent
@@ -202,7 +204,7 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
         others = [other for other in trial if other is not one]
         own = whole - candidates.explained_by(others)
         hosts = []
-        for form, rest in zip([form for form in forms if form.cell.fixed.get("first") == 0.0], bent, strict=True):
+        for form, rest in zip([form for form in forms if form.variant.fixed.get("first") == 0.0], bent, strict=True):
             hosted = candidates.explained_by([form if other is rest else other for other in others])
             if hosted > whole - SAME * own:
                 hosts.append(whole - candidates.explained_by([other for other in trial if other is not rest]))
@@ -211,7 +213,7 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
             return forms
     for rest in bent:
         without = [one for one in trial if one is not rest]
-        if candidates.worth(without) >= candidates.worth(trial):
+        if candidates.penalised_gain(without) >= candidates.penalised_gain(trial):
             trial = without
     return trial
 
@@ -229,9 +231,9 @@ def grown(
     """
     forms = _exchanged(candidates, list(forms), allowed)
     while len(forms) < most:
-        now = candidates.worth(forms)
+        now = candidates.penalised_gain(forms)
         best = candidates.forms[int(np.argmax(candidates.margins(forms)))]
-        if best.bent and best.slot in {form.slot for form in forms}:
+        if best.nonlinear and best.slot in {form.slot for form in forms}:
             # Most of what is left is what lies between two periods or time constants that were tried: the estimate sees to that.
             return forms
         margin = np.where(allowed, _free(candidates, forms), -np.inf)
@@ -241,7 +243,7 @@ def grown(
             larger = [*forms, candidates.forms[int(i)]]
             if len(larger) <= FEW:
                 larger = _exchanged(candidates, larger, allowed)
-            if candidates.worth(larger) > now + 1e-6:
+            if candidates.penalised_gain(larger) > now + 1e-6:
                 break
         else:
             return forms
@@ -257,7 +259,7 @@ def _free(candidates: Candidates, forms: Sequence[Form]) -> np.ndarray:
 
 def _exchanged(candidates: Candidates, forms: list[Form], allowed: np.ndarray | bool) -> list[Form]:
     """Each cause replaced by any better one, or dropped, until nothing changes."""
-    now = candidates.worth(forms)
+    now = candidates.penalised_gain(forms)
     for _ in range(8):
         better = _better(candidates, forms, now, allowed)
         if better is None:
@@ -271,7 +273,7 @@ def _better(
 ) -> tuple[list[Form], float] | None:
     for k in range(len(forms))[-FEW:]:
         others = forms[:k] + forms[k + 1 :]
-        if others and (worth := candidates.worth(others)) >= now:
+        if others and (worth := candidates.penalised_gain(others)) >= now:
             return others, worth
         margin = np.where(allowed, _free(candidates, others), -np.inf)
         for i in np.argsort(-margin)[:TRIED]:
@@ -279,7 +281,7 @@ def _better(
             if (
                 np.isfinite(margin[i])
                 and candidates.forms[int(i)] is not forms[k]
-                and (worth := candidates.worth(trial)) > now + 1e-6
+                and (worth := candidates.penalised_gain(trial)) > now + 1e-6
             ):
                 return trial, worth
     return None
@@ -287,7 +289,7 @@ def _better(
 
 def every(candidates: Sequence[Candidate], costs: dict[str, float]) -> list[tuple[Candidate, Cell, float]]:
     """All forms of all candidates, with their prices."""
-    return [(c, cell, costs[c.effect]) for c in candidates for cell in c.cells]
+    return [(c, variant, costs[c.effect]) for c in candidates for variant in c.variants]
 
 
 def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
@@ -301,8 +303,8 @@ def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
     return {effect: float(np.log(total * count / shares[effect])) for effect, count in tests.items()}
 
 
-def candidates_of(posed: Posed) -> Candidates:
+def candidates_of(task: DiagnosisTask) -> Candidates:
     """Every form of every candidate with its price, and what the data say of it."""
-    problem, known = posed.problem, posed.known.candidates
+    problem, known = task.problem, task.catalogue.candidates
     split = parts(problem.network.data, problem.network.machine, ())
-    return Candidates(problem, every(known, prices(known)), posed.scatter.dof, None if split is None else split.part)
+    return Candidates(problem, every(known, prices(known)), task.noise.dof, None if split is None else split.part)

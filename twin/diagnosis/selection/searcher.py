@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Final, final
 
-from twin.diagnosis.candidates.machine_effects import cell_at
+from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.problem.forms import Form
-from twin.diagnosis.problem.readings import Posed
+from twin.diagnosis.problem.readings import DiagnosisTask
 from twin.diagnosis.selection.left_out import foretells, held_up
 from twin.diagnosis.selection.patterns import patterns
 from twin.diagnosis.selection.payload import chosen
@@ -22,13 +22,13 @@ STAYS: Final = 0.2
 """Standard uncertainties by which a period or time constant that was put there once may still move."""
 
 
-def selected(posed: Posed) -> Findings:
+def selected(task: DiagnosisTask) -> Findings:
     """The causes that account for the misfit, and the patterns beside them.
 
     Args:
-        posed: the rows that count, and the causes to try.
+        task: the rows that count, and the causes to try.
     """
-    return Searcher(posed).run()
+    return Searcher(task).run()
 
 
 @final
@@ -36,13 +36,13 @@ class Searcher:
     """The catalogue and the patterns without a name, on one data set.
 
     Args:
-        posed: the rows that count, and the causes to try.
+        task: the rows that count, and the causes to try.
     """
 
-    def __init__(self, posed: Posed) -> None:
-        self.posed = posed
-        self.problem = posed.problem
-        self.candidates = candidates_of(posed)
+    def __init__(self, task: DiagnosisTask) -> None:
+        self.task = task
+        self.problem = task.problem
+        self.candidates = candidates_of(task)
         self.patterns = patterns(self.problem.network.machine, self.problem.network.data)
 
     def run(self) -> Findings:
@@ -54,10 +54,10 @@ class Searcher:
             for form in found.forms
             if form.candidate.specification.more_of and not foretells(self.candidates, form, found.forms)
         ]:
-            self.candidates.forbid({form.key for form in varying})
+            self.candidates.exclude({form.key for form in varying})
             found, refuted = self._settled()
-        beside = self.candidates.beside(found.problem) if found.traces else self.candidates
-        return Findings(self.posed, self.patterns, self.candidates, beside, found, refuted)
+        beside = self.candidates.for_problem(found.problem) if found.traces else self.candidates
+        return Findings(self.task, self.patterns, self.candidates, beside, found, refuted)
 
     def _settled(self) -> tuple[Structure, tuple[Form, ...]]:
         """The causes that stand and the patterns beside them, and the causes that readings left out refute.
@@ -88,7 +88,7 @@ class Searcher:
 
     def _refined(self, best: Selection) -> bool:
         machine, data = self.problem.network.machine, self.problem.network.data
-        bent = [form for form in best.forms if form.bent]
+        bent = [form for form in best.forms if form.nonlinear]
         large = [
             form
             for form in bent
@@ -101,10 +101,10 @@ class Searcher:
         moved = False
         for form, quantities in zip(best.forms, found.quantities, strict=True):
             # A straight drift has a time constant to show, but none in its columns.
-            put = {q.name: q for q in quantities if form in large and q.name in form.bent}
-            if not any(abs(form.cell.fixed[q.name] - q.value) > STAYS * q.u for q in put.values()):
+            put = {q.name: q for q in quantities if form in large and q.name in form.nonlinear}
+            if not any(abs(form.variant.fixed[q.name] - q.value) > STAYS * q.u for q in put.values()):
                 continue
             moved = True
             fixed = {name: q.value for name, q in put.items()}
-            self.candidates.refine(form, cell_at(form.candidate, fixed, machine, state))
+            self.candidates.refine(form, variant_at(form.candidate, fixed, machine, state))
         return moved

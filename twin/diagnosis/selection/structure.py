@@ -14,10 +14,10 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.diagnosis.estimate.estimate import Beside
-from twin.diagnosis.problem.forms import DOUBT, Candidates, Form, together
+from twin.diagnosis.estimate.estimate import RandomEffects
+from twin.diagnosis.problem.forms import DEVIANCE_RULED_OUT, Candidates, Form, columns_of
 from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.readings import Posed
+from twin.diagnosis.problem.readings import DiagnosisTask
 from twin.diagnosis.selection.likelihood import Likelihood, Model
 from twin.diagnosis.selection.patterns import Pattern
 from twin.diagnosis.selection.search import FEW, excess_of
@@ -69,11 +69,11 @@ class Structure:
         return () if self.likelihood is None else self.likelihood.traces
 
     @property
-    def beside(self) -> Beside | None:
+    def beside(self) -> RandomEffects | None:
         """The patterns, for an estimate of the causes beside them."""
         if self.model is None or self.likelihood is None:
             return None
-        return Beside(self.likelihood.random(self.model), self.model.scatter)
+        return RandomEffects(self.likelihood.random(self.model), self.model.scatter)
 
     def explained(self, forms: Sequence[Form]) -> float:
         """What the patterns explain beside some of the causes."""
@@ -100,7 +100,7 @@ class Findings:
     """What was asked of the data and what they answered.
 
     Attributes:
-        posed: the rows that count, and the causes that were tried.
+        task: the rows that count, and the causes that were tried.
         patterns: the patterns without a name that were looked for.
         candidates: the causes, beside the set-up.
         beside: the same, beside the patterns that were found as well; ``candidates`` itself where there are none.
@@ -108,7 +108,7 @@ class Findings:
         refuted: causes that the readings show, and readings left out of the fit do not (`twin.diagnosis.selection.left_out`).
     """
 
-    posed: Posed
+    task: DiagnosisTask
     patterns: Sequence[Pattern]
     candidates: Candidates
     beside: Candidates
@@ -118,7 +118,7 @@ class Findings:
     @property
     def problem(self) -> Problem:
         """The rows that count, whitened."""
-        return self.posed.problem
+        return self.task.problem
 
 
 def settled(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
@@ -138,7 +138,7 @@ def settled(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Patte
             # Enough causes can imitate anything: a pattern that does what several of them do is the simpler account.
             simpler = (
                 len(other.forms) <= len(found.forms) - FEWER
-                and _worth(candidates, other) > candidates.worth(forms) - DOUBT
+                and _worth(candidates, other) > candidates.penalised_gain(forms) - DEVIANCE_RULED_OUT
             )
             # Causes that no pattern beside them can do are no parts of one.
             better = _apart(found) and _worth(candidates, found) > _worth(candidates, other)
@@ -193,7 +193,7 @@ def named(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern
         whole = without_parts(likelihood, stand, model)
         if len(whole) == len(stand):
             traces.append(more[0])
-            problem = candidates.problem.beside(likelihood.random(model), model.scatter)
+            problem = candidates.problem.with_random_effects(likelihood.random(model), model.scatter)
         else:
             # What they had taken up is the patterns' or another cause's.
             stand, traces, problem, likelihood, model = whole, [], candidates.problem, None, None
@@ -210,7 +210,7 @@ def _patterned(candidates: Candidates, tried: Sequence[Pattern]) -> Structure:
 def _worth(candidates: Candidates, found: Structure) -> float:
     """What an account explains less what each part of it must."""
     if found.model is None:
-        return candidates.worth(found.forms)
+        return candidates.penalised_gain(found.forms)
     prices = sum(_price(trace) for trace in found.traces)
     return found.model.twice - prices - sum(_cost(candidates, form) for form in found.forms)
 
@@ -222,7 +222,7 @@ def _price(trace: Trace) -> float:
 
 def _cost(candidates: Candidates, form: Form) -> float:
     """What a cause must make the readings more likely by beside a pattern, twice the logarithm."""
-    return candidates.cost(form, float(len(form.columns)))
+    return candidates.critical_value(form, float(len(form.columns)))
 
 
 def _beside(candidates: Candidates, first: Trace, tried: Sequence[Pattern]) -> Structure:
@@ -245,7 +245,7 @@ def _beside(candidates: Candidates, first: Trace, tried: Sequence[Pattern]) -> S
                 return Structure(tuple(forms), None, None, candidates.problem, ())
             likelihood = Likelihood(candidates, traces)
             forms, model = _stepwise(likelihood, forms, barred)
-        problem = candidates.problem.beside(likelihood.random(model), model.scatter)
+        problem = candidates.problem.with_random_effects(likelihood.random(model), model.scatter)
         more = [
             trace
             for trace in (scan(problem, tried, forms, candidates.dof) if len(traces) < MOST else [])
@@ -308,11 +308,11 @@ def _plainer(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
     """Curves that no datum leaves a constant or a slope, replaced by the machine's constant that these data cannot tell from them."""
     candidates = likelihood.candidates
     for form in list(forms):
-        if form.cell.fixed.get("first") != 0.0:
+        if form.variant.fixed.get("first") != 0.0:
             continue
         others = [one for one in forms if one is not form]
         explained, dof = likelihood.scan(others, likelihood.fit(others, model))
-        margin = explained - candidates.costs(dof)
+        margin = explained - candidates.critical_values(dof)
         taken = {one.key for one in others}
         numbers = [
             f for f in candidates.forms if f.candidate.specification.constant and f.key not in taken and dof[f.index]
@@ -321,7 +321,7 @@ def _plainer(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
             trial = [*others, number]
             found = likelihood.fit(trial, model)
             lost = model.twice - _cost(candidates, form) - found.twice + _cost(candidates, number)
-            if lost < DOUBT and _possible(candidates, trial, found):
+            if lost < DEVIANCE_RULED_OUT and _possible(candidates, trial, found):
                 forms, model = trial, found
     return forms, model
 
@@ -330,7 +330,7 @@ def _hopeful(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred
     """The best form of the most promising candidates."""
     candidates = likelihood.candidates
     explained, dof = likelihood.scan(stand, model)
-    costs = candidates.costs(dof)
+    costs = candidates.critical_values(dof)
     out = np.isin(candidates.slot_of, [candidates.slot_of[form.index] for form in stand]) | np.isin(
         candidates.key_of, list(barred)
     )
@@ -390,7 +390,7 @@ def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> For
 
 def _possible(candidates: Candidates, forms: Sequence[Form], model: Model) -> bool:
     """Whether no cause would have to be larger than it can be."""
-    columns = together(forms)
+    columns = columns_of(forms)
     return all(
         excess_of(form, model.values[at], np.zeros(len(at)), candidates.gram([form]), model.explained) <= 1.0
         for form in forms

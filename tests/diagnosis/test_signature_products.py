@@ -16,11 +16,11 @@ from tests.truth.hidden import Hidden
 from twin._common.arrays import locked
 from twin.diagnosis import diagnose
 from twin.diagnosis.candidates.signatures import of_effect
-from twin.diagnosis.problem.forms import ALARMS, SAMPLED
+from twin.diagnosis.problem.forms import FALSE_ALARM_RATE, SAMPLED_POINTS
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.problem.sweep import PointBlock, Signatures
+from twin.diagnosis.problem.signature_products import PointBlock, Signatures
 from twin.diagnosis.selection.left_out import parts as parts_of
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
@@ -50,8 +50,8 @@ def searched(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> tuple[
     """Some 900 points, and a calibration that is not exactly known."""
     data = measured(dmu50, tmp_path_factory.mktemp("data"), 40)
     placed = readings(data, dmu50, _doubted(Calibration.default(dmu50)))
-    posed = placed.without(placed.bad)
-    return posed.problem, Searcher(posed)
+    task = placed.without(placed.bad)
+    return task.problem, Searcher(task)
 
 
 @pytest.fixture(scope="module")
@@ -166,14 +166,14 @@ def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -
     machine, data = problem.network.machine, problem.network.data
     state, block = state_of(data, machine), PointBlock(problem.view, slice(None))
     seen = set()
-    for candidate in searcher.posed.known.candidates:
+    for candidate in searcher.task.catalogue.candidates:
         if candidate.build is None:
             continue
-        for cell in (candidate.cells[0], candidate.cells[-1]):
-            values = np.linspace(0.7, 1.3, len(cell.columns))
-            effects = candidate.build(values, cell.fixed)
-            own = Signatures(problem.view, cell.columns).at(block)
-            found = own @ (values / np.array([column.scale for column in cell.columns]))
+        for variant in (candidate.variants[0], candidate.variants[-1]):
+            values = np.linspace(0.7, 1.3, len(variant.columns))
+            effects = candidate.build(values, variant.fixed)
+            own = Signatures(problem.view, variant.columns).at(block)
+            found = own @ (values / np.array([column.scale for column in variant.columns]))
             truth = np.zeros_like(found)
             for effect in effects:
                 columns = of_effect(effect, machine, state)
@@ -185,7 +185,7 @@ def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -
                 for i, part in effect.components(state).items():
                     truth += problem.view.by_error[:, :, at + i] * (np.broadcast_to(part, len(found))[:, None] * 1e-6)
                 assert len(columns) == len(effect.parameters)
-            assert np.abs(found - truth).max() <= 1e-9 * max(np.abs(truth).max(), 1e-12), (candidate.key, cell.fixed)
+            assert np.abs(found - truth).max() <= 1e-9 * max(np.abs(truth).max(), 1e-12), (candidate.key, variant.fixed)
             seen.add(candidate.effect)
     assert {"pitch_error", "harmonic", "positioning", "thermal_drift", "misplaced", "reversal"} <= seen
 
@@ -194,12 +194,12 @@ def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -
 def test_the_price_of_the_search_from_some_of_the_points(dmu50: Machine, tmp_path: Path) -> None:
     """Where there are more points than it is taken from, it is what it would be on other data of that kind."""
     levels = []
-    for poses in (SAMPLED // 6 - 120, SAMPLED // 3):
+    for poses in (SAMPLED_POINTS // 6 - 120, SAMPLED_POINTS // 3):
         data = measured(dmu50, tmp_path, poses)
         placed = readings(data, dmu50, Calibration.default(dmu50))
-        posed = placed.without(placed.bad)
-        levels.append(Searcher(posed).candidates.level)
-    assert min(levels) >= ALARMS
+        task = placed.without(placed.bad)
+        levels.append(Searcher(task).candidates.level)
+    assert min(levels) >= FALSE_ALARM_RATE
     assert levels[0] == pytest.approx(levels[1], rel=0.5)
 
 

@@ -9,7 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.threads import side_by_side
-from twin.diagnosis.candidates.signatures import Column, Field, Fields, Part
+from twin.diagnosis.candidates.signatures import Column, Field, ReadingDerivatives, SignatureTerm
 from twin.identification.network import View
 from twin.numerics.functions import Functions, Rows, pieces
 
@@ -51,7 +51,7 @@ class PointBlock:
     def __init__(self, view: View, rows: Rows) -> None:
         self.rows = rows
         self._numbers = view.rows[rows]
-        self.fields = Fields(view, rows)
+        self.fields = ReadingDerivatives(view, rows)
         self._values: dict[Functions, np.ndarray | None] = {}
 
     def values(self, functions: Functions) -> np.ndarray | None:
@@ -229,7 +229,7 @@ class Signatures:
             self._kept[run] = PointBlock(self.view, runs[run])
         return self._kept[run]
 
-    def _stand(self, part: Part) -> tuple[Functions, int]:
+    def _stand(self, part: SignatureTerm) -> tuple[Functions, int]:
         """Where a part's function is looked up."""
         start = self._start.get(part.functions)
         return (part.functions, part.index) if start is None else (self._various, start + part.index)
