@@ -31,7 +31,7 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.compute.parallel import Workers, in_order
 from twin.diagnosis.candidates.candidate import Candidate
-from twin.diagnosis.candidates.signatures import of_unit
+from twin.diagnosis.candidates.signatures import unit_column
 from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.judgement.in_place import equivalent
 from twin.diagnosis.problem.forms import Form
@@ -180,14 +180,15 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
             fixed["period"] = float(1.0 / rng.uniform(min(spacing), max(spacing)))
             axis = machine.by_name[candidate.where]
             columns = [
-                of_unit(PitchError(axis, 1.0, fixed["period"], phase), machine, state) for phase in (0.0, np.pi / 2.0)
+                unit_column(PitchError(axis, 1.0, fixed["period"], phase), machine, state)
+                for phase in (0.0, np.pi / 2.0)
             ]
         if effect == "thermal_drift":
             constants = [one.fixed["time_constant"] for one in candidate.variants if one.fixed]
             fixed["time_constant"] = float(np.exp(rng.uniform(np.log(min(constants)), np.log(max(constants)))))
             built = candidate.build(np.ones(1), fixed)[0] if candidate.build else None
             if isinstance(built, ThermalDrift):
-                columns = [of_unit(built, machine, state)]
+                columns = [unit_column(built, machine, state)]
         raw = problem.signature(columns)
         seen = np.diag(problem.inner(raw)) > 25.0
         values = rng.standard_normal(raw.shape[1]) * seen

@@ -555,13 +555,13 @@ def test_the_battery(row: str, noise: str) -> None:
 def test_readings_of_which_nothing_is_said_and_none_is_repeated(
     dmu50: Machine, calibration: Calibration, tmp_path: Path, noise: str, hides: bool
 ) -> None:
-    """One round, no uncertainties, no instrument: the scatter is what no plain form of any cause accounts for."""
+    """One round, no uncertainties, no instrument: noise is estimated from the residuals of a fit of every cause."""
     rng = np.random.default_rng(5)
     plan = hidden.rounded(hidden.plan(rng, rounds=1, poses=POSES))
     truth = one("reversal", "Y", size=5.0)
     read = hidden.noisy(hidden.points(plan, [truth] if hides else []), rng, noise, SIGMA_MM)
     result = diagnose(load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=None), dmu50), dmu50, calibration)
-    assert result.scatter.startswith("what no plain form of any cause accounts for")
+    assert result.scatter.startswith("the residuals of a fit of every cause")
     assert [(c.effect, c.where) for c in result.causes] == ([truth.key] if hides else [])
     assert result.unexplained is None
 

@@ -15,7 +15,7 @@ from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin._common.arrays import locked
 from twin.diagnosis import diagnose
-from twin.diagnosis.candidates.signatures import of_effect
+from twin.diagnosis.candidates.signatures import effect_columns
 from twin.diagnosis.problem.forms import FALSE_ALARM_RATE, SAMPLED_POINTS
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
@@ -137,7 +137,7 @@ def test_what_is_taken_away(searched: tuple[Problem, Searcher], whole: np.ndarra
     gone = np.flatnonzero(parts == 1)
     if which == "any points":
         gone = np.sort(np.random.default_rng(2).choice(len(parts), 60, replace=False))
-    left = products.less(gone)
+    left = products.without(gone)
     rows = np.repeat(~np.isin(np.arange(len(parts)), gone), 3)
     columns = np.arange(0, whole.shape[1], 211)
     size = np.linalg.norm(whole) ** 2
@@ -176,7 +176,7 @@ def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -
             found = own @ (values / np.array([column.scale for column in variant.columns]))
             truth = np.zeros_like(found)
             for effect in effects:
-                columns = of_effect(effect, machine, state)
+                columns = effect_columns(effect, machine, state)
                 at = 6 * next(
                     i
                     for i, f in enumerate(machine.frames)

@@ -10,7 +10,7 @@ from scipy import stats
 
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
-from twin.diagnosis.candidates.signatures import of_base
+from twin.diagnosis.candidates.signatures import base_column
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.selection.likelihood import Likelihood
@@ -190,7 +190,7 @@ def test_columns_along_the_base_are_the_patterns_own(searched: Searcher) -> None
     """µm a unit of a function, along an axis of the base frame."""
     pattern = next(p for p in searched.patterns if p.names == ("X_mm",) and p.side == "tool" and p.field == "base")
     (first, *_) = pattern.columns(2, [1])
-    same = of_base(1, first.parts[0].functions, first.parts[0].index)
+    same = base_column(1, first.terms[0].functions, first.terms[0].index)
     found, expected = (searched.problem.signature([column])[:, 0] / column.scale for column in (first, same))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 

@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
-from twin.diagnosis.candidates.signatures import STRAINS, Column, SignatureTerm, strained
+from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, CandidateInputs
+from twin.diagnosis.candidates.signatures import STRAINS, Column, SignatureTerm, strain_displacements
 from twin.machine.effects.specification import NOTHING, REST, Advice, Specification
 from twin.measurement.table import Measurements
 from twin.numerics.functions import given
@@ -59,9 +59,9 @@ class _Part(NamedTuple):
     anew: bool
 
 
-def affine_scales(given: Given) -> Catalogue:
+def affine_scales(inputs: CandidateInputs) -> Catalogue:
     """Every station if there are several, every round if there are several."""
-    return Catalogue(tuple(one for part in _parts(given.data) if (one := _candidate(given.data, part)) is not None))
+    return Catalogue(tuple(one for part in _parts(inputs.data) if (one := _candidate(inputs.data, part)) is not None))
 
 
 def _parts(data: Measurements) -> Iterator[_Part]:
@@ -100,7 +100,7 @@ def _extended(points: np.ndarray) -> np.ndarray:
 
 def _columns(mask: np.ndarray, kept: list[int], middle: np.ndarray) -> tuple[Column, ...]:
     function = given(mask[:, None].astype(float))
-    back = strained(middle[None])[0]
+    back = strain_displacements(middle[None])[0]
     return tuple(
         Column(
             (

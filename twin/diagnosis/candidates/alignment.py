@@ -7,12 +7,12 @@ from typing import Final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
-from twin.diagnosis.candidates.signatures import Field, reading
+from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, CandidateInputs
+from twin.diagnosis.candidates.signatures import Freedom, masked_columns
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
 
-FRAME: Final[tuple[Field, ...]] = tuple((name, i) for name in ("station", "station turn") for i in range(3))
-PLACE: Final[tuple[Field, ...]] = tuple(("place", i) for i in range(3))
+FRAME: Final[tuple[Freedom, ...]] = tuple((name, i) for name in ("station", "station turn") for i in range(3))
+PLACE: Final[tuple[Freedom, ...]] = tuple(("place", i) for i in range(3))
 SHIFTS: Final = tuple((f"shift_{a}", "um") for a in "xyz")
 TURNS: Final = tuple((f"turn_{a}", "urad") for a in "xyz")
 
@@ -55,10 +55,10 @@ TARGET_SHIFT: Final = Specification(
 )
 
 
-def _later(given: Given) -> list[tuple[str, np.ndarray]]:
+def _later(inputs: CandidateInputs) -> list[tuple[str, np.ndarray]]:
     """Every round but the first, and which readings were made from then on."""
-    rounds = list(dict.fromkeys(given.data.round))
-    number = np.array([rounds.index(name) for name in given.data.round])
+    rounds = list(dict.fromkeys(inputs.data.round))
+    number = np.array([rounds.index(name) for name in inputs.data.round])
     return [(str(rounds[k]), number >= k) for k in range(1, len(rounds))]
 
 
@@ -68,30 +68,30 @@ def _parts(later: np.ndarray, names: np.ndarray) -> list[tuple[str, np.ndarray]]
     return [(name, later & of) for name, of in some if 0 < np.count_nonzero(later & of) < np.count_nonzero(of)]
 
 
-def alignments(given: Given) -> Catalogue:
+def alignments(inputs: CandidateInputs) -> Catalogue:
     """The frame of the instrument, and every target, from each round on."""
-    return Catalogue((*_frame_shifts(given), *_target_shifts(given)))
+    return Catalogue((*_frame_shifts(inputs), *_target_shifts(inputs)))
 
 
-def _frame_shifts(given: Given) -> list[Candidate]:
+def _frame_shifts(inputs: CandidateInputs) -> list[Candidate]:
     """The frame of the instrument from each round on; of each station by itself where there are several."""
     found = []
-    for name, later in _later(given):
-        alone = len(dict.fromkeys(given.data.station)) == 1
-        parts = [("", later)] if alone else _parts(later, given.data.station)
+    for name, later in _later(inputs):
+        alone = len(dict.fromkeys(inputs.data.station)) == 1
+        parts = [("", later)] if alone else _parts(later, inputs.data.station)
         for station, mask in parts:
             where = f"round {name}" if alone else f"station {station} from round {name}"
-            columns = reading(FRAME, mask, UM)
+            columns = masked_columns(FRAME, mask, UM)
             found.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (Cell(columns),), 1.0))
     return found
 
 
-def _target_shifts(given: Given) -> list[Candidate]:
+def _target_shifts(inputs: CandidateInputs) -> list[Candidate]:
     """Every target from each round on."""
     return [
-        Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (Cell(reading(PLACE, mask, UM)),), 1.0)
-        for name, later in _later(given)
-        for target, mask in _parts(later, given.data.target)
+        Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (Cell(masked_columns(PLACE, mask, UM)),), 1.0)
+        for name, later in _later(inputs)
+        for target, mask in _parts(later, inputs.data.target)
     ]
 
 

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateSource, Catalogue, Cell, Given
+from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateSource, Catalogue, Cell, CandidateInputs
 from twin.diagnosis.candidates.flaws import mistakes
-from twin.diagnosis.candidates.signatures import first_component, of_components
+from twin.diagnosis.candidates.signatures import component_column, first_component
 from twin.machine.effects import Effect, ErrorMotion, unit_of
 from twin.machine.effects.error_motion import (
     ANGULAR_ERROR_MOTION,
@@ -29,23 +29,23 @@ DEGREES: Final = 8
 """Largest degree of a curve that is tried."""
 
 
-def curves(given: Given) -> Catalogue:
+def curves(inputs: CandidateInputs) -> Catalogue:
     """Curves in orthonormal functions, written as powers: of the linear axes, and of rotary ones that have polynomials."""
-    every = [(axis, component) for axis in given.machine.axes for component in range(len(DIRECTIONS))]
-    found = [_candidate(given, axis, component) for axis, component in every]
+    every = [(axis, component) for axis in inputs.machine.axes for component in range(len(DIRECTIONS))]
+    found = [_candidate(inputs, axis, component) for axis, component in every]
     return Catalogue(tuple(one for one in found if one is not None))
 
 
-def _candidate(given: Given, axis: Axis, component: int) -> Candidate | None:
+def _candidate(inputs: CandidateInputs, axis: Axis, component: int) -> Candidate | None:
     """One error motion; None where none can be tried, or too few positions show it."""
     name, curve = f"E_{DIRECTIONS[component]}{axis.name}", None
-    if (known := given.calibration.curves.get(name)) is not None:
+    if (known := inputs.calibration.curves.get(name)) is not None:
         curve = known.in_powers()
     tried = _tried(axis, known, curve)
     if tried is None:
         return None
     domain, degrees = tried
-    q = given.state[axis.name]
+    q = inputs.state[axis.name]
     at = np.clip(q if axis.lower is not None else domain[0] + np.mod(q - domain[0], 360.0), *domain)
     count = min(degrees, len(np.unique(np.round(at, 3))) - 1) + 1
     space = CurveSpace(name, POWER, domain, 0, max(count, 1))
@@ -56,8 +56,8 @@ def _candidate(given: Given, axis: Axis, component: int) -> Candidate | None:
         return None
     patterns = mistakes(space, curve)
     functions = _shaped(space, at, tuple(patterns.values()))
-    at_frame = first_component(given.machine, axis.name) + component
-    columns = tuple(of_components([(at_frame, functions, k, 1.0)]) for k in range(functions.count))
+    at_frame = first_component(inputs.machine, axis.name) + component
+    columns = tuple(component_column([(at_frame, functions, k, 1.0)]) for k in range(functions.count))
     variants = [
         Cell(columns[first : degree + 1], {"first": float(first)}) for degree in range(own, count) for first in (0, own)
     ]

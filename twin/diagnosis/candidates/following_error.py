@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
-from twin.diagnosis.candidates.signatures import along_command, of_values
+from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, CandidateInputs
+from twin.diagnosis.candidates.signatures import along_command, tabulated_column
 from twin.machine.effects.specification import NOTHING, Advice, Drawing, Specification
 
 LEAST_UM: Final = 1e-3
@@ -47,17 +47,17 @@ READ_BACK: Final = Specification(
 )
 
 
-def following_errors(given: Given) -> Catalogue:
+def following_errors(inputs: CandidateInputs) -> Catalogue:
     """Every axis whose position was reported, and not always as commanded."""
     found, missing = [], []
-    for i, axis in enumerate(given.machine.axes):
-        reported = given.data.readback[:, i]
+    for i, axis in enumerate(inputs.machine.axes):
+        reported = inputs.data.readback[:, i]
         if np.all(np.isnan(reported)):
             missing.append((READ_BACK.name, axis.name, f"readback_{axis.name}_{axis.unit}"))
             continue
-        off = np.where(np.isfinite(reported), (reported - given.data.positions[:, i]) * axis.scale / UM, 0.0)
+        off = np.where(np.isfinite(reported), (reported - inputs.data.positions[:, i]) * axis.scale / UM, 0.0)
         if np.abs(off).max() >= LEAST_UM:
-            column = of_values({i: off * part for i, part in along_command(given.machine, axis)})
+            column = tabulated_column({i: off * part for i, part in along_command(inputs.machine, axis)})
             found.append(Candidate(FOLLOWING_ERROR, axis.name, (("share", "1"),), (Cell((column,)),), 1.0))
     return Catalogue(tuple(found), tuple(missing))
 

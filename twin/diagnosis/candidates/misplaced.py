@@ -14,21 +14,21 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateSource, Catalogue, Cell, Given
+from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateSource, Catalogue, Cell, CandidateInputs
 from twin.diagnosis.candidates.signatures import (
     Column,
     SignatureTerm,
+    component_column,
     first_component,
-    of_components,
-    of_values,
-    scaled_to,
+    scaled_column,
+    tabulated_column,
 )
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect, ErrorMotion, split_name
 from twin.machine.effects.specification import Advice, Found, Specification
 from twin.machine.machine import DIRECTIONS, Axis
 from twin.numerics.functions import Functions
-from twin.numerics.functions import given as known
+from twin.numerics.functions import given as tabulated
 
 BASE: Final = "the base"
 
@@ -76,13 +76,13 @@ class _Curves:
     """The calibration's curves.
 
     Attributes:
-        given: what candidates are made from.
+        inputs: what candidates are made from.
         motions: the curves.
         functions: of the state, one a curve.
         index: of each axis's first error component.
     """
 
-    given: Given
+    inputs: CandidateInputs
     motions: Sequence[ErrorMotion]
     functions: Functions
     index: Mapping[str, int]
@@ -92,17 +92,17 @@ class _Curves:
         return {split_name(m.name)[0]: k for k, m in enumerate(self.motions) if m.frame.axis == axis.name}
 
 
-def misplaced(given: Given) -> Catalogue:
+def misplaced(inputs: CandidateInputs) -> Catalogue:
     """Every curve as another component, every axis's curves at another joint and before the chain, and what is exchanged."""
-    motions = [effect for effect in given.calibration.effects if isinstance(effect, ErrorMotion)]
+    motions = [effect for effect in inputs.calibration.effects if isinstance(effect, ErrorMotion)]
     if not motions:
         return Catalogue(())
     count, index = (
-        len(given.data),
-        {axis.name: first_component(given.machine, axis.name) for axis in given.machine.axes},
+        len(inputs.data),
+        {axis.name: first_component(inputs.machine, axis.name) for axis in inputs.machine.axes},
     )
-    values = [np.broadcast_to(_values(motion, given.state), count) for motion in motions]
-    curves = _Curves(given, motions, known(np.stack(values, axis=1)), index)
+    values = [np.broadcast_to(_values(motion, inputs.state), count) for motion in motions]
+    curves = _Curves(inputs, motions, tabulated(np.stack(values, axis=1)), index)
     every = (_as_others, _exchanged_names, _at_other_joints, _exchanged_axes)
     return Catalogue(tuple(candidate for some in every for candidate in some(curves)))
 
@@ -115,8 +115,8 @@ def _as_others(curves: _Curves) -> Iterator[Candidate]:
             if other != component and (other < 3) == _kind(motion):
                 meant = f"E_{letter}{name}"
                 parts = [(at + component, curves.functions, k, -1.0), (at + other, curves.functions, k, 1.0)]
-                build = _renamed(motion, meant, curves.given.calibration)
-                yield _one(f"{motion.name} as {meant}", of_components(parts), build)
+                build = _renamed(motion, meant, curves.inputs.calibration)
+                yield _one(f"{motion.name} as {meant}", component_column(parts), build)
 
 
 def _exchanged_names(curves: _Curves) -> Iterator[Candidate]:
@@ -128,11 +128,11 @@ def _exchanged_names(curves: _Curves) -> Iterator[Candidate]:
                 for place, way in ((first, 1.0), (second, -1.0))
                 for c, sign in ((n, way), (k, -way))
             ]
-            yield _swapped_names(one, other, of_components(parts))
+            yield _swapped_names(one, other, component_column(parts))
 
 
 def _at_other_joints(curves: _Curves) -> Iterator[Candidate]:
-    data, axes = curves.given.data, curves.given.machine.axes
+    data, axes = curves.inputs.data, curves.inputs.machine.axes
     for axis in axes:
         own = curves.of(axis)
         if not own:
@@ -141,15 +141,15 @@ def _at_other_joints(curves: _Curves) -> Iterator[Candidate]:
         for other in axes:
             if other.name != axis.name and other.side == axis.side:
                 placed = [(curves.index[other.name] + i, curves.functions, k, 1.0) for i, k in own.items()]
-                yield _one(f"{axis.name} at {other.name}", of_components([*taken, *placed]))
+                yield _one(f"{axis.name} at {other.name}", component_column([*taken, *placed]))
         before = _before_the_chain(own, curves.functions, data.carrier == axis.side)
-        yield _one(f"{axis.name} at {BASE}", scaled_to([*of_components(taken).parts, *before]))
+        yield _one(f"{axis.name} at {BASE}", scaled_column([*component_column(taken).terms, *before]))
 
 
 def _exchanged_axes(curves: _Curves) -> Iterator[Candidate]:
-    for a, b in combinations(curves.given.machine.axes, 2):
+    for a, b in combinations(curves.inputs.machine.axes, 2):
         if a.side == b.side and a.linear == b.linear:
-            column = _swapped_axes(a, b, curves.motions, curves.given.state, curves.index)
+            column = _swapped_axes(a, b, curves.motions, curves.inputs.state, curves.index)
             if column is not None:
                 yield _one(f"{a.name} and {b.name} exchanged", column)
 
@@ -195,7 +195,7 @@ def _swapped_axes(
                 if not motion.basis.periodic and (q.min() < low or q.max() > high):
                     return None
                 parts[at] = parts.get(at, 0.0) + _values(motion, {**state, other.name: q})
-    return of_values(parts) if parts else None
+    return tabulated_column(parts) if parts else None
 
 
 def _scaled(motion: ErrorMotion, name: str, factor: float) -> ErrorMotion:

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
-from twin.diagnosis.candidates.signatures import reading
+from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, CandidateInputs
+from twin.diagnosis.candidates.signatures import masked_columns
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
 
 PPM: Final = 1e-6
@@ -31,9 +31,9 @@ REFRACTION_SCALE: Final = Specification(
 )
 
 
-def refraction_scale(given: Given) -> Catalogue:
+def refraction_scale(inputs: CandidateInputs) -> Catalogue:
     """One number for all readings."""
-    columns = reading([("length", 0)], np.ones(len(given.data)), PPM, PLAUSIBLE)
+    columns = masked_columns([("length", 0)], np.ones(len(inputs.data)), PPM, PLAUSIBLE)
     return Catalogue((Candidate(REFRACTION_SCALE, "—", (("scale", "ppm"),), (Cell(columns),), 1.0),))
 
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import STRAIGHT, Candidate, CandidateSource, Catalogue, Drift, Given
+from twin.diagnosis.candidates.candidate import STRAIGHT, Candidate, CandidateSource, Catalogue, Drift, CandidateInputs
 from twin.diagnosis.candidates.signatures import LARGEST, Column, SignatureTerm
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
 from twin.machine.effects.thermal_drift import constants, course
@@ -31,15 +31,15 @@ STATION_DRIFT: Final = Specification(
 )
 
 
-def station_drifts(given: Given) -> Catalogue:
+def station_drifts(inputs: CandidateInputs) -> Catalogue:
     """Every station, where the readings have times."""
-    stations = list(dict.fromkeys(given.data.station))
-    if "time_s" not in given.state:
+    stations = list(dict.fromkeys(inputs.data.station))
+    if "time_s" not in inputs.state:
         return Catalogue((), ((STATION_DRIFT.name, ", ".join(stations), "time_s"),))
     names = tuple((f"rate_{a}", "um/h") for a in "xyz")
     found = []
     for name in stations:
-        drift = of_station(given.state["time_s"], given.data.station == name)
+        drift = of_station(inputs.state["time_s"], inputs.data.station == name)
         found.append(Candidate(STATION_DRIFT, name, names, drift.variants, 3.0, drift=drift))
     return Catalogue(tuple(found))
 

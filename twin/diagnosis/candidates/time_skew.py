@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
-from twin.diagnosis.candidates.signatures import along_command, of_values
+from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, CandidateInputs
+from twin.diagnosis.candidates.signatures import along_command, tabulated_column
 from twin.machine.effects.specification import NOTHING, REST, Advice, Specification
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
@@ -63,16 +63,16 @@ def velocities(data: Measurements, machine: Machine) -> Mapping[str, np.ndarray]
     return {axis.name: back[:, i] for i, axis in enumerate(machine.axes) if np.any(back[:, i] != 0.0)}
 
 
-def time_skews(given: Given) -> Catalogue:
+def time_skews(inputs: CandidateInputs) -> Catalogue:
     """What a second between a position and its reading does: the axis had gone on by its velocity."""
-    machine, moving = given.machine, velocities(given.data, given.machine)
+    machine, moving = inputs.machine, velocities(inputs.data, inputs.machine)
     found, missing = [], []
     for axis in machine.axes:
         if axis.name in moving:
             gone_on = moving[axis.name] * axis.scale / UM
-            column = of_values({i: gone_on * part for i, part in along_command(machine, axis)})
+            column = tabulated_column({i: gone_on * part for i, part in along_command(machine, axis)})
             found.append(Candidate(TIME_SKEW, axis.name, (("delay", "s"),), (Cell((column,)),), 1.0))
-        elif not np.any(np.isfinite(given.data.feed_mm_min)):
+        elif not np.any(np.isfinite(inputs.data.feed_mm_min)):
             missing.append((TIME_SKEW.name, axis.name, "feed_mm_min"))
     return Catalogue(tuple(found), tuple(missing))
 

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from twin._common.arrays import locked
 from twin.diagnosis.candidates.candidate import STRAIGHT
-from twin.diagnosis.candidates.signatures import Column, of_effect
+from twin.diagnosis.candidates.signatures import Column, effect_columns
 from twin.diagnosis.estimate.drift_fit import fit_drift, over_forms
 from twin.diagnosis.estimate.misfit import larger, more_left, widened
 from twin.diagnosis.problem.forms import Form, pseudo_inverse
@@ -99,7 +99,7 @@ class _Part:
     def turn(self, problem: Problem, state: Mapping[str, Any]) -> None:
         """Columns as they are at the numbers of now."""
         if self.bent:
-            derived = of_effect(self.effects[0], problem.network.machine, state)
+            derived = effect_columns(self.effects[0], problem.network.machine, state)
             self.scales = np.array([column.scale for column in derived])
             self.columns = problem.signature(derived) / self.scales
             self.values = np.array([parameter.value for parameter in self.effects[0].parameters])

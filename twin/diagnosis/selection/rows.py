@@ -9,7 +9,7 @@ import numpy as np
 from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.problem.forms import Candidates
 from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.readings import ROBUST, DiagnosisTask, Readings
+from twin.diagnosis.problem.readings import ITERATIONS, DiagnosisTask, Readings
 from twin.diagnosis.selection.search import candidates_of, glimpse
 from twin.identification.outliers import outliers
 
@@ -51,7 +51,7 @@ def _still_bad(placed: Readings) -> np.ndarray:
     size = np.linalg.norm(placed.network.residual(np.zeros(0), placed.setup), axis=1)
     for share in TAKEN_BACK:
         bad = placed.bad & (size > np.quantile(size[placed.bad], share))
-        for _ in range(ROBUST):
+        for _ in range(ITERATIONS):
             still = _beyond(placed, whole, candidates, bad)
             settled = np.count_nonzero(still & ~bad) == 0 and np.count_nonzero(still) > 0.9 * np.count_nonzero(bad)
             if settled or np.count_nonzero(still) > 0.5 * np.count_nonzero(placed.bad):

@@ -12,7 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.diagnosis.candidates.candidate import Candidate, Cell
-from twin.diagnosis.problem.forms import FURTHER, Candidates, Form
+from twin.diagnosis.problem.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
 from twin.diagnosis.problem.readings import DiagnosisTask
 from twin.diagnosis.selection.left_out import parts
 
@@ -238,7 +238,7 @@ def grown(
             return forms
         margin = np.where(allowed, _free(candidates, forms), -np.inf)
         for i in np.argsort(-margin, kind="stable")[:TRIED]:
-            if margin[i] <= FURTHER:
+            if margin[i] <= ADDITIONAL_CAUSE_PENALTY:
                 return _exchanged(candidates, forms, allowed) if len(forms) > FEW else forms
             larger = [*forms, candidates.forms[int(i)]]
             if len(larger) <= FEW:
