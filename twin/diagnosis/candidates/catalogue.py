@@ -15,7 +15,7 @@ from twin.diagnosis.candidates import (
     station_drift,
     time_skew,
 )
-from twin.diagnosis.candidates.candidate import CandidateSource, Catalogue, CandidateInputs
+from twin.diagnosis.candidates.candidate import CandidateInputs, CandidateSource, Catalogue
 from twin.machine.calibration import Calibration
 from twin.machine.effects import MACHINE_EFFECTS, Specification
 from twin.machine.machine import Machine

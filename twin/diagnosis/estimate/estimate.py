@@ -13,7 +13,7 @@ from twin._common.arrays import locked
 from twin.diagnosis.candidates.candidate import STRAIGHT
 from twin.diagnosis.candidates.signatures import Column, effect_columns
 from twin.diagnosis.estimate.drift_fit import fit_drift, over_forms
-from twin.diagnosis.estimate.misfit import larger, more_left, widened
+from twin.diagnosis.estimate.misfit import lacks_fit, robust_covariance, upper_bound
 from twin.diagnosis.problem.forms import Form, pseudo_inverse
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.result import Quantity
@@ -132,11 +132,11 @@ def estimate(
     explained = problem.chi2 - float(left @ problem.project(left))
     count = float("inf")
     by_patterns = None if beside is None else _with_patterns(problem, whole, inverse, size, beside)
-    if more_left(problem, left, whole.shape[1], scatter):
-        wide, count = widened(problem, whole * size, left, inverse / np.outer(size, size))
+    if lacks_fit(problem, left, whole.shape[1], scatter):
+        wide, count = robust_covariance(problem, whole * size, left, inverse / np.outer(size, size))
         inverse = wide * np.outer(size, size)
     if by_patterns is not None:
-        inverse = larger(inverse, by_patterns)
+        inverse = upper_bound(inverse, by_patterns)
     return _told(problem, parts, inverse, signature, explained, count)
 
 
@@ -299,7 +299,7 @@ def _of_either_form(problem: Problem, forms: Sequence[Form], form: Form, covaria
     if not same:
         return covariance
     others = [column for one in forms if one is not form for column in one.variant.columns]
-    return larger(covariance, over_forms(problem, [own.columns, *same], others))
+    return upper_bound(covariance, over_forms(problem, [own.columns, *same], others))
 
 
 def _bent(form: Form, effects: Sequence[Effect]) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 from twin._common.arrays import locked
 from twin._common.distributions import f_log_sf
 from twin.diagnosis.estimate.estimate import Estimate, estimate
-from twin.diagnosis.estimate.misfit import MANY
+from twin.diagnosis.estimate.misfit import MANY_ROUNDS
 from twin.diagnosis.judgement.evidence import between_positions
 from twin.diagnosis.problem.forms import Form, log_p_value
 from twin.diagnosis.selection.structure import Findings
@@ -91,7 +91,7 @@ def sized(found: Findings) -> Sized:
             judged = [
                 (_log_p(against) + form.log_tests, form)
                 for form, against in zip(forms, estimated.wald, strict=True)
-                if MANY <= against[2] < np.inf
+                if MANY_ROUNDS <= against[2] < np.inf
             ]
         worst = max(judged, key=lambda one: one[0], default=None)
         if worst is None or worst[0] <= np.log(found.candidates.level):

@@ -304,7 +304,7 @@ class Candidates:
         return bool(np.trace(left) < 1e-3 * np.trace(alone))
 
     def cancels(self, form: Form, others: Sequence[Form], cause: Form) -> bool:
-        """Return whether others absorb over 99 % of the squared norm of a form's signature, and a larger share than of a cause's."""
+        """Return whether less than 1 % of a form's squared norm remains given others, and 1 % of the share that remains of a cause."""
         left, own = (
             float(np.trace(self._remaining(one, others)) / np.trace(self._remaining(one, ()))) for one in (form, cause)
         )

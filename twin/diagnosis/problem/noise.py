@@ -164,10 +164,9 @@ def _estimated(
         residual, basis = _regressed(values)
         along_u = across_u = float(np.sqrt(np.sum(residual**2) / (3.0 * dof_each - basis.shape[2])))
     n = len(seen)
-    text = f"{source}: {along_u * 1e6:.2g} µm along the beam, {across_u * 1e6:.2g} µm across ({dof_along + dof_across:.0f} degrees of freedom)"
-    return ReadingNoise(
-        locked(along_and_across(seen, np.full(n, along_u), np.full(n, across_u))), dof_along + dof_across, text
-    )
+    dof = dof_along + dof_across
+    text = f"{source}: {along_u * 1e6:.2g} µm along the beam, {across_u * 1e6:.2g} µm across ({dof:.0f} degrees of freedom)"
+    return ReadingNoise(locked(along_and_across(seen, np.full(n, along_u), np.full(n, across_u))), dof, text)
 
 
 def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
