@@ -24,6 +24,7 @@ from twin.measurement.table import Measurements
 LEAST_DOF: Final = 20
 """Degrees of freedom below which no noise is estimated."""
 ITERATIONS: Final = 3
+"""Iterations of the weights along and across the beam."""
 
 
 @final

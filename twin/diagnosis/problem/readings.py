@@ -28,6 +28,7 @@ from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements, RowNote
 
 ITERATIONS: Final = 4
+"""Repetitions of fit and outlier test, at most."""
 
 
 @final
