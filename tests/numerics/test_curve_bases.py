@@ -30,7 +30,7 @@ from twin.numerics.curves.cubic_spline import CubicSpline
 DOMAIN = (0.0, 360.0)
 KNOTS = (0.0, 30.0, 95.0, 100.0, 250.0, 360.0)
 MEMBERS = [basis(KNOTS) if basis.takes_knots else basis() for basis in BASES]
-COUNTS = {basis: [n for n in range(1, 14) if basis.misfit(n, rotary=True) is None] for basis in MEMBERS}
+COUNTS = {basis: [n for n in range(1, 14) if basis.count_problem(n, rotary=True) is None] for basis in MEMBERS}
 CASES = [(basis, count) for basis in MEMBERS for count in COUNTS[basis]]
 NAMES = [f"{basis.name}-{count}" for basis, count in CASES]
 EPS = float(np.finfo(float).eps)
@@ -110,7 +110,7 @@ def test_casadi_is_numpy_and_its_derivative_that_of_differences(basis: Basis, co
 @every_basis
 def test_counts_and_orders(basis: Basis) -> None:
     assert COUNTS[basis]
-    assert basis.misfit(0, rotary=True) is not None
+    assert basis.count_problem(0, rotary=True) is not None
     for count in COUNTS[basis]:
         groups = basis.groups(1, count)
         assert [k for group in groups for k in group] == list(range(1, count))

@@ -596,7 +596,7 @@ def test_orthonormal_functions_do_not_depend_on_the_basis(count: int) -> None:
         space = CurveSpace("E_XZ", basis, domain, 1, count)
         assert space.functions(q) == pytest.approx(truth, abs=1e-12 * count)
         for fewer in {2, min(count, 13)}:
-            written = np.stack(basis.functions(q, domain, fewer), axis=1) @ space.written(fewer)
+            written = np.stack(basis.functions(q, domain, fewer), axis=1) @ space.transform_of(fewer)
             # Rounding times the coefficients' size, 2^n or so.
             assert written == pytest.approx(truth[:, :fewer], abs=EPS * 4.0**fewer)
 

@@ -90,7 +90,7 @@ def _determined(
     while True:
         whole = network(every)
         drawn = solve(whole, np.zeros(len(every)), setup, np.ones(len(data)), steps=0)
-        without = every.without_unseen_offset(drawn.spectrum.unseen)
+        without = every.without_unseen_offset(drawn.spectrum.remaining_variance)
         if without is every:
             break
         every = without
@@ -109,8 +109,8 @@ def _seen(unknowns: Unknowns, solution: FitSolution) -> tuple[Unknowns, list[str
     A curve of which only higher orders are unseen is cut there.
     """
     count = len(unknowns)
-    unseen = solution.spectrum.unseen[:count] > UNSEEN
-    silent = solution.spectrum.silent[:count]
+    unseen = solution.spectrum.remaining_variance[:count] > UNSEEN
+    silent = solution.spectrum.null_space[:count]
     shared = silent @ silent.T
     entity = np.array([column.entity for column in unknowns.columns])
     lost = [name for name in unknowns.entities if unknowns.lowest_unseen(name, unseen)]

@@ -89,7 +89,7 @@ class FitSolution:
     @cached_property
     def basis(self) -> np.ndarray:
         """(p, f) all directions that the datum allows, plausible units, strongest first."""
-        return locked(np.concatenate([self.spectrum.directions, self.spectrum.silent], axis=1))
+        return locked(np.concatenate([self.spectrum.directions, self.spectrum.null_space], axis=1))
 
     @cached_property
     def stiffness(self) -> np.ndarray:
@@ -303,7 +303,7 @@ class _Problem:
             return decompose(matrix, scale, free=self.free)
         # The prior is what holds here: every direction counts, however weak the readings along it, or no step would reach the least.
         left, every = decompose(matrix, scale, free=self.free, tolerance=0.0)
-        basis = np.concatenate([every.directions, every.silent], axis=1)
+        basis = np.concatenate([every.directions, every.null_space], axis=1)
         seen = int(np.count_nonzero(every.values > self.noise))
         return left, Spectrum(every.scale, every.values, locked(basis[:, :seen]), locked(basis[:, seen:]))
 
@@ -378,7 +378,7 @@ def _newton(
         noise: see `solve`.
         weakest: strength up to which a direction stays where it is, if the model fits.
     """
-    basis = np.concatenate([spectrum.directions, spectrum.silent], axis=1)
+    basis = np.concatenate([spectrum.directions, spectrum.null_space], axis=1)
     values = spectrum.values
     prior = noise**2 * _with_prior(values, noise)
     right = -prior * (basis.T @ off) if noise > 1.0 else np.zeros(len(values))
@@ -402,7 +402,7 @@ def _ahead(wanted: Sequence[np.ndarray], gone: Sequence[np.ndarray], spectrum: S
     last = list(wanted)[-MEMORY - 1 :]
     more = np.stack([after - before for before, after in pairwise(last)], axis=1)
     way = np.stack(list(gone)[1 - len(last) :], axis=1)
-    changes = spectrum.strength[:, None] * spectrum.directions.T
+    changes = spectrum.singular_values[:, None] * spectrum.directions.T
     share = np.linalg.lstsq(changes @ more, changes @ last[-1], rcond=1e-6)[0]
     return np.asarray(last[-1] - (way + more) @ share)
 

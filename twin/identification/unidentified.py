@@ -62,7 +62,7 @@ def unidentified(
         if not np.ptp(data.positions[:, machine.names.index(axis)]) > 0.0:
             found.append(Unidentified(name, f"{axis} was not moved"))
         elif name in model.together or name in model.left_out:
-            moving = model.seen.moving(model.seen.names[model.tried.of(name)[0]])
+            moving = model.seen.null_direction_of(model.seen.names[model.tried.of(name)[0]])
             why = SAYS_LESS if moving is None else f"no reading shows {moving}"
             found.append(Unidentified(name, f"{why}: {_remedy(name, machine, setup, name in model.together)}"))
         elif name in held:
@@ -83,10 +83,10 @@ def _remedy(name: str, machine: Machine, setup: SetUp, together: bool) -> str:
 
 def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
     """Return a notice of the errors that refer to a point of the targets' carrier that the set-up leaves open."""
-    if solution.spectrum.silent.shape[1] == 0:
+    if solution.spectrum.null_space.shape[1] == 0:
         return []
     carried = solution.spectrum.reach[: len(unknowns)]
-    seen = solution.spectrum.covariance(silent=False)
+    seen = solution.spectrum.covariance(null_space=False)
     own = np.sqrt(np.diag(seen)[: len(unknowns)])
     names = dict.fromkeys(
         column.entity for column, open_, u in zip(unknowns.columns, carried, own, strict=True) if open_ > u

@@ -131,7 +131,7 @@ def aim_of(model: PlanModel, names: Sequence[str], tool_length_mm: float | None)
     """
     lost = {one.name for one in model.hidden}
     # What no candidate shows stays as uncertain as it is, in whatever it moves: it must not drown what can be made small.
-    silent = model.free.T @ model.told.spectrum.silent
+    silent = model.free.T @ model.told.spectrum.null_space
     seen = np.eye(model.free.shape[1]) - silent @ silent.T
     columns = [i for i, column in enumerate(model.unknowns.columns) if column.entity not in lost]
     own = model.plausible[columns, None] * model.free[columns]

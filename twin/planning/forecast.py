@@ -199,7 +199,7 @@ def _observability(told: Determinability, names: Collection[str]) -> Observabili
     mine = np.array([one.name.split(" ")[0] in names for one in told.unknowns])
     if not mine.any():
         return observability(np.zeros(1), told.measurements)
-    covariance = told.spectrum.covariance(silent=False) / np.outer(told.spectrum.scale, told.spectrum.scale)
+    covariance = told.spectrum.covariance(null_space=False) / np.outer(told.spectrum.scale, told.spectrum.scale)
     values = np.linalg.eigvalsh(covariance[np.ix_(mine, mine)])
     # What the datum fixes has no variance and is no unknown.
     return observability(1.0 / np.sqrt(values[values > 1e-14 * values[-1]]), told.measurements)

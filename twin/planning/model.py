@@ -119,7 +119,7 @@ class PlanModel:
         offsets: list[str] | None = None
         while True:
             model = cls._with_constants(machine, plan, setting, instrument, expected, known, offsets)
-            unseen = offset_unseen(model.unknowns, model.told.unseen) if model.unknowns.offsets else None
+            unseen = offset_unseen(model.unknowns, model.told.remaining_variance) if model.unknowns.offsets else None
             if unseen is None:
                 return model
             offsets = [name for name in model.unknowns.offsets if name != unseen]
@@ -217,7 +217,7 @@ class PlanModel:
     @cached_property
     def hidden(self) -> tuple[Hidden, ...]:
         """The errors of which not even the lowest order is determined, as `identify` would leave them out."""
-        unseen = dict(zip(self.told.names, self.told.unseen, strict=True))
+        unseen = dict(zip(self.told.names, self.told.remaining_variance, strict=True))
         # The machine's own unknowns come first.
         names = dict(zip(self.unknowns.columns, self.told.names, strict=False))
         found = []
@@ -227,7 +227,7 @@ class PlanModel:
             lowest = [names[column] for column in (columns if space is None else columns[: len(space.groups()[0])])]
             worst = max(lowest, key=lambda one: unseen[one])
             if unseen[worst] > UNSEEN:
-                direction = self.told.moving(worst)
+                direction = self.told.null_direction_of(worst)
                 found.append(Hidden(name, VAGUE if direction is None else str(direction.shortened(NAMED))))
         return tuple(found)
 

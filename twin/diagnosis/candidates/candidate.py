@@ -15,7 +15,7 @@ from twin.machine.effects import Effect, Specification
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements, state_of
 from twin.numerics.curves import CurveSpace
-from twin.numerics.functions import Remembering
+from twin.numerics.functions import CachingState
 
 Build = Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]
 Units = Callable[[Mapping[str, float]], tuple[Effect, ...]]
@@ -146,7 +146,7 @@ class CandidateInputs:
     @cached_property
     def state(self) -> Mapping[str, Any]:
         """Positions and channels of all readings."""
-        return Remembering(state_of(self.data, self.machine))
+        return CachingState(state_of(self.data, self.machine))
 
 
 @final

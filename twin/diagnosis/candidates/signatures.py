@@ -17,7 +17,7 @@ from twin.identification.network import View
 from twin.machine.effects import Effect
 from twin.machine.effects.base import along
 from twin.machine.machine import Axis, Machine
-from twin.numerics.functions import Functions, Rows, given, of_state, pieces
+from twin.numerics.functions import Functions, Rows, functions_of_state, given, pieces
 from twin.numerics.spatial import cross_matrix
 
 LARGEST: Final = 1000.0
@@ -143,7 +143,7 @@ def _of_shapes(
 ) -> list[Column]:
     frame = effects[0].frame
     at = first_component(machine, frame.axis, frame.role)
-    functions, each = of_state(state, shapes, whole=any(effect.history for effect in effects))
+    functions, each = functions_of_state(state, shapes, whole=any(effect.history for effect in effects))
     return [component_column([(at + i, functions, k, 1.0) for i, k in own]) for own in each]
 
 

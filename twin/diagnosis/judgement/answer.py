@@ -274,7 +274,7 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
             continue
         columns = np.array([*range(count), count + k])
         told = determinability(left[:, columns] / sizes, unknowns, tolerance=float(np.sqrt(LEAST_NONCENTRALITY)))
-        direction = told.moving(ITSELF)
+        direction = told.null_direction_of(ITSELF)
         if direction is None:
             said[key] = "stations, targets and the calibration's own doubt together take it up"
             continue

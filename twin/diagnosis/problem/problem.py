@@ -87,16 +87,16 @@ class Problem:
         self.set_residual(self.residual)
         self.readings = int(np.count_nonzero(network.read))
 
-    def with_random_effects(self, random: Sequence[tuple[Column, float]], scatter: float = 1.0) -> Problem:
+    def with_random_effects(self, random: Sequence[tuple[Column, float]], variance_factor: float = 1.0) -> Problem:
         """Return the same readings with random effects added to the nuisance parameters, and with scaled noise variances.
 
         Args:
             random: columns, each with its standard deviation in units of the parameter.
-            scatter: factor on the stated variances.
+            variance_factor: factor on the stated variances.
         """
-        network = self.network if scatter == 1.0 else self.network.scattered(scatter)
+        network = self.network if variance_factor == 1.0 else self.network.scattered(variance_factor)
         found = Problem(network, self.setup, self.calibration, random)
-        found.set_residual(self.residual / np.sqrt(scatter))
+        found.set_residual(self.residual / np.sqrt(variance_factor))
         if len(self.held_out):
             found = found.without(np.isin(np.arange(len(self.view.rows)), self.held_out)) or found
         return found

@@ -35,7 +35,7 @@ def fitted(curve: Curve | None, name: str, link: DatumLink, difference: np.ndarr
         curve = _over(curve, link)
     basis, own = curve.family, len(curve.coefficients)
     for count in range(own, max(MOST, own) + 1):
-        if basis.misfit(count, rotary=not link.axis.linear) is not None:
+        if basis.count_problem(count, rotary=not link.axis.linear) is not None:
             continue
         added = fit(basis, curve.domain, link, count) @ difference
         if np.abs(functions(basis, curve.domain, link, count) @ added - difference).max() <= FITTED:
@@ -55,7 +55,7 @@ def _over(curve: Curve, link: DatumLink) -> Curve:
         InputError: the basis cannot hold it.
     """
     values = functions(curve.family, curve.domain, link, len(curve.coefficients)) @ curve.coefficients
-    basis, count = curve.family.over(link.domain, len(curve.coefficients))
+    basis, count = curve.family.restricted(link.domain, len(curve.coefficients))
     found = fit(basis, link.domain, link, count) @ values
     own = tuple(float(v) for v in found)
     return replace(curve, domain=link.domain, coefficients=own, covariance=None, knots=basis.knots)
