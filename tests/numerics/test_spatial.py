@@ -202,13 +202,13 @@ def test_no_step_at_zero() -> None:
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        (lambda: rotation_log(np.eye(3) * 1.001), "no rotation"),
+        (lambda: rotation_log(np.eye(3) * 1.001), "not a rotation"),
         (lambda: fused_angles(np.diag([1.0, 1.0, -1.0])), "mirror image"),
-        (lambda: rotation_log(np.full((3, 3), np.nan)), "no rotation"),
-        (lambda: rotation_log(np.round(rotation_exp([0.1, 0.2, 0.3]), 5)), "no rotation"),
+        (lambda: rotation_log(np.full((3, 3), np.nan)), "not a rotation"),
+        (lambda: rotation_log(np.round(rotation_exp([0.1, 0.2, 0.3]), 5)), "not a rotation"),
         (lambda: rotation_log(np.eye(4)), "wrong shape"),
         (lambda: rotation_exp([1.0, 2.0]), "wrong shape"),
-        (lambda: rotation_exp([1.0, np.inf, 0.0]), "no number"),
+        (lambda: rotation_exp([1.0, np.inf, 0.0]), "not finite"),
         (lambda: rotation_exp(ca.SX.sym("x", 4)), "wrong shape"),
         (lambda: fused_angles(ca.SX.sym("x", 2, 2)), "wrong shape"),
         (lambda: fused_angles(rotation_exp([2.0, 0.0, 0.0])), "point up"),

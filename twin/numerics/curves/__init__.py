@@ -1,8 +1,8 @@
 """Bases for error curves and tool paths.
 
 Up to the degrees that `identify` uses, the choice of a polynomial basis does not affect the accuracy: all polynomials of one degree are
-one space, and on held-out data power, Chebyshev and Bernstein bases agree to the last digit. So `identify` writes `power`. Error between
-stops, µm RMS (noise of 1 µm at each stop, size chosen on held-out stops; `python -m tests.benchmarks.curves`):
+one space, and on held-out data power, Chebyshev and Bernstein bases agree to the last digit. So `identify` writes `power`. Error
+between stops, µm RMS (noise of 1 µm at each stop, size chosen on held-out stops; `python -m tests.benchmarks.curves`):
 
 | curve, stops | degree ≤ 12 | degree ≤ 60 | cubic spline |
 |---|---|---|---|
@@ -21,8 +21,8 @@ polynomial, largest error of the curve in nm against exact arithmetic.
 | 101 / 50 | 9e3 | 6e3 | 3e-10 | 40 | 18 |
 
 The accurate solver improves the control points of rough data (relative error, ordinary → accurate: noise 21/20 4e-10 → 1e-14, random
-101/40 2e-4 → 1e-14, 51/50 1 → 1e-14). It has no effect for smooth data, where the rounding of the data is the limit, nor on the values of
-the curve.
+101/40 2e-4 → 1e-14, 51/50 1 → 1e-14). It has no effect for smooth data, where the rounding of the data is the limit, nor on the
+values of the curve.
 """
 
 from twin.numerics.curves.basis import Basis

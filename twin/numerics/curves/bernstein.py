@@ -18,8 +18,8 @@ class Bernstein(Basis):
 
     They span the polynomials of degree n, as `Power` does, on rotary axes too. The functions are not negative and sum to one: a curve
     starts and ends at its first and last coefficient and stays between the smallest and the largest; errors of the coefficients are not
-    amplified. Trigonometric fg-Bernstein functions are not offered for calibrations: of even degree, over part of a revolution, they span
-    the same space as `Fourier`; of odd degree they contain no constant; over a full revolution they do not exist.
+    amplified. Trigonometric fg-Bernstein functions are not offered for calibrations: of even degree, over part of a revolution, they
+    span the same space as `Fourier`; of odd degree they contain no constant; over a full revolution they do not exist.
     """
 
     name = "bernstein"

@@ -6,8 +6,8 @@ differences of the data alone: each is accurate to rounding for any condition nu
 
 Here f = φ(x), g = φ(1 − x), x = (t − a)/(b − a): φ(x) = x gives the Bernstein polynomials, φ(x) = sin(Δx)/sin Δ the trigonometric
 ones of the paper (f = sin((Δ + s)/2), g = sin((Δ − s)/2), s from −Δ to Δ), but for the sin Δ, with which a curve starts and ends at its
-control points. In both, f(x)g(y) − f(y)g(x) = φ(x − y): the differences that eq. 10 needs. Only the polynomials sum to one (the others to
-(f + g)^n, up to 2^(n/2) at Δ = π/2), and trigonometric ones of odd degree do not contain a constant.
+control points. In both, f(x)g(y) − f(y)g(x) = φ(x − y): the differences that eq. 10 needs. Only the polynomials sum to one (the others
+to (f + g)^n, up to 2^(n/2) at Δ = π/2), and trigonometric ones of odd degree do not contain a constant.
 
 The rounding error of a curve's value is a small multiple of Σ |c_k| u_k: where the control points are far larger than the curve (a
 smooth one over many points, above degree 60 or so) its values are inaccurate although the control points are accurate.
@@ -52,8 +52,8 @@ class _Bidiagonal:
     def solve(self, values: np.ndarray) -> np.ndarray:
         """Solve A c = values for c, A square, in O(n²).
 
-        The inverse of every factor has a checkerboard sign pattern, so that the only cancellation is that of the data: the error of c is
-        at most about n roundings of |A⁻¹| |values|, a high relative accuracy of every c_k if the values alternate in sign (Koev 2007).
+        The inverse of every factor has a checkerboard sign pattern, so that the only cancellation is that of the data: the error of c
+        is at most about n roundings of |A⁻¹| |values|, high relative accuracy of each c_k if the values alternate in sign (Koev 2007).
 
         Args:
             values: (n+1, d).
@@ -107,7 +107,7 @@ class FGBernstein:
             )
 
     def collocation(self, t: np.ndarray) -> np.ndarray:
-        """(m, n+1) values of the functions at (m,) parameters, in any order; each to its own rounding.
+        """Return the values (m, n+1) of the functions at parameters (m,) in any order, each accurate to rounding.
 
         Raises:
             InputError: a parameter outside the domain.
@@ -115,7 +115,7 @@ class FGBernstein:
         return locked(self._values(self._inside(t), self.degree))
 
     def derivative(self, control: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """(m, d) first derivative by the parameter: y' = n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}.
+        """Return the first derivative (m, d) by the parameter: y' = n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}.
 
         Args:
             control: (n+1, d) control points.
@@ -145,7 +145,7 @@ class FGBernstein:
             points: (m, d) points.
 
         Raises:
-            InputError: parameters outside the domain, not increasing, or fewer than n + 1; a wrong number of points, or points that are not finite.
+            InputError: parameters outside the domain, not increasing, or fewer than n + 1; wrong number of points, or not finite.
         """
         nodes = self._increasing(t)
         values = _points(points, len(nodes))
