@@ -1,4 +1,4 @@
-"""Diagnosis by passes over the points: the same numbers as with all signatures at hand, whatever is taken away, and at any size."""
+"""Blockwise inner products equal those computed from full signatures, with any points held out and for any number of points."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def measured(machine: Machine, folder: Path, poses: int, seed: int = 3) -> Measu
 
 
 def split(problem: Problem) -> np.ndarray:
-    """(n,) the part each reading is held out with."""
+    """Return the part (n,) that each reading belongs to."""
     found = parts_of(problem.network.data, problem.network.machine, ())
     assert found is not None
     return found.part
@@ -47,7 +47,7 @@ def split(problem: Problem) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def searched(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> tuple[Problem, Searcher]:
-    """Some 900 points, and a calibration that is not exactly known."""
+    """Return a problem of some 900 points with an uncertain calibration, and its search."""
     data = measured(dmu50, tmp_path_factory.mktemp("data"), 40)
     placed = readings(data, dmu50, _doubted(Calibration.default(dmu50)))
     task = placed.without(placed.bad)
@@ -56,7 +56,7 @@ def searched(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> tuple[
 
 @pytest.fixture(scope="module")
 def whole(searched: tuple[Problem, Searcher]) -> np.ndarray:
-    """(3n, columns) all signatures, as only a small set of points allows."""
+    """Return all signatures (3n, columns) at all points."""
     problem, searcher = searched
     return problem.signature(searcher.candidates.products.columns)
 
@@ -91,7 +91,7 @@ def test_inner_products_within_forms(searched: tuple[Problem, Searcher], whole: 
             close(block, whole[:, own].T @ whole[:, own], np.abs(block).max() + 1e-30)
 
 
-def test_what_is_left_beside_set_up_and_doubt(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
+def test_projection_of_set_up_and_calibration(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
     """Against an orthonormal basis of the whole matrix by singular values: the definition."""
     problem, searcher = searched
     nuisance, prior = problem.nuisance, problem.prior
@@ -115,8 +115,8 @@ def test_what_is_left_beside_set_up_and_doubt(searched: tuple[Problem, Searcher]
         assert part.chi2 == pytest.approx(residual @ residual - np.sum((basis.T @ residual) ** 2), rel=1e-9)
 
 
-def test_a_doubt_too_small_to_show_is_not_lost(dmu50: Machine, searched: tuple[Problem, Searcher]) -> None:
-    """Its direction has the prior; it is no reason to hold nothing out."""
+def test_negligible_calibration_uncertainty(dmu50: Machine, searched: tuple[Problem, Searcher]) -> None:
+    """A direction with negligible uncertainty is kept by its prior; points can still be held out."""
     problem, _ = searched
     doubted = _doubted(Calibration.default(dmu50))
     assert doubted.joint is not None
@@ -130,7 +130,7 @@ def test_a_doubt_too_small_to_show_is_not_lost(dmu50: Machine, searched: tuple[P
 
 
 @pytest.mark.parametrize("which", ["a part", "any points"])
-def test_what_is_taken_away(searched: tuple[Problem, Searcher], whole: np.ndarray, which: str) -> None:
+def test_inner_products_without_some_points(searched: tuple[Problem, Searcher], whole: np.ndarray, which: str) -> None:
     problem, searcher = searched
     parts = split(problem)
     products = Products(problem, searcher.candidates.products.columns, searcher.candidates._columns, parts=parts)
@@ -146,7 +146,7 @@ def test_what_is_taken_away(searched: tuple[Problem, Searcher], whole: np.ndarra
     close(left.by_residual, whole[rows].T @ problem.residual[rows], size)
 
 
-def test_another_column_in_the_place_of_one(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
+def test_replacing_a_column(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
     problem, searcher = searched
     candidates = searcher.candidates
     products = Products(problem, candidates.products.columns, candidates._columns)
@@ -160,8 +160,8 @@ def test_another_column_in_the_place_of_one(searched: tuple[Problem, Searcher], 
     assert not np.array_equal(changed, whole) or alone[0] == alone[1]
 
 
-def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -> None:
-    """Columns that are worked out many at once against the effects themselves, one a parameter."""
+def test_columns_equal_the_derivatives_of_their_effects(searched: tuple[Problem, Searcher]) -> None:
+    """Columns evaluated together agree with the effects, parameter by parameter."""
     problem, searcher = searched
     machine, data = problem.network.machine, problem.network.data
     state, block = state_of(data, machine), PointBlock(problem.view, slice(None))
@@ -191,8 +191,8 @@ def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -
 
 
 @pytest.mark.slow
-def test_the_price_of_the_search_from_some_of_the_points(dmu50: Machine, tmp_path: Path) -> None:
-    """Where there are more points than it is taken from, it is what it would be on other data of that kind."""
+def test_significance_level_from_a_sample_of_the_points(dmu50: Machine, tmp_path: Path) -> None:
+    """The level from a sample of many points agrees with that of other data of the same kind."""
     levels = []
     for poses in (SAMPLED_POINTS // 6 - 120, SAMPLED_POINTS // 3):
         data = measured(dmu50, tmp_path, poses)
@@ -217,8 +217,8 @@ print(peak_mb(), *(f"{c.effect}:{c.where}" for c in found.causes))
 
 
 @pytest.mark.slow
-def test_memory_grows_no_worse_than_in_proportion(dmu50: Machine, tmp_path: Path) -> None:
-    """By less than 12 kB a point, 10.7 as measured: signatures of all forms would be 150 kB."""
+def test_memory_grows_at_most_in_proportion_to_the_points(dmu50: Machine, tmp_path: Path) -> None:
+    """Less than 12 kB for each point (10.7 kB measured); signatures of all forms would take 150 kB."""
     peaks = []
     for poses in (2_000, 16_000):
         measured(dmu50, tmp_path, poses)
@@ -236,7 +236,7 @@ def test_memory_grows_no_worse_than_in_proportion(dmu50: Machine, tmp_path: Path
 
 
 def test_many_points_are_diagnosed_as_few(dmu50: Machine, tmp_path: Path) -> None:
-    """More than are held at once, and than the price is taken from: the same names, sizes within their uncertainty."""
+    """With more points than a block or the sample for the level: the same names, sizes within their uncertainty."""
     found = diagnose(measured(dmu50, tmp_path, 1_000), dmu50)
     assert {(cause.effect, cause.where) for cause in found.causes} == {effect.key for effect in EFFECTS}
     for cause in found.causes:

@@ -165,9 +165,13 @@ def _estimated(
         residual, basis = _regressed(values)
         along_u = across_u = float(np.sqrt(np.sum(residual**2) / (3.0 * dof_each - basis.shape[2])))
     n = len(seen)
-    dof = dof_along + dof_across
-    text = f"{source}: {along_u * 1e6:.2g} µm along the beam, {across_u * 1e6:.2g} µm across ({dof:.0f} degrees of freedom)"
-    return ReadingNoise(locked(along_and_across(seen, np.full(n, along_u), np.full(n, across_u))), dof, text)
+    text = (
+        f"{source}: {along_u * 1e6:.2g} µm along the beam, {across_u * 1e6:.2g} µm across "
+        f"({dof_along + dof_across:.0f} degrees of freedom)"
+    )
+    return ReadingNoise(
+        locked(along_and_across(seen, np.full(n, along_u), np.full(n, across_u))), dof_along + dof_across, text
+    )
 
 
 def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -175,9 +179,9 @@ def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     flat = values.reshape(-1, values.shape[2])
     scale = np.maximum(np.linalg.norm(flat[:, 1:], axis=0), 1e-30)
     others = flat[:, 1:] / scale
-    values, vectors = np.linalg.eigh(others.T @ others)
-    seen = values > 1e-12 * max(float(values[-1]), 1e-300) if len(values) else np.zeros(0, dtype=bool)
+    eigenvalues, vectors = np.linalg.eigh(others.T @ others)
+    seen = eigenvalues > 1e-12 * max(float(eigenvalues[-1]), 1e-300) if len(eigenvalues) else np.zeros(0, dtype=bool)
     # Orthonormalised again by QR: the normal matrix loses half the digits.
-    basis, _ = np.linalg.qr(others @ (vectors[:, seen] / np.sqrt(values[seen])))
+    basis, _ = np.linalg.qr(others @ (vectors[:, seen] / np.sqrt(eigenvalues[seen])))
     residual = flat[:, 0] - basis @ (basis.T @ flat[:, 0])
     return residual.reshape(-1, 3), basis.reshape(-1, 3, basis.shape[1])
