@@ -31,10 +31,10 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.compute.parallel import Workers, in_order
 from twin.diagnosis.candidates.candidate import Candidate
-from twin.diagnosis.candidates.signatures import of_unit
+from twin.diagnosis.candidates.signatures import unit_column
 from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.judgement.in_place import equivalent
-from twin.diagnosis.problem.pool import Form
+from twin.diagnosis.problem.forms import Form
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.selection.searcher import Searcher
@@ -132,8 +132,8 @@ def measured(
         calibration = _doubted(calibration)
     instrument = LaserTracker() if noise == "tracker" else None
     placed = readings(data, machine, calibration, instrument)
-    posed = placed.without(placed.bad)
-    problem = posed.problem
+    task = placed.without(placed.bad)
+    problem = task.problem
     used = problem.network.data
     rows = np.searchsorted(data.lines, used.lines)
     true = (
@@ -141,7 +141,7 @@ def measured(
         if kind == "tracker"
         else np.tile(9e-12 * np.eye(3), (len(rows), 1, 1))
     )
-    return problem, Searcher(posed), problem.network.whitening @ np.linalg.cholesky(true)
+    return problem, Searcher(task), problem.network.whitening @ np.linalg.cholesky(true)
 
 
 def _doubted(calibration: Calibration) -> Calibration:
@@ -155,7 +155,9 @@ def _doubted(calibration: Calibration) -> Calibration:
 def noise_of(rng: np.random.Generator, problem: Problem, root: np.ndarray) -> np.ndarray:
     """(3n,) new scatter, and a new error of the calibration where its covariance is given."""
     found = np.einsum("nij,nj->ni", root, rng.standard_normal((len(root), 3))).reshape(-1)
-    return found + problem.basis @ (problem.doubt @ rng.standard_normal(problem.doubt.shape[1]))
+    return found + problem.basis @ (
+        problem.calibration_directions @ rng.standard_normal(problem.calibration_directions.shape[1])
+    )
 
 
 def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, list[Candidate]], size: float) -> Truth:
@@ -165,27 +167,28 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
         effect = list(families)[rng.integers(len(families))]
         candidate = families[effect][rng.integers(len(families[effect]))]
         # What a dropped constant does is a form of the same curve, not another effect.
-        cells = [
+        variants = [
             one
-            for one in candidate.cells
+            for one in candidate.variants
             if not {"stops", "payload"} & one.fixed.keys() and not one.fixed.get("first", 0.0)
         ]
-        cell = cells[rng.integers(len(cells))]
-        fixed, columns = dict(cell.fixed), list(cell.columns)
+        variant = variants[rng.integers(len(variants))]
+        fixed, columns = dict(variant.fixed), list(variant.columns)
         # Periods and time constants as they come, not as the search has them on its grid.
         if effect == "pitch_error":
-            spacing = [1.0 / one.fixed["period"] for one in candidate.cells]
+            spacing = [1.0 / one.fixed["period"] for one in candidate.variants]
             fixed["period"] = float(1.0 / rng.uniform(min(spacing), max(spacing)))
             axis = machine.by_name[candidate.where]
             columns = [
-                of_unit(PitchError(axis, 1.0, fixed["period"], phase), machine, state) for phase in (0.0, np.pi / 2.0)
+                unit_column(PitchError(axis, 1.0, fixed["period"], phase), machine, state)
+                for phase in (0.0, np.pi / 2.0)
             ]
         if effect == "thermal_drift":
-            constants = [one.fixed["time_constant"] for one in candidate.cells if one.fixed]
+            constants = [one.fixed["time_constant"] for one in candidate.variants if one.fixed]
             fixed["time_constant"] = float(np.exp(rng.uniform(np.log(min(constants)), np.log(max(constants)))))
             built = candidate.build(np.ones(1), fixed)[0] if candidate.build else None
             if isinstance(built, ThermalDrift):
-                columns = [of_unit(built, machine, state)]
+                columns = [unit_column(built, machine, state)]
         raw = problem.signature(columns)
         seen = np.diag(problem.inner(raw)) > 25.0
         values = rng.standard_normal(raw.shape[1]) * seen
@@ -285,7 +288,7 @@ class DataSet:
         self.problem, self.searcher, self._root = measured(self._rng, machine, case.noise, case.poses, case.uncertain)
         self._families: dict[str, list[Candidate]] = {}
         # By name: what is drawn does not depend on the order they are tried in.
-        for candidate in sorted(self.searcher.posed.known.candidates, key=lambda one: one.key):
+        for candidate in sorted(self.searcher.task.catalogue.candidates, key=lambda one: one.key):
             if candidate.effect not in UNHIDDEN:
                 self._families.setdefault(candidate.effect, []).append(candidate)
 
@@ -336,9 +339,9 @@ def answers_of(case: Case, task: tuple[int, int]) -> list[Answer]:
     for _ in range(draws):
         draw = data.draw()
         by_itself = ROWS[case.row][0] == 1 and alone(searcher, draw.truth[0][0], draw.truth[0][1])
-        problem.judge(draw.residual)
+        problem.set_residual(draw.residual)
         began = time.process_time()
-        searcher.pool.judge(problem)
+        searcher.candidates.set_problem(problem)
         best = searcher.run()
         seconds = time.process_time() - began
         found.append(_answer(best, draw.truth, draw.columns, by_itself, seconds))
@@ -352,8 +355,8 @@ def _answer(
     alone: bool,
     seconds: float,
 ) -> Answer:
-    pool = found.beside
-    named = [pool.forms[form.index] for form in found.structure.forms]
+    candidates = found.beside
+    named = [candidates.forms[form.index] for form in found.structure.forms]
     groups = []
     for form in named:
         others = [one for one in named if one is not form]
@@ -375,16 +378,16 @@ def _answer(
 
 def alone(searcher: Searcher, key: Key, signature: np.ndarray) -> bool:
     """Whether nothing could be mistaken for a cause even without scatter, by the measure of ``equivalent``."""
-    problem, pool = searcher.problem, searcher.pool
-    problem.judge(signature)
-    pool.judge(problem)
-    explained, dof = pool.scan([])
+    problem, candidates = searcher.problem, searcher.candidates
+    problem.set_residual(signature)
+    candidates.set_problem(problem)
+    explained, dof = candidates.scan([])
     form = max(
-        (one for one in pool.forms if one.key == key and dof[one.index] > 0),
-        key=lambda one: explained[one.index] - pool.cost(one, float(dof[one.index])),
+        (one for one in candidates.forms if one.key == key and dof[one.index] > 0),
+        key=lambda one: explained[one.index] - candidates.critical_value(one, float(dof[one.index])),
     )
     only = Structure((form,), None, None, problem, ())
-    found = Findings(replace(searcher.posed, problem=problem), (), pool, pool, only)
+    found = Findings(replace(searcher.task, problem=problem), (), candidates, candidates, only)
     return not equivalent(found, form, [])
 
 
@@ -400,7 +403,7 @@ def _pulls(
     found: list[tuple[str, float]] = []
     for form, quantities in zip(named, estimated.quantities, strict=True):
         _, _, candidate, fixed, linear = next(one for one in truth if one[0] == form.key)
-        if fixed.get("order", 0.0) != form.cell.fixed.get("order", 0.0):
+        if fixed.get("order", 0.0) != form.variant.fixed.get("order", 0.0):
             continue
         if candidate.effect == "station_drift" and ("time_constant" in fixed) != any(
             q.name == "time_constant" for q in quantities
@@ -408,10 +411,10 @@ def _pulls(
             continue  # the rate at the beginning of an exponential, and the mean rate: not the same number
         if candidate.space is not None:
             # The truth has no constant, a straightness no slope; a form without them is as good.
-            linear = linear[round(form.cell.fixed.get("first", 0.0)) :]
-            if len(linear) != len(form.cell.columns) or "stops" in form.cell.fixed:
+            linear = linear[round(form.variant.fixed.get("first", 0.0)) :]
+            if len(linear) != len(form.variant.columns) or "stops" in form.variant.fixed:
                 continue
-            first = round(form.cell.fixed.get("first", 0.0))
+            first = round(form.variant.fixed.get("first", 0.0))
             linear = candidate.space.transform[: first + len(linear), first : first + len(linear)] @ linear
         true = dict(zip([q.name for q in quantities if q.name != "order"], linear, strict=False))
         if candidate.effect == "pitch_error":

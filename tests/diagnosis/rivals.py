@@ -30,7 +30,7 @@ from tests.diagnosis.battery import HERE, ROWS, UNHIDDEN, Case, DataSet, Key, To
 from twin.compute.parallel import Workers, in_order
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.problem.pool import SEEN
+from twin.diagnosis.problem.forms import LEAST_NONCENTRALITY
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.selection.searcher import Searcher
 
@@ -84,7 +84,7 @@ class Block:
 class Design:
     """The regressors of one data set, prepared once for all its draws.
 
-    Directions that stay within the data's noise (noncentrality below `twin`'s own `SEEN`) at the largest plausible size are no
+    Directions that stay within the data's noise (noncentrality below `LEAST_NONCENTRALITY`) at the largest plausible size are no
     regressors: of what the set-up absorbs only rounding errors are left, and a regression would scale those up.
 
     Args:
@@ -102,25 +102,25 @@ class Design:
         at: dict[Column, int] = {}
         owner: list[Key] = []
         for candidate in candidates:
-            for column in (column for cell in candidate.cells for column in cell.columns):
+            for column in (column for variant in candidate.variants for column in variant.columns):
                 if column not in at:
                     at[column] = len(at)
                     owner.append(candidate.key)
         raw = problem.signature(list(at))
-        raw[problem.held] = 0.0
+        raw[problem.held_out] = 0.0
         projected = raw - problem.basis @ (problem.basis.T @ raw)
         gram = projected.T @ projected
         self.blocks: list[Block] = []
         for candidate in candidates:
-            for cell in candidate.cells:
-                own = [at[column] for column in cell.columns]
+            for variant in candidate.variants:
+                own = [at[column] for column in variant.columns]
                 values, vectors = np.linalg.eigh(gram[np.ix_(own, own)])
-                seen = (values > SEEN) & (values > 1e-8 * values[-1])
+                seen = (values > LEAST_NONCENTRALITY) & (values > 1e-8 * values[-1])
                 if seen.any():
                     directions = projected[:, own] @ (vectors[:, seen] / np.sqrt(values[seen]))
                     self.blocks.append(Block(candidate.key, directions))
         datum = {at[column] for candidate in candidates for column in _datum(candidate)}
-        kept = np.array([i for i in range(len(at)) if gram[i, i] > SEEN and i not in datum], dtype=int)
+        kept = np.array([i for i in range(len(at)) if gram[i, i] > LEAST_NONCENTRALITY and i not in datum], dtype=int)
         length = np.sqrt(np.diag(gram)[kept])
         self.columns = np.asfortranarray(projected[:, kept] / length)
         self.owners = [owner[i] for i in kept]
@@ -170,7 +170,7 @@ def _datum(candidate: Candidate) -> Sequence[Column]:
     """The columns of a curve that are another candidate's by name: its constant (a zero or a squareness), a straightness's slope."""
     if candidate.space is None:
         return ()
-    return candidate.cells[0].columns[: 2 if candidate.effect == "straightness" else 1]
+    return candidate.variants[0].columns[: 2 if candidate.effect == "straightness" else 1]
 
 
 def _joined(blocks: Sequence[Block], rows: int) -> np.ndarray:
@@ -331,13 +331,13 @@ def said_of(case: Case, task: tuple[int, int]) -> dict[str, list[Said]]:
     number, draws = task
     data = DataSet(case, number)
     problem, searcher = data.problem, data.searcher
-    candidates = searcher.posed.known.candidates
+    candidates = searcher.task.catalogue.candidates
     design = Design(problem, candidates)
     choice = [candidate for candidate in candidates if case.every or candidate.effect not in UNHIDDEN]
     found: dict[str, list[Said]] = {}
     for _ in range(draws):
         draw = data.draw()
-        problem.judge(draw.residual)
+        problem.set_residual(draw.residual)
         for method, ask in _methods(problem, searcher, choice, design).items():
             began = time.process_time()
             named, unnamed = ask()
@@ -352,7 +352,7 @@ def _methods(
     """By name, what gives the names, and the columns of what stays unnamed."""
 
     def own() -> tuple[tuple[Key, ...], tuple[str, ...]]:
-        searcher.pool.judge(problem)
+        searcher.candidates.set_problem(problem)
         found = searcher.run().structure
         unnamed = (name for trace in found.traces for name in trace.pattern.names)
         return tuple(form.key for form in found.forms), tuple(unnamed)

@@ -29,7 +29,7 @@ TURNS = "G21 G90\nG0 X100 Y20 Z-100 B0 C0\nG1 Y60 F500\nY15\nX150 Y440\nY400\nY4
 
 
 def stage(folder: Path, reversal_um: np.ndarray, *, cycles: int = 5, seed: int = 61) -> Diagnosis:
-    """A slide of 500 mm, measured along itself there and back at even positions, 0.6 µm of noise."""
+    """Return readings along a slide of 500 mm, forwards and backwards at evenly spaced positions; noise 0.6 µm."""
     machine, rng = Machine.load(write_stage(folder)), np.random.default_rng(seed)
     positions = np.linspace(0.0, 500.0, len(reversal_um))
     with (folder / "stage.csv").open("w", encoding="utf-8", newline="") as file:
@@ -43,7 +43,7 @@ def stage(folder: Path, reversal_um: np.ndarray, *, cycles: int = 5, seed: int =
     return diagnose(load(folder / "stage.csv", machine), machine, Calibration.zero(machine))
 
 
-def test_a_reversal_that_grows_along_the_travel_is_found_and_promised(tmp_path: Path) -> None:
+def test_a_reversal_that_grows_along_the_travel_is_found(tmp_path: Path) -> None:
     u = np.linspace(-1.0, 1.0, 9)
     result = stage(tmp_path, -10.0 + 6.0 * u)
     (cause,) = result.causes
@@ -63,12 +63,12 @@ def test_a_reversal_that_grows_along_the_travel_is_found_and_promised(tmp_path: 
 def test_a_constant_reversal_is_no_curve(tmp_path: Path) -> None:
     (cause,) = stage(tmp_path, np.full(9, -10.0)).causes
     assert (cause.effect, cause.where, cause.equivalent) == ("reversal", "X", ())
-    # The second opinion holds a curve whose change is nothing to be the same cause.
+    # The second opinion counts a curve without significant change as the same cause.
     assert cause.probability is not None and cause.probability > 0.95
 
 
-def test_a_reversal_that_no_curve_foretells_is_the_plain_one_and_a_rest(tmp_path: Path) -> None:
-    """It differs from place to place as chance had it: the mean is named, and nothing is said between the places."""
+def test_a_random_reversal_is_reported_as_its_mean_and_a_rest(tmp_path: Path) -> None:
+    """The reversal differs from place to place at random: the mean is named, without a claim between the places."""
     rough = np.array([-9.0, 5.0, -7.0, 8.0, -6.0, 7.0, -8.0, 6.0, -5.0]) - 20.0
     result = stage(tmp_path, rough)
     (cause,) = result.causes
@@ -91,7 +91,7 @@ def test_a_reversal_that_changes_with_another_axis_is_none_of_its_own_travel(dmu
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_program_is_compensated_for_it(dmu50: Machine, tmp_path: Path, sign: float) -> None:
-    """Turns of Y at either end of its travel, where the reversal is 4 and 20 µm; a constant of the mean leaves most of the change."""
+    """Y reverses at either end of its travel, where the reversal is 4 and 20 µm; a constant mean leaves most of the difference."""
     entry = f"effect: reversal_curve, where: Y, parameters: {{c0: {12.0 * sign}, c1: {8.0 * sign}}}"
     truth = WornMachine(extended(tmp_path), reversal={}, varying={"Y": (12.0 * sign, 8.0 * sign)})
     after = {}
@@ -105,7 +105,7 @@ def test_a_program_is_compensated_for_it(dmu50: Machine, tmp_path: Path, sign: f
     assert after["curve"] < 0.6 and after["mean"] > 1.5
 
 
-def test_it_is_read_and_refused(dmu50: Machine) -> None:
+def test_a_reversal_curve_in_a_file(dmu50: Machine) -> None:
     effect = effect_named("reversal_curve", "Y", {"c0": 1.0, "c1": 2.0, "c2": 3.0}, dmu50)
     assert [one.name for one in effect.parameters] == [f"reversal_curve:Y.c{k}" for k in range(3)]
     with pytest.raises(InputError, match="an axis with a limited range"):
@@ -115,7 +115,7 @@ def test_it_is_read_and_refused(dmu50: Machine) -> None:
 
 
 def slow_or_fast(folder: Path, period_mm: float) -> Diagnosis:
-    """A wave of 5 µm along 500 mm at 41 uneven positions, five times."""
+    """Return readings of a wave of 5 µm along 500 mm at 41 unevenly spaced positions, five times."""
     machine, rng = Machine.load(write_stage(folder)), np.random.default_rng(63)
     positions = np.sort(np.round(rng.uniform(0.0, 500.0, 41), 1))
     positions[[0, -1]] = 0.0, 500.0
@@ -143,7 +143,7 @@ def test_a_wave_longer_than_half_the_travel_is_a_curve(tmp_path: Path, period_mm
 
 
 def test_teeth_of_a_gear_are_a_harmonic_of_high_order(dmu50: Machine, tmp_path: Path) -> None:
-    """Order 48 of C's own angle, with 151 angles: more than twice as many as 75, the highest that they tell."""
+    """Order 48 of C's angle at 151 angles, which resolve orders up to 75."""
     rng = np.random.default_rng(64)
     of = hidden.rounded(hidden.plan(rng, poses=140))
     truth = Hidden("harmonic", "E_CC", {"order": 48, "cos": 12.0, "sin": -9.0})
@@ -156,8 +156,8 @@ def test_teeth_of_a_gear_are_a_harmonic_of_high_order(dmu50: Machine, tmp_path: 
     assert max(abs(found[name].value - truth.numbers[name]) / found[name].u for name in ("cos", "sin")) < 3.0
 
 
-def test_orders_that_the_positions_cannot_tell_are_not_tried(dmu50: Machine, tmp_path: Path) -> None:
-    """Only as high as half the positions of a turn, and as half a grid they may stand on; other components as before."""
+def test_aliased_orders_are_not_tested(dmu50: Machine, tmp_path: Path) -> None:
+    """Orders are limited to half the number of positions in a revolution, and of the grid they lie on; others are unchanged."""
     rng = np.random.default_rng(65)
     for angles, most in (
         (np.arange(0.0, 360.0, 2.0), 89),
@@ -170,5 +170,5 @@ def test_orders_that_the_positions_cannot_tell_are_not_tried(dmu50: Machine, tmp
         of = replace(of, q=q)
         data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)
         found = {one.where: one for one in catalogue(dmu50, data, Calibration.default(dmu50)).candidates}
-        assert len(found["E_CC"].cells) == most and found["E_CC"].tests == most
-        assert len(found["E_XC"].cells) == 30
+        assert len(found["E_CC"].variants) == most and found["E_CC"].tests == most
+        assert len(found["E_XC"].variants) == 30

@@ -1,7 +1,7 @@
-"""What is wrong with a calibration itself: `twin diagnose` must say so in its makers' terms.
+"""Mistakes in making a calibration: `twin diagnose` must name them.
 
-Made as the thesis makes them (listing 3.1 to 3.3): polynomials of degree 8 through eleven stops, without a constant; curves read for
-others; errors put before the chain instead of at their joints. The truth machine (`tests.truth.hidden`) has the curves of the default
+Made as in the thesis (listing 3.1 to 3.3): polynomials of degree 8 through eleven stops, without a constant; curves read for
+others; errors applied before the chain, not at their joints. The truth machine (`tests.truth.hidden`) has the curves of the default
 calibration, of degree 5 at most but for E_ZX.
 """
 
@@ -41,7 +41,7 @@ def look(dmu50: Machine, tmp_path: Path):
 def fitted(
     calibration: Calibration, name: str, noise: np.ndarray | float = 0.0, *, constant: bool, up: float = 0.0
 ) -> tuple[float, ...]:
-    """Coefficients in u of a polynomial in q of degree 8 through what eleven stops showed of the true curve."""
+    """Return coefficients in u of a polynomial in q of degree 8 fitted to the true curve at eleven stops."""
     lo, hi = calibration.curves[name].domain
     q = np.linspace(lo, hi, STOPS)
     powers = np.vander(q / hi, DEGREE + 1, increasing=True)[:, 0 if constant else 1 :]
@@ -66,13 +66,13 @@ def only(result: Diagnosis) -> Cause:
 
 
 def test_a_dropped_constant(look, calibration: Calibration) -> None:
-    """E_CX is −34 µrad at X = 0; a polynomial in X without a constant is nothing there."""
+    """E_CX is −34 µrad at X = 0; a polynomial in X without a constant is zero there."""
     judged = put(calibration, {"E_CX": fitted(calibration, "E_CX", constant=False)})
     cause = only(look(judged))
     assert (cause.effect, cause.where) == ("angular_error_motion", "E_CX")
     assert "fitted without a constant term" in cause.evidence
     told = float(cause.evidence.split("errs by ")[1].split(" ")[0])
-    # λ of some 80: the size is known to an eighth; what eleven stops did is near what nine or thirteen do.
+    # λ is about 80: the size is known to an eighth; eleven stops give nearly the same as nine or thirteen.
     assert told == pytest.approx(float(calibration.curves["E_CX"](0.0)), rel=0.35)
 
 
@@ -85,7 +85,7 @@ def test_a_polynomial_of_degree_8_that_swings_between_its_stops(look, calibratio
     )
     result = look(judged)
     curves = {("straightness", "E_XY"), ("angular_error_motion", "E_CX")}
-    # The slope of the one and the constant of the other are a squareness, if they are there at all.
+    # A slope of the one or a constant of the other would be a squareness.
     assert curves <= {(c.effect, c.where) for c in result.causes} <= curves | {("squareness", "E_C0Y")}
     for cause in (c for c in result.causes if c.effect != "squareness"):
         assert "polynomial of degree 8 swings" in cause.evidence
@@ -103,7 +103,7 @@ def test_a_sign_and_a_curve_that_is_corrected_twice(look, calibration: Calibrati
 
 
 def test_a_curve_under_another_name(look, calibration: Calibration) -> None:
-    """Two tilts of B, each under the other's name."""
+    """Two tilts of B have each other's names."""
     curves = dict(calibration.curves)
     curves["E_AB"], curves["E_CB"] = (
         replace(curves["E_CB"], name="E_AB"),
@@ -113,7 +113,7 @@ def test_a_curve_under_another_name(look, calibration: Calibration) -> None:
     cause = only(result)
     assert (cause.effect, cause.where) == ("misplaced", "E_AB and E_CB exchanged")
     assert abs(cause.parameters[0].value - 1.0) < 3.0 * cause.parameters[0].u
-    # Put right by what was found: E_AB is again what it was, within what the share is uncertain by.
+    # Corrected with the cause found, E_AB equals its true curve within the uncertainty of the share.
     q = np.linspace(0.0, 180.0, 91)
     for name in ("E_AB", "E_CB"):
         right, found = calibration.curves[name](q), result.extended.curves[name](q)

@@ -1,4 +1,4 @@
-"""An effect of every kind hidden in the data of a realistic plan: `twin diagnose` must find its name, place and size.
+"""An effect of every kind is added to the data of a realistic plan: `twin diagnose` must find its name, place and size.
 
 The truth machine (`tests.truth.hidden`) shares no code with `twin`.
 """
@@ -71,7 +71,7 @@ SAMPLE = list({hidden_one.effect: hidden_one for hidden_one in reversed(EVERY)}.
 
 
 def planned(seed: int) -> tuple[Plan, np.random.Generator]:
-    """The plan of that seed, and what its noise is drawn from."""
+    """Return the plan of a seed, and the generator of its noise."""
     rng = np.random.default_rng(seed)
     return hidden.rounded(hidden.plan(rng, poses=POSES)), rng
 
@@ -80,7 +80,7 @@ def planned(seed: int) -> tuple[Plan, np.random.Generator]:
 def look(
     dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[..., Diagnosis]:
-    """Measure with something hidden, read the table, diagnose."""
+    """Simulate a measurement with hidden effects, read the table and diagnose it."""
     folder = tmp_path_factory.mktemp("hidden")
 
     def measured(
@@ -107,7 +107,7 @@ def look(
 
 
 def pulls(cause: Cause, truth: Hidden) -> dict[str, float]:
-    """(value − truth)/u of every parameter, an angle the short way round; a parameter without uncertainty is the truth itself."""
+    """Return (value − truth)/u of every parameter; angles are wrapped. A parameter without uncertainty equals the truth."""
     found = {}
     for q in cause.parameters:
         off = q.value - truth.numbers.get(q.name, 0.0)
@@ -122,7 +122,7 @@ def pulls(cause: Cause, truth: Hidden) -> dict[str, float]:
 
 
 def distance(result: Diagnosis, of: Plan, truth: Sequence[Hidden], noise: str = "isotropic") -> float:
-    """χ² of what all causes do to the readings less what was hidden, the set-up free: whatever the causes are called."""
+    """Return χ² of the difference between the signatures of the causes found and of the hidden effects, set-up projected out."""
     rows = result.data.lines - 2
     found = np.zeros((len(of.q), 3))
     found[rows] = np.nansum([cause.pattern_um for cause in result.causes], axis=0) * 1e-3
@@ -133,15 +133,15 @@ def distance(result: Diagnosis, of: Plan, truth: Sequence[Hidden], noise: str = 
 
 
 def numbers(causes: Sequence[Cause]) -> int:
-    """How many numbers were fitted for some causes, or could have been.
+    """Return the number of parameters fitted for some causes, or of their longest form.
 
-    Of nested curves that hold the truth, the longest is the furthest from it: the others are its projections.
+    Of nested curves that contain the truth the longest is the furthest from it; the others are its projections.
     """
     return sum(CURVES.get(c.effect, sum(q.u > 0.0 for q in c.parameters)) for c in causes)
 
 
 def the(result: Diagnosis, truth: Hidden) -> Cause:
-    """The cause that is, or may be, what was hidden."""
+    """Return the cause that is, or is confounded with, the hidden effect."""
     for cause in result.causes:
         if (cause.effect, cause.where) == truth.key or truth.key in cause.equivalent:
             return cause
@@ -169,10 +169,10 @@ def check(result: Diagnosis, of: Plan, truth: Hidden, noise: str = "isotropic", 
 
 
 def check_held_out(result: Diagnosis, truth: Hidden, instrument: LaserTracker | None) -> None:
-    """On rounds the selection did not see it is better, unless the others cannot tell the cause from another one.
+    """Check that held-out rounds improve, unless the other rounds do not separate the cause from another one.
 
-    The bed is warmest in the first round and cools through the other two: from these alone a drift in time is as likely, and it
-    foretells something else of the first. What a warm-up does to the first round the others do not foretell at all.
+    The bed is warmest in the first round and cools during the other two: from these alone a drift in time is as likely, and it
+    predicts another first round. The effect of a warm-up on the first round cannot be predicted from the others.
     """
     assert result.gain is not None and result.gain.held_out is not None
     held = result.gain.held_out
@@ -189,7 +189,7 @@ def check_held_out(result: Diagnosis, truth: Hidden, instrument: LaserTracker | 
 
 @pytest.fixture(scope="module")
 def found(look: Callable[..., Diagnosis]) -> Callable[[Hidden], Diagnosis]:
-    """What is said of one effect of `EVERY`."""
+    """Return the diagnosis of data with one effect of `EVERY`."""
     of = cache(lambda index: look([EVERY[index]], seed=100 + index))
     return lambda truth: of(EVERY.index(truth))
 
@@ -213,9 +213,9 @@ def test_uncertainties_are_neither_too_small_nor_too_large(found: Callable[[Hidd
 
 
 def pulls_of(pairs: Sequence[tuple[Diagnosis, Hidden]]) -> list[float]:
-    """Of all parameters that have the truth's name; of curves, those as long as what was hidden.
+    """Return the pulls of all parameters with the truth's name; of curves, only of those as long as the hidden one.
 
-    A longer curve is chosen where the noise along its further terms is large: their pulls are large because of that.
+    A longer curve is selected where the noise along its further terms happens to be large, which biases their pulls.
     """
     found: list[float] = []
     for result, truth in pairs:
@@ -231,13 +231,13 @@ NOISES = ("isotropic", "repeats", "tracker", "tracker-repeats")
 
 @pytest.fixture(scope="module")
 def loud(look: Callable[..., Diagnosis]) -> Callable[[Hidden, str], Diagnosis]:
-    """What is said of one effect of `EVERY`, `louder` where a tracker reads."""
+    """Return the diagnosis of data with one effect of `EVERY`, scaled by `louder` for a tracker."""
     of = cache(lambda index, noise: look([louder(EVERY[index], noise)], seed=200 + index, noise=noise))
     return lambda truth, noise: of(EVERY.index(truth), noise)
 
 
 def louder(truth: Hidden, noise: str) -> Hidden:
-    """Four times as large for a tracker: at 2 m it scatters 13 µm across its beam; three times what may be 20 ppm at most."""
+    """Return the effect four times as large for a tracker, whose noise at 2 m is 13 µm across the beam; ppm only three times."""
     size = (3.0 if truth.effect == "refraction_scale" else 4.0) if noise.startswith("tracker") else 1.0
     same = ("order", "period", "phase", "time_constant")
     return replace(truth, numbers={k: v if k in same else size * v for k, v in truth.numbers.items()})
@@ -246,7 +246,7 @@ def louder(truth: Hidden, noise: str) -> Hidden:
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("truth", EVERY, ids=lambda h: f"{h.effect} {h.where}")
-def test_an_effect_of_every_kind_whatever_the_scatter(
+def test_an_effect_of_every_kind_with_every_noise(
     loud: Callable[[Hidden, str], Diagnosis], truth: Hidden, noise: str
 ) -> None:
     result, hides = loud(truth, noise), louder(truth, noise)
@@ -258,7 +258,7 @@ def test_an_effect_of_every_kind_whatever_the_scatter(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", NOISES)
-def test_uncertainties_whatever_the_scatter(loud: Callable[[Hidden, str], Diagnosis], noise: str) -> None:
+def test_uncertainties_with_every_noise(loud: Callable[[Hidden, str], Diagnosis], noise: str) -> None:
     """RMS of all (value − truth)/u, and the largest: beyond the limit one time in a hundred (Šidák)."""
     found = np.array(pulls_of([(loud(truth, noise), louder(truth, noise)) for truth in EVERY]))
     assert len(found) > 30
@@ -266,8 +266,8 @@ def test_uncertainties_whatever_the_scatter(loud: Callable[[Hidden, str], Diagno
     assert np.abs(found).max() < stats.norm.isf((1.0 - 0.99 ** (1.0 / len(found))) / 2.0)
 
 
-def test_a_round_unlike_the_others_is_not_foretold(look: Callable[..., Diagnosis]) -> None:
-    """A warm-up that is over within the first round: the others show nothing of it, and foretell nothing of that round.
+def test_a_round_unlike_the_others_cannot_be_predicted(look: Callable[..., Diagnosis]) -> None:
+    """A warm-up that ends within the first round: the other rounds do not show it and cannot predict that round.
 
     Three rounds are too few for an interval.
     """
@@ -321,7 +321,7 @@ def test_two_effects_are_both_found(look: Callable[..., Diagnosis], pair: tuple[
 
 
 def test_a_weak_effect_is_found_at_the_limit_of_the_data(look: Callable[..., Diagnosis]) -> None:
-    # λ = 1,500·(0.75/3)² ≈ 90 before projection: a quarter of the scatter of one reading.
+    # λ = 1,500·(0.75/3)² ≈ 90 before projection: a quarter of the noise of one reading.
     truth = one("reversal", "X", size=1.5)
     result = look([truth], seed=5)
     assert [(c.effect, c.where) for c in result.causes] == [truth.key]
@@ -349,8 +349,8 @@ def test_an_effect_outside_the_catalogue_is_unexplained(
     assert result.unexplained is not None and set(result.unexplained.depends_on) & set(names)
 
 
-def test_what_the_data_cannot_tell_apart_is_said(look: Callable[..., Diagnosis]) -> None:
-    """One error in Z that grows with X and with Y: whose error it is no point of the tool can say."""
+def test_confounded_effects_are_reported(look: Callable[..., Diagnosis]) -> None:
+    """An error in Z that grows with X and with Y: readings of one point do not identify the axis that causes it."""
     truth = one("cross_axis", "E_ZY by X", coefficient=60.0)
     result = look([truth])
     cause = the(result, truth)
@@ -385,7 +385,7 @@ UNIT = {"cross_axis": "coefficient", "thermal_growth": "coefficient", "squarenes
     [pytest.param(*case, marks=pytest.mark.slow if i in (2, 3) else ()) for i, case in enumerate(GROUPS)],
     ids=[f"{case[0].effect} {case[0].where} at {case[1]:g}" for case in GROUPS],
 )
-def test_what_could_be_mistaken_for_a_small_effect(
+def test_effects_confounded_with_a_small_effect(
     dmu50: Machine,
     calibration: Calibration,
     tmp_path: Path,
@@ -394,14 +394,14 @@ def test_what_could_be_mistaken_for_a_small_effect(
     group: tuple[str, ...],
     outside: str,
 ) -> None:
-    """Of noncentrality λ, without noise: exactly those that lose less than 2 ln 100 of it, λ (1 − ρ²), ρ by the truth machine."""
+    """Without noise, at noncentrality λ: exactly the effects with λ (1 − ρ²) below 2 ln 100, with ρ from the truth machine."""
     of, _ = planned(31)
     named = [Hidden(*name.split(" ", 1)) for name in (*group, outside) if "drift" not in name]
     units = [replace(other, numbers={UNIT[other.effect]: 1.0}) for other in (truth, *named)]
     seen = hidden.left_over(of, np.stack([hidden.points(of, [other]) - hidden.points(of) for other in units], axis=2))
     whole = seen / np.linalg.norm(seen, axis=0)
     lost = size * (1.0 - (whole[:, 0] @ whole[:, 1:]) ** 2)
-    # Told apart at odds of 100:1; what a search in a larger family costs more is a few tenths.
+    # Separated at odds of 100:1; the correction for a larger family adds a few tenths.
     assert np.all(lost[:-1] < 2.0 * np.log(100.0) - 1.0) and lost[-1] > 2.0 * np.log(100.0) + 1.0
     amount = float(np.sqrt(size) / np.linalg.norm(seen[:, 0]))
     read = hidden.points(of, [replace(truth, numbers={UNIT[truth.effect]: amount})])
@@ -411,13 +411,13 @@ def test_what_could_be_mistaken_for_a_small_effect(
     assert names == {f"{truth.effect} {truth.where}", *group}
     if (cause.effect, cause.where) == truth.key:
         (number,) = cause.parameters
-        # Linear to what the calibration's own errors turn; u of one number alone is its size over √λ.
+        # Linear but for the rotations by the calibration's own errors; u of a single parameter is its size over √λ.
         assert number.value == pytest.approx(amount, rel=1e-3)
         assert number.u == pytest.approx(amount / np.sqrt(size), rel=1e-3)
 
 
 def test_the_interval_of_the_gain_is_of_95_per_cent(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
-    """Against a bootstrap of the poses on the residuals themselves: a pose is held out of a fit of hundreds, which changes little."""
+    """Compare with a bootstrap over poses of the residuals: holding one pose out of hundreds changes the fit little."""
     rng = np.random.default_rng(6)
     of = hidden.rounded(hidden.plan(rng, rounds=1, poses=POSES))
     read = hidden.noisy(hidden.points(of, [one("reversal", "Y", size=12.0)]), rng, "isotropic", SIGMA_MM)
@@ -438,7 +438,7 @@ def test_the_interval_of_the_gain_is_of_95_per_cent(dmu50: Machine, calibration:
 
 
 def test_a_decoy_that_goes_with_the_cause_is_not_taken_for_it(look: Callable[..., Diagnosis]) -> None:
-    """The bed's sensor follows the time of the day like the drift does: the drift is named, or said to be one of the two."""
+    """The bed's temperature correlates with time as the drift does: the drift is named, or reported as one of the two."""
     rng = np.random.default_rng(7)
     plan = hidden.plan(rng, poses=POSES)
     creep = 1.0 - np.exp(-plan.time_s / 2500.0)
@@ -458,7 +458,7 @@ def test_a_column_that_is_missing_makes_its_effects_not_evaluated(look: Callable
 
 @pytest.mark.parametrize("follows", ["command", "report"])
 def test_which_of_command_and_report_the_measurement_follows(look: Callable[..., Diagnosis], follows: str) -> None:
-    """Positions of Y read while it was still moving lag behind by 15 µm, or Y really stopped there."""
+    """Reported positions of Y lag by 15 µm: they were read while it was moving, or Y really stopped there."""
     rng = np.random.default_rng(8)
     plan = hidden.rounded(hidden.plan(rng, poses=POSES))
     lag = np.zeros(plan.q.shape)
@@ -476,13 +476,13 @@ def test_which_of_command_and_report_the_measurement_follows(look: Callable[...,
         assert abs(cause.parameters[0].value - 1.0) < 3.0 * cause.parameters[0].u
 
 
-def test_a_reversal_of_reported_positions_carries_the_doubt(look: Callable[..., Diagnosis]) -> None:
-    """Only reported positions are in the table, taken before Y had settled: what looks like lost motion may be none."""
+def test_a_reversal_of_reported_positions_is_marked_doubtful(look: Callable[..., Diagnosis]) -> None:
+    """The table has only positions reported before Y had settled: an apparent reversal error may not exist."""
     rng = np.random.default_rng(8)
     plan = hidden.rounded(hidden.plan(rng, poses=POSES))
     lag = np.zeros(plan.q.shape)
     lag[:, 1] = 1e-4 * rng.standard_normal(len(lag)) - 8e-3 * plan.approach[:, 1]
-    lag[(plan.q[:, 1] < 0.1) | (plan.q[:, 1] > 449.9)] = 0.0  # at its stops Y stands where it was sent
+    lag[(plan.q[:, 1] < 0.1) | (plan.q[:, 1] > 449.9)] = 0.0  # at the ends of travel Y is at its command
     reported = replace(plan, q=plan.q + lag)
     read = hidden.noisy(hidden.points(plan, []), rng, "isotropic", SIGMA_MM)
     result = look([], plan=reported, read=read)
@@ -490,13 +490,13 @@ def test_a_reversal_of_reported_positions_carries_the_doubt(look: Callable[..., 
     (cause,) = result.causes
     assert (cause.effect, cause.where) in {("reversal", "Y"), ("reversal_curve", "Y")}
     assert ("read_back", "Y") in cause.equivalent and "readback_Y_mm" in cause.evidence
-    # As commanded, positions are whole increments, and lost motion is lost motion.
+    # Commanded positions are multiples of the least increment, and a reversal is reported without doubt.
     plainly = look([one("reversal", "Y", size=16.0)], plan=plan)
     assert plainly.verdict == "explained" and plainly.causes[0].equivalent == ()
 
 
 def test_what_the_set_up_absorbs_is_unidentifiable(look: Callable[..., Diagnosis]) -> None:
-    """A zero of a linear axis moves all its targets alike, and C's load is nothing where the table's weight is on its axis."""
+    """A zero offset of a linear axis moves all targets alike, and gravity puts no load on C if the mass is on its axis."""
     found = look([])
     hidden = {("zero_offset", "X"), ("zero_offset", "Y"), ("zero_offset", "Z"), ("gravity_compliance", "C")}
     assert hidden <= set(found.unidentifiable) == set(found.looks_like)
@@ -509,7 +509,7 @@ def test_what_the_set_up_absorbs_is_unidentifiable(look: Callable[..., Diagnosis
 
 
 def test_the_battery_in_small() -> None:
-    """A sample of what `test_the_battery` asks of 200 draws a row: one miss is allowed, a factor of two in u is far off."""
+    """A small version of `test_the_battery`, which uses 200 draws a row; one miss is allowed, a factor of two in u is not."""
     alone = battery.summary("one60", battery.answers("one60", 16, 21, poses=60))
     assert alone["right or in group"] >= 0.92 and alone["right"] >= 0.7
     assert alone["intervals"] >= 26.0 and 0.7 < alone["rms of pulls"] < 1.3
@@ -552,23 +552,23 @@ def test_the_battery(row: str, noise: str) -> None:
 
 @pytest.mark.parametrize("noise", ["isotropic", "tracker"])
 @pytest.mark.parametrize("hides", [True, False])
-def test_readings_of_which_nothing_is_said_and_none_is_repeated(
+def test_readings_without_stated_noise_or_repeats(
     dmu50: Machine, calibration: Calibration, tmp_path: Path, noise: str, hides: bool
 ) -> None:
-    """One round, no uncertainties, no instrument: the scatter is what no plain form of any cause accounts for."""
+    """One round, no uncertainties, no instrument: noise is estimated from the residuals of a fit of every cause."""
     rng = np.random.default_rng(5)
     plan = hidden.rounded(hidden.plan(rng, rounds=1, poses=POSES))
     truth = one("reversal", "Y", size=5.0)
     read = hidden.noisy(hidden.points(plan, [truth] if hides else []), rng, noise, SIGMA_MM)
     result = diagnose(load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=None), dmu50), dmu50, calibration)
-    assert result.scatter.startswith("what no plain form of any cause accounts for")
+    assert result.scatter.startswith("the residuals of a fit of every cause")
     assert [(c.effect, c.where) for c in result.causes] == ([truth.key] if hides else [])
     assert result.unexplained is None
 
 
 @pytest.mark.parametrize("axis", ["Y", "B"])
 def test_runs_of_one_axis_alone(dmu50: Machine, calibration: Calibration, tmp_path: Path, axis: str) -> None:
-    """How the station is turned about the one line that moves nothing can say, and nothing needs to."""
+    """The rotation of the station about the only line of motion is not identifiable, and is not needed."""
     rng = np.random.default_rng(5)
     plan = hidden.rounded(hidden.plan(rng, poses=POSES))
     still = [i for i, name in enumerate(hidden.AXES) if name != axis]

@@ -1,4 +1,4 @@
-"""Machine or instrument: both have the same functions, the targets decide which it is, and where they cannot, both are named.
+"""Effects of the machine or of the instrument: targets on both sides separate the two; otherwise both are named.
 
 The truth machine (`tests.truth.hidden`) shares no code with `twin`.
 """
@@ -36,7 +36,7 @@ def one(effect: str, where: str, **numbers: float) -> Hidden:
 def measured(
     folder: Path, machine: Machine, of: Plan, read: np.ndarray, rng: np.random.Generator, *, side: str | None = None
 ) -> Diagnosis:
-    """Diagnose readings with isotropic noise; of the targets on one side only, if it is given."""
+    """Diagnose readings with isotropic noise, of all targets or of those on one side."""
     noisy = hidden.noisy(read, rng, "isotropic", SIGMA_MM)
     data = load(hidden.write(folder / "measured.csv", of, noisy, u_mm=SIGMA_MM), machine)
     if side is not None:
@@ -111,7 +111,7 @@ def test_a_straight_drift_goes_into_the_calibration_as_a_rate(look: Callable[...
 def test_a_nearly_straight_drift_beside_a_large_pitch_error_whose_period_is_sought(
     look: Callable[..., Diagnosis],
 ) -> None:
-    """The line is the form that is sought, an exponential the one that fits as well: its time constant is in no column."""
+    """An exponential fits as well as the straight line, which is preferred: no time constant is reported."""
     pitch = one("pitch_error", "X", amplitude=40.0, period=17.3, phase=0.4)
     result = look([one("thermal_drift", "Z", rate=3.0), pitch], 43)
     found = {(cause.effect, cause.where): {q.name: q for q in cause.parameters} for cause in result.causes}
@@ -139,14 +139,14 @@ def test_an_instrument_is_affine(dmu50: Machine, tmp_path: Path, where: str) -> 
 def test_the_size_of_an_affine_error_allows_for_its_centre(
     dmu50: Machine, calibration: Calibration, tmp_path: Path
 ) -> None:
-    """Weak errors about the middle of what was read: the likelier of the two forms is often the wrong one, and u must say so."""
+    """Weak errors about the centre of the readings: the likelier of two forms is often wrong, and u must account for that."""
     rng = np.random.default_rng(53)
     of = hidden.rounded(hidden.plan(rng, poses=POSES))
     data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)
-    posed = readings(data, dmu50, calibration).without(np.zeros(len(data), dtype=bool))
-    problem, known = posed.problem, posed.known
-    cells = next(one for one in known.candidates if one.key == ("affine_scale", "round 2")).cells
-    forms = [[replace(column, scale=1.0) for column in cell.columns] for cell in cells]
+    task = readings(data, dmu50, calibration).without(np.zeros(len(data), dtype=bool))
+    problem, known = task.problem, task.catalogue
+    variants = next(one for one in known.candidates if one.key == ("affine_scale", "round 2")).variants
+    forms = [[replace(column, scale=1.0) for column in variant.columns] for variant in variants]
     columns = [problem.signature(own) for own in forms]
     covariances = [np.linalg.inv(problem.inner(own)) for own in columns]
     pulls, alone = [], []
@@ -154,7 +154,7 @@ def test_the_size_of_an_affine_error_allows_for_its_centre(
         value = rng.standard_normal(6)
         value *= np.sqrt(30.0 / (value @ np.linalg.inv(covariances[1]) @ value))
         residual = problem.project(columns[1] @ value + rng.standard_normal(len(problem.residual)))
-        problem.judge(residual)
+        problem.set_residual(residual)
         slopes = [problem.along(own, residual) for own in columns]
         best = int(np.argmax([slope @ own @ slope for slope, own in zip(slopes, covariances, strict=True)]))
         off = covariances[best] @ slopes[best] - value
@@ -162,11 +162,11 @@ def test_the_size_of_an_affine_error_allows_for_its_centre(
         pulls.append(off / np.sqrt(np.diag(spread)))
         alone.append(off / np.sqrt(np.diag(covariances[best])))
     assert 0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.3 and np.mean(np.abs(pulls) < 1.96) > 0.93
-    assert np.abs(alone).max() > 8.0 > 5.0 > np.abs(pulls).max()  # what the likelier form alone would promise
+    assert np.abs(alone).max() > 8.0 > 5.0 > np.abs(pulls).max()  # pulls with u from the likelier form alone
 
 
 def plate(folder: Path, rng: np.random.Generator, strain: np.ndarray, *, station: str = "B", turn: float = 0.3) -> Path:
-    """One plate of 15 × 11 holes, read on two coordinate measuring machines in x and y; one of them is affine, (2, 2)."""
+    """Return readings in x and y of a plate of 15 × 11 holes by two coordinate measuring machines, one with affine errors (2, 2)."""
     x, y = (a.reshape(-1) for a in np.meshgrid(np.linspace(-280.0, 280.0, 15), np.linspace(-200.0, 200.0, 11)))
     holes = np.stack([x, y], axis=1)
     lines = ["X_mm,Y_mm,target,carrier,station,x_mm,y_mm,z_mm,u_x_mm,u_y_mm"]
@@ -181,7 +181,7 @@ def plate(folder: Path, rng: np.random.Generator, strain: np.ndarray, *, station
 
 
 def test_two_coordinate_measuring_machines_differ(tmp_path: Path) -> None:
-    """By 10.6 ppm along x and 13.9 µrad, as two real ones did; of a plate read in x and y three numbers are known."""
+    """Errors of 10.6 ppm along x and 13.9 µrad, as between two real machines; a plate read in x and y determines three numbers."""
     machine = Machine.load(plates.write_machine(tmp_path))
     strain = 1e-6 * np.array([[-10.6, -13.9 / 2.0], [-13.9 / 2.0, 0.0]])
     path = plate(tmp_path, np.random.default_rng(52), strain)
@@ -196,7 +196,7 @@ def test_two_coordinate_measuring_machines_differ(tmp_path: Path) -> None:
 
 
 def test_one_instrument_alone_is_not_blamed_for_what_the_machine_may_do(tmp_path: Path) -> None:
-    """With one station and one round the machine's scale is the same thing: no affine error of the instrument is tried."""
+    """With one station and one round an affine error is confounded with the machine's scale and is not tested."""
     machine = Machine.load(plates.write_machine(tmp_path))
     strain = 1e-6 * np.array([[40.0, 0.0], [0.0, 0.0]])
     path = plate(tmp_path, np.random.default_rng(53), strain, turn=0.0)
@@ -206,8 +206,8 @@ def test_one_instrument_alone_is_not_blamed_for_what_the_machine_may_do(tmp_path
     assert ("positioning", "E_XX") in {(cause.effect, cause.where) for cause in result.causes}
 
 
-def test_equal_scales_of_the_only_affine_station_are_told_as_refraction_too(tmp_path: Path) -> None:
-    """A scale of station A, read about one place only by B: all lengths may be read too long as well."""
+def test_equal_scales_of_one_station_are_confounded_with_refraction(tmp_path: Path) -> None:
+    """A scale of station A, while B reads one place only: confounded with a scale of all lengths."""
     machine = Machine.load(plates.write_machine(tmp_path))
     path = plate(tmp_path, np.random.default_rng(54), 12e-6 * np.eye(2), station="A")
     data = load(path, machine)
@@ -218,7 +218,7 @@ def test_equal_scales_of_the_only_affine_station_are_told_as_refraction_too(tmp_
 
 
 def on_the_way(folder: Path, feeds: Sequence[float], *, delay_s: float = 0.0, reversal_um: float = 0.0) -> Diagnosis:
-    """A slide of 500 mm read while it moves, there and back once at each feed, mm/min; 0.6 µm of noise."""
+    """Return readings of a slide of 500 mm in motion, forwards and backwards once at each feed, mm/min; noise 0.6 µm."""
     machine, rng = Machine.load(write_stage(folder)), np.random.default_rng(71)
     with (folder / "way.csv").open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file)
@@ -227,7 +227,7 @@ def on_the_way(folder: Path, feeds: Sequence[float], *, delay_s: float = 0.0, re
         )
         for cycle, feed in enumerate(feeds):
             for way in (1, -1):
-                # From outside: the first position is come to as the others are.
+                # Start outside, so that the first position is approached as the others are.
                 for at in np.linspace(20.0, 480.0, 24)[::way]:
                     gone_on = way * feed / 60.0 * delay_s
                     off = 0.5 * way * reversal_um + 0.6 * rng.standard_normal()
@@ -237,7 +237,7 @@ def on_the_way(folder: Path, feeds: Sequence[float], *, delay_s: float = 0.0, re
 
 
 def test_a_delay_grows_with_the_feed(tmp_path: Path) -> None:
-    """0.4 ms at 500, 2000 and 4000 mm/min: 3 to 27 µm on the way."""
+    """0.4 ms at 500, 2000 and 4000 mm/min corresponds to 3 to 27 µm."""
     result = on_the_way(tmp_path, (500.0, 2000.0, 4000.0), delay_s=4e-4)
     (cause,) = result.causes
     assert (cause.effect, cause.where, cause.origin, cause.equivalent) == ("time_skew", "X", "instrument", ())
@@ -259,13 +259,13 @@ def test_at_one_feed_a_delay_and_a_reversal_are_the_same(tmp_path: Path, numbers
     assert {("reversal", "X"), ("time_skew", "X")} <= {(cause.effect, cause.where), *cause.equivalent}
 
 
-def test_without_a_feed_no_delay_is_sought(look: Callable[..., Diagnosis]) -> None:
+def test_without_a_feed_no_delay_is_tested(look: Callable[..., Diagnosis]) -> None:
     result = look([], 72)
     assert ("time_skew", "Y", "feed_mm_min") in result.not_evaluated
 
 
-def test_rows_closer_than_a_second_were_read_on_the_way(tmp_path: Path) -> None:
-    """Velocities by hand: 10 mm in 0.5 s, then at rest for two, then back."""
+def test_rows_closer_than_a_second_were_sampled_in_motion(tmp_path: Path) -> None:
+    """Velocities by hand: 10 mm in 0.5 s, at rest for 2 s, then back."""
     machine = Machine.load(write_stage(tmp_path))
     lines = ["X_mm,target,carrier,x_mm,y_mm,z_mm,time_s"]
     times = ((0, 0.0), (10, 0.5), (20, 1.0), (30, 3.0), (25, 3.5))

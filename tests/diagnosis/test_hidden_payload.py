@@ -233,7 +233,7 @@ def test_a_joint_that_its_own_weight_does_not_load_asks_for_no_payload(tmp_path:
         q = np.round(rng.uniform(-HIGH, HIGH, (40, 6)), 3)
         data = load(table(tmp_path / "arm.csv", q, links(np.radians(q))[-1], rng), machine)
         known = catalogue(machine, data, Calibration.default(machine)).candidates
-        free = {one.where for one in known if any("payload" in cell.fixed for cell in one.cells)}
+        free = {one.where for one in known if any("payload" in variant.fixed for variant in one.variants)}
         assert free == loaded
 
 

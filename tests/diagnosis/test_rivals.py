@@ -29,8 +29,8 @@ def data(dmu50: Machine) -> tuple[Problem, list[Candidate]]:
     """A data set with nothing in it, and a few candidates: two that are the same, one that the set-up absorbs."""
     rng = np.random.default_rng(31)
     problem, searcher, root = battery.measured(rng, dmu50, "isotropic", 40, False)
-    problem.judge(battery.noise_of(rng, problem, root))
-    return problem, [one for one in searcher.posed.known.candidates if one.key in FEW]
+    problem.set_residual(battery.noise_of(rng, problem, root))
+    return problem, [one for one in searcher.task.catalogue.candidates if one.key in FEW]
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def hide(data: tuple[Problem, list[Candidate]], key: rivals.Key, size: float, no
     problem, candidates = data
     own = next(one for one in candidates if one.key == key)
     truth = battery.some_effect(np.random.default_rng(32), problem, {own.effect: [own]}, size)
-    problem.judge(noise + truth[1])
+    problem.set_residual(noise + truth[1])
     return truth
 
 
@@ -58,7 +58,7 @@ def test_a_strong_effect_is_named(
         assert rivals.stepwise_bic(problem, candidates, design=design, extended=True) == (key,)
         assert rivals.lasso(problem, candidates, design=design)[0] == key
     finally:
-        problem.judge(quiet)
+        problem.set_residual(quiet)
 
 
 def test_the_shortlist_leaves_nothing_out(data: tuple[Problem, list[Candidate]], design: rivals.Design) -> None:
@@ -72,7 +72,7 @@ def test_the_shortlist_leaves_nothing_out(data: tuple[Problem, list[Candidate]],
         assert rivals.stepwise_bic(problem, candidates, design=design) == every
         assert set(every) == {FEW[4], FEW[5]}
     finally:
-        problem.judge(quiet)
+        problem.set_residual(quiet)
 
 
 def test_gains_are_those_of_a_regression(data: tuple[Problem, list[Candidate]], design: rivals.Design) -> None:
@@ -97,7 +97,7 @@ def test_likeness_is_the_cosine_of_an_angle(data: tuple[Problem, list[Candidate]
     try:
         signature = hide(data, ("cross_axis", "E_ZY by X"), 100.0, quiet)[1]
     finally:
-        problem.judge(quiet)
+        problem.set_residual(quiet)
     like = design.likeness(signature - problem.basis @ (problem.basis.T @ signature))
     assert like["cross_axis", "E_ZY by X"] == pytest.approx(1.0, abs=1e-9)
     assert like["cross_axis", "E_ZX by Y"] > rivals.ALIKE

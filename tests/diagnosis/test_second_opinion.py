@@ -314,9 +314,9 @@ def test_cause_is_named_on_the_truth_machine(data_set: DataSet) -> None:
     """Every credible set of an effect at noncentrality 60 has the truth in it, and ten draws in ten are found."""
     for _ in range(10):
         draw = data_set.draw()
-        data_set.problem.judge(draw.residual)
-        data_set.searcher.pool.judge(data_set.problem)
-        found = second_opinion(data_set.searcher.pool)
+        data_set.problem.set_residual(draw.residual)
+        data_set.searcher.candidates.set_problem(data_set.problem)
+        found = second_opinion(data_set.searcher.candidates)
         key = draw.truth[0][0]
         assert [effect.found for effect in found.effects] == [True, False]
         assert key in found.effects[0].credible
@@ -328,14 +328,14 @@ def test_cause_is_named_on_the_truth_machine(data_set: DataSet) -> None:
 
 def test_credible_set_holds_causes_that_look_alike(data_set: DataSet) -> None:
     """Two cross-axis errors that move the tool alike share the posterior; the set is no larger than it must be."""
-    pool, problem = data_set.searcher.pool, data_set.problem
+    candidates, problem = data_set.searcher.candidates, data_set.problem
     alike = {("cross_axis", "E_XX by Z"), ("cross_axis", "E_XZ by X")}
-    form = next(one for one in pool.forms if one.key in alike)
-    signature = problem.signature(form.cell.columns)[:, 0]
+    form = next(one for one in candidates.forms if one.key in alike)
+    signature = problem.signature(form.variant.columns)[:, 0]
     size = np.sqrt(60.0 / float(problem.inner(signature[:, None])[0, 0]))
-    problem.judge(signature * size)
-    pool.judge(problem)
-    effect = second_opinion(pool).effects[0]
+    problem.set_residual(signature * size)
+    candidates.set_problem(problem)
+    effect = second_opinion(candidates).effects[0]
     assert alike <= set(effect.credible)
     share = np.array([effect.posterior[key] for key in effect.credible])
     assert share.sum() >= CREDIBLE

@@ -10,7 +10,7 @@ from scipy import stats
 
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
-from twin.diagnosis.candidates.signatures import of_base
+from twin.diagnosis.candidates.signatures import base_column
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.selection.likelihood import Likelihood
@@ -33,8 +33,8 @@ def searched(dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.
     path = tmp_path_factory.mktemp("unnamed") / "m.csv"
     data = load(hidden.write(path, plan, hidden.noisy(exact, rng, "isotropic", SIGMA_MM), u_mm=SIGMA_MM), dmu50)
     placed = readings(data, dmu50, calibration)
-    posed = placed.without(placed.bad)
-    return Searcher(posed)
+    task = placed.without(placed.bad)
+    return Searcher(task)
 
 
 def beside(problem: Problem, columns: np.ndarray) -> np.ndarray:
@@ -82,12 +82,12 @@ def test_the_functions_of_a_pattern_are_products_of_half_waves_and_turns(searche
 
 def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) -> None:
     """Statistic and weights of every direction from dense matrices, the set-up and a cause taken out by least squares."""
-    problem, pool = searched.problem, searched.pool
-    form = next(one for one in pool.forms if one.key == ("reversal", "Y"))
+    problem, candidates = searched.problem, searched.candidates
+    form = next(one for one in candidates.forms if one.key == ("reversal", "Y"))
     pattern = next(p for p in searched.patterns if p.names == ("Y_mm", "Z_mm") and p.side == "tool")
     (trace,) = scan(problem, [pattern], [form], np.inf)
     columns = [problem.signature(pattern.columns(trace.level, [i])) for i in trace.directions]
-    free = np.concatenate([problem.nuisance, problem.signature(form.cell.columns)], axis=1)
+    free = np.concatenate([problem.nuisance, problem.signature(form.variant.columns)], axis=1)
     phi = np.concatenate(columns, axis=1)
     phi = phi - free @ np.linalg.lstsq(free, phi, rcond=1e-12)[0]
     deviation = np.concatenate([np.full(c.shape[1], 1.0) for c in columns])
@@ -111,10 +111,10 @@ def test_without_anything_left_patterns_are_seldom_found(searched: Searcher, dra
     before, found = problem.residual, 0
     try:
         for _ in range(draws):
-            problem.judge(rng.standard_normal(len(before)))
+            problem.set_residual(rng.standard_normal(len(before)))
             found += scan(problem, searched.patterns, (), np.inf)[0].found
     finally:
-        problem.judge(before)
+        problem.set_residual(before)
     assert found <= allowed
 
 
@@ -123,24 +123,24 @@ def found_pattern(searched: Searcher, pattern: Pattern, size: float) -> Likeliho
     problem, rng = searched.problem, np.random.default_rng(6)
     columns = pattern.columns(2, [0])
     made = problem.signature(columns) @ rng.standard_normal(len(columns))
-    problem.judge(made * size + rng.standard_normal(len(made)) * problem.network.read.reshape(-1))
-    searched.pool.judge(problem)
+    problem.set_residual(made * size + rng.standard_normal(len(made)) * problem.network.read.reshape(-1))
+    searched.candidates.set_problem(problem)
     (trace,) = scan(problem, [pattern], (), np.inf)
     assert trace.found
-    return Likelihood(searched.pool, [trace])
+    return Likelihood(searched.candidates, [trace])
 
 
 def test_the_likelihood_beside_a_pattern_is_that_of_the_dense_covariance(searched: Searcher) -> None:
     """−log|V| − rᵀV⁻¹r with the set-up projected out, V = s²(1 + ΦDΦᵀ), at the variances that were found; no others are likelier."""
-    problem, pool = searched.problem, searched.pool
+    problem, candidates = searched.problem, searched.candidates
     before = problem.residual
     try:
         pattern = next(p for p in searched.patterns if p.names == ("X_mm",) and p.side == "tool")
         likelihood = found_pattern(searched, pattern, 1.0)
-        form = next(one for one in pool.forms if one.key == ("reversal", "Y"))
+        form = next(one for one in candidates.forms if one.key == ("reversal", "Y"))
         model = likelihood.fit([form])
         phi = beside(problem, problem.signature(likelihood.columns))
-        x = beside(problem, problem.signature(form.cell.columns))
+        x = beside(problem, problem.signature(form.variant.columns))
         r = beside(problem, problem.residual[:, None])[:, 0]
 
         def twice(variances: np.ndarray) -> float:
@@ -161,13 +161,13 @@ def test_the_likelihood_beside_a_pattern_is_that_of_the_dense_covariance(searche
         for factor in (0.7, 1.4):
             assert twice(model.variances * factor) < model.twice + 0.02
     finally:
-        problem.judge(before)
-        pool.judge(problem)
+        problem.set_residual(before)
+        candidates.set_problem(problem)
 
 
 def test_what_a_pattern_most_likely_is_follows_from_the_dense_covariance(searched: Searcher) -> None:
     """s²(ΦᵀMΦ + D⁻¹)⁻¹ and its product with Φᵀr: Bayesian linear regression, also along what no reading shows."""
-    problem, pool = searched.problem, searched.pool
+    problem, candidates = searched.problem, searched.candidates
     before = problem.residual
     try:
         pattern = max((p for p in searched.patterns if p.side == "work"), key=lambda p: len(p.columns(p.highest, [0])))
@@ -182,15 +182,15 @@ def test_what_a_pattern_most_likely_is_follows_from_the_dense_covariance(searche
         alone = likelihood.slope_beside([])
         np.testing.assert_allclose(likelihood.slope_with(problem.residual), alone, atol=1e-6 * np.abs(alone).max())
     finally:
-        problem.judge(before)
-        pool.judge(problem)
+        problem.set_residual(before)
+        candidates.set_problem(problem)
 
 
 def test_columns_along_the_base_are_the_patterns_own(searched: Searcher) -> None:
     """µm a unit of a function, along an axis of the base frame."""
     pattern = next(p for p in searched.patterns if p.names == ("X_mm",) and p.side == "tool" and p.field == "base")
     (first, *_) = pattern.columns(2, [1])
-    same = of_base(1, first.parts[0].functions, first.parts[0].index)
+    same = base_column(1, first.terms[0].functions, first.terms[0].index)
     found, expected = (searched.problem.signature([column])[:, 0] / column.scale for column in (first, same))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 

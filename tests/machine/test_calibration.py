@@ -161,7 +161,7 @@ def test_joint_covariance_reads_back(dmu50: Machine, tmp_path: Path) -> None:
     [
         ("lower: |\n    ", "lower: |\n    1 ", "row 1 has 2 numbers"),
         ("- E_C0Y", "- E_A0Z", "not in this file"),
-        ("lower: |\n    ", "lower: |\n    x", "no number"),
+        ("lower: |\n    ", "lower: |\n    x", "not a number"),
         ("lower: |\n    ", "lower: |\n    -", "negative variance"),
     ],
 )

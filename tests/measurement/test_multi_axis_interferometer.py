@@ -356,13 +356,13 @@ def test_in_words_the_beams_of_one_mirror_move_along_it_together() -> None:
     )
     found = determinability(matrix, unknowns, tolerance=1e-13)
     assert found.rank == 46
-    moving = found.moving("beam 2 y")
+    moving = found.null_direction_of("beam 2 y")
     assert moving is not None
     moves = {move.name: move.value for move in moving.moves}
     assert [move.unit for move in moving.moves] == ["um"] * len(moving.moves)
     assert {"beam 1 y", "beam 2 y", "beam 3 y"} <= set(moves)
     assert moves["beam 1 y"] == pytest.approx(moves["beam 3 y"], rel=1e-6)
-    assert found.moving("position 3 turn z") is None
+    assert found.null_direction_of("position 3 turn z") is None
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -224,7 +224,7 @@ def self_calibrate(
             return SelfCalibration(locked(found), locked(told), locked(residual), answer, taken, converged)
         left, spectrum = decompose(whitened, scale, tolerance=least)
         along = left.T @ residual.reshape(-1) / noise
-        step = spectrum.directions @ (along / spectrum.strength) * scale
+        step = spectrum.directions @ (along / spectrum.singular_values) * scale
         told[sought] += step[:count]
         found[:, motions] += step[count:].reshape(n, -1)
         taken += 1

@@ -1,4 +1,4 @@
-"""Independence factors of Wen et al. (2023), to compare leverages with."""
+"""Independence factors of Wen et al. (2023), for comparison with leverages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class IndependenceFactors:
 
     Attributes:
         eigenvalues: (p,) of the covariance of the columns, descending.
-        rank: how many lie above the threshold.
+        rank: number of eigenvalues above the threshold.
         factors: (p,) independence factor of each unknown: the largest magnitude in its row of the leading eigenvectors.
     """
 
@@ -25,9 +25,9 @@ class IndependenceFactors:
 
 
 def independence_factors(jacobian: np.ndarray, *, threshold: float) -> IndependenceFactors:
-    """Independence factors of the columns, as printed: centred, in the units they come in.
+    """Return independence factors of the columns as in the paper: centred, in their own units.
 
-    They change with those units and with the threshold, which the paper leaves open, and with the basis of repeated eigenvalues;
+    They depend on the units, on the threshold, which the paper does not specify, and on the basis of repeated eigenvalues;
     `Determinability.leverage` does not.
 
     Args:

@@ -1,4 +1,4 @@
-"""Every curve basis alike: values, derivatives, CasADi beside NumPy, calibration files, sums, conversions; and splines with knots.
+"""All curve bases: values, derivatives, CasADi against NumPy, calibration files, sums, conversions; and splines with knots.
 
 Truth is `numpy.polynomial`, `scipy.interpolate` and sines written out; no formula of the package.
 """
@@ -30,7 +30,7 @@ from twin.numerics.curves.cubic_spline import CubicSpline
 DOMAIN = (0.0, 360.0)
 KNOTS = (0.0, 30.0, 95.0, 100.0, 250.0, 360.0)
 MEMBERS = [basis(KNOTS) if basis.takes_knots else basis() for basis in BASES]
-COUNTS = {basis: [n for n in range(1, 14) if basis.misfit(n, rotary=True) is None] for basis in MEMBERS}
+COUNTS = {basis: [n for n in range(1, 14) if basis.count_problem(n, rotary=True) is None] for basis in MEMBERS}
 CASES = [(basis, count) for basis in MEMBERS for count in COUNTS[basis]]
 NAMES = [f"{basis.name}-{count}" for basis, count in CASES]
 EPS = float(np.finfo(float).eps)
@@ -39,7 +39,7 @@ every_basis = pytest.mark.parametrize("basis", MEMBERS, ids=lambda basis: basis.
 
 
 def reference(basis: Basis, q: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """The curve by another formula."""
+    """Return the curve's values by another formula."""
     u = 2.0 * (q - DOMAIN[0]) / (DOMAIN[1] - DOMAIN[0]) - 1.0
     match basis.name:
         case "power":
@@ -61,7 +61,7 @@ def drawn(count: int, seed: int = 0) -> np.ndarray:
 
 
 def inside(count: int = 97) -> np.ndarray:
-    """Places that are no knots, both ends beside them."""
+    """Return positions that are not knots, and both ends."""
     return np.concatenate([[DOMAIN[0]], np.linspace(DOMAIN[0] + 0.37, DOMAIN[1] - 0.41, count), [DOMAIN[1]]])
 
 
@@ -110,7 +110,7 @@ def test_casadi_is_numpy_and_its_derivative_that_of_differences(basis: Basis, co
 @every_basis
 def test_counts_and_orders(basis: Basis) -> None:
     assert COUNTS[basis]
-    assert basis.misfit(0, rotary=True) is not None
+    assert basis.count_problem(0, rotary=True) is not None
     for count in COUNTS[basis]:
         groups = basis.groups(1, count)
         assert [k for group in groups for k in group] == list(range(1, count))
@@ -147,7 +147,7 @@ def test_a_calibration_file_keeps_every_digit(basis: Basis, count: int, dmu50: M
 
 @pytest.mark.parametrize(("basis", "other"), list(product(MEMBERS, MEMBERS)), ids=lambda basis: basis.name)
 def test_a_sum_is_the_sum_or_refused(basis: Basis, other: Basis) -> None:
-    """Every basis on every other, of as many coefficients as they have: refused only where one is no curve of the other."""
+    """Add curves of every basis to every other, of any number of coefficients; refused only if the other cannot represent it."""
     one, two = drawn(COUNTS[basis][-1]), drawn(COUNTS[other][-1], seed=1)
     curve = Curve("E_XC", "um", DOMAIN, basis.name, tuple(one), knots=basis.knots)
     motion = ErrorMotion("E_XC", other, DOMAIN, tuple(two), wrapped=False)
@@ -252,7 +252,7 @@ def test_a_spline_takes_a_polynomial_up_to_its_degree(count: int) -> None:
 
 
 def in_splines(calibration: Calibration) -> Calibration:
-    """The same machine with a cubic of every linear axis as a spline, by least squares."""
+    """Return the same machine with a cubic spline for every linear axis, by least squares."""
     curves = dict(calibration.curves)
     for name, curve in calibration.curves.items():
         if curve.family == POWER:
@@ -266,7 +266,7 @@ def in_splines(calibration: Calibration) -> Calibration:
 
 
 def test_a_machine_in_splines_is_that_machine(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
-    """Written, read, symbolic and compiled: as SciPy's splines in the polynomials' place."""
+    """Written, read, symbolic and compiled curves agree with SciPy's splines."""
     path = tmp_path / "c.yaml"
     in_splines(calibration).save(path)
     read = Calibration.load(path, dmu50)
@@ -321,7 +321,7 @@ def test_a_diagnosis_adds_to_a_spline(dmu50: Machine) -> None:
 
 
 def test_a_spline_is_no_space_of_an_estimate_but_has_orthonormal_functions() -> None:
-    """`identify` does not try it; what it would need, functions orthonormal over the domain, is there."""
+    """`identify` does not use splines, but their functions orthonormalised over the domain exist."""
     space = CurveSpace("E_XC", CubicSpline(KNOTS), DOMAIN, 0, 8)
     q, w = space.grid()
     values = space.functions(q)

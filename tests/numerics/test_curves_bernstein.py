@@ -46,7 +46,7 @@ def bernstein_matrix(t: list[Fraction], degree: int) -> Matrix:
 
 
 def neville(a: Matrix) -> tuple[dict[tuple[int, int], Fraction], list[Fraction]]:
-    """Multipliers, by row and column from 1, and diagonal pivots of the Neville elimination: each row less some of the one above."""
+    """Return multipliers, by row and column from 1, and diagonal pivots of the Neville elimination."""
     a = [list(row) for row in a]
     rows, columns = len(a), len(a[0])
     multipliers = {}
@@ -61,7 +61,7 @@ def neville(a: Matrix) -> tuple[dict[tuple[int, int], Fraction], list[Fraction]]
 def eq10(
     f: list[Fraction], g: list[Fraction], n: int
 ) -> tuple[dict[tuple[int, int], Fraction], Matrix, list[Fraction]]:
-    """Eq. 10 letter by letter, indices from 1: m_{i,j}; the multipliers of Aᵀ; p_{i,i}. More rows than columns allowed."""
+    """Return m_{i,j}, the multipliers of Aᵀ and p_{i,i} by eq. 10 as printed, indices from 1; more rows than columns allowed."""
     ff, gg = [Fraction(0), *f], [Fraction(0), *g]
 
     def difference(i: int, k: int) -> Fraction:
@@ -114,7 +114,7 @@ def test_eq_10_is_exact_in_rationals_square_and_rectangular(rows: int, degree: i
 
 
 @pytest.mark.parametrize(("rows", "degree", "closed"), [(12, 11, True), (12, 11, False), (25, 8, True), (25, 8, False)])
-def test_every_factor_is_right_to_its_rounding(rows: int, degree: int, closed: bool) -> None:
+def test_every_factor_is_accurate_to_rounding(rows: int, degree: int, closed: bool) -> None:
     t = np.linspace(0.0, 1.0, rows) if closed else np.sort(np.random.default_rng(rows).uniform(size=rows))
     a = bernstein_matrix([Fraction(float(x)) for x in t], degree)
     m, p = neville(a)
@@ -237,12 +237,12 @@ def test_table_3(kind: Literal["polynomial", "trigonometric"], count: int) -> No
 
 
 def test_table_3_of_polynomials_at_21_points() -> None:
-    """Printed as far less than a nanometre."""
+    """The printed errors are far below a nanometre."""
     basis, t = FGBernstein(20, (0.0, TURN)), TURN * np.arange(21) / 20
     assert largest(basis, basis.least_squares(t, cycloid(t)), 0.0, TURN) < 1e-7
 
 
-def test_what_table_3_and_its_text_say_too_much() -> None:
+def test_errors_in_table_3_and_its_text() -> None:
     """5.31 µm (7 points, second interval) is 5.03; 11 points do not meet 0.05 µm, as section 7 has it: 12 do, and 16 trigonometric."""
     worst: dict[str, dict[int, float]] = {}
     for kind in KINDS:
@@ -301,7 +301,7 @@ def test_table_4(kind: Literal["polynomial", "trigonometric"], points: int, coun
     ("points", "degree", "lost"), [(11, 10, 0.0), (51, 20, 1e-12), (41, 30, 1e-10), (101, 40, 1e-7)]
 )
 def test_least_squares_keeps_all_digits_of_rough_data(points: int, degree: int, lost: float) -> None:
-    """Beside Gram's polynomials in rationals. An ordinary QR loses some, by a relative error of ``lost`` and more."""
+    """Compare with Gram's polynomials in rationals. An ordinary QR has a relative error of ``lost`` or more."""
     q = np.linspace(0.0, 500.0, points)
     basis = FGBernstein(degree, (0.0, 500.0))
     for values in (
@@ -347,7 +347,7 @@ def test_a_curve_begins_and_ends_at_its_control_points(
 
 
 def test_trigonometric_functions_do_not_sum_to_one() -> None:
-    """No convex hull then: what section 4 calls shape-preserving is polynomials'. At the paper's Δ and degree 20 they sum to 1024."""
+    """There is no convex hull: only polynomials are shape-preserving (section 4). At the paper's Δ and degree 20 they sum to 1024."""
     basis = FGBernstein(20, kind="trigonometric")
     t = np.linspace(0.0, 1.0, 101)
     delta = basis.half_angle_rad
@@ -362,7 +362,7 @@ def test_trigonometric_functions_do_not_sum_to_one() -> None:
     seed=st.integers(0, 99),
 )
 def test_collocation_matrices_are_totally_positive(t: list[int], degree: int, seed: int) -> None:
-    """Minors of rows and columns in order, worked out in rationals from the values' own floating-point numbers: none negative."""
+    """Minors of rows and columns in order, computed in rationals from the floating-point values, are not negative."""
     x = np.sort(np.array(t)) / 64.0
     a = FGBernstein(degree).collocation(x)
     columns = np.sort(np.random.default_rng(seed).permutation(degree + 1)[:3])
@@ -400,7 +400,7 @@ def test_control_points_come_back(
 
 @given(degree=st.integers(0, 12), kind=st.sampled_from(KINDS), half=st.floats(0.1, 2.5), seed=st.integers(0, 99))
 def test_derivatives(degree: int, kind: Literal["polynomial", "trigonometric"], half: float, seed: int) -> None:
-    """Beside central differences of the curve."""
+    """Compare with central differences of the curve."""
     rng = np.random.default_rng(seed)
     basis = FGBernstein(degree, (2.0, 5.0), kind, half)
     control, t, h = rng.standard_normal((degree + 1, 2)), np.linspace(2.1, 4.9, 8), 1e-4
@@ -411,7 +411,7 @@ def test_derivatives(degree: int, kind: Literal["polynomial", "trigonometric"], 
 
 
 def test_even_trigonometric_functions_make_harmonics_and_odd_ones_no_constant() -> None:
-    """Over −110° to 110°: degree 6 is what ``fourier`` with three harmonics makes; degree 5 does not even make a constant."""
+    """Over −110° to 110°, degree 6 spans ``fourier`` with three harmonics; degree 5 does not contain a constant."""
     q = np.linspace(-110.0, 110.0, 61)
     half = np.radians(110.0)
     fourier = np.stack(FOURIER.functions(q, (-110.0, 110.0), 7), axis=1)
@@ -475,7 +475,7 @@ def test_numpy_and_casadi_evaluate_alike(count: int, seed: int) -> None:
 
 @given(count=st.integers(1, 15), more=st.integers(0, 4), seed=st.integers(0, 99))
 def test_conversion_there_and_back(count: int, more: int, seed: int) -> None:
-    """The same polynomial, beside NumPy's own evaluation of powers; raised in degree too."""
+    """The same polynomial by NumPy's evaluation of powers, also with a raised degree."""
     c = np.random.default_rng(seed).standard_normal(count)
     matrix, back = conversion(POWER, BERNSTEIN, count, count + more), conversion(BERNSTEIN, POWER, count, count)
     raised = conversion(BERNSTEIN, BERNSTEIN, count, count + more)
@@ -500,7 +500,7 @@ def test_no_conversion_between_polynomials_and_harmonics() -> None:
 
 
 def in_bernstein(calibration: Calibration) -> Calibration:
-    """The same machine with every polynomial written in Bernstein polynomials."""
+    """Return the same machine with every polynomial in the Bernstein basis."""
     curves = {
         name: curve if curve.basis == "fourier" else curve.written("bernstein", len(curve.coefficients))
         for name, curve in calibration.curves.items()
@@ -588,7 +588,7 @@ def test_bernstein_coefficients_of_a_file_are_counted(dmu50: Machine, tmp_path: 
 
 @pytest.mark.parametrize("count", [2, 7, 13, 45])
 def test_orthonormal_functions_do_not_depend_on_the_basis(count: int) -> None:
-    """They are Legendre's, beside their recurrence in NumPy; and what is written of the first of them is those, in every number."""
+    """The functions are Legendre's, by NumPy's recurrence; `transform_of` gives the first of them for any number."""
     domain = (-400.0, 0.0)
     q = np.linspace(*domain, 57)
     truth = np.polynomial.legendre.legvander(q / 200.0 + 1.0, count - 1) * np.sqrt(2.0 * np.arange(count) + 1.0)
@@ -596,13 +596,13 @@ def test_orthonormal_functions_do_not_depend_on_the_basis(count: int) -> None:
         space = CurveSpace("E_XZ", basis, domain, 1, count)
         assert space.functions(q) == pytest.approx(truth, abs=1e-12 * count)
         for fewer in {2, min(count, 13)}:
-            written = np.stack(basis.functions(q, domain, fewer), axis=1) @ space.written(fewer)
+            written = np.stack(basis.functions(q, domain, fewer), axis=1) @ space.transform_of(fewer)
             # Rounding times the coefficients' size, 2^n or so.
             assert written == pytest.approx(truth[:, :fewer], abs=EPS * 4.0**fewer)
 
 
 def test_an_estimate_is_the_same_curve_and_uncertainty_in_either_basis(dmu50: Machine) -> None:
-    """Columns cut from the end, a constant told: values and standard uncertainties of every curve."""
+    """Values and standard uncertainties of every curve agree, with columns removed from the end and a fixed constant."""
     rng = np.random.default_rng(8)
     found = []
     for basis in (POWER, BERNSTEIN):
@@ -631,10 +631,10 @@ def test_an_estimate_is_the_same_curve_and_uncertainty_in_either_basis(dmu50: Ma
         assert variances[1] == pytest.approx(variances[0], rel=1e-8)
 
 
-def test_a_diagnosis_says_of_bernstein_curves_what_it_says_of_powers(
+def test_a_diagnosis_of_bernstein_curves_equals_that_of_powers(
     dmu50: Machine, calibration: Calibration, tmp_path: Path
 ) -> None:
-    """E_CX with the wrong sign: named, and put right in its own basis."""
+    """E_CX with the wrong sign is named and corrected in its own basis."""
     rng = np.random.default_rng(1)
     plan = hidden.rounded(hidden.plan(rng, poses=40))
     read = hidden.noisy(hidden.points(plan), rng, "isotropic", 3e-3)

@@ -1,4 +1,4 @@
-"""Which unknowns data determine: against null spaces found by other means, exact rationals, ordinary least squares, closed forms."""
+"""Observability, compared with null spaces in exact rationals, ordinary least squares and closed forms."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def deficient(rng: np.random.Generator, rows: int, columns: int, rank: int) -> n
 
 
 def exact_null_space(matrix: list[list[int]]) -> list[list[Fraction]]:
-    """Gauss and Jordan in rationals: an independent vector for each column without a pivot."""
+    """Return the null space by Gauss-Jordan elimination in rationals: one vector for each column without a pivot."""
     rows = [[Fraction(v) for v in row] for row in matrix]
     pivots: list[int] = []
     for column in range(len(rows[0])):
@@ -59,7 +59,7 @@ def test_rank_and_leverage_are_those_of_the_null_space(rows: int, columns: int, 
 
 
 def test_an_unknown_of_no_leverage_is_one_whose_column_carries_rank() -> None:
-    """Theorem 2 of Wen et al., column by column: x_n is unique if its column cannot be made of the others."""
+    """Theorem 2 of Wen et al., column by column: x_n is unique if its column is independent of the others."""
     rng = np.random.default_rng(7)
     jacobian = np.hstack([rng.standard_normal((30, 4)), deficient(rng, 30, 5, 3) / 1e3]) * 1e3
     found = determinability(jacobian, plain(9))
@@ -88,39 +88,39 @@ def test_words_name_what_moves_together_with_sign_and_unit() -> None:
     unknowns = [Unknown("station 1 x", "mm", 1.0, 1e-3), Unknown("E_X0C", "um", 1000.0), Unknown("E_A0C", "urad", 9.0)]
     found = determinability(jacobian, unknowns)
     assert [str(one) for one in found.null_directions] == ["station 1 x +1 mm with E_X0C -1000 µm"]
-    assert str(found.moving("E_X0C")) == "E_X0C +1000 µm with station 1 x -1 mm"
-    assert found.moving("E_A0C") is None
+    assert str(found.null_direction_of("E_X0C")) == "E_X0C +1000 µm with station 1 x -1 mm"
+    assert found.null_direction_of("E_A0C") is None
     assert np.allclose(found.leverage, [0.5, 0.5, 0.0])
     assert np.allclose(found.reach, [np.sqrt(0.5), 1000.0 * np.sqrt(0.5), 0.0])
     assert np.isnan(found.u[:2]).all()
     assert found.u[2] == pytest.approx(1.0)
 
 
-def test_what_nothing_reads_moves_alone() -> None:
+def test_an_unknown_without_readings_is_named_alone() -> None:
     found = determinability(np.array([[5.0, 0.0]]), [Unknown("a", "um", 1.0), Unknown("b", "um", 3.0)])
     assert [str(one) for one in found.null_directions] == ["b +3 µm alone"]
-    assert np.allclose(found.unseen, [1.0 / 26.0, 1.0])
+    assert np.allclose(found.remaining_variance, [1.0 / 26.0, 1.0])
 
 
 def test_of_all_directions_that_move_an_unknown_the_one_with_the_fewest_others_is_named() -> None:
-    """Ten pairs that only show their sums, mixed by whatever basis the null space comes in: each is named with its partner alone."""
+    """Ten pairs of which only the sums are observable, in an arbitrary basis of the null space: each is named with its partner only."""
     rng = np.random.default_rng(19)
     pairs = np.repeat(np.eye(10), 2, axis=1)
     jacobian = rng.standard_normal((40, 10)) @ pairs * rng.uniform(1.0, 1e4, 20)
     found = determinability(jacobian, plain(20, 1e3))
     assert found.rank == 10
     for i in range(20):
-        direction = found.moving(f"p{i}")
+        direction = found.null_direction_of(f"p{i}")
         assert direction is not None
         assert [move.name for move in direction.moves] == [f"p{i}", f"p{i + 1 - 2 * (i % 2)}"]
         assert direction.change < 1e-5
 
 
-def test_a_small_part_of_a_large_plausible_size_is_named_all_the_same() -> None:
-    """A station may stand metres off; the millimetre of it that makes up for an error's is what the sentence is about."""
+def test_a_small_part_of_a_large_plausible_size_is_named() -> None:
+    """A station is known to metres only; its movement by a millimetre, which compensates an error, is named all the same."""
     unknowns = [Unknown("E_X0B", "um", 1000.0), Unknown("station 1 x", "mm", 1e4, 1e3)]
     found = determinability(np.array([[1.0, -1.0]]), unknowns)
-    assert str(found.moving("E_X0B")) == "E_X0B +1000 µm with station 1 x +1 mm"
+    assert str(found.null_direction_of("E_X0B")) == "E_X0B +1000 µm with station 1 x +1 mm"
     assert found.leverage[1] < 1e-7 < 0.99 < found.leverage[0]
 
 
@@ -141,11 +141,11 @@ def test_standard_uncertainties_are_those_of_ordinary_least_squares() -> None:
     answer = sm.WLS(rng.standard_normal(50), jacobian, weights=1.0 / sigma**2).fit()
     assert np.allclose(found.u, np.sqrt(np.diag(answer.normalized_cov_params)), rtol=1e-10)
     with_prior = np.linalg.inv(np.eye(6) + jacobian.T @ (jacobian / sigma[:, None] ** 2) * 1e8)
-    assert np.allclose(found.unseen, np.diag(with_prior), rtol=1e-6)
+    assert np.allclose(found.remaining_variance, np.diag(with_prior), rtol=1e-6)
 
 
 def test_units_change_nothing_but_the_stated_numbers() -> None:
-    """Millimetres and milliradians, or metres and radians: the same question, the same answer."""
+    """Millimetres and milliradians, or metres and radians, give the same result."""
     rng = np.random.default_rng(11)
     jacobian = deficient(rng, 30, 8, 6)
     factor = 10.0 ** rng.integers(-6, 7, 8)
@@ -171,8 +171,8 @@ def test_a_triangular_factor_serves_as_well() -> None:
     assert factor.observability == whole.observability
 
 
-def test_conditions_bind() -> None:
-    """With the sum of all held, heights known only by their differences are determined."""
+def test_constraints_reduce_the_null_space() -> None:
+    """Heights known only by their differences are determined if their sum is fixed."""
     heights = np.eye(5) - np.roll(np.eye(5), 1, axis=1)
     free = scipy.linalg.null_space(np.ones((1, 5)))
     assert determinability(heights * 1e3, plain(5)).rank == 4
@@ -181,17 +181,17 @@ def test_conditions_bind() -> None:
     assert np.abs(held.leverage).max() == 0.0
 
 
-def test_a_direction_weaker_than_what_was_known_is_not_seen() -> None:
-    """Tolerance one: a reading of 1 µm that says 1.25 µm of an unknown plausible to 1 µm says less than was known."""
+def test_a_direction_weaker_than_the_prior_is_not_observable() -> None:
+    """At tolerance one, a reading that determines an unknown to 1.25 µm adds less than its prior of 1 µm."""
     weak = determinability(np.array([[0.8]]), plain(1))
-    assert (weak.rank, weak.unseen[0], weak.null_directions[0].change) == (0, 1.0, pytest.approx(0.8))
+    assert (weak.rank, weak.remaining_variance[0], weak.null_directions[0].change) == (0, 1.0, pytest.approx(0.8))
     assert determinability(np.array([[0.8]]), plain(1), tolerance=0.5).rank == 1
     strong = determinability(np.array([[4.0]]), plain(1))
-    assert (strong.unseen[0], bool(strong.determined[0])) == (pytest.approx(1.0 / 17.0), True)
+    assert (strong.remaining_variance[0], bool(strong.determined[0])) == (pytest.approx(1.0 / 17.0), True)
 
 
 def test_observability_indices_are_those_of_the_definition() -> None:
-    """From determinants, eigenvalues and norms instead of singular values."""
+    """Compare with determinants, eigenvalues and norms instead of singular values."""
     jacobian = np.random.default_rng(13).standard_normal((24, 5)) * 30.0
     normal = jacobian.T @ jacobian
     found = determinability(jacobian, plain(5), measurements=8).observability
@@ -227,17 +227,17 @@ def test_independence_factors_follow_the_printed_steps() -> None:
         (np.eye(1), plain(1), 0.0, "above zero"),
     ],
 )
-def test_what_cannot_be_asked(jacobian: np.ndarray, unknowns: list[Unknown], tolerance: float, said: str) -> None:
+def test_invalid_arguments(jacobian: np.ndarray, unknowns: list[Unknown], tolerance: float, said: str) -> None:
     with pytest.raises(InputError, match=said):
         determinability(jacobian, unknowns, tolerance=tolerance)
 
 
-def test_no_observability_of_nothing() -> None:
-    with pytest.raises(InputError, match="no observability"):
+def test_observability_without_singular_values() -> None:
+    with pytest.raises(InputError, match="needs singular values"):
         observability(np.zeros(0), 3)
 
 
-def test_an_unknown_that_is_not_there() -> None:
+def test_unknown_name() -> None:
     found: Determinability = determinability(np.eye(1), plain(1))
     with pytest.raises(KeyError):
-        found.moving("p7")
+        found.null_direction_of("p7")

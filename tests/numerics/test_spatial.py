@@ -1,4 +1,4 @@
-"""Orientation: conversions against other formulations, smooth through zero; what the paper on fused-like angles prints, and what holds.
+"""Orientation: conversions against other formulations, smoothness at zero, and the printed results of the paper on fused-like angles.
 
 Truths: scipy's Rotation (quaternions), the power series of the matrix exponential in 50 decimal digits, formulas derived here.
 Paper: D. Chang, P. Hu, J. Tan, Front. Inform. Technol. Electron. Eng. 22 (2021) 1677-1685.
@@ -41,7 +41,7 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
 
 
 def fused_matrix(angles: Any) -> np.ndarray:
-    """The matrix of (3,) fused-like angles: eq. 7 with its sign put right, 9 and 10."""
+    """Return the matrix of fused-like angles (3,): eq. 7 with its sign corrected, 9 and 10."""
     roll, pitch, yaw = angles
     z = np.array([np.tan(pitch), -np.tan(roll), 1.0])
     y = np.array([-np.sin(yaw), np.cos(yaw), np.sin(yaw) * np.tan(pitch) + np.cos(yaw) * np.tan(roll)])
@@ -50,13 +50,13 @@ def fused_matrix(angles: Any) -> np.ndarray:
 
 
 def directions(n: int, seed: int) -> np.ndarray:
-    """(n, 3) evenly over the sphere."""
+    """Return directions (n, 3) evenly distributed over the sphere."""
     drawn = np.random.default_rng(seed).normal(size=(n, 3))
     return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
 
 
 def precise(vector: Any) -> np.ndarray:
-    """Exp in 50 digits: Σ K^n / n!, which knows no sine; (3, 3) of Decimals."""
+    """Return Exp as (3, 3) Decimals to 50 digits, by the series Σ K^n / n!."""
     x, y, z = (Decimal(float(v)) for v in vector)
     none = Decimal(0)
     k = np.array([[none, -z, y], [z, none, -x], [-y, x, none]])
@@ -82,7 +82,7 @@ def test_exp_and_log_against_the_power_series(vector: np.ndarray) -> None:
 
 
 def test_exp_of_small_vectors_keeps_its_second_order() -> None:
-    """R_ij + R_ji = v_i v_j to fourth order: a difference 1 − cos t would have lost it."""
+    """R_ij + R_ji = v_i v_j to fourth order; a difference 1 − cos t would cancel."""
     for size in (1e-3, 1e-5, 1e-7):
         x, y, z = vector = size * np.array([0.6, -0.48, 0.64])
         matrix = rotation_exp(vector)
@@ -106,7 +106,7 @@ def test_fused_like_angles_there_and_back(roll: float, pitch: float, yaw: float)
 
 
 @given(steep, steep)
-def test_a_tilt_does_not_see_a_turn_about_the_axis(roll: float, pitch: float) -> None:
+def test_a_tilt_is_independent_of_a_rotation_about_the_axis(roll: float, pitch: float) -> None:
     matrix = fused_matrix([roll, pitch, 0.3])
     for yaw in (-3.0, -1e-9, 2.0):
         spun = matrix @ rotation_exp([0.0, 0.0, yaw])
@@ -187,7 +187,7 @@ def test_derivatives_of_exp_at_zero() -> None:
 
 
 def test_no_step_at_zero() -> None:
-    """Along a line through zero nothing jumps, down to the smallest numbers: every result has the digits of its argument."""
+    """Along a line through zero all results are continuous and accurate to rounding, down to the smallest numbers."""
     along = np.array([0.6, -0.48, 0.64])
     for size in (*10.0 ** np.arange(-300.0, -2.0, 7.0), *-(10.0 ** np.arange(-300.0, -2.0, 7.0))):
         vector = size * along
@@ -202,13 +202,13 @@ def test_no_step_at_zero() -> None:
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        (lambda: rotation_log(np.eye(3) * 1.001), "no rotation"),
+        (lambda: rotation_log(np.eye(3) * 1.001), "not a rotation"),
         (lambda: fused_angles(np.diag([1.0, 1.0, -1.0])), "mirror image"),
-        (lambda: rotation_log(np.full((3, 3), np.nan)), "no rotation"),
-        (lambda: rotation_log(np.round(rotation_exp([0.1, 0.2, 0.3]), 5)), "no rotation"),
+        (lambda: rotation_log(np.full((3, 3), np.nan)), "not a rotation"),
+        (lambda: rotation_log(np.round(rotation_exp([0.1, 0.2, 0.3]), 5)), "not a rotation"),
         (lambda: rotation_log(np.eye(4)), "wrong shape"),
         (lambda: rotation_exp([1.0, 2.0]), "wrong shape"),
-        (lambda: rotation_exp([1.0, np.inf, 0.0]), "no number"),
+        (lambda: rotation_exp([1.0, np.inf, 0.0]), "not finite"),
         (lambda: rotation_exp(ca.SX.sym("x", 4)), "wrong shape"),
         (lambda: fused_angles(ca.SX.sym("x", 2, 2)), "wrong shape"),
         (lambda: fused_angles(rotation_exp([2.0, 0.0, 0.0])), "point up"),

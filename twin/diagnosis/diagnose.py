@@ -11,7 +11,7 @@ from twin.diagnosis.judgement.answer import answer
 from twin.diagnosis.judgement.causes import judged
 from twin.diagnosis.judgement.sizes import sized
 from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.selection.rows import posed
+from twin.diagnosis.selection.rows import diagnosis_task
 from twin.diagnosis.selection.searcher import selected
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -54,7 +54,7 @@ def diagnose(
         tell("placing the stations", 0.0)
         placed = readings(data, machine, errors, instrument)
         tell("searching", 0.2)
-        question = posed(placed)
+        question = diagnosis_task(placed)
         found = selected(question)
         tell("weighing", 0.7)
         causes = judged(sized(found), errors)

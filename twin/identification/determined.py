@@ -92,7 +92,7 @@ def _determined_model(
     while True:
         largest_network = network(largest_unknowns)
         nominal = solve(largest_network, np.zeros(len(largest_unknowns)), setup, np.ones(len(data)), steps=0)
-        without = largest_unknowns.without_unseen_offset(nominal.spectrum.unseen)
+        without = largest_unknowns.without_unseen_offset(nominal.spectrum.remaining_variance)
         if without is largest_unknowns:
             break
         largest_unknowns = without
@@ -115,8 +115,8 @@ def _partition(unknowns: Unknowns, solution: FitSolution) -> tuple[Unknowns, lis
     A curve of which only higher orders are undetermined is cut below them.
     """
     count = len(unknowns)
-    unseen = solution.spectrum.unseen[:count] > UNSEEN
-    silent = solution.spectrum.silent[:count]
+    unseen = solution.spectrum.remaining_variance[:count] > UNSEEN
+    silent = solution.spectrum.null_space[:count]
     shared = silent @ silent.T
     entity = np.array([column.entity for column in unknowns.columns])
     undetermined = [name for name in unknowns.entities if unknowns.lowest_unseen(name, unseen)]

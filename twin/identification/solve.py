@@ -91,7 +91,7 @@ class FitSolution:
     @cached_property
     def basis(self) -> np.ndarray:
         """All directions that the datum allows, (p, f), scaled by the priors, strongest first."""
-        return locked(np.concatenate([self.spectrum.directions, self.spectrum.silent], axis=1))
+        return locked(np.concatenate([self.spectrum.directions, self.spectrum.null_space], axis=1))
 
     @cached_property
     def stiffness(self) -> np.ndarray:
@@ -304,7 +304,7 @@ class _Problem:
             return decompose(matrix, scale, free=self.free)
         # Here the prior limits the step, so even weakly determined directions count; otherwise no step reaches the minimum.
         left, all_directions = decompose(matrix, scale, free=self.free, tolerance=0.0)
-        basis = np.concatenate([all_directions.directions, all_directions.silent], axis=1)
+        basis = np.concatenate([all_directions.directions, all_directions.null_space], axis=1)
         seen = int(np.count_nonzero(all_directions.values > self.noise))
         return left, Spectrum(
             all_directions.scale, all_directions.values, locked(basis[:, :seen]), locked(basis[:, seen:])
@@ -381,7 +381,7 @@ def _newton(
         noise: see `solve`.
         weakest: strength up to which a direction keeps its value, if the model fits.
     """
-    basis = np.concatenate([spectrum.directions, spectrum.silent], axis=1)
+    basis = np.concatenate([spectrum.directions, spectrum.null_space], axis=1)
     values = spectrum.values
     prior = noise**2 * _with_prior(values, noise)
     right = -prior * (basis.T @ deviation) if noise > 1.0 else np.zeros(len(values))
@@ -407,7 +407,7 @@ def _anderson_step(
     last = list(newton_steps)[-MEMORY - 1 :]
     more = np.stack([after - before for before, after in pairwise(last)], axis=1)
     steps_between = np.stack(list(steps_taken)[1 - len(last) :], axis=1)
-    changes = spectrum.strength[:, None] * spectrum.directions.T
+    changes = spectrum.singular_values[:, None] * spectrum.directions.T
     share = np.linalg.lstsq(changes @ more, changes @ last[-1], rcond=1e-6)[0]
     return np.asarray(last[-1] - (steps_between + more) @ share)
 

@@ -137,10 +137,10 @@ def covariance_of(network: Network, solution: FitSolution, weight: np.ndarray, s
         _, group = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
     elif spread == "between rounds":
         names, group = np.unique(data.round.astype(str), return_inverse=True)
-        if len(names) <= len(solution.spectrum.strength):
+        if len(names) <= len(solution.spectrum.singular_values):
             raise data.error(
                 "too few rounds to estimate their variation",
-                expected=f"more than the {len(solution.spectrum.strength)} parameters determined",
+                expected=f"more than the {len(solution.spectrum.singular_values)} parameters determined",
                 value=len(names),
             )
     else:

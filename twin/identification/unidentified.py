@@ -62,7 +62,7 @@ def unidentified(
         if not np.ptp(data.positions[:, machine.names.index(axis)]) > 0.0:
             found.append(Unidentified(name, f"{axis} did not move"))
         elif name in model.confounded or name in model.left_out:
-            moving = model.determinability.moving(model.determinability.names[model.considered.of(name)[0]])
+            moving = model.determinability.null_direction_of(model.determinability.names[model.considered.of(name)[0]])
             why = SAYS_LESS if moving is None else f"{moving} changes no reading"
             found.append(Unidentified(name, f"{why}: {_remedy(name, machine, setup, name in model.confounded)}"))
         elif name in held:
@@ -83,10 +83,10 @@ def _remedy(name: str, machine: Machine, setup: SetUp, confounded: bool) -> str:
 
 def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
     """Return a notice of the errors that refer to a point of the targets' carrier which the set-up does not determine."""
-    if solution.spectrum.silent.shape[1] == 0:
+    if solution.spectrum.null_space.shape[1] == 0:
         return []
     carried = solution.spectrum.reach[: len(unknowns)]
-    seen = solution.spectrum.covariance(silent=False)
+    seen = solution.spectrum.covariance(null_space=False)
     own = np.sqrt(np.diag(seen)[: len(unknowns)])
     names = dict.fromkeys(
         column.entity

@@ -224,7 +224,7 @@ class Unknowns:
             if not orders:
                 continue
             count = orders[-1] + 1
-            block, written = np.zeros((count, len(self))), space.written(count)
+            block, written = np.zeros((count, len(self))), space.transform_of(count)
             for k in orders:
                 block[:, self.index[UnknownNumber(space.name, k)]] = written[:, k]
             if space.name in self.offsets:

@@ -319,8 +319,8 @@ class Calibration:
         for name in [name for name in motions if name in self.curves]:
             before, basis, count = self.curves[name], curves[name].family, len(curves[name].coefficients)
             widest = max(motions[name], key=lambda motion: len(motion.coefficients))
-            own = own.rewritten(name, conversion_of(name, before.family, basis, len(before.coefficients), count))
-            found = found.rewritten(name, conversion_of(name, widest.basis, basis, len(widest.coefficients), count))
+            own = own.transformed(name, conversion_of(name, before.family, basis, len(before.coefficients), count))
+            found = found.transformed(name, conversion_of(name, widest.basis, basis, len(widest.coefficients), count))
         whole = replace(
             self,
             source=f"{self.source}; {source}",
@@ -463,7 +463,7 @@ class _Check:
                 (*place, "domain"), "not one turn", "360 degrees, for an unlimited axis", list(entry.domain)
             )
         basis = self.basis(place, entry)
-        misfit = basis.misfit(len(entry.coefficients), rotary=not axis.linear)
+        misfit = basis.count_problem(len(entry.coefficients), rotary=not axis.linear)
         if misfit is not None:
             raise self.fail((*place, "coefficients"), f"not a {basis.name} curve", misfit, entry.coefficients)
         peak = np.abs(basis.value(np.linspace(lo, hi, 201), entry.domain, entry.coefficients)).max()
@@ -491,7 +491,7 @@ class _Check:
             basis = kind(entry.knots)
         except InputError as error:
             raise self.fail((*place, part), error.what, str(error.expected), error.value, error.nearest) from None
-        misfit = basis.knots_misfit(entry.domain)
+        misfit = basis.knots_problem(entry.domain)
         if misfit is not None:
             raise self.fail((*place, "knots"), "knots that do not fit this curve", misfit, list(entry.knots))
         return basis

@@ -117,7 +117,7 @@ def added(curve: Curve | None, motion: ErrorMotion) -> Curve:
             expected=f"{curve.domain}",
             value=f"{motion.domain}",
         )
-    basis, count = curve.family.together(len(curve.coefficients), family, own)
+    basis, count = curve.family.common_basis(len(curve.coefficients), family, own)
     total = conversion_of(curve.name, curve.family, basis, len(curve.coefficients), count) @ curve.coefficients
     total = total + conversion_of(curve.name, family, basis, own, count) @ motion.coefficients
     return replace(curve, coefficients=tuple(float(v) for v in total), covariance=None, knots=basis.knots)

@@ -1,1 +1,1 @@
-"""Mathematics that knows no machine: spatial algebra, bases of curves, covariances, what data can decide."""
+"""Mathematics independent of any machine: rotations, curve bases, covariances, observability."""

@@ -1,4 +1,4 @@
-"""A joint covariance of named parameters, and its text: one row a line, lower triangle."""
+"""Joint covariance of named parameters, with a text form: the lower triangle, one row on each line."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import numpy as np
 from twin._common.arrays import locked
 
 ROUNDING = 1e-9
-"""What the printed digits may push a zero eigenvalue below zero, relative to the largest."""
+"""Tolerance for a negative eigenvalue due to the rounding of printed digits, relative to the largest."""
 
 
 @final
 @dataclass(frozen=True)
 class Covariance:
-    """Names and their covariance matrix.
+    """Names of parameters and their covariance matrix.
 
     Attributes:
-        names: of the parameters, each once.
+        names: names of the parameters, each once.
         matrix: (p, p), in the products of the parameters' units; read-only.
     """
 
@@ -29,12 +29,12 @@ class Covariance:
 
     @classmethod
     def none(cls) -> Covariance:
-        """Of nothing."""
+        """Return an empty covariance."""
         return cls((), locked(np.zeros((0, 0))))
 
     @classmethod
     def of_blocks(cls, blocks: Sequence[Covariance]) -> Covariance:
-        """Independent groups side by side."""
+        """Return the joint covariance of independent groups."""
         names = tuple(name for block in blocks for name in block.names)
         matrix = np.zeros((len(names), len(names)))
         start = 0
@@ -45,85 +45,84 @@ class Covariance:
         return cls(names, locked(matrix))
 
     def of(self, names: Sequence[str]) -> Covariance:
-        """The part of some names, in their order.
+        """Return the covariance of some names, in the order given.
 
         Raises:
-            KeyError: a name that is not among these.
+            KeyError: an unknown name.
         """
         index = {name: i for i, name in enumerate(self.names)}
         rows = [index[name] for name in names]
         return Covariance(tuple(names), locked(self.matrix[np.ix_(rows, rows)]))
 
     def where(self, keep: Callable[[str], bool]) -> Covariance:
-        """The part of the names that are kept."""
+        """Return the covariance of the names for which ``keep`` is true."""
         return self.of([name for name in self.names if keep(name)])
 
     def plus(self, other: Covariance) -> Covariance:
-        """Of the sums of independent estimates; a name that only one has keeps its own."""
+        """Return the covariance of the sums of independent estimates; a name that only one has keeps its covariance."""
         names = tuple(dict.fromkeys((*self.names, *other.names)))
         index = {name: i for i, name in enumerate(names)}
         matrix = np.zeros((len(names), len(names)))
-        for one in (self, other):
-            rows = [index[name] for name in one.names]
-            matrix[np.ix_(rows, rows)] += one.matrix
+        for covariance in (self, other):
+            rows = [index[name] for name in covariance.names]
+            matrix[np.ix_(rows, rows)] += covariance.matrix
         return Covariance(names, locked(matrix))
 
-    def rewritten(self, name: str, matrix: np.ndarray) -> Covariance:
-        """With the parameters ``name[0]`` … ``name[k−1]`` made into ``name[0]`` … ``name[m−1]``: (m, k) matrix times the former.
+    def transformed(self, name: str, matrix: np.ndarray) -> Covariance:
+        """Transform the parameters ``name[0]`` … ``name[k−1]`` into ``name[0]`` … ``name[m−1]`` by an (m, k) matrix.
 
-        Those of them that are not among these names are taken as exact; none of them, or a matrix that changes nothing, leaves all.
+        Parameters that are not among the names are taken as exact. Without any of them, or with an identity matrix, nothing changes.
         """
-        into, count = matrix.shape
-        own = {f"{name}[{k}]": k for k in range(count)}
-        have = [n for n in self.names if n in own]
-        if not have or np.array_equal(matrix, np.eye(into, count)):
+        new_count, count = matrix.shape
+        index_of = {f"{name}[{k}]": k for k in range(count)}
+        present = [n for n in self.names if n in index_of]
+        if not present or np.array_equal(matrix, np.eye(new_count, count)):
             return self
-        rest = [column for column, n in enumerate(self.names) if n not in own]
-        through = np.zeros((len(rest) + into, len(self.names)))
-        through[range(len(rest)), rest] = 1.0
+        others = [column for column, n in enumerate(self.names) if n not in index_of]
+        transform = np.zeros((len(others) + new_count, len(self.names)))
+        transform[range(len(others)), others] = 1.0
         for column, n in enumerate(self.names):
-            if n in own:
-                through[len(rest) :, column] = matrix[:, own[n]]
-        names = (*(self.names[column] for column in rest), *(f"{name}[{k}]" for k in range(into)))
-        found = through @ self.matrix @ through.T
+            if n in index_of:
+                transform[len(others) :, column] = matrix[:, index_of[n]]
+        names = (*(self.names[column] for column in others), *(f"{name}[{k}]" for k in range(new_count)))
+        found = transform @ self.matrix @ transform.T
         return Covariance(names, locked((found + found.T) / 2.0))
 
     def to_text(self) -> str:
-        """Lower triangle, one row a line, every digit."""
+        """Return the lower triangle as text, one row on each line, in full precision."""
         return "".join(" ".join(repr(float(v)) for v in row[: i + 1]) + "\n" for i, row in enumerate(self.matrix))
 
     @classmethod
     def from_text(cls, names: Sequence[str], text: str) -> Covariance:
-        """Read `to_text`.
+        """Parse the text of `to_text`.
 
         Raises:
-            ValueError: rows of the wrong length, something that is no finite number, a matrix with a negative eigenvalue; the
-                message says which.
+            ValueError: rows of the wrong length, something that is not a finite number, or a matrix with a negative eigenvalue.
         """
         rows = [line.split() for line in text.splitlines() if line.strip()]
         if len(rows) != len(names):
-            raise ValueError(f"{len(rows)} rows, {len(names)} parameters")
+            raise ValueError(f"{len(rows)} rows for {len(names)} parameters")
         matrix = np.zeros((len(names), len(names)))
         for i, row in enumerate(rows):
             if len(row) != i + 1:
-                raise ValueError(f"row {i + 1} has {len(row)} numbers")
+                raise ValueError(f"row {i + 1} has {len(row)} numbers instead of {i + 1}")
             try:
                 matrix[i, : i + 1] = [float(cell) for cell in row]
             except ValueError:
-                raise ValueError(f"row {i + 1} holds something that is no number") from None
+                raise ValueError(f"row {i + 1} has an entry that is not a number") from None
         if not np.all(np.isfinite(matrix)):
-            raise ValueError("it holds a number that is not finite")
+            raise ValueError("an entry is not finite")
         matrix = matrix + np.tril(matrix, -1).T
-        problem = not_a_covariance(matrix)
-        if problem is not None:
-            raise ValueError(problem)
+        defect = not_a_covariance(matrix)
+        if defect is not None:
+            raise ValueError(defect)
         return cls(tuple(names), locked(matrix))
 
 
 def not_a_covariance(matrix: np.ndarray) -> str | None:
-    """Why a symmetric matrix cannot be a covariance; None if it can.
+    """Return the reason why a symmetric matrix is not a covariance; None if it is one.
 
-    Judged on the correlations, so that µm beside µrad does not hide a sign.
+    The test uses the correlations, so that it does not depend on the units.
     """
     variances = np.diag(matrix)
     if np.any(variances < 0.0):
@@ -131,6 +130,6 @@ def not_a_covariance(matrix: np.ndarray) -> str | None:
     scale = np.where(variances > 0.0, np.sqrt(variances), 1.0)
     correlation = matrix / np.outer(scale, scale)
     if np.any(np.abs(correlation) > 1.0 + ROUNDING):
-        return "a correlation beyond one: a negative eigenvalue"
+        return "a correlation above one, which implies a negative eigenvalue"
     smallest = np.linalg.eigvalsh(correlation)[0] if len(matrix) else 0.0
     return f"a negative eigenvalue of the correlations, {smallest:.3g}" if smallest < -ROUNDING * len(matrix) else None

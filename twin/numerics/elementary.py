@@ -1,4 +1,4 @@
-"""Elementary functions that take NumPy arrays and CasADi expressions alike, so that a formula is written once."""
+"""Elementary functions for both NumPy arrays and CasADi expressions, so that a formula is written once."""
 
 from __future__ import annotations
 

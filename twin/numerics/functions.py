@@ -1,6 +1,6 @@
-"""Functions of the machine's state at the measured points, worked out where they are asked for.
+"""Functions of the machine's state at the measured points, evaluated on demand.
 
-A search tries thousands of them: held for all points, they would be many times the data.
+A search uses thousands of them; their values at all points would take many times the memory of the data.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import Any, Final, TypeVar, final
 import numpy as np
 
 PIECE: Final = 1024
-"""Points worked on at a time."""
+"""Points processed at a time."""
 
 T = TypeVar("T")
 Rows = np.ndarray | slice
-"""Some of the points: their numbers, or a run of them."""
+"""A selection of points: their indices, or a slice."""
 
 
 @final
@@ -24,11 +24,11 @@ class Functions:
     """Several functions of the state.
 
     Args:
-        points: how many points there are.
-        count: how many functions.
-        values: rows → (rows, count).
-        where: (points,) where they are not all zero; anywhere if None.
-        most: the largest magnitude they can have; what they have at the points is worked out if None.
+        points: number of points.
+        count: number of functions.
+        values: function from a selection of points to values (rows, count).
+        where: (points,) whether any function is not zero there; anywhere if None.
+        bound: upper bound of their magnitude; if None, the largest magnitude at the points is computed.
     """
 
     def __init__(
@@ -37,19 +37,19 @@ class Functions:
         count: int,
         values: Callable[[Rows], np.ndarray],
         where: np.ndarray | None = None,
-        most: float | None = None,
+        bound: float | None = None,
     ) -> None:
         self.points = points
         self.count = count
         self.values = values
         self.where = where
-        self._most = most
+        self._bound = bound
 
     @cached_property
     def largest(self) -> np.ndarray:
-        """(count,) largest magnitude over all points."""
-        if self._most is not None:
-            return np.full(self.count, self._most)
+        """(count,) largest magnitude over all points, or the bound."""
+        if self._bound is not None:
+            return np.full(self.count, self._bound)
         found = np.zeros(self.count)
         for rows in pieces(self.points):
             np.maximum(found, np.abs(self.values(rows)).max(axis=0, initial=0.0), out=found)
@@ -57,18 +57,18 @@ class Functions:
 
 
 def pieces(points: int, size: int = PIECE) -> list[slice]:
-    """Runs of at most ``size`` points that are all of them."""
+    """Return slices of at most ``size`` points that cover all points."""
     return [slice(start, min(start + size, points)) for start in range(0, points, size)]
 
 
 def given(values: np.ndarray) -> Functions:
-    """Functions that are known: (n, count) values."""
+    """Return functions given by a table of values (n, count)."""
     return Functions(len(values), values.shape[1], lambda rows: np.asarray(values[rows]))
 
 
 @final
-class Remembering(dict[str, Any]):
-    """A state of readings that keeps what was worked out of it: what several effects need is worked out once (`once`)."""
+class CachingState(dict[str, Any]):
+    """State of the readings with a cache for quantities that several effects derive from it (`once`)."""
 
     def __init__(self, state: Mapping[str, Any]) -> None:
         super().__init__(state)
@@ -76,14 +76,14 @@ class Remembering(dict[str, Any]):
 
 
 def once(state: Mapping[str, Any], key: Hashable, make: Callable[[], T]) -> T:
-    """Something that is worked out of a state, once where the state remembers.
+    """Return a quantity derived from a state, cached if the state is a `CachingState`.
 
     Args:
-        state: of the readings.
-        key: what it is.
-        make: works it out.
+        state: state of the readings.
+        key: cache key.
+        make: function that computes the quantity.
     """
-    if not isinstance(state, Remembering):
+    if not isinstance(state, CachingState):
         return make()
     if key not in state.known:
         state.known[key] = make()
@@ -92,8 +92,8 @@ def once(state: Mapping[str, Any], key: Hashable, make: Callable[[], T]) -> T:
 
 
 @final
-class _At(Mapping[str, Any]):
-    """The state at some points, of which a formula takes what it needs."""
+class _StateSubset(Mapping[str, Any]):
+    """The state at a selection of points; columns are selected on access."""
 
     def __init__(self, state: Mapping[str, Any], rows: Rows) -> None:
         self._state = state
@@ -109,33 +109,33 @@ class _At(Mapping[str, Any]):
         return len(self._state)
 
 
-def of_state(
+def functions_of_state(
     state: Mapping[str, Any], shapes: Callable[[Mapping[str, Any]], Sequence[Mapping[int, Any]]], *, whole: bool = False
 ) -> tuple[Functions, list[list[tuple[int, int]]]]:
-    """What an effect's formula gives: one function for every component of every shape.
+    """Return the functions that an effect's formula gives: one for every component of every shape.
 
     Args:
         state: positions and channels of all points, (n,) each.
-        shapes: part of the state → component → values, of each shape; the same components wherever it is asked.
+        shapes: formula: from the state at some points to the values of each shape, by component; always the same components.
         whole: whether the formula needs all points at once.
 
     Returns:
-        The functions, and of each shape its components, each with the number of its function.
+        The functions, and for each shape its components, each with the index of its function.
     """
     points = len(next(iter(state.values())))
     everywhere = np.arange(points)
 
-    first = shapes(state if whole else _At(state, slice(0, 1)))
+    first = shapes(state if whole else _StateSubset(state, slice(0, 1)))
     order = [(k, i) for k, shape in enumerate(first) for i in shape]
     own = [[(i, n) for n, (of, i) in enumerate(order) if of == k] for k in range(len(first))]
     if whole:
         return given(np.stack([np.broadcast_to(first[k][i], points) for k, i in order], axis=1)), own
 
     def values(rows: Rows) -> np.ndarray:
-        made = shapes(_At(state, rows))
+        shape_values = shapes(_StateSubset(state, rows))
         found = np.empty((len(everywhere[rows]), len(order)))
         for column, (k, i) in enumerate(order):
-            found[:, column] = made[k][i]
+            found[:, column] = shape_values[k][i]
         return found
 
     return Functions(points, len(order), values), own

@@ -1,13 +1,13 @@
 """Orientation: rotation vectors, fused-like angles, matrices.
 
-Inside `twin` an error of orientation is a rotation vector (contract §1). Fused-like angles are how it is told: of a surface or a tool
-axis they say how far it leans about x and about y, each seen along that axis, whatever the order in which it came to lean so.
+Inside `twin` an orientation error is a rotation vector (contract §1). It is reported in fused-like angles: the tilt of a surface or a
+tool axis about x and about y, each seen along that axis, independent of any order of rotations.
 
 Fused-like angles (θ, φ, ψ) follow D. Chang, P. Hu, J. Tan, "Fused-like angles: replacement for roll-pitch-yaw angles for a
 six-degree-of-freedom grating interferometer", Front. Inform. Technol. Electron. Eng. 22 (2021) 1677-1685, with X, Y, Z the columns of
-the matrix and these mistakes of the paper put right:
+the matrix and these errors of the paper corrected:
 
-- eq. 7 and 13 have both signs of Z turned round: by eq. 5 and 6, and for eq. 10 to make Y ⊥ Z, it is Z ∥ [tan φ, −tan θ, 1];
+- eq. 7 and 13 have both signs of Z reversed: by eq. 5 and 6, and for eq. 10 to make Y ⊥ Z, it is Z ∥ [tan φ, −tan θ, 1];
 - eq. 8 jumps by 2π where ψ passes zero, and leaves the range (−π, π] the text gives: ψ = atan2(−Y₁, Y₂);
 - eq. 13 and 14 add fused-like angles: that is no composition of rotations.
 
@@ -30,11 +30,11 @@ from twin._common.errors import InputError
 SERIES_TERMS: Final = 9
 """Terms of the sine and cosine series of a small rotation: exact to double precision up to 1 rad; errors are < 0.2."""
 ORTHONORMAL: Final = 1e-9
-"""How far RᵀR may be from the identity: a nanoradian, a thousandth of what is told; rounding along a chain is 1e-14."""
+"""Tolerance of RᵀR against the identity: a nanoradian, a thousandth of the last digit reported; rounding along a chain is 1e-14."""
 
 
 def rotation_exp(vector: Any) -> Any:
-    """Exp: the matrix of a rotation vector (Rodrigues).
+    """Return the rotation matrix of a rotation vector (exponential map, Rodrigues).
 
     Args:
         vector: (..., 3) axis times angle, rad, of any length; or an SX expression, of up to 1 rad: there the coefficients are series in
@@ -60,7 +60,7 @@ def rotation_exp(vector: Any) -> Any:
 
 
 def rotation_log(matrix: Any) -> np.ndarray:
-    """Log: the rotation vector of a matrix, of at most π, with all its digits.
+    """Return the rotation vector, of length at most π, of a matrix (logarithmic map), accurate to rounding.
 
     Args:
         matrix: (..., 3, 3) rotations.
@@ -69,7 +69,7 @@ def rotation_log(matrix: Any) -> np.ndarray:
         (..., 3) rad.
 
     Raises:
-        InputError: a matrix that is no rotation.
+        InputError: a matrix that is not a rotation.
     """
     r = _matrix(matrix)
     flat = r.reshape(-1, 3, 3)
@@ -78,9 +78,9 @@ def rotation_log(matrix: Any) -> np.ndarray:
 
 
 def fused_angles(matrix: Any) -> Any:
-    """Fused-like angles of a matrix: θ and φ of its z axis as `tilt`, ψ of its y axis seen along z (eq. 5, 6, 8).
+    """Return the fused-like angles of a matrix: θ and φ of its z axis as in `tilt`, ψ of its y axis seen along z (eq. 5, 6, 8).
 
-    Their digits go with cos θ and cos φ: to 1e-14 up to 85°.
+    The rounding error grows with 1/cos θ and 1/cos φ; it is below 1e-14 up to 85°.
 
     Args:
         matrix: (..., 3, 3) rotations; or one as an SX expression, (3, 3), which is not checked to be one.
@@ -89,11 +89,11 @@ def fused_angles(matrix: Any) -> Any:
         (..., 3) θ, φ in (−π/2, π/2) and ψ in (−π, π], rad.
 
     Raises:
-        InputError: a matrix that is no rotation, or whose z axis does not point up.
+        InputError: a matrix that is not a rotation, or whose z axis does not point up.
     """
     if isinstance(matrix, ca.SX):
         if matrix.shape != (3, 3):
-            raise InputError("a matrix of the wrong shape", expected="(3, 3)", value=matrix.shape)
+            raise InputError("wrong shape of a matrix", expected="(3, 3)", value=matrix.shape)
         x, y, z = (matrix[p, 2] for p in range(3))
         return ca.vertcat(ca.atan2(-y, z), ca.atan2(x, z), ca.atan2(-matrix[0, 1], matrix[1, 1]))
     r = _matrix(matrix)
@@ -102,9 +102,9 @@ def fused_angles(matrix: Any) -> Any:
 
 
 def tilt(axis: Any) -> np.ndarray:
-    """Fused-like angles of an axis, or of the surface it is normal to: how it leans about x and about y (eq. 5, 6).
+    """Return the fused-like angles of an axis, or of the surface normal to it: its tilt about x and about y (eq. 5, 6).
 
-    Two numbers: what turns about the axis itself does not move it.
+    Two numbers suffice, since a rotation about the axis itself does not change it.
 
     Args:
         axis: (..., 3) of any length, near z: its z component positive.
@@ -126,7 +126,7 @@ def tilt(axis: Any) -> np.ndarray:
 
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) matrices of ``v ×`` of (n, 3) vectors."""
+    """Return the matrices (n, 3, 3) of the cross product ``v ×`` of (n, 3) vectors."""
     found = np.zeros((len(vectors), 3, 3))
     x, y, z = vectors.T
     found[:, 0, 1], found[:, 0, 2], found[:, 1, 2] = -z, y, -x
@@ -135,7 +135,7 @@ def cross_matrix(vectors: np.ndarray) -> np.ndarray:
 
 
 def _sine(square: Any) -> Any:
-    """Of t²: sin t / t."""
+    """Return sin t / t as a function of t²."""
     if isinstance(square, ca.SX):
         return _series(square, 1)
     t = np.sqrt(square)
@@ -144,12 +144,12 @@ def _sine(square: Any) -> Any:
 
 
 def _cosine(square: Any) -> Any:
-    """Of t²: (1 − cos t) / t²; without the difference, half the square of the other at half the angle."""
+    """Return (1 − cos t) / t² as a function of t², computed as ½ (sin(t/2) / (t/2))² to avoid cancellation."""
     return _series(square, 2) if isinstance(square, ca.SX) else 0.5 * _sine(0.25 * square) ** 2
 
 
 def _series(square: Any, first: int) -> Any:
-    """Σ (−s)^k / (2k + first)! by Horner: the coefficients of Rodrigues' formula, and cos t for 0."""
+    """Return Σ (−s)^k / (2k + first)! by Horner's scheme: coefficients of Rodrigues' formula (cos t for first = 0)."""
     total: Any = 1.0
     for k in range(SERIES_TERMS - 1, 0, -1):
         total = 1.0 - square * total / ((2 * k + first) * (2 * k + first - 1))
@@ -157,33 +157,33 @@ def _series(square: Any, first: int) -> Any:
 
 
 def _vector(vector: Any) -> list[Any]:
-    """The three components."""
+    """Return the three components, checked."""
     if isinstance(vector, ca.SX):
         if vector.numel() != 3:
-            raise InputError("a vector of the wrong shape", expected="(3, 1)", value=vector.shape)
+            raise InputError("wrong shape of a vector", expected="(3, 1)", value=vector.shape)
         return [vector[p] for p in range(3)]
     array = np.asarray(vector, dtype=float)
     if array.ndim == 0 or array.shape[-1] != 3:
-        raise InputError("a vector of the wrong shape", expected="(..., 3)", value=array.shape)
+        raise InputError("wrong shape of a vector", expected="(..., 3)", value=array.shape)
     if not np.all(np.isfinite(array)):
-        raise InputError("a component that is no number", expected="finite ones", value=array[~np.isfinite(array)][0])
+        raise InputError("a component is not finite", expected="finite numbers", value=array[~np.isfinite(array)][0])
     return [array[..., p] for p in range(3)]
 
 
 def _matrix(matrix: Any) -> np.ndarray:
-    """(..., 3, 3) what is a rotation."""
+    """Return the array (..., 3, 3), checked to contain rotations."""
     array = np.asarray(matrix, dtype=float)
     if array.ndim < 2 or array.shape[-2:] != (3, 3):
-        raise InputError("a matrix of the wrong shape", expected="(..., 3, 3)", value=array.shape)
+        raise InputError("wrong shape of a matrix", expected="(..., 3, 3)", value=array.shape)
     off = np.abs(np.swapaxes(array, -1, -2) @ array - np.eye(3)).max(initial=0.0)
     if not off <= ORTHONORMAL:  # NaN as well
         raise InputError(
-            "a matrix that is no rotation",
-            expected=f"columns of length one at right angles, to {ORTHONORMAL:g}",
+            "a matrix is not a rotation",
+            expected=f"orthonormal columns, to {ORTHONORMAL:g}",
             value=f"off by {off:.2g}",
         )
     if np.any(np.linalg.det(array) < 0.0):
-        raise InputError("a matrix that is no rotation", expected="a right-handed one", value="a mirror image")
+        raise InputError("a matrix is not a rotation", expected="a right-handed one", value="a mirror image")
     return array
 
 

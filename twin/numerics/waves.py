@@ -1,4 +1,4 @@
-"""Waves along an axis: sines and cosines of many frequencies, and how high a frequency the measured positions can tell."""
+"""Sines and cosines of many frequencies along an axis, and the highest frequency that the measured positions resolve."""
 
 from __future__ import annotations
 
@@ -9,83 +9,86 @@ import numpy as np
 from twin.numerics.functions import Functions, Rows, pieces
 
 SHORTEST_PERIOD: Final = 2.0
-"""mm: pitch errors below it are not sought."""
-ALIKE: Final = 0.5
-"""Size of the spectral window (1: even positions) from which on two frequencies are too alike to be told apart."""
-LOOKED_AT: Final = 500
-"""Positions the window is worked out of: its scatter is one over their root, a tenth of `ALIKE`."""
-AT_HAND: Final = 64
+"""mm: pitch errors of shorter periods are not considered."""
+ALIASED: Final = 0.5
+"""Value of the spectral window (1 for even spacing) above which two frequencies are aliases."""
+SAMPLED_POSITIONS: Final = 500
+"""Positions sampled for the spectral window: its sampling error is one over their square root, a tenth of the threshold."""
+BLOCK: Final = 64
+"""Points processed at a time."""
 
 
 def highest_frequency(q: np.ndarray, span: float) -> float:
-    """Largest frequency, a mm, at which a wave is looked for: one position a period, or where it looks like a slower one.
+    """Return the largest frequency, in 1/mm, at which a wave is sought: one position a period, or where aliasing begins.
 
-    Even positions cannot tell f from f_s − f, f_s being one a step; uneven ones can. Which they are their spectral window says: at such
-    an f_s all positions are nearly whole periods apart (Deeming 1975, Astrophys. Space Sci. 36, 137).
+    Evenly spaced positions cannot distinguish f from f_s − f, where f_s is the sampling frequency; unevenly spaced ones can. The
+    spectral window shows which is the case: at such an f_s all positions are nearly whole periods apart (Deeming 1975, Astrophys.
+    Space Sci. 36, 137).
     """
     places = np.unique(np.round(q, 3))
-    return _unlike(places, span, min(1.0 / SHORTEST_PERIOD, max(len(places) - 1, 1) / span))
+    return _alias_free(places, span, min(1.0 / SHORTEST_PERIOD, max(len(places) - 1, 1) / span))
 
 
 def sampling(q: np.ndarray) -> float | None:
-    """Positions a mm where they are even, so that they cannot tell a wave of f from one of this less f; None where they are not."""
+    """Return the sampling frequency, in 1/mm, of evenly spaced positions; None if the spacing is uneven and there is no aliasing."""
     places = np.unique(np.round(q, 3))
     span = float(np.ptp(places))
     if len(places) < 2:
         return None
     highest = 1.01 * (len(places) - 1) / span
-    limit = _unlike(places, span, highest)
+    limit = _alias_free(places, span, highest)
     if limit >= highest:
         return None
-    # From the edge of the window's peak to the peak itself.
-    near = 2.0 * limit + np.linspace(0.0, 1.5, 76) / span
-    return float(near[np.argmax(_window(near, places))])
+    # Search from the edge of the window's peak to its maximum.
+    near_peak = 2.0 * limit + np.linspace(0.0, 1.5, 76) / span
+    return float(near_peak[np.argmax(_window(near_peak, places))])
 
 
 def _window(frequencies: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """The spectral window of positions: 1 where all are whole periods apart."""
+    """Return the spectral window of positions: 1 where all are whole periods apart."""
     return np.asarray(np.abs(np.mean(np.exp(2j * np.pi * np.outer(frequencies, places)), axis=1)))
 
 
-def _unlike(places: np.ndarray, span: float, highest: float) -> float:
-    """Largest frequency up to ``highest`` that does not look like a slower one."""
-    if len(places) > LOOKED_AT:  # any of them: what is left of an even row at random has the window of the row
-        places = np.random.default_rng(0).choice(places, LOOKED_AT, replace=False)
-    looks = np.arange(1.0, 2.0 * highest * span + 1.0, 0.25) / span
-    window = _window(looks, places)
-    # Down from the window's own peak at zero, which is one over the span wide.
-    alike = looks[(window > ALIKE) & (looks > 1.5 / span)]
-    return min(highest, 0.5 * float(alike[0])) if alike.size else highest
+def _alias_free(places: np.ndarray, span: float, highest: float) -> float:
+    """Return the largest frequency up to ``highest`` that is not an alias of a lower one."""
+    if len(places) > SAMPLED_POSITIONS:
+        # A random sample of evenly spaced positions has the same spectral window.
+        places = np.random.default_rng(0).choice(places, SAMPLED_POSITIONS, replace=False)
+    frequencies = np.arange(1.0, 2.0 * highest * span + 1.0, 0.25) / span
+    window = _window(frequencies, places)
+    # Outside the window's main peak at zero, which is one over the span wide.
+    aliased = frequencies[(window > ALIASED) & (frequencies > 1.5 / span)]
+    return min(highest, 0.5 * float(aliased[0])) if aliased.size else highest
 
 
 def highest_order(distinct: np.ndarray, most: int) -> int:
-    """Largest harmonic of a turn that positions in degrees can tell from lower ones.
+    """Return the largest harmonic of a revolution that positions in degrees distinguish from lower ones.
 
     Args:
         distinct: (n,) the positions, each once, 0 to 360.
-        most: harmonics at most.
+        most: upper limit of the harmonic.
     """
-    limit = _unlike(distinct, float(np.ptp(distinct)), min(most, (len(distinct) - 1) // 2) / 360.0)
+    limit = _alias_free(distinct, float(np.ptp(distinct)), min(most, (len(distinct) - 1) // 2) / 360.0)
     return int(360.0 * limit + 1e-9)
 
 
 def waves(q: np.ndarray, first: float, step: float, count: int) -> Functions:
-    """Sines of evenly spaced frequencies (radians a unit of q), and after them their cosines.
+    """Return sines of evenly spaced frequencies (radians per unit of q), followed by their cosines.
 
-    Each is a coarse wave turned on by a fine one: a product in place of two functions to be worked out.
+    Each is the product of two complex exponentials, one of a coarse and one of a fine frequency grid, which saves evaluations.
     """
     fine = max(int(np.ceil(np.sqrt(count))), 1)
     coarse = -(-count // fine)
 
     def values(rows: Rows) -> np.ndarray:
         at = q[rows, None]
-        few = np.exp(1j * at * (first + step * fine * np.arange(coarse)))[:, :, None]
-        many = np.exp(1j * at * step * np.arange(fine))[:, None, :]
+        coarse_waves = np.exp(1j * at * (first + step * fine * np.arange(coarse)))[:, :, None]
+        fine_waves = np.exp(1j * at * step * np.arange(fine))[:, None, :]
         found = np.empty((len(at), 2 * count))
-        # As many points at a time as the processor has at hand.
-        for some in pieces(len(at), AT_HAND):
-            every = (few[some] * many[some]).reshape(-1, coarse * fine)[:, :count]
-            found[some, :count], found[some, count:] = every.imag, every.real
+        # Blocks of points that fit the processor's cache.
+        for block in pieces(len(at), BLOCK):
+            products = (coarse_waves[block] * fine_waves[block]).reshape(-1, coarse * fine)[:, :count]
+            found[block, :count], found[block, count:] = products.imag, products.real
         return found
 
-    return Functions(len(q), 2 * count, values, most=1.0)
+    return Functions(len(q), 2 * count, values, bound=1.0)

@@ -132,7 +132,7 @@ def aim_of(model: PlanModel, names: Sequence[str], tool_length_mm: float | None)
     """
     lost = {one.name for one in model.hidden}
     # Directions that no candidate determines keep their prior variance: project them out, or they would dominate the criterion.
-    silent = model.free.T @ model.determinability.spectrum.silent
+    silent = model.free.T @ model.determinability.spectrum.null_space
     seen = np.eye(model.free.shape[1]) - silent @ silent.T
     columns = [i for i, column in enumerate(model.unknowns.columns) if column.entity not in lost]
     own = model.plausible[columns, None] * model.free[columns]

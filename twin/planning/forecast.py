@@ -202,7 +202,7 @@ def _observability(found: Determinability, names: Collection[str]) -> Observabil
     mine = np.array([one.name.split(" ")[0] in names for one in found.unknowns])
     if not mine.any():
         return observability(np.zeros(1), found.measurements)
-    covariance = found.spectrum.covariance(silent=False) / np.outer(found.spectrum.scale, found.spectrum.scale)
+    covariance = found.spectrum.covariance(null_space=False) / np.outer(found.spectrum.scale, found.spectrum.scale)
     values = np.linalg.eigvalsh(covariance[np.ix_(mine, mine)])
     # Directions fixed by the datum have no variance and are not unknown.
     return observability(1.0 / np.sqrt(values[values > 1e-14 * values[-1]]), found.measurements)

@@ -119,7 +119,7 @@ class PlanModel:
         offsets: list[str] | None = None
         while True:
             model = cls._with_constants(machine, plan, setting, instrument, expected, known, offsets)
-            unseen = offset_unseen(model.unknowns, model.determinability.unseen) if model.unknowns.offsets else None
+            unseen = offset_unseen(model.unknowns, model.determinability.remaining_variance) if model.unknowns.offsets else None
             if unseen is None:
                 return model
             offsets = [name for name in model.unknowns.offsets if name != unseen]
@@ -219,7 +219,7 @@ class PlanModel:
     @cached_property
     def hidden(self) -> tuple[NotIdentifiable, ...]:
         """Errors of which not even the lowest order is determined; `identify` would leave them out."""
-        unseen = dict(zip(self.determinability.names, self.determinability.unseen, strict=True))
+        unseen = dict(zip(self.determinability.names, self.determinability.remaining_variance, strict=True))
         # The machine's own unknowns come first.
         names = dict(zip(self.unknowns.columns, self.determinability.names, strict=False))
         found = []
@@ -229,7 +229,7 @@ class PlanModel:
             lowest = [names[column] for column in (columns if space is None else columns[: len(space.groups()[0])])]
             worst = max(lowest, key=lambda one: unseen[one])
             if unseen[worst] > UNSEEN:
-                direction = self.determinability.moving(worst)
+                direction = self.determinability.null_direction_of(worst)
                 found.append(
                     NotIdentifiable(name, VAGUE if direction is None else str(direction.shortened(MOST_NAMED)))
                 )

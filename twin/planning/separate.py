@@ -299,7 +299,7 @@ def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibratio
         raise InputError(
             "not a cause that a plan can separate", expected=expected, value=one.text, nearest=nearest(one.text, texts)
         )
-    names = {name for cell in found.cells for name in cell.fixed}
+    names = {name for cell in found.variants for name in cell.fixed}
     linear = {name for name, _ in found.names} | {"size", "amplitude", "phase", "cos", "sin"}
     exponential = found.drift is not None and not one.numbers.keys().isdisjoint(("amplitude", "time_constant"))
     if found.drift is not None and not exponential:
@@ -319,7 +319,7 @@ def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibratio
         wanted = {name: value for name, value in one.numbers.items() if name in cell.fixed}
         return sum(abs(np.log(abs(cell.fixed[name]) / abs(value))) for name, value in wanted.items() if value)
 
-    cells = [cell for cell in found.cells if found.drift is None or bool(cell.fixed) == exponential]
+    cells = [cell for cell in found.variants if found.drift is None or bool(cell.fixed) == exponential]
     plainest = min(len(cell.columns) for cell in cells)
     return found, min(cells, key=lambda cell: (off(cell), len(cell.columns) - plainest))
 

@@ -1,5 +1,6 @@
-"""What could be wrong: every effect of the machine, of the instrument and of the calibration, as columns of the readings.
+"""Candidate causes of a misfit: every effect of machine, instrument and calibration, as columns of signatures.
 
 Candidates of the machine come from the effects' specifications (`twin.machine.effects`); those of the instrument and mistakes in the
-calibration are specified here, one file a cause. To add one: its file, and its line in `twin.diagnosis.candidates.catalogue.SOURCES`.
+calibration are specified here, one module for each. To add one, write its module and add it to
+`twin.diagnosis.candidates.catalogue.SOURCES`.
 """

@@ -1,6 +1,6 @@
-"""Affine errors of an instrument: scales along its own axes and shears between them, at one station or in one round.
+"""Candidate: affine errors of an instrument, scales along its own axes and shears between them, at one station or in one round.
 
-With one station and one round the machine's scales and squareness do the same, so nothing is tried then.
+With one station and one round they are confounded with the machine's scales and squareness, and are not tested.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
-from twin.diagnosis.candidates.signatures import STRAINS, Column, Part, strained
+from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Cell
+from twin.diagnosis.candidates.signatures import STRAINS, Column, SignatureTerm, strain_displacements
 from twin.machine.effects.specification import NOTHING, REST, Advice, Specification
 from twin.measurement.table import Measurements
 from twin.numerics.functions import given
@@ -24,73 +24,77 @@ NAMES: Final = (
     ("shear_xz", "urad"),
     ("shear_yz", "urad"),
 )
-"""Parameters, in the order of `STRAINS`: a scale is read too long, a shear is the change of a right angle."""
+"""Parameters, in the order of `STRAINS`: a positive scale reads too long, a shear is the change of a right angle."""
 PLAUSIBLE: Final = 100.0
-"""ppm and µrad."""
+"""Largest plausible value, ppm and µrad."""
 FLAT: Final = 0.01
-"""Share of the largest extent below which the points have no extent along a direction."""
-MOST: Final = 12
-"""Rounds beyond which they are repeats or places, not alignments of an instrument."""
+"""Share of the largest extent below which the extent of the points along a direction counts as zero."""
+MOST_ROUNDS: Final = 12
+"""Number of rounds above which rounds are repeats or places rather than alignments of the instrument."""
 MM: Final = 1e-3
 
 
 AFFINE_SCALE: Final = Specification(
     name="affine_scale",
     kind="instrument",
-    title=lambda where: f"scales and right angles of the instrument off ({where})",
-    family="scales and right angles of the instrument",
+    title=lambda where: f"scale and squareness errors of the instrument ({where})",
+    family="scale and squareness errors of the instrument",
     advice=Advice(
-        "Who measured: certificate and temperature compensation of the instrument in {where}; measure a calibrated length with it.",
-        f"{REST} Better, measure again with an instrument that was checked.",
+        "Metrology: certificate and temperature compensation of the instrument in {where}; measure a calibrated length with it.",
+        f"{REST} Better, measure again with a calibrated instrument.",
         NOTHING,
     ),
-    evidence=lambda of: f"the instrument's own scales and right angles are off in {of.where}, by up to {of.measure}",
+    evidence=lambda of: f"the instrument has scale and squareness errors in {of.where}, up to {of.measure}",
     limits={"ppm": 200.0},
     varies="with the frame",
     flexible=True,
 )
 
 
-class _Part(NamedTuple):
-    """Readings of one alignment: its name, which they are, and whether it may be affine about their middle as well."""
+class _Alignment(NamedTuple):
+    """One alignment: its name, the mask of its readings, and whether the readings' centre is tried as the origin too."""
 
     where: str
     mask: np.ndarray
-    anew: bool
+    centred: bool
 
 
-def affine_scales(given: Given) -> Catalogue:
-    """Every station if there are several, every round if there are several."""
-    return Catalogue(tuple(one for part in _parts(given.data) if (one := _candidate(given.data, part)) is not None))
+def affine_scales(inputs: CandidateInputs) -> Catalogue:
+    """Return one candidate for each station and for each round, where there are several."""
+    return Catalogue(
+        tuple(one for alignment in _alignments(inputs.data) if (one := _candidate(inputs.data, alignment)) is not None)
+    )
 
 
-def _parts(data: Measurements) -> Iterator[_Part]:
+def _alignments(data: Measurements) -> Iterator[_Alignment]:
     stations, rounds = (list(dict.fromkeys(names.tolist())) for names in (data.station, data.round))
     by_station = {f"station {name}": data.station == name for name in stations} if len(stations) > 1 else {}
-    by_round = {f"round {name}": data.round == name for name in rounds} if 1 < len(rounds) <= MOST else {}
-    alone = {mask.tobytes() for mask in by_station.values()}
-    yield from (_Part(where, mask, False) for where, mask in by_station.items())
-    # A station of its own is not said twice.
-    yield from (_Part(where, mask, True) for where, mask in by_round.items() if mask.tobytes() not in alone)
+    by_round = {f"round {name}": data.round == name for name in rounds} if 1 < len(rounds) <= MOST_ROUNDS else {}
+    station_masks = {mask.tobytes() for mask in by_station.values()}
+    yield from (_Alignment(where, mask, False) for where, mask in by_station.items())
+    # A round that is exactly one station is not tested twice.
+    yield from (
+        _Alignment(where, mask, True) for where, mask in by_round.items() if mask.tobytes() not in station_masks
+    )
 
 
-def _candidate(data: Measurements, part: _Part) -> Candidate | None:
-    """About the station's origin, and in a round about the middle of what is read as well; None if the points have no extent."""
-    seen = _extended(np.asarray(data.point_mm)[part.mask])
-    kept = [k for k, (i, j) in enumerate(STRAINS) if seen[i] and seen[j]]
+def _candidate(data: Measurements, alignment: _Alignment) -> Candidate | None:
+    """Return the candidate about the station's origin and, for a round, its centre; None if the points have no extent."""
+    extended = _has_extent(np.asarray(data.point_mm)[alignment.mask])
+    kept = [k for k, (i, j) in enumerate(STRAINS) if extended[i] and extended[j]]
     if not kept:
         return None
-    cells = [Cell(_columns(part.mask, kept, np.zeros(3)))]
-    if part.anew:
-        # An instrument is aligned anew with a round: its origin is where the readings are.
-        middle = [np.nanmean(data.point_mm[part.mask, i]) if seen[i] else 0.0 for i in range(3)]
-        cells.append(Cell(_columns(part.mask, kept, MM * np.array(middle))))
+    variants = [Cell(_columns(alignment.mask, kept, np.zeros(3)))]
+    if alignment.centred:
+        # An instrument aligned anew in a round may have its origin anywhere: the centre of the readings is tried.
+        centre = [np.nanmean(data.point_mm[alignment.mask, i]) if extended[i] else 0.0 for i in range(3)]
+        variants.append(Cell(_columns(alignment.mask, kept, MM * np.array(centre))))
     names = tuple(NAMES[k] for k in kept)
-    return Candidate(AFFINE_SCALE, part.where, names, tuple(cells), float(len(cells)))
+    return Candidate(AFFINE_SCALE, alignment.where, names, tuple(variants), float(len(variants)))
 
 
-def _extended(points: np.ndarray) -> np.ndarray:
-    """(3,) whether points (n, 3), mm, were read along a direction and have an extent there."""
+def _has_extent(points: np.ndarray) -> np.ndarray:
+    """Return for each direction (3,) whether the points (n, 3), mm, were measured along it and extend along it."""
     read = np.isfinite(points)
     low = np.min(np.where(read, points, np.inf), axis=0)
     high = np.max(np.where(read, points, -np.inf), axis=0)
@@ -98,14 +102,18 @@ def _extended(points: np.ndarray) -> np.ndarray:
     return np.asarray((extent > 0.0) & (extent > FLAT * extent.max()))
 
 
-def _columns(mask: np.ndarray, kept: list[int], middle: np.ndarray) -> tuple[Column, ...]:
+def _columns(mask: np.ndarray, kept: list[int], centre: np.ndarray) -> tuple[Column, ...]:
     function = given(mask[:, None].astype(float))
-    back = strained(middle[None])[0]
+    at_centre = strain_displacements(centre[None])[0]
     return tuple(
         Column(
             (
-                Part(("strain", k), function, 0, 1e-6),
-                *(Part(("station", i), function, 0, -1e-6 * float(back[i, k])) for i in range(3) if back[i, k] != 0.0),
+                SignatureTerm(("strain", k), function, 0, 1e-6),
+                *(
+                    SignatureTerm(("station", i), function, 0, -1e-6 * float(at_centre[i, k]))
+                    for i in range(3)
+                    if at_centre[i, k] != 0.0
+                ),
             ),
             PLAUSIBLE,
         )

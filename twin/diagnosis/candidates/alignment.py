@@ -1,4 +1,4 @@
-"""What happened between the rounds: the instrument's frame was re-aligned, a target was displaced."""
+"""Candidates: a change between rounds, the instrument's frame re-aligned or a target displaced."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from typing import Final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
-from twin.diagnosis.candidates.signatures import Field, reading
+from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Cell
+from twin.diagnosis.candidates.signatures import Freedom, masked_columns
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
 
-FRAME: Final[tuple[Field, ...]] = tuple((name, i) for name in ("station", "station turn") for i in range(3))
-PLACE: Final[tuple[Field, ...]] = tuple(("place", i) for i in range(3))
+FRAME: Final[tuple[Freedom, ...]] = tuple((name, i) for name in ("station", "station turn") for i in range(3))
+PLACE: Final[tuple[Freedom, ...]] = tuple(("place", i) for i in range(3))
 SHIFTS: Final = tuple((f"shift_{a}", "um") for a in "xyz")
 TURNS: Final = tuple((f"turn_{a}", "urad") for a in "xyz")
 
 
-def _again(where: str) -> str:
+def _frame_shift_title(where: str) -> str:
     station, _, number = where.rpartition("round ")
     if not station:
         return f"instrument re-aligned from round {number} on"
     return f"instrument at {station.removesuffix(' from ')} re-aligned from round {number} on"
 
 
-def _bumped(where: str) -> str:
+def _target_shift_title(where: str) -> str:
     target, _, number = where.partition(" from round ")
     return f"target {target} displaced from round {number} on"
 
@@ -32,10 +32,10 @@ def _bumped(where: str) -> str:
 FRAME_SHIFT: Final = Specification(
     name="frame_shift",
     kind="instrument",
-    title=_again,
+    title=_frame_shift_title,
     family="instrument re-aligned",
     advice=Advice(
-        "Who measured: what happened before {where}: a new alignment, a bumped tripod.",
+        "Metrology: check what happened before {where}: a new alignment, a tripod that was knocked.",
         f"{REST} Better, measure again in one alignment.",
         NOTHING,
     ),
@@ -46,52 +46,52 @@ FRAME_SHIFT: Final = Specification(
 TARGET_SHIFT: Final = Specification(
     name="target_shift",
     kind="instrument",
-    title=_bumped,
+    title=_target_shift_title,
     family="displaced targets",
-    advice=Advice("Who measured: how that target is held.", REST, NOTHING),
-    evidence=lambda of: f"target {of.where} sits elsewhere than before",
+    advice=Advice("Metrology: check the mounting of that target.", REST, NOTHING),
+    evidence=lambda of: f"target {of.where} was displaced",
     varies="with time",
     drawing=Drawing(columns=lambda where: ("round",), by_state=True, shared="target"),
 )
 
 
-def _later(given: Given) -> list[tuple[str, np.ndarray]]:
-    """Every round but the first, and which readings were made from then on."""
-    rounds = list(dict.fromkeys(given.data.round))
-    number = np.array([rounds.index(name) for name in given.data.round])
+def _later(inputs: CandidateInputs) -> list[tuple[str, np.ndarray]]:
+    """Return each round but the first, with the mask of the readings from that round on."""
+    rounds = list(dict.fromkeys(inputs.data.round))
+    number = np.array([rounds.index(name) for name in inputs.data.round])
     return [(str(rounds[k]), number >= k) for k in range(1, len(rounds))]
 
 
-def _parts(later: np.ndarray, names: np.ndarray) -> list[tuple[str, np.ndarray]]:
-    """Stations or targets that were read both before and from then on, with the later readings of each."""
-    some = [(str(name), names == name) for name in dict.fromkeys(names)]
-    return [(name, later & of) for name, of in some if 0 < np.count_nonzero(later & of) < np.count_nonzero(of)]
+def _changed(later: np.ndarray, names: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """Return stations or targets with readings both before and after a change, with the mask of the later readings."""
+    masks = [(str(name), names == name) for name in dict.fromkeys(names)]
+    return [(name, later & own) for name, own in masks if 0 < np.count_nonzero(later & own) < np.count_nonzero(own)]
 
 
-def alignments(given: Given) -> Catalogue:
-    """The frame of the instrument, and every target, from each round on."""
-    return Catalogue((*_frame_shifts(given), *_target_shifts(given)))
+def alignments(inputs: CandidateInputs) -> Catalogue:
+    """Return a candidate for the instrument's frame and for every target, from each round on."""
+    return Catalogue((*_frame_shifts(inputs), *_target_shifts(inputs)))
 
 
-def _frame_shifts(given: Given) -> list[Candidate]:
-    """The frame of the instrument from each round on; of each station by itself where there are several."""
+def _frame_shifts(inputs: CandidateInputs) -> list[Candidate]:
+    """Return frame shifts from each round on, for each station separately where there are several."""
     found = []
-    for name, later in _later(given):
-        alone = len(dict.fromkeys(given.data.station)) == 1
-        parts = [("", later)] if alone else _parts(later, given.data.station)
-        for station, mask in parts:
-            where = f"round {name}" if alone else f"station {station} from round {name}"
-            columns = reading(FRAME, mask, UM)
+    for name, later in _later(inputs):
+        single = len(dict.fromkeys(inputs.data.station)) == 1
+        changed = [("", later)] if single else _changed(later, inputs.data.station)
+        for station, mask in changed:
+            where = f"round {name}" if single else f"station {station} from round {name}"
+            columns = masked_columns(FRAME, mask, UM)
             found.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (Cell(columns),), 1.0))
     return found
 
 
-def _target_shifts(given: Given) -> list[Candidate]:
-    """Every target from each round on."""
+def _target_shifts(inputs: CandidateInputs) -> list[Candidate]:
+    """Return target shifts from each round on."""
     return [
-        Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (Cell(reading(PLACE, mask, UM)),), 1.0)
-        for name, later in _later(given)
-        for target, mask in _parts(later, given.data.target)
+        Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (Cell(masked_columns(PLACE, mask, UM)),), 1.0)
+        for name, later in _later(inputs)
+        for target, mask in _changed(later, inputs.data.target)
     ]
 
 

@@ -1,4 +1,4 @@
-"""One cause at one place, the forms it can take, and what is known of the data when candidates are made."""
+"""Candidate causes: an effect at one place and the variants it can take."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from twin.machine.effects import Effect, Specification
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements, state_of
 from twin.numerics.curves import CurveSpace
-from twin.numerics.functions import Remembering
+from twin.numerics.functions import CachingState
 
 Build = Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]
 Units = Callable[[Mapping[str, float]], tuple[Effect, ...]]
 Missing = tuple[str, str, str]
-"""Effect, where, and what is missing."""
+"""Effect, place, and the column of the table that is missing."""
 STRAIGHT: Final = np.inf
-"""Time constant of a straight line."""
+"""Time constant that stands for a straight line."""
 
 
 @final
 @dataclass(frozen=True)
 class Cell:
-    """One form a candidate can take: some columns, some fixed non-linear parameters.
+    """One variant of a candidate: columns at fixed values of its non-linear parameters.
 
     Attributes:
-        columns: their signatures.
+        columns: columns of its signature.
         fixed: non-linear parameters by name.
     """
 
@@ -42,11 +42,11 @@ class Cell:
 @final
 @dataclass(frozen=True)
 class Drift:
-    """What a candidate's columns are at any time constant.
+    """Columns of a drift as a function of its time constant.
 
     Attributes:
-        columns: time constant (s; `STRAIGHT` for a straight line) → columns, one a linear parameter.
-        constants: time constants that are tried, ascending.
+        columns: function from time constant (s; `STRAIGHT` for a straight line) to columns, one for each linear parameter.
+        constants: time constants tried, s, ascending.
         straight: whether a straight line is the usual form: an exponential is reported only where it fits significantly better.
     """
 
@@ -55,8 +55,8 @@ class Drift:
     straight: bool
 
     @property
-    def cells(self) -> tuple[Cell, ...]:
-        """A straight line, and exponentials."""
+    def variants(self) -> tuple[Cell, ...]:
+        """Variants: a straight line, then exponentials."""
         bent = (Cell(self.columns(constant), {"time_constant": constant}) for constant in self.constants)
         return (Cell(self.columns(STRAIGHT)), *bent)
 
@@ -64,24 +64,25 @@ class Drift:
 @final
 @dataclass(frozen=True)
 class Candidate:
-    """One cause at one place.
+    """A candidate cause: one effect at one place.
 
     Attributes:
-        specification: of the effect.
-        where: contract §5.
-        names: (name, unit) of its linear parameters, the first of as many as a cell has.
-        cells: the forms it can take.
-        tests: how many independent ones that is, for the price of the search.
-        build: linear parameters and fixed ones → the effects that extend the model; None for the instrument's.
-        units: fixed parameters → one effect a linear parameter, that one being one; None where columns are not made so.
-        space: the functions a curve's columns are, if it is one.
-        drift: its columns at any time constant, if it is one.
+        specification: the effect.
+        where: the place, as in contract §5.
+        names: (name, unit) of its linear parameters; a variant with fewer columns has the first of them.
+        variants: the forms it can take.
+        tests: number of independent variants, for the correction for multiple testing.
+        build: function from linear and fixed parameters to the effects that extend the model; None for instrument effects.
+        units: function from fixed parameters to one effect for each linear parameter, with that parameter equal to one; None where
+            the columns are not made from effects.
+        space: functions of the columns, if the candidate is a curve.
+        drift: columns at any time constant, if it is a drift.
     """
 
     specification: Specification
     where: str
     names: tuple[tuple[str, str], ...]
-    cells: tuple[Cell, ...]
+    variants: tuple[Cell, ...]
     tests: float
     build: Build | None = None
     units: Units | None = None
@@ -90,7 +91,7 @@ class Candidate:
 
     @property
     def effect(self) -> str:
-        """Contract §5."""
+        """Name of the effect, as in contract §5."""
         return self.specification.name
 
     @property
@@ -100,27 +101,27 @@ class Candidate:
 
     @property
     def key(self) -> tuple[str, str]:
-        """Effect and where."""
+        """Effect name and place."""
         return self.effect, self.where
 
     @property
     def largest(self) -> float:
-        """Magnitude its linear parameters can have on a real machine, in their unit."""
+        """Largest plausible magnitude of its linear parameters, in their unit."""
         return self.specification.bound([unit for _, unit in self.names])
 
     def range(self, name: str) -> float:
-        """The largest value of a fixed parameter that is tried; infinite if it has none."""
-        return max((cell.fixed[name] for cell in self.cells if name in cell.fixed), default=np.inf)
+        """Return the largest value tried of a fixed parameter; infinite if there is no such parameter."""
+        return max((variant.fixed[name] for variant in self.variants if name in variant.fixed), default=np.inf)
 
 
 @final
 @dataclass(frozen=True)
 class Catalogue:
-    """What can be tried on these data, and what cannot.
+    """The candidates that these data allow to be tested, and those that lack data.
 
     Attributes:
-        candidates: tried.
-        not_evaluated: (effect, where, what is missing).
+        candidates: the candidates to test.
+        not_evaluated: (effect, place, missing column) of the others.
     """
 
     candidates: tuple[Candidate, ...]
@@ -129,13 +130,13 @@ class Catalogue:
 
 @final
 @dataclass(frozen=True)
-class Given:
-    """What candidates are made from.
+class CandidateInputs:
+    """Inputs that candidates are generated from.
 
     Attributes:
         machine: the machine.
         data: the measurements.
-        calibration: the model that is judged.
+        calibration: the model under test.
     """
 
     machine: Machine
@@ -145,18 +146,18 @@ class Given:
     @cached_property
     def state(self) -> Mapping[str, Any]:
         """Positions and channels of all readings."""
-        return Remembering(state_of(self.data, self.machine))
+        return CachingState(state_of(self.data, self.machine))
 
 
 @final
 @dataclass(frozen=True)
 class CandidateSource:
-    """Where candidates come from.
+    """A generator of candidates.
 
     Attributes:
-        specifications: of the effects they are of.
-        candidates: what is known → those that are tried, and what is missing for the others.
+        specifications: the effects it generates.
+        candidates: function from the inputs to the candidates, and those for which data are missing.
     """
 
     specifications: tuple[Specification, ...]
-    candidates: Callable[[Given], Catalogue]
+    candidates: Callable[[CandidateInputs], Catalogue]

@@ -1,4 +1,4 @@
-"""The causes that are tried: every effect that the machine, the instrument and the calibration can have on these data."""
+"""Catalogue of candidate causes: every effect of machine, instrument and calibration that these data allow to be tested."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twin.diagnosis.candidates import (
     station_drift,
     time_skew,
 )
-from twin.diagnosis.candidates.candidate import CandidateSource, Catalogue, Given
+from twin.diagnosis.candidates.candidate import CandidateInputs, CandidateSource, Catalogue
 from twin.machine.calibration import Calibration
 from twin.machine.effects import MACHINE_EFFECTS, Specification
 from twin.machine.machine import Machine
@@ -39,15 +39,15 @@ SPECIFICATIONS: Final[dict[str, Specification]] = {
 
 
 def catalogue(machine: Machine, data: Measurements, calibration: Calibration) -> Catalogue:
-    """Every effect of contract §5 that can be there, on data that have the columns for it.
+    """Return every effect of contract §5 that the machine and the columns of the data allow.
 
     Args:
         machine: the machine.
         data: the measurements.
-        calibration: the model that is judged: a rotary axis's curve can be wrong as a whole only where it has a polynomial.
+        calibration: the model under test; the curve of a rotary axis is a candidate only where it is a polynomial.
     """
-    given = Given(machine, data, calibration)
-    found = [source.candidates(given) for source in SOURCES]
+    inputs = CandidateInputs(machine, data, calibration)
+    found = [source.candidates(inputs) for source in SOURCES]
     return Catalogue(
         tuple(candidate for one in found for candidate in one.candidates),
         tuple(missing for one in found for missing in one.not_evaluated),

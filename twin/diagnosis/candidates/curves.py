@@ -1,4 +1,4 @@
-"""Candidates among the curves: an error motion of the calibration that is wrong or missing."""
+"""Candidates: an error motion whose curve in the calibration is wrong or missing."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateSource, Catalogue, Cell, Given
+from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateInputs, CandidateSource, Catalogue, Cell
 from twin.diagnosis.candidates.flaws import mistakes
-from twin.diagnosis.candidates.signatures import first_component, of_components
+from twin.diagnosis.candidates.signatures import component_column, first_component
 from twin.machine.effects import Effect, ErrorMotion, unit_of
 from twin.machine.effects.error_motion import (
     ANGULAR_ERROR_MOTION,
@@ -24,56 +24,64 @@ from twin.numerics.curves import POWER, CurveSpace, conversion
 from twin.numerics.functions import Functions, Rows
 
 CUBIC: Final = 3
-"""Degree of what is added to a curve that is no polynomial."""
+"""Degree of the correction of a curve that is not a polynomial."""
 DEGREES: Final = 8
-"""Largest degree of a curve that is tried."""
+"""Largest degree tried, unless the calibration's curve has a larger one."""
 
 
-def curves(given: Given) -> Catalogue:
-    """Curves in orthonormal functions, written as powers: of the linear axes, and of rotary ones that have polynomials."""
-    every = [(axis, component) for axis in given.machine.axes for component in range(len(DIRECTIONS))]
-    found = [_candidate(given, axis, component) for axis, component in every]
+def curves(inputs: CandidateInputs) -> Catalogue:
+    """Return corrections of the curves of linear axes, and of rotary axes with polynomial curves, in orthonormal polynomials."""
+    every = [(axis, component) for axis in inputs.machine.axes for component in range(len(DIRECTIONS))]
+    found = [_candidate(inputs, axis, component) for axis, component in every]
     return Catalogue(tuple(one for one in found if one is not None))
 
 
-def _candidate(given: Given, axis: Axis, component: int) -> Candidate | None:
-    """One error motion; None where none can be tried, or too few positions show it."""
+def _candidate(inputs: CandidateInputs, axis: Axis, component: int) -> Candidate | None:
+    """Return the candidate of one error motion; None if its curve cannot be corrected or has too few positions."""
     name, curve = f"E_{DIRECTIONS[component]}{axis.name}", None
-    if (known := given.calibration.curves.get(name)) is not None:
+    if (known := inputs.calibration.curves.get(name)) is not None:
         curve = known.in_powers()
-    tried = _tried(axis, known, curve)
-    if tried is None:
+    limits = _domain_and_degree(axis, known, curve)
+    if limits is None:
         return None
-    domain, degrees = tried
-    q = given.state[axis.name]
+    domain, degrees = limits
+    q = inputs.state[axis.name]
     at = np.clip(q if axis.lower is not None else domain[0] + np.mod(q - domain[0], 360.0), *domain)
     count = min(degrees, len(np.unique(np.round(at, 3))) - 1) + 1
     space = CurveSpace(name, POWER, domain, 0, max(count, 1))
     specification = specification_of(axis, component)
-    # What the datum leaves a curve (`twin.identification.unknowns`): no constant, and a straightness no slope.
-    own = 2 if specification is STRAIGHTNESS else 1
-    if count <= own:
+    # The datum fixes the constant of a curve, and the slope of a straightness (`twin.identification.unknowns`).
+    fixed_by_datum = 2 if specification is STRAIGHTNESS else 1
+    if count <= fixed_by_datum:
         return None
     patterns = mistakes(space, curve)
-    functions = _shaped(space, at, tuple(patterns.values()))
-    at_frame = first_component(given.machine, axis.name) + component
-    columns = tuple(of_components([(at_frame, functions, k, 1.0)]) for k in range(functions.count))
-    cells = [
-        Cell(columns[first : degree + 1], {"first": float(first)}) for degree in range(own, count) for first in (0, own)
+    functions = _functions_with_sums(space, at, tuple(patterns.values()))
+    component_index = first_component(inputs.machine, axis.name) + component
+    columns = tuple(component_column([(component_index, functions, k, 1.0)]) for k in range(functions.count))
+    variants = [
+        Cell(columns[first : degree + 1], {"first": float(first)})
+        for degree in range(fixed_by_datum, count)
+        for first in (0, fixed_by_datum)
     ]
-    short = [Cell((columns[space.count + k],), {"stops": stops}) for k, stops in enumerate(patterns)]
-    tests = float(count - own + min(len(short), 2))
+    single_mistakes = [Cell((columns[space.count + k],), {"stops": stops}) for k, stops in enumerate(patterns)]
+    tests = float(count - fixed_by_datum + min(len(single_mistakes), 2))
     names = tuple((f"g{k}", unit_of(name)) for k in range(count))
     build = _builder(space, patterns, wrapped=axis.lower is None)
-    return Candidate(specification, name, names, (*cells, *short), tests, build, space=space)
+    return Candidate(specification, name, names, (*variants, *single_mistakes), tests, build, space=space)
 
 
-def _tried(axis: Axis, known: Curve | None, curve: Curve | None) -> tuple[tuple[float, float], int] | None:
-    """Domain and largest degree of what may be added to a curve, as the calibration has it and in powers; None for nothing."""
+def _domain_and_degree(axis: Axis, known: Curve | None, curve: Curve | None) -> tuple[tuple[float, float], int] | None:
+    """Return the domain and largest degree of the correction of a curve; None if it cannot be corrected.
+
+    Args:
+        axis: the axis.
+        known: the calibration's curve; None if there is none.
+        curve: the same in powers; None if it is not a polynomial.
+    """
     if curve is not None:
         return curve.domain, max(DEGREES, len(curve.coefficients) - 1)
     if known is not None:
-        # Of another kind: no more than can be added to it.
+        # Another basis: only a correction that this basis can represent.
         fits = conversion(POWER, known.family, CUBIC + 1, len(known.coefficients)) is not None
         return (known.domain, CUBIC) if fits else None
     if axis.linear and axis.lower is not None and axis.upper is not None:
@@ -93,13 +101,13 @@ def _builder(space: CurveSpace, patterns: Mapping[float, np.ndarray], *, wrapped
     return build
 
 
-def _shaped(space: CurveSpace, at: np.ndarray, patterns: Sequence[np.ndarray]) -> Functions:
-    """A curve's orthonormal functions, and after them sums of these.
+def _functions_with_sums(space: CurveSpace, at: np.ndarray, patterns: Sequence[np.ndarray]) -> Functions:
+    """Return a curve's orthonormal functions, followed by linear combinations of them.
 
     Args:
         space: the functions.
         at: (n,) positions.
-        patterns: (count,) coefficients of each sum.
+        patterns: coefficients (count,) of each combination.
     """
     sums = np.stack(patterns, axis=1) if patterns else np.zeros((space.count, 0))
 

@@ -1,4 +1,4 @@
-"""Candidates of the machine: every effect wherever on this machine it can sit, from its specification alone."""
+"""Candidates: every machine effect at every place where this machine can have it, generated from its specification."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any, Final
 from twin.diagnosis.candidates.candidate import (
     STRAIGHT,
     Candidate,
+    CandidateInputs,
     CandidateSource,
     Catalogue,
     Cell,
     Drift,
-    Given,
     Missing,
 )
-from twin.diagnosis.candidates.signatures import Column, first_component, of_components, of_units
+from twin.diagnosis.candidates.signatures import Column, component_column, first_component, unit_columns
 from twin.machine.effects import MACHINE_EFFECTS, GravityCompliance, Payload, Specification
 from twin.machine.effects.places import single
 from twin.machine.effects.specification import Forms
@@ -26,90 +26,94 @@ TRIED: Final = tuple(
 )
 
 
-def machine_effects(given: Given) -> Catalogue:
-    """Every effect of the machine that is no curve, on data that have the columns for it."""
-    told = [effect for effect in given.calibration.extra if isinstance(effect, GravityCompliance)]
-    payloads = tuple(dict.fromkeys(payload for effect in told for payload in effect.payloads)) if told else None
+def machine_effects(inputs: CandidateInputs) -> Catalogue:
+    """Return every machine effect, except curves, for which the data have the columns."""
+    compliances = [effect for effect in inputs.calibration.extra if isinstance(effect, GravityCompliance)]
+    payloads = (
+        tuple(dict.fromkeys(payload for effect in compliances for payload in effect.payloads)) if compliances else None
+    )
     found: list[Candidate] = []
     missing: list[Missing] = []
-    for one in TRIED:
-        places, lacking = one.candidate_places(given.machine, given.state)
-        missing += [(one.name, where, what) for where, what in lacking]
-        found += [_candidate(one, where, given, payloads) for where in places]
+    for specification in TRIED:
+        places, lacking = specification.candidate_places(inputs.machine, inputs.state)
+        missing += [(specification.name, where, what) for where, what in lacking]
+        found += [_candidate(specification, where, inputs, payloads) for where in places]
     return Catalogue(tuple(found), tuple(missing))
 
 
-def _candidate(one: Specification, where: str, given: Given, payloads: Sequence[Payload] | None) -> Candidate:
-    if one.forms is not None:
-        forms = one.forms(given.machine, where, given.state, payloads)
+def _candidate(
+    specification: Specification, where: str, inputs: CandidateInputs, payloads: Sequence[Payload] | None
+) -> Candidate:
+    if specification.forms is not None:
+        forms = specification.forms(inputs.machine, where, inputs.state, payloads)
     else:
-        forms = _single(one, where, given)
+        forms = _single(specification, where, inputs)
     if forms.is_drift:
-        drift = _drift(forms, given)
+        drift = _drift(forms, inputs)
         return Candidate(
-            one, where, forms.names, drift.cells, forms.tests or 1.0, forms.build, forms.units, drift=drift
+            specification, where, forms.names, drift.variants, forms.tests or 1.0, forms.build, forms.units, drift=drift
         )
-    cells = tuple(Cell(columns, fixed) for columns, fixed in zip(_columns(forms, given), forms.trials, strict=True))
-    tests = float(max(len(cells), 1)) if forms.tests is None else forms.tests
-    return Candidate(one, where, forms.names, cells, tests, forms.build, forms.units, forms.space)
+    variants = tuple(Cell(columns, fixed) for columns, fixed in zip(_columns(forms, inputs), forms.trials, strict=True))
+    tests = float(max(len(variants), 1)) if forms.tests is None else forms.tests
+    return Candidate(specification, where, forms.names, variants, tests, forms.build, forms.units, forms.space)
 
 
-def _single(one: Specification, where: str, given: Given) -> Forms:
-    """Of an effect of one parameter."""
-    make, (name,) = one.make, one.parameters
+def _single(specification: Specification, where: str, inputs: CandidateInputs) -> Forms:
+    """Return the forms of an effect of one parameter."""
+    make, (name,) = specification.make, specification.parameters
     if make is None:
-        raise TypeError(f"{one.name} can neither be made nor tried")
-    unit = make(given.machine, where, {name: 1.0}, ()).parameters[0].unit
-    return single((name, unit), lambda value: make(given.machine, where, {name: value}, ()))
+        raise TypeError(f"{specification.name} has neither forms nor a constructor")
+    unit = make(inputs.machine, where, {name: 1.0}, ()).parameters[0].unit
+    return single((name, unit), lambda value: make(inputs.machine, where, {name: value}, ()))
 
 
-def cell_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machine, state: Mapping[str, Any]) -> Cell:
-    """The form of a candidate at any values of its non-linear parameters.
+def variant_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machine, state: Mapping[str, Any]) -> Cell:
+    """Return the variant of a candidate at given values of its non-linear parameters.
 
     Args:
-        candidate: whose columns are those of an effect each.
-        fixed: the values.
+        candidate: the candidate; it has ``units`` or ``drift``.
+        fixed: values of the non-linear parameters, by name.
         machine: the machine.
-        state: of all readings.
+        state: positions and channels of all readings.
     """
     if candidate.drift is not None:
         return Cell(candidate.drift.columns(fixed.get("time_constant", STRAIGHT)), fixed)
     if candidate.units is None:
-        raise TypeError(f"{candidate.effect} has no columns at other values")
-    return Cell(tuple(of_units(candidate.units(fixed), machine, state)), fixed)
+        raise TypeError(f"{candidate.effect}: columns exist only at the values tried")
+    return Cell(tuple(unit_columns(candidate.units(fixed), machine, state)), fixed)
 
 
-def _columns(forms: Forms, given: Given) -> list[tuple[Column, ...]]:
-    """Of every trial."""
+def _columns(forms: Forms, inputs: CandidateInputs) -> list[tuple[Column, ...]]:
+    """Return the columns of every trial."""
     together, made = forms.together, forms.units
     if together is None and made is not None:
         units = [made(fixed) for fixed in forms.trials]
-        columns = iter(of_units([unit for some in units for unit in some], given.machine, given.state))
+        columns = iter(unit_columns([unit for some in units for unit in some], inputs.machine, inputs.state))
         return [tuple(next(columns) for _ in some) for some in units]
     if together is None:
         raise TypeError("forms without columns")
-    at = first_component(given.machine, together.frame.axis, together.frame.role)
+    at = first_component(inputs.machine, together.frame.axis, together.frame.role)
     return [
-        tuple(of_components([(at + i, together.functions, k, part) for i, part in together.parts]) for k in some)
+        tuple(component_column([(at + i, together.functions, k, part) for i, part in together.parts]) for k in some)
         for some in together.columns
     ]
 
 
-def _drift(forms: Forms, given: Given) -> Drift:
+def _drift(forms: Forms, inputs: CandidateInputs) -> Drift:
     made = forms.units
     if made is None:
-        raise TypeError("a drift without columns at other time constants")
+        raise TypeError("a drift needs columns at any time constant")
 
-    def of(constants: Sequence[float]) -> list[Column]:
+    def columns_at(constants: Sequence[float]) -> list[Column]:
         fixed = [{} if constant == STRAIGHT else {"time_constant": constant} for constant in constants]
-        return of_units([unit for one in fixed for unit in made(one)], given.machine, given.state)
+        return unit_columns([unit for values in fixed for unit in made(values)], inputs.machine, inputs.state)
 
     tried = tuple(fixed["time_constant"] for fixed in forms.trials if fixed)
-    # The functions of those that are tried are evaluated together.
-    known = dict(zip(tried, of(tried), strict=True))
+    # The functions of all time constants tried are evaluated together.
+    known = dict(zip(tried, columns_at(tried), strict=True))
 
     def columns(constant: float) -> tuple[Column, ...]:
-        return (known[constant] if constant in known else of([constant])[0],)
+        return (known[constant] if constant in known else columns_at([constant])[0],)
 
     return Drift(columns, tried, straight=False)
 

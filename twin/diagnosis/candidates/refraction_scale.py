@@ -1,4 +1,4 @@
-"""All lengths are read too long or too short: the refractive index that the instrument reckons with is another one."""
+"""Candidate: a scale error of all lengths, because the instrument uses a wrong refractive index."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from typing import Final
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Candidate, CandidateSource, Catalogue, Cell, Given
-from twin.diagnosis.candidates.signatures import reading
+from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Cell
+from twin.diagnosis.candidates.signatures import masked_columns
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
 
 PPM: Final = 1e-6
 LARGEST_PPM: Final = 20.0
-"""Air 20 K from the temperature set on the instrument."""
+"""Corresponds to air 20 K away from the temperature set on the instrument."""
 PLAUSIBLE: Final = 100.0
-"""ppm: a column is in units of it."""
+"""ppm: scale of the column."""
 
 REFRACTION_SCALE: Final = Specification(
     name="refraction_scale",
@@ -22,7 +22,7 @@ REFRACTION_SCALE: Final = Specification(
     title=lambda where: "all lengths read too long or too short",
     family="scale of all lengths",
     advice=Advice(
-        "Who measured: air temperature, pressure and humidity at the instrument, and its certificate.", REST, NOTHING
+        "Metrology: air temperature, pressure and humidity at the instrument, and its certificate.", REST, NOTHING
     ),
     evidence=lambda of: f"all lengths are read {of.measure} too long",
     limits={"ppm": LARGEST_PPM},
@@ -31,9 +31,9 @@ REFRACTION_SCALE: Final = Specification(
 )
 
 
-def refraction_scale(given: Given) -> Catalogue:
-    """One number for all readings."""
-    columns = reading([("length", 0)], np.ones(len(given.data)), PPM, PLAUSIBLE)
+def refraction_scale(inputs: CandidateInputs) -> Catalogue:
+    """Return one candidate for all readings."""
+    columns = masked_columns([("length", 0)], np.ones(len(inputs.data)), PPM, PLAUSIBLE)
     return Catalogue((Candidate(REFRACTION_SCALE, "—", (("scale", "ppm"),), (Cell(columns),), 1.0),))
 
 

@@ -1,1 +1,1 @@
-"""How large causes are, and how far off that may be."""
+"""Sizes of causes and their uncertainty."""

@@ -1,4 +1,4 @@
-"""How large each cause is: all their parameters together, the non-linear ones too, with the set-up free."""
+"""Estimate of all parameters of the causes, non-linear ones included, together with the set-up."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from scipy.linalg import block_diag
 
 from twin._common.arrays import locked
 from twin.diagnosis.candidates.candidate import STRAIGHT
-from twin.diagnosis.candidates.signatures import Column, of_effect
+from twin.diagnosis.candidates.signatures import Column, effect_columns
 from twin.diagnosis.estimate.drift_fit import fit_drift, over_forms
-from twin.diagnosis.estimate.misfit import larger, more_left, widened
-from twin.diagnosis.problem.pool import Form, pseudo
+from twin.diagnosis.estimate.misfit import lacks_fit, robust_covariance, upper_bound
+from twin.diagnosis.problem.forms import Form, pseudo_inverse
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.result import Quantity
 from twin.machine.effects import Effect
@@ -22,37 +22,40 @@ from twin.measurement.table import state_of
 from twin.numerics.covariance import Covariance
 
 STEPS: Final = 12
-STILL: Final = 1e-6
-TOGETHER: Final = 64
+"""Gauss-Newton steps, at most."""
+CONVERGED: Final = 1e-6
+"""Step, in standard deviations, below which the iteration has converged."""
+BLOCK_COLUMNS: Final = 64
+"""Columns of random effects evaluated at a time."""
 
 
 @final
 @dataclass(frozen=True)
-class Beside:
-    """Patterns without a name, and what the scatter is beside them.
+class RandomEffects:
+    """Patterns without a name as random effects, and the noise estimated with them.
 
     Attributes:
         random: their columns, each with its standard deviation in the column's unit.
-        scatter: times the stated variances.
+        variance_factor: factor on the stated noise variances.
     """
 
     random: Sequence[tuple[Column, float]]
-    scatter: float
+    variance_factor: float
 
 
 @final
 @dataclass(frozen=True)
 class Estimate:
-    """Parameters of some causes.
+    """Estimated parameters of some causes.
 
     Attributes:
-        quantities: by cause.
-        effects: by cause; empty for an instrument's.
-        covariance: of the parameters of all effects, under their names in a calibration.
-        signature: (3n, k) what the causes do to the whitened readings, held out or not, one column a cause.
-        explained: of the misfit.
-        against: by cause, what the Wald statistic of all its numbers is beside their covariance, their number, and the groups that
-            covariance is known from (infinite where it is the stated scatter's).
+        quantities: reported parameters of each cause.
+        effects: effects of each cause; empty for a cause in the instrument.
+        covariance: covariance of the parameters of all effects, under their names in a calibration.
+        signature: (3n, k) contribution of each of k causes to the whitened readings, held out or not.
+        explained: reduction of chi².
+        wald: for each cause the Wald statistic of its parameters, their number, and the number of groups that their covariance is
+            estimated from (infinite where it is due to the stated noise).
     """
 
     quantities: tuple[tuple[Quantity, ...], ...]
@@ -60,22 +63,22 @@ class Estimate:
     covariance: Covariance
     signature: np.ndarray
     explained: float
-    against: tuple[tuple[float, int, float], ...] = ()
+    wald: tuple[tuple[float, int, float], ...] = ()
 
 
 @dataclass
 class _Part:
-    """One cause while all are fitted together.
+    """One cause during the joint fit.
 
     Attributes:
         form: the cause.
-        fixed: its non-linear parameters, where they are not fitted with the others.
-        scales: (w,) units of its columns that are plausible.
-        columns: (3n, w) what a unit of each of its numbers does; of those that change with the numbers, as they are now.
-        values: (w,) its numbers.
-        effects: that are made of it; none for an instrument's.
-        bent: whether its columns change with its numbers.
-        moments: second moments of the numbers of a drift whose likelihood is not that of a normal distribution.
+        fixed: non-linear parameters that are not fitted with the others.
+        scales: (w,) plausible sizes of its parameters.
+        columns: (3n, w) derivatives of the whitened readings by its parameters, at the current values.
+        values: (w,) its parameters.
+        effects: effects with these parameters; none for a cause in the instrument.
+        nonlinear: whether the columns depend on the parameters.
+        moments: second moments of the parameters of a drift whose likelihood is not normal.
     """
 
     form: Form
@@ -84,81 +87,88 @@ class _Part:
     columns: np.ndarray
     values: np.ndarray
     effects: tuple[Effect, ...]
-    bent: bool
+    nonlinear: bool
     moments: np.ndarray | None = None
 
-    def put(self, values: np.ndarray, longest: float) -> None:
-        """Other numbers."""
+    def set_values(self, values: np.ndarray, longest: float) -> None:
+        """Set the parameters, within the effect's limits."""
         self.values = values
-        if self.bent:
-            self.effects = (_kept(self.form, self.effects[0], values, longest),)
+        if self.nonlinear:
+            self.effects = (_within_limits(self.form, self.effects[0], values, longest),)
             self.values = np.array([parameter.value for parameter in self.effects[0].parameters])
         else:
-            self.effects = _built(self.form, values, self.fixed)
+            self.effects = _effects(self.form, values, self.fixed)
 
-    def turn(self, problem: Problem, state: Mapping[str, Any]) -> None:
-        """Columns as they are at the numbers of now."""
-        if self.bent:
-            derived = of_effect(self.effects[0], problem.network.machine, state)
+    def linearise(self, problem: Problem, state: Mapping[str, Any]) -> None:
+        """Evaluate the columns at the current parameters."""
+        if self.nonlinear:
+            derived = effect_columns(self.effects[0], problem.network.machine, state)
             self.scales = np.array([column.scale for column in derived])
             self.columns = problem.signature(derived) / self.scales
             self.values = np.array([parameter.value for parameter in self.effects[0].parameters])
 
-    def made(self, problem: Problem, state: Mapping[str, Any]) -> np.ndarray:
-        """(3n,) what it does to the whitened readings."""
-        return _made(problem, state, self.effects) if self.bent else np.asarray(self.columns @ self.values)
+    def signature(self, problem: Problem, state: Mapping[str, Any]) -> np.ndarray:
+        """Return the contribution (3n,) to the whitened readings."""
+        return _signature_of(problem, state, self.effects) if self.nonlinear else np.asarray(self.columns @ self.values)
 
 
 def estimate(
-    problem: Problem, forms: Sequence[Form], scatter: float = float("inf"), beside: Beside | None = None
+    problem: Problem,
+    forms: Sequence[Form],
+    noise_dof: float = float("inf"),
+    random_effects: RandomEffects | None = None,
 ) -> Estimate:
-    """Gauss-Newton on all parameters of the causes, the set-up projected out.
+    """Estimate all parameters of the causes by Gauss-Newton iteration, with the set-up projected out.
 
     Args:
         problem: the data.
         forms: the causes.
-        scatter: degrees of freedom the scatter is known with.
-        beside: patterns without a name; the causes alone are fitted, and these make them less certain.
+        noise_dof: degrees of freedom of the noise variance.
+        random_effects: patterns without a name; they are not fitted but increase the covariance.
     """
     if not forms:
         return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
     state = state_of(problem.network.data, problem.network.machine)
-    parts = _begun(problem, forms)
-    inverse = _fitted(problem, parts, state)
-    signature = np.stack([part.made(problem, state) for part in parts], axis=1)
-    whole = np.concatenate([part.columns for part in parts], axis=1)
-    size = np.concatenate([part.scales for part in parts])
-    left = problem.residual - signature.sum(axis=1)
-    explained = problem.chi2 - float(left @ problem.project(left))
-    count = float("inf")
-    by_patterns = None if beside is None else _with_patterns(problem, whole, inverse, size, beside)
-    if more_left(problem, left, whole.shape[1], scatter):
-        wide, count = widened(problem, whole * size, left, inverse / np.outer(size, size))
-        inverse = wide * np.outer(size, size)
+    parts = _initial_parts(problem, forms)
+    inverse = _gauss_newton(problem, parts, state)
+    signature = np.stack([part.signature(problem, state) for part in parts], axis=1)
+    columns = np.concatenate([part.columns for part in parts], axis=1)
+    scales = np.concatenate([part.scales for part in parts])
+    residual = problem.residual - signature.sum(axis=1)
+    explained = problem.chi2 - float(residual @ problem.project(residual))
+    groups = float("inf")
+    by_patterns = None if random_effects is None else _with_patterns(problem, columns, inverse, scales, random_effects)
+    if lacks_fit(problem, residual, columns.shape[1], noise_dof):
+        wide, groups = robust_covariance(problem, columns * scales, residual, inverse / np.outer(scales, scales))
+        inverse = wide * np.outer(scales, scales)
     if by_patterns is not None:
-        inverse = larger(inverse, by_patterns)
-    return _told(problem, parts, inverse, signature, explained, count)
+        inverse = upper_bound(inverse, by_patterns)
+    return _reported(problem, parts, inverse, signature, explained, groups)
 
 
-def _begun(problem: Problem, forms: Sequence[Form]) -> list[_Part]:
-    """All causes as they are linear, and each drift at its most likely time constant beside the others."""
-    scales = [np.array([column.scale for column in form.cell.columns]) for form in forms]
-    columns = [problem.signature(form.cell.columns) / own for form, own in zip(forms, scales, strict=True)]
-    _, start = _solved(problem, np.concatenate(columns, axis=1), problem.residual, np.concatenate(scales))
+def _initial_parts(problem: Problem, forms: Sequence[Form]) -> list[_Part]:
+    """Return all causes with parameters from a linear fit, and each drift with its most likely time constant given the others."""
+    scales = [np.array([column.scale for column in form.variant.columns]) for form in forms]
+    columns = [problem.signature(form.variant.columns) / own for form, own in zip(forms, scales, strict=True)]
+    _, start = _least_squares(problem, np.concatenate(columns, axis=1), problem.residual, np.concatenate(scales))
     values = np.split(start, np.cumsum([len(own) for own in scales])[:-1])
     parts = []
-    for form, own, made, found in zip(forms, scales, columns, values, strict=True):
-        fixed = dict(form.cell.fixed)
-        effects = _built(form, found, fixed)
-        part = _Part(form, fixed, own, made, found, effects, form.candidate.drift is None and _bent(form, effects))
+    for form, own, signature, found in zip(forms, scales, columns, values, strict=True):
+        fixed = dict(form.variant.fixed)
+        effects = _effects(form, found, fixed)
+        part = _Part(
+            form, fixed, own, signature, found, effects, form.candidate.drift is None and _is_nonlinear(form, effects)
+        )
         parts.append(part)
     for part in parts:
-        _drifting(problem, part, [column for form in forms if form is not part.form for column in form.cell.columns])
+        _fit_drift_of(
+            problem, part, [column for form in forms if form is not part.form for column in form.variant.columns]
+        )
     return parts
 
 
-def _drifting(problem: Problem, part: _Part, others: Sequence[Column]) -> None:
-    """Put a drift where its likelihood is largest."""
+def _fit_drift_of(problem: Problem, part: _Part, others: Sequence[Column]) -> None:
+    """Set a drift to its maximum-likelihood fit given the other causes."""
     drift = part.form.candidate.drift
     if drift is None:
         return
@@ -168,95 +178,97 @@ def _drifting(problem: Problem, part: _Part, others: Sequence[Column]) -> None:
     part.fixed = {} if straight else {"time_constant": found.time_constant}
     part.scales = np.array([column.scale for column in unit])
     part.columns, part.values = problem.signature(unit) / part.scales, found.values
-    part.effects = _built(part.form, found.values, part.fixed)
+    part.effects = _effects(part.form, found.values, part.fixed)
     part.moments = found.moments
-    part.bent = found.moments is None and not straight
+    part.nonlinear = found.moments is None and not straight
 
 
-def _fitted(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any]) -> np.ndarray:
-    """Steps until nothing moves; the covariance of all numbers at the last one."""
-    longest = [_longest(part.form) for part in parts]
-    for _ in range(STEPS if any(part.bent for part in parts) else 1):
+def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any]) -> np.ndarray:
+    """Iterate until convergence and return the covariance of all parameters at the last step."""
+    longest = [_longest_scale(part.form) for part in parts]
+    for _ in range(STEPS if any(part.nonlinear for part in parts) else 1):
         for part in parts:
-            part.turn(problem, state)
-        left = problem.residual - np.sum([part.made(problem, state) for part in parts], axis=0)
+            part.linearise(problem, state)
+        residual = problem.residual - np.sum([part.signature(problem, state) for part in parts], axis=0)
         sizes = np.concatenate([part.scales for part in parts])
-        inverse, step = _solved(problem, np.concatenate([part.columns for part in parts], axis=1), left, sizes)
-        moved = float(np.sqrt(max(step @ np.linalg.pinv(inverse, hermitian=True) @ step, 0.0)))
+        inverse, step = _least_squares(
+            problem, np.concatenate([part.columns for part in parts], axis=1), residual, sizes
+        )
+        change = float(np.sqrt(max(step @ np.linalg.pinv(inverse, hermitian=True) @ step, 0.0)))
         ends = np.cumsum([len(part.values) for part in parts])[:-1]
         for part, own, most in zip(parts, np.split(step, ends), longest, strict=True):
-            part.put(part.values + own, most)
-        if moved < STILL:
+            part.set_values(part.values + own, most)
+        if change < CONVERGED:
             break
     return inverse
 
 
-def _told(
+def _reported(
     problem: Problem,
     parts: Sequence[_Part],
     inverse: np.ndarray,
     signature: np.ndarray,
     explained: float,
-    count: float,
+    groups: float,
 ) -> Estimate:
-    """Parameters with their covariance, as they are reported and as a calibration has them."""
+    """Return the parameters with their covariance, as they are reported and as they stand in a calibration."""
     forms = [part.form for part in parts]
-    against, quantities, rows, apart, names, at = [], [], [], [], [], 0
+    wald, quantities, transforms, drift_moments, names, at = [], [], [], [], [], 0
     for part in parts:
         width = part.columns.shape[1]
         own_rows = slice(at, at + width)
         block = inverse[own_rows, own_rows]
-        against.append(_wald(part.values / part.scales, block / np.outer(part.scales, part.scales), count))
-        matrix = np.eye(width) if part.bent else _matrix(part.form, part.fixed, width)
+        wald.append(_wald(part.values / part.scales, block / np.outer(part.scales, part.scales), groups))
+        matrix = np.eye(width) if part.nonlinear else _matrix(part.form, part.fixed, width)
         own = matrix @ block @ matrix.T if part.moments is None else part.moments
-        direct = part.form.candidate.space is not None or part.bent or part.moments is not None
-        shown = _of_either_form(problem, forms, part.form, own if direct else block)
-        quantities.append(_quantities(part.form, part.fixed, part.effects, part.values, shown))
+        direct = part.form.candidate.space is not None or part.nonlinear or part.moments is not None
+        reported = _over_variants(problem, forms, part.form, own if direct else block)
+        quantities.append(_quantities(part.form, part.fixed, part.effects, part.values, reported))
         if part.effects:
-            placed = np.zeros((len(own), len(inverse)))
+            transform = np.zeros((len(own), len(inverse)))
             if part.moments is None:
-                placed[:, own_rows] = matrix
-            rows.append(placed)
-            apart.append(np.zeros_like(own) if part.moments is None else own)
+                transform[:, own_rows] = matrix
+            transforms.append(transform)
+            drift_moments.append(np.zeros_like(own) if part.moments is None else own)
             names += [parameter.name for effect in part.effects for parameter in effect.parameters]
         at += width
-    placed = np.concatenate(rows) if rows else np.zeros((0, len(inverse)))
-    spread = placed @ inverse @ placed.T
+    transform = np.concatenate(transforms) if transforms else np.zeros((0, len(inverse)))
+    spread = transform @ inverse @ transform.T
     if any(part.moments is not None for part in parts):
-        spread += block_diag(*apart)
+        spread += block_diag(*drift_moments)
     covariance = Covariance(tuple(names), locked((spread + spread.T) / 2.0))
     effects = tuple(part.effects for part in parts)
-    return Estimate(tuple(quantities), effects, covariance, signature, explained, tuple(against))
+    return Estimate(tuple(quantities), effects, covariance, signature, explained, tuple(wald))
 
 
-def _built(form: Form, values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
+def _effects(form: Form, values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
     build = form.candidate.build
     return () if build is None else build(values, fixed)
 
 
 def _with_patterns(
-    problem: Problem, columns: np.ndarray, inverse: np.ndarray, sizes: np.ndarray, beside: Beside
+    problem: Problem, columns: np.ndarray, inverse: np.ndarray, sizes: np.ndarray, random_effects: RandomEffects
 ) -> np.ndarray:
-    """Covariance of the least-squares values where scatter and patterns without a name are both in the readings."""
+    """Return the covariance of the least-squares values when noise and random effects both act on the readings."""
     scaled = columns * sizes
-    own, _ = pseudo(problem.inner(scaled))
-    gain = np.zeros((len(sizes), len(beside.random)))
-    for start in range(0, len(beside.random), TOGETHER):
-        some = beside.random[start : start + TOGETHER]
-        made = problem.signature([column for column, _ in some]) * [deviation for _, deviation in some]
-        gain[:, start : start + TOGETHER] = own @ problem.along(scaled, problem.project(made))
-    return inverse * beside.scatter + (gain @ gain.T) * np.outer(sizes, sizes)
+    own, _ = pseudo_inverse(problem.inner(scaled))
+    gain = np.zeros((len(sizes), len(random_effects.random)))
+    for start in range(0, len(random_effects.random), BLOCK_COLUMNS):
+        some = random_effects.random[start : start + BLOCK_COLUMNS]
+        signature = problem.signature([column for column, _ in some]) * [deviation for _, deviation in some]
+        gain[:, start : start + BLOCK_COLUMNS] = own @ problem.along(scaled, problem.project(signature))
+    return inverse * random_effects.variance_factor + (gain @ gain.T) * np.outer(sizes, sizes)
 
 
-def _wald(values: np.ndarray, covariance: np.ndarray, count: float) -> tuple[float, int, float]:
+def _wald(values: np.ndarray, covariance: np.ndarray, groups: float) -> tuple[float, int, float]:
     found, vectors = np.linalg.eigh(covariance)
     kept = found > 1e-12 * found[-1]
     along = vectors[:, kept].T @ values
-    return float(np.sum(along**2 / found[kept])), int(kept.sum()), count
+    return float(np.sum(along**2 / found[kept])), int(kept.sum()), groups
 
 
 def _matrix(form: Form, fixed: Mapping[str, float], width: int) -> np.ndarray:
-    """From what was fitted to the parameters as a calibration has them, which are linear in it."""
+    """Return the matrix from fitted parameters to the parameters of a calibration, which are linear in them."""
     build = form.candidate.build
     if build is None:
         return np.eye(width)
@@ -266,18 +278,18 @@ def _matrix(form: Form, fixed: Mapping[str, float], width: int) -> np.ndarray:
     return np.array(columns).T
 
 
-def _solved(
+def _least_squares(
     problem: Problem, columns: np.ndarray, residual: np.ndarray, scale: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance and least-squares step; nothing along what the data do not see of the largest plausible size."""
+    """Return covariance and least-squares step; both are zero along directions that are not identifiable."""
     scaled = columns * scale
-    inverse, _ = pseudo(problem.inner(scaled))
+    inverse, _ = pseudo_inverse(problem.inner(scaled))
     slope = problem.along(scaled, problem.project(residual))
     return inverse * np.outer(scale, scale), (inverse @ slope) * scale
 
 
-def _made(problem: Problem, state: Mapping[str, Any], effects: Sequence[Effect]) -> np.ndarray:
-    """(3n,) what effects do to the whitened readings."""
+def _signature_of(problem: Problem, state: Mapping[str, Any], effects: Sequence[Effect]) -> np.ndarray:
+    """Return the contribution (3n,) of effects to the whitened readings."""
     view, frames = problem.view, problem.network.machine.frames
     index = {(frame.axis, frame.role): i for i, frame in enumerate(frames)}
     found = np.zeros((len(view.rows), 3))
@@ -288,33 +300,35 @@ def _made(problem: Problem, state: Mapping[str, Any], effects: Sequence[Effect])
     return found.reshape(-1)
 
 
-def _of_either_form(problem: Problem, forms: Sequence[Form], form: Form, covariance: np.ndarray) -> np.ndarray:
-    """Covariance of a cause's numbers, whichever of its forms with the same numbers is the true one."""
-    own = form.cell
+def _over_variants(problem: Problem, forms: Sequence[Form], form: Form, covariance: np.ndarray) -> np.ndarray:
+    """Return the covariance of a cause's parameters, allowing for its other variants with the same parameters."""
+    own = form.variant
     same = [
-        cell.columns
-        for cell in form.candidate.cells
-        if cell is not own and cell.fixed == own.fixed and len(cell.columns) == len(own.columns)
+        variant.columns
+        for variant in form.candidate.variants
+        if variant is not own and variant.fixed == own.fixed and len(variant.columns) == len(own.columns)
     ]
     if not same:
         return covariance
-    others = [column for one in forms if one is not form for column in one.cell.columns]
-    return larger(covariance, over_forms(problem, [own.columns, *same], others))
+    others = [column for one in forms if one is not form for column in one.variant.columns]
+    return upper_bound(covariance, over_forms(problem, [own.columns, *same], others))
 
 
-def _bent(form: Form, effects: Sequence[Effect]) -> bool:
-    """Whether non-linear parameters are among those of its effect."""
+def _is_nonlinear(form: Form, effects: Sequence[Effect]) -> bool:
+    """Return whether the effect has the form's non-linear parameters among its own."""
     names = form.candidate.specification.nonlinear
     return bool(names and effects) and all(name in effects[0].numbers for name in names)
 
 
-def _longest(form: Form) -> float:
-    """Longest period or time constant that a form can have."""
-    tried = [cell.fixed[name] for cell in form.candidate.cells for name in form.bent if name in cell.fixed]
+def _longest_scale(form: Form) -> float:
+    """Return the longest period or time constant tried of a form."""
+    tried = [
+        variant.fixed[name] for variant in form.candidate.variants for name in form.nonlinear if name in variant.fixed
+    ]
     return max(tried, default=np.inf)
 
 
-def _kept(form: Form, effect: Effect, values: np.ndarray, longest: float) -> Effect:
+def _within_limits(form: Form, effect: Effect, values: np.ndarray, longest: float) -> Effect:
     kept = form.candidate.specification.constrain
     return effect if kept is None else kept(effect, [float(v) for v in values], longest)
 
@@ -323,7 +337,7 @@ def _quantities(
     form: Form, fixed: Mapping[str, float], effects: Sequence[Effect], values: np.ndarray, covariance: np.ndarray
 ) -> tuple[Quantity, ...]:
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    if _bent(form, effects):
+    if _is_nonlinear(form, effects):
         return tuple(
             Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, float(one))
             for p, one in zip(effects[0].parameters, u, strict=True)
@@ -334,7 +348,7 @@ def _quantities(
             for k, (p, one) in enumerate(zip(effects[0].parameters, u, strict=True))
         )
     if effects and form.candidate.drift is not None:
-        # The time constant is longer than the record: the rate is known, and with it what the record sees of the amplitude.
+        # A time constant longer than the record: only the rate is identifiable, and from it the drift over the record.
         hours = form.candidate.drift.constants[-1] / 3600.0
         rate = effects[0].parameters[0].value
         return (
@@ -344,10 +358,10 @@ def _quantities(
     found = tuple(
         Quantity(name, float(value), unit, float(one))
         for (name, unit), value, one in zip(form.candidate.names, values, u, strict=False)
-        if one > 1e-9 * u.max()  # a direction these data do not see has no size
+        if one > 1e-9 * u.max()  # a parameter that is not identifiable is left out
     )
-    if "order" in form.cell.fixed:
-        found = (Quantity("order", form.cell.fixed["order"], "1", 0.0), *found)
+    if "order" in form.variant.fixed:
+        found = (Quantity("order", form.variant.fixed["order"], "1", 0.0), *found)
     if form.candidate.drift is not None and "time_constant" in fixed:
         found = (*found, Quantity("time_constant", fixed["time_constant"], "s", float(u[-1])))
     return found

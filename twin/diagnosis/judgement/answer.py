@@ -22,9 +22,9 @@ from twin.diagnosis.judgement.causes import Judged
 from twin.diagnosis.judgement.extend import Extended, extend
 from twin.diagnosis.judgement.gain import gain, of_file
 from twin.diagnosis.judgement.sizes import Sized
-from twin.diagnosis.problem.noise import Scatter
-from twin.diagnosis.problem.pool import SEEN, Form, Pool
-from twin.diagnosis.problem.problem import Problem, plain, rms, unwhitened
+from twin.diagnosis.problem.forms import LEAST_NONCENTRALITY, Candidates, Form
+from twin.diagnosis.problem.noise import ReadingNoise
+from twin.diagnosis.problem.problem import Problem, rms, unwhiten, unwhitened_um
 from twin.diagnosis.result import Trend, Unexplained, Verdict
 from twin.diagnosis.selection.structure import Findings
 from twin.diagnosis.selection.unnamed import Trace, scan
@@ -57,14 +57,14 @@ def answer(judged: Judged, calibration: Calibration, *, empirical: bool = False)
     extended = _extended(judged, calibration, unnamed)
     changed = bool(sized.forms or extended is not calibration)
     instrument = sized.estimate.signature[:, [not own for own in sized.estimate.effects]].sum(axis=1)
-    residual = unwhitened(problem, problem.residual)
+    residual = unwhitened_um(problem, problem.residual)
     after = of_file(problem, extended, instrument) if changed else residual
     hidden = _unidentifiable(found)
     weights = network.whitening
     return Diagnosis(
         verdict=_verdict(judged, left),
         rms_um=rms(residual, network.read),
-        absorbed_rms_um=rms(unwhitened(problem, problem.projected), network.read),
+        absorbed_rms_um=rms(unwhitened_um(problem, problem.projected), network.read),
         expected_rms_um=misfit.expected_um,
         points=len(network.data),
         dof=problem.dof,
@@ -73,20 +73,20 @@ def answer(judged: Judged, calibration: Calibration, *, empirical: bool = False)
         unexplained=left,
         unidentifiable=tuple(hidden),
         looks_like=MappingProxyType(hidden),
-        not_evaluated=found.posed.known.not_evaluated,
+        not_evaluated=found.task.catalogue.not_evaluated,
         next_measurement=judged.next_measurement,
         trends=misfit.trends,
-        ranking=_ranking(found.pool),
-        # Last: it puts the pool back to what was tried.
+        ranking=_ranking(found.candidates),
+        # Last: it puts the candidates back to what was tried.
         gain=gain(sized, (residual, after), left, unnamed) if changed else None,
-        tried=len(found.posed.known.candidates),
-        scatter=found.posed.scatter.source,
+        tried=len(found.task.catalogue.candidates),
+        scatter=found.task.noise.source,
         calibration=calibration,
         extended=extended,
         data=replace(network.data, notices=(*network.data.notices, *judged.notices)),
         residual_um=locked(residual),
         after_um=locked(after),
-        directions=locked(plain(problem, problem.view.by_base)),
+        directions=locked(unwhiten(problem, problem.view.by_base)),
         precision=locked(np.einsum("nki,nkj->nij", weights, weights) * UM**2),
     )
 
@@ -116,22 +116,26 @@ def _verdict(judged: Judged, left: Unexplained | None) -> Verdict:
 
 def _unidentifiable(found: Findings) -> dict[tuple[str, str], str]:
     """Candidates that the data could not show, and what looks the same as each."""
-    pool = found.pool
+    candidates = found.candidates
     seen: dict[tuple[str, str], bool] = {}
-    for form, score in zip(pool.forms, pool.scores([], range(len(pool.forms))), strict=True):
+    for form, score in zip(candidates.forms, candidates.scores([], range(len(candidates.forms))), strict=True):
         seen[form.key] = seen.get(form.key, False) or score[1] > 0
-    hidden = [candidate.key for candidate in found.posed.known.candidates if not seen.get(candidate.key, True)]
-    why = looks_like(found.problem, [form for form in pool.forms if form.key in set(hidden)])
+    hidden = [candidate.key for candidate in found.task.catalogue.candidates if not seen.get(candidate.key, True)]
+    why = looks_like(found.problem, [form for form in candidates.forms if form.key in set(hidden)])
     return {key: why[key] for key in hidden}
 
 
-def _ranking(pool: Pool) -> tuple[tuple[str, str, float, float], ...]:
+def _ranking(candidates: Candidates) -> tuple[tuple[str, str, float, float], ...]:
     best: dict[tuple[str, str], tuple[float, float]] = {}
-    for form, (explained, _, log_p) in zip(pool.forms, pool.scores([], range(len(pool.forms))), strict=True):
+    for form, (explained, _, log_p) in zip(
+        candidates.forms, candidates.scores([], range(len(candidates.forms))), strict=True
+    ):
         if log_p < best.get(form.key, (0.0, 1.0))[1]:
             best[form.key] = float(explained), float(log_p)
     ranked = sorted(best.items(), key=lambda one: (one[1][1], -one[1][0]))[:RANKED]
-    return tuple((effect, where, explained, pool.chance(log_p)) for (effect, where), (explained, log_p) in ranked)
+    return tuple(
+        (effect, where, explained, candidates.p_value(log_p)) for (effect, where), (explained, log_p) in ranked
+    )
 
 
 SEEN_AT: Final = 0.05
@@ -166,7 +170,7 @@ def misfit_of(sized: Sized) -> WholeMisfit:
         sized: the causes, with their sizes.
     """
     problem, found = sized.found.problem, sized.found
-    chances = [_p_value(problem, found.posed.scatter), *(float(np.exp(t.log_paid)) for t in found.structure.traces)]
+    chances = [_p_value(problem, found.task.noise), *(float(np.exp(t.log_paid)) for t in found.structure.traces)]
     return WholeMisfit(min(chances), _expected_um(problem), _trends(found), _unexplained(sized))
 
 
@@ -175,7 +179,7 @@ def _unexplained(sized: Sized) -> Unexplained | None:
     found, forms, excess = sized.found, sized.forms, sized.excess
     problem, structure = found.problem, found.structure
     if structure.traces:
-        patterns_um = unwhitened(problem, structure.pattern(forms))
+        patterns_um = unwhitened_um(problem, structure.pattern(forms))
         share = float(np.clip(structure.explained(forms) / excess, 0.0, 1.0))
         columns = tuple(dict.fromkeys(name for trace in structure.traces for name in trace.pattern.names))
         sides = {trace.pattern.side for trace in structure.traces}
@@ -188,7 +192,7 @@ def _unexplained(sized: Sized) -> Unexplained | None:
         return Unexplained(share, columns, carrier, text, size)
     after = problem.chi2 - sized.estimate.explained
     share = float((after - problem.dof) / excess) if forms else 1.0
-    more = _p_value(problem, found.posed.scatter, after, len(forms))
+    more = _p_value(problem, found.task.noise, after, len(forms))
     if more >= LARGE or (forms and share <= SMALL):
         return None
     size = float(np.sqrt(max(after / problem.dof - 1.0, 0.0))) * _expected_um(problem)
@@ -200,7 +204,7 @@ def _trends(found: Findings) -> tuple[Trend, ...]:
     """Columns the misfit goes with, one by one, before any cause is taken out."""
     single = [pattern for pattern in found.patterns if len(pattern.channels) == 1]
     best: dict[tuple[str, str], Trace] = {}
-    for trace in scan(found.problem, [one for one in single if one.field == "base"], (), found.posed.scatter.dof):
+    for trace in scan(found.problem, [one for one in single if one.field == "base"], (), found.task.noise.dof):
         best.setdefault((trace.pattern.side, trace.pattern.names[0]), trace)
     return tuple(
         Trend(column, side, trace.explained, float(np.exp(trace.log_paid)))
@@ -209,7 +213,7 @@ def _trends(found: Findings) -> tuple[Trend, ...]:
     )
 
 
-def _p_value(problem: Problem, scatter: Scatter, chi2: float | None = None, fitted: int = 0) -> float:
+def _p_value(problem: Problem, scatter: ReadingNoise, chi2: float | None = None, fitted: int = 0) -> float:
     """Chance of as large a misfit without any cause, or of a misfit once some numbers were fitted."""
     chi2, dof = problem.chi2 if chi2 is None else chi2, max(problem.dof - fitted, 1)
     if np.isfinite(scatter.dof):
@@ -233,7 +237,7 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
         problem: the data.
         forms: of those candidates, all of them.
     """
-    every = list(dict.fromkeys((form.key, column) for form in forms for column in form.cell.columns))
+    every = list(dict.fromkeys((form.key, column) for form in forms for column in form.variant.columns))
     if not every:
         return {}
     found = problem.products([column for _, column in every])
@@ -249,11 +253,11 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
     # All of it in the directions of the basis, and what of the causes is beside them.
     values, vectors = np.linalg.eigh(found.gram[np.ix_(own, own)])
     beside = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    whole = np.zeros((len(problem.back) + len(own), doubt + count + len(own)))
-    whole[: len(problem.back)] = np.concatenate(
-        [problem.back[:, count:], problem.back[:, :count], found.basis[:, own]], axis=1
+    whole = np.zeros((len(problem.nuisance_coordinates) + len(own), doubt + count + len(own)))
+    whole[: len(problem.nuisance_coordinates)] = np.concatenate(
+        [problem.nuisance_coordinates[:, count:], problem.nuisance_coordinates[:, :count], found.basis[:, own]], axis=1
     )
-    whole[len(problem.back) :, doubt + count :] = beside
+    whole[len(problem.nuisance_coordinates) :, doubt + count :] = beside
     # Triangular, the calibration's doubt first: below it stands what that doubt does not take up, and every choice among its columns
     # is a factor of theirs.
     left = np.asarray(np.linalg.qr(whole, mode="r"))[doubt:, doubt:]
@@ -262,15 +266,15 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
     unknowns = [*setup, Unknown(ITSELF, "", 1.0)]
     said = {}
     for k, (key, (size, _)) in enumerate(strongest.items()):
-        if size**2 <= SEEN:
+        if size**2 <= LEAST_NONCENTRALITY:
             said[key] = "nothing that was moved shows it"
             continue
-        if float(np.linalg.norm(left[:, count + k])) ** 2 <= SEEN:
+        if float(np.linalg.norm(left[:, count + k])) ** 2 <= LEAST_NONCENTRALITY:
             said[key] = "the calibration itself is not known well enough"
             continue
         columns = np.array([*range(count), count + k])
-        told = determinability(left[:, columns] / sizes, unknowns, tolerance=float(np.sqrt(SEEN)))
-        direction = told.moving(ITSELF)
+        told = determinability(left[:, columns] / sizes, unknowns, tolerance=float(np.sqrt(LEAST_NONCENTRALITY)))
+        direction = told.null_direction_of(ITSELF)
         if direction is None:
             said[key] = "stations, targets and the calibration's own doubt together take it up"
             continue

@@ -24,8 +24,8 @@ from twin.diagnosis.judgement.evidence import curve_flaw, evidence
 from twin.diagnosis.judgement.in_place import equivalent, measured_next, ruled_out
 from twin.diagnosis.judgement.second_opinion import Comparison, SingleEffect, compared, second_opinion
 from twin.diagnosis.judgement.sizes import Sized
-from twin.diagnosis.problem.pool import Form, Pool, log_chance
-from twin.diagnosis.problem.problem import unwhitened
+from twin.diagnosis.problem.forms import Candidates, Form, log_p_value
+from twin.diagnosis.problem.problem import unwhitened_um
 from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
 from twin.diagnosis.selection.payload import Load, asked, axis_of_form, weights
 from twin.machine.calibration import Calibration
@@ -78,8 +78,8 @@ def judged(sized: Sized, calibration: Calibration) -> Judged:
             else cause
             for cause, own in zip(causes, comparison.causes, strict=True)
         ]
-    also, silent = reported(found.pool, forms)
-    causes, loads = payload_causes(found.pool, forms, causes)
+    also, silent = reported(found.candidates, forms)
+    causes, loads = payload_causes(found.candidates, forms, causes)
     order = sorted(range(len(causes)), key=lambda k: -causes[k].share)
     ordered = [causes[k] for k in order]
     wanted = measured_next(found.beside, [sized.beside[k] for k in order], ordered)
@@ -93,9 +93,9 @@ def _cause(sized: Sized, k: int, calibration: Calibration) -> Cause:
     """One cause: its share beside the other causes, its rivals beside the patterns as well."""
     found, form = sized.found, sized.forms[k]
     others, rest = sized.others(form), [one for one in sized.beside if one is not sized.beside[k]]
-    explained = found.pool.scores(others, [form.index])[0, 0]
+    explained = found.candidates.scores(others, [form.index])[0, 0]
     doubt, quantities = sized.doubts[k], sized.estimate.quantities[k]
-    text = evidence(form, sized.estimate, k) + curve_flaw(found.pool, sized.forms, form, calibration) + doubt
+    text = evidence(form, sized.estimate, k) + curve_flaw(found.candidates, sized.forms, form, calibration) + doubt
     equal = equivalent(found, sized.beside[k], rest)
     if why := _unsettled(sized, form):
         text, equal = f"{text}; {why}", (*equal, (READ_BACK.name, form.candidate.where))
@@ -104,11 +104,11 @@ def _cause(sized: Sized, k: int, calibration: Calibration) -> Cause:
         where=form.candidate.where,
         origin=form.candidate.origin,
         parameters=quantities,
-        p_value=found.pool.chance(sized.log_p(form)),
+        p_value=found.candidates.p_value(sized.log_p(form)),
         share=float(np.clip(explained / sized.excess, 0.0, 1.0)),
         equivalent=equal,
         evidence=text,
-        pattern_um=locked(unwhitened(found.problem, sized.estimate.signature[:, k])),
+        pattern_um=locked(unwhitened_um(found.problem, sized.estimate.signature[:, k])),
         effects=() if doubt else sized.estimate.effects[k],
         promised=not doubt,
         bounded=_bounded(form, quantities),
@@ -134,8 +134,10 @@ def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
 
 
 def _not_beyond(sized: Sized) -> list[str]:
-    pool = sized.found.pool
-    shares = [100.0 * float(pool.scores(sized.forms, [form.index])[0, 0]) / sized.excess for form in sized.dropped]
+    candidates = sized.found.candidates
+    shares = [
+        100.0 * float(candidates.scores(sized.forms, [form.index])[0, 0]) / sized.excess for form in sized.dropped
+    ]
     each = [f"{' '.join(form.key)} ({share:.2g} %)" for form, share in zip(sized.dropped, shares, strict=True)]
     text = "not named, for they are not beyond what else is left unexplained (share of the excess): "
     return [text + ", ".join(each)] if each else []
@@ -154,7 +156,7 @@ def _fallen(sized: Sized) -> list[str]:
 def _compared(sized: Sized, causes: Sequence[Cause]) -> Comparison:
     pairs = zip(sized.forms, causes, strict=True)
     groups = [(form.key, *cause.equivalent, *_variants(form.key)) for form, cause in pairs]
-    return compared(second_opinion(sized.found.pool, sized.found.structure.forms), groups)
+    return compared(second_opinion(sized.found.candidates, sized.found.structure.forms), groups)
 
 
 def _variants(key: tuple[str, str]) -> list[tuple[str, str]]:
@@ -179,25 +181,25 @@ COMPATIBLE: Final = 3.0
 """Standard uncertainties from nothing within which they follow the command."""
 
 
-def reported(pool: Pool, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]:
+def reported(candidates: Candidates, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]:
     """Axes whose reported positions the measurement does not follow, and in words those of which nothing can be said.
 
     Args:
-        pool: what was tried.
+        candidates: what was tried.
         forms: what was found.
     """
-    data, machine = pool.problem.network.data, pool.problem.network.machine
+    data, machine = candidates.problem.network.data, candidates.problem.network.machine
     causes, silent = [], []
-    tried = [form for form in pool.forms if form.candidate.specification is FOLLOWING_ERROR and form not in forms]
+    tried = [form for form in candidates.forms if form.candidate.specification is FOLLOWING_ERROR and form not in forms]
     for form in tried:
         axis = machine.by_name[form.candidate.where]
         off = largest_off(data, machine.names.index(axis.name))
         text = f"the positions reported for {axis.name} differ from the commands by up to {off:.3g} {axis.unit}"
-        columns, values, inverse = pool.fitted([form, *forms])
-        at, scale = int(np.searchsorted(columns, form.columns[0])), form.cell.columns[0].scale
+        columns, values, inverse = candidates.fitted([form, *forms])
+        at, scale = int(np.searchsorted(columns, form.columns[0])), form.variant.columns[0].scale
         share, u = float(values[at] * scale), float(scale * np.sqrt(inverse[at, at]))
-        if pool.scan([one for one in forms if one is not form])[1][form.index] == 0 or u == 0.0:
-            if pool.scan([])[1][form.index] > 0:
+        if candidates.scan([one for one in forms if one is not form])[1][form.index] == 0 or u == 0.0:
+            if candidates.scan([])[1][form.index] > 0:
                 silent.append(
                     f"{text}; beside what was found, these data cannot tell which of them the measurement follows"
                 )
@@ -214,7 +216,9 @@ def reported(pool: Pool, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]
                     equivalent=(),
                     evidence=f"{text}, and the measurement follows the commands: they were read before {axis.name} had settled",
                     pattern_um=locked(
-                        unwhitened(pool.problem, pool.problem.signature(form.cell.columns)[:, 0] / scale)
+                        unwhitened_um(
+                            candidates.problem, candidates.problem.signature(form.variant.columns)[:, 0] / scale
+                        )
                     ),
                 )
             )
@@ -246,18 +250,22 @@ def unsettled(data: Measurements, machine: Machine, where: str) -> str:
     )
 
 
-def payload_causes(pool: Pool, forms: Sequence[Form], causes: Sequence[Cause]) -> tuple[list[Cause], list[Cause]]:
+def payload_causes(
+    candidates: Candidates, forms: Sequence[Form], causes: Sequence[Cause]
+) -> tuple[list[Cause], list[Cause]]:
     """The causes with what they are uncertain by because the payload is an estimate as well, and the payloads.
 
     Args:
-        pool: the forms.
+        candidates: the forms.
         forms: the causes that stand.
         causes: what was said of them as if the payload were known.
     """
     causes, found = list(causes), []
     for side in SIDES:
-        load = asked(pool, forms, side)
-        known = () if load is None else payloads_of(axis_of_form(pool, load.joints[0]), load.joints[0].cell.fixed)
+        load = asked(candidates, forms, side)
+        known = (
+            () if load is None else payloads_of(axis_of_form(candidates, load.joints[0]), load.joints[0].variant.fixed)
+        )
         if load is None or not known:
             continue
         (payload,) = known
@@ -267,7 +275,7 @@ def payload_causes(pool: Pool, forms: Sequence[Form], causes: Sequence[Cause]) -
         _, compliances = load.under(four)
         for k, times, value in zip(at, more.tolist(), compliances.tolist(), strict=True):
             causes[k] = _less_certain(causes[k], times, value * payload.mass_kg, at_bound=_heaviest(load, payload))
-        found.append(_load_cause(pool, load, payload, variances))
+        found.append(_load_cause(candidates, load, payload, variances))
     return causes, found
 
 
@@ -285,13 +293,13 @@ def _less_certain(cause: Cause, times: float, product: float, *, at_bound: bool)
     return replace(cause, evidence=text, parameters=(replace(first, u=first.u * times),))
 
 
-def _load_cause(pool: Pool, load: Load, payload: Payload, variances: np.ndarray) -> Cause:
+def _load_cause(candidates: Candidates, load: Load, payload: Payload, variances: np.ndarray) -> Cause:
     """The payload: what the joints explain with it, more than without."""
     four, nothing = load.four(payload), np.zeros(4)
     explained, compliances = load.under(four)
     own, _ = load.under(nothing)
-    log_p = float(log_chance(np.array(max(explained - own, 0.0)), 4.0, pool.dof)) + load.joints[0].price
-    excess = max(pool.problem.chi2 - pool.problem.dof, explained)
+    log_p = float(log_p_value(np.array(max(explained - own, 0.0)), 4.0, candidates.dof)) + load.joints[0].log_tests
+    excess = max(candidates.problem.chi2 - candidates.problem.dof, explained)
     text = f"the {load.side} side carries a mass that the URDF does not have: joints give way under it"
     at_bound = _heaviest(load, payload)
     if at_bound:
@@ -299,7 +307,7 @@ def _load_cause(pool: Pool, load: Load, payload: Payload, variances: np.ndarray)
             f". The mass is at the largest considered ({load.heaviest:.3g} kg): the machine's own weight shows less than "
             "its URDF says, as if the control corrected it; only the products of mass and compliance are known"
         )
-    columns = [column for form in load.free for column in form.cell.columns]
+    columns = [column for form in load.free for column in form.variant.columns]
     size = np.array([column.scale for column in columns])
     shape = np.kron(compliances, weights(four) - weights(nothing))
     return Cause(
@@ -307,11 +315,11 @@ def _load_cause(pool: Pool, load: Load, payload: Payload, variances: np.ndarray)
         where=load.side,
         origin="machine",
         parameters=_quantities(payload, np.sqrt(variances), load.heaviest),
-        p_value=pool.chance(min(log_p, 0.0)),
+        p_value=candidates.p_value(min(log_p, 0.0)),
         share=float(np.clip((explained - own) / excess, 0.0, 1.0)),
         equivalent=(),
         evidence=text,
-        pattern_um=locked(unwhitened(pool.problem, (pool.problem.signature(columns) / size) @ shape)),
+        pattern_um=locked(unwhitened_um(candidates.problem, (candidates.problem.signature(columns) / size) @ shape)),
         bounded=at_bound,
     )
 

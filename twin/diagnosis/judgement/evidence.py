@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.diagnosis.candidates.flaws import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.estimate.estimate import Estimate
-from twin.diagnosis.problem.pool import Form, Pool
+from twin.diagnosis.problem.forms import Candidates, Form
 from twin.diagnosis.result import readable_unit
 from twin.diagnosis.selection.left_out import foretells
 from twin.diagnosis.wording.words import listed
@@ -24,7 +24,7 @@ ALIKE: Final = 9.0
 def evidence(form: Form, found: Estimate, k: int) -> str:
     """What the k-th cause does, and how far beyond its uncertainty that is."""
     specification = form.candidate.specification
-    sizes = [q for q in found.quantities[k] if q.name not in {*specification.nonlinear, *form.cell.fixed}]
+    sizes = [q for q in found.quantities[k] if q.name not in {*specification.nonlinear, *form.variant.fixed}]
     size = max(sizes, key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
     numbers = {q.name: q.value for q in found.quantities[k]}
     what = Found(form.candidate.where, size.value, readable_unit(size.unit), numbers, found.effects[k])
@@ -32,7 +32,7 @@ def evidence(form: Form, found: Estimate, k: int) -> str:
     return f"{text} ({abs(size.value) / size.u:.0f} standard uncertainties)" if size.u > 0.0 else text
 
 
-def curve_flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calibration) -> str:
+def curve_flaw(candidates: Candidates, forms: Sequence[Form], form: Form, calibration: Calibration) -> str:
     """What was done wrong in making the calibration's own curve, if that is plain."""
     space, curve = form.candidate.space, calibration.curves.get(form.candidate.where)
     if curve is not None:
@@ -42,20 +42,24 @@ def curve_flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calib
     # With as many functions as the calibration's curve has: what they all are is asked, not what need be corrected.
     count = max(len(curve.coefficients), len(form.columns))
     wide = next(
-        (f for f in pool.forms if f.key == form.key and len(f.columns) == count and f.cell.fixed.get("first") == 0.0),
+        (
+            f
+            for f in candidates.forms
+            if f.key == form.key and len(f.columns) == count and f.variant.fixed.get("first") == 0.0
+        ),
         form,
     )
-    if "stops" in form.cell.fixed:
+    if "stops" in form.variant.fixed:
         wide = form
-    columns, values, inverse = pool.fitted([wide, *(one for one in forms if one is not form)])
+    columns, values, inverse = candidates.fitted([wide, *(one for one in forms if one is not form)])
     own = np.searchsorted(columns, wide.columns)
-    scale = np.array([column.scale for column in wide.cell.columns])
-    if "stops" in form.cell.fixed:
+    scale = np.array([column.scale for column in wide.variant.columns])
+    if "stops" in form.variant.fixed:
         size = float(values[own[0]] * scale[0])
-        text = times(1.0 + size) if form.cell.fixed["stops"] == ITSELF else constant_dropped(curve, size)
+        text = times(1.0 + size) if form.variant.fixed["stops"] == ITSELF else constant_dropped(curve, size)
     else:
         # Functions that the form leaves out it says nothing of: no correction, and none known.
-        first = round(wide.cell.fixed.get("first", 0.0))
+        first = round(wide.variant.fixed.get("first", 0.0))
         correction = np.concatenate([np.zeros(first), values[own] * scale])
         covariance = np.zeros((len(correction), len(correction)))
         covariance[first:, first:] = inverse[np.ix_(own, own)] * np.outer(scale, scale)
@@ -63,38 +67,40 @@ def curve_flaw(pool: Pool, forms: Sequence[Form], form: Form, calibration: Calib
     return f"; {text}" if text else ""
 
 
-def between_positions(pool: Pool, forms: Sequence[Form], form: Form) -> str:
+def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form) -> str:
     """Why a cause is not promised between the measured positions; empty if it is.
 
     Args:
-        pool: the data.
+        candidates: the data.
         forms: the causes.
         form: one of them.
     """
-    periods = _other_periods(pool, forms, form)
+    periods = _other_periods(candidates, forms, form)
     if periods:
         other = listed([f"{one:.3g}" for one in periods])
         return f"; with other periods, as {other}, it fits as well at these positions: nothing is promised between them"
-    if not foretells(pool, form, forms):
+    if not foretells(candidates, form, forms):
         return "; no curve through the positions measured foretells those left out: nothing is promised between them"
     return ""
 
 
-def _other_periods(pool: Pool, forms: Sequence[Form], form: Form) -> list[float]:
+def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) -> list[float]:
     """Periods, mm, at which a pitch error fits the readings as well (aliases)."""
-    if "period" not in form.cell.fixed:
+    if "period" not in form.variant.fixed:
         return []
-    network = pool.problem.network
+    network = candidates.problem.network
     q = network.data.positions[:, network.machine.names.index(form.candidate.where)]
     span, even = float(np.ptp(q)), sampling(q)
     if even is not None:
-        own = 1.0 / form.cell.fixed["period"]
+        own = 1.0 / form.variant.fixed["period"]
         aliases = (1.0 / max(abs(even - own), 1e-9), 1.0 / (even + own))
         return [float(one) for one in aliases if one >= SHORTEST_PERIOD]
-    tried = [one for one in pool.forms if one.key == form.key and one is not form]
-    periods = np.array([one.cell.fixed["period"] for one in tried])
-    explained = pool.scores([one for one in forms if one is not form], [one.index for one in (form, *tried)])[:, 0]
-    away = np.abs(1.0 / periods - 1.0 / form.cell.fixed["period"]) * span
+    tried = [one for one in candidates.forms if one.key == form.key and one is not form]
+    periods = np.array([one.variant.fixed["period"] for one in tried])
+    explained = candidates.scores([one for one in forms if one is not form], [one.index for one in (form, *tried)])[
+        :, 0
+    ]
+    away = np.abs(1.0 / periods - 1.0 / form.variant.fixed["period"]) * span
     found: list[float] = []
     for i in np.argsort(-explained[1:]):
         if explained[1 + i] < explained[0] - ALIKE:

@@ -16,7 +16,7 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.diagnosis.judgement.held_out import held_out_patterns
 from twin.diagnosis.judgement.sizes import Sized
-from twin.diagnosis.problem.problem import Problem, rms, unwhitened
+from twin.diagnosis.problem.problem import Problem, rms, unwhitened_um
 from twin.diagnosis.result import Extension, HeldOut, Term
 from twin.diagnosis.selection.left_out import ENOUGH
 from twin.diagnosis.selection.likelihood import Likelihood
@@ -100,7 +100,7 @@ def _nothing(extension: Extension) -> Extended:
 
 def _rms(problem: Problem, made: np.ndarray) -> float:
     """µm a coordinate of what (3n,) whitened shifts do to the readings, beside the set-up."""
-    return rms(unwhitened(problem, problem.project(made)), problem.network.read)
+    return rms(unwhitened_um(problem, problem.project(made)), problem.network.read)
 
 
 def _term(trace: Trace, machine: Machine, size: float, taken: Sequence[str]) -> Term:

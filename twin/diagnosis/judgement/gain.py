@@ -10,7 +10,7 @@ import numpy as np
 from twin.diagnosis.judgement.extend import Extended
 from twin.diagnosis.judgement.held_out import held_out
 from twin.diagnosis.judgement.sizes import Sized
-from twin.diagnosis.problem.problem import Problem, rms, unwhitened
+from twin.diagnosis.problem.problem import Problem, rms, unwhitened_um
 from twin.diagnosis.result import Gain, Unexplained
 from twin.identification.network import Network
 from twin.identification.solve import solve
@@ -42,7 +42,7 @@ def gain(
     effects, covariance = sized.effects, sized.covariance
     # What is not in the file stays: curves that are not promised, and what no effect in it explains.
     stays = [
-        float(np.nansum(unwhitened(problem, sized.estimate.signature[:, k]) ** 2) / len(network.data))
+        float(np.nansum(unwhitened_um(problem, sized.estimate.signature[:, k]) ** 2) / len(network.data))
         for k, own in enumerate(sized.promised)
         if not own
     ]
@@ -85,7 +85,7 @@ def of_file(problem: Problem, extended: Calibration, instrument: np.ndarray) -> 
         check=False,
     )
     placed = Problem(judged, solve(judged, np.zeros(0), problem.setup, np.ones(len(network.data))).setup, None)
-    return unwhitened(placed, placed.project(placed.residual - instrument))
+    return unwhitened_um(placed, placed.project(placed.residual - instrument))
 
 
 def tool_mm(machine: Machine) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 
 from twin.diagnosis.judgement.sizes import Sized
-from twin.diagnosis.problem.pool import Form, Pool
+from twin.diagnosis.problem.forms import Candidates, Form
 from twin.diagnosis.result import HeldOut
 from twin.diagnosis.selection.left_out import (
     Parts,
@@ -38,15 +38,15 @@ def held_out(sized: Sized, written: Collection[int] = ()) -> HeldOut | None:
         written: numbers of the patterns that are in the file as well.
     """
     found, forms = sized.found, sized.forms
-    problem, pool = found.problem, found.pool
+    problem, candidates = found.problem, found.candidates
     barred = {form.key for form, promise in zip(forms, sized.promised, strict=True) if not promise}
     split = parts(problem.network.data, problem.network.machine, [form.candidate for form in forms])
-    pool.judge(problem)
-    payload_again(pool, forms)
+    candidates.set_problem(problem)
+    payload_again(candidates, forms)
     if split is None:
         return None
 
-    def judged(small: Pool) -> tuple[np.ndarray, np.ndarray]:
+    def judged(small: Candidates) -> tuple[np.ndarray, np.ndarray]:
         # Where causes were refuted by readings left out, those that stand are not searched anew.
         chosen = forms if found.refuted else chosen_on(small, forms).forms
         kept, likelihood = again(small, chosen, found.structure)
@@ -55,7 +55,7 @@ def held_out(sized: Sized, written: Collection[int] = ()) -> HeldOut | None:
             after = after + foretold_patterns(likelihood, kept, written)
         return np.zeros_like(after), after
 
-    return _held_out(pool, split, judged)
+    return _held_out(candidates, split, judged)
 
 
 def held_out_patterns(found: Findings, forms: Sequence[Form], written: Collection[int]) -> HeldOut | None:
@@ -67,7 +67,7 @@ def held_out_patterns(found: Findings, forms: Sequence[Form], written: Collectio
         written: numbers of the patterns.
     """
     problem, structure = found.problem, found.structure
-    network, pool = problem.network, found.pool
+    network, candidates = problem.network, found.candidates
     names = {name for k in written for name in structure.traces[k].pattern.names}
     # A direction of approach is that of a position as well.
     axes = {state_name(name).removeprefix(APPROACH) for name in names}
@@ -76,15 +76,17 @@ def held_out_patterns(found: Findings, forms: Sequence[Form], written: Collectio
     if split is None:
         return None
 
-    def judged(small: Pool) -> tuple[np.ndarray, np.ndarray]:
+    def judged(small: Candidates) -> tuple[np.ndarray, np.ndarray]:
         named = foretold(problem, small, forms)
         return named, named + foretold_patterns(Likelihood(small, structure.traces), forms, written)
 
-    return _held_out(pool, split, judged)
+    return _held_out(candidates, split, judged)
 
 
-def _held_out(pool: Pool, split: Parts, judged: Callable[[Pool], tuple[np.ndarray, np.ndarray]]) -> HeldOut | None:
-    table = on_parts(pool, split, judged)
+def _held_out(
+    candidates: Candidates, split: Parts, judged: Callable[[Candidates], tuple[np.ndarray, np.ndarray]]
+) -> HeldOut | None:
+    table = on_parts(candidates, split, judged)
     if table is None:
         return None
     total = table.sum(axis=0)

@@ -16,7 +16,7 @@ import numpy as np
 from twin._common.arrays import locked
 from twin._common.units import MM
 from twin.diagnosis.estimate.estimate import estimate
-from twin.diagnosis.problem.pool import DOUBT, Form, Pool
+from twin.diagnosis.problem.forms import DEVIANCE_RULED_OUT, Candidates, Form
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.result import Cause, Next, Rival
 from twin.diagnosis.selection.search import excessive
@@ -46,11 +46,11 @@ def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tup
     keys = _in_place(found.beside, form, others)
     if not found.structure.traces or not keys:
         return keys
-    plain = found.pool
+    plain = found.candidates
     kept = [plain.forms[one.index] for one in others]
     explained, _ = plain.scan(kept)
     own = float(explained[form.index])
-    allowed = found.structure.explained([*kept, plain.forms[form.index]]) + DOUBT
+    allowed = found.structure.explained([*kept, plain.forms[form.index]]) + DEVIANCE_RULED_OUT
     best = {key: 0.0 for key in keys}
     for one in plain.forms:
         if one.key in best:
@@ -58,93 +58,103 @@ def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tup
     return tuple(key for key in keys if best[key] > own - allowed)
 
 
-def _in_place(pool: Pool, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
+def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
     """What explains as much in a cause's place, its price paid."""
-    margin = _margin(pool, form, others)
+    margin = _margin(candidates, form, others)
     used = {one.key for one in others} | {form.key}
-    tried = [i for i, one in enumerate(pool.forms) if one.key not in used]
-    scores = pool.scores(others, tried)
+    tried = [i for i, one in enumerate(candidates.forms) if one.key not in used]
+    scores = candidates.scores(others, tried)
     best: dict[tuple[str, str], float] = {}
-    own = pool.scores(others, [form.index])[0, 1]
+    own = candidates.scores(others, [form.index])[0, 1]
     for i, (explained, dof, _) in zip(tried, scores, strict=True):
         if dof > 0:
-            worth = float(explained - pool.cost(pool.forms[i], dof))
-            elsewhere = pool.forms[i].candidate.origin != form.candidate.origin
+            worth = float(explained - candidates.critical_value(candidates.forms[i], dof))
+            elsewhere = candidates.forms[i].candidate.origin != form.candidate.origin
             more = dof > own and not elsewhere
-            if worth > margin - DOUBT and more and pool.contains([*others, pool.forms[i]], others, form):
+            if (
+                worth > margin - DEVIANCE_RULED_OUT
+                and more
+                and candidates.contains([*others, candidates.forms[i]], others, form)
+            ):
                 continue  # the same thing, said with more
-            if worth > margin - DOUBT and pool.cancels(pool.forms[i], others, form):
+            if worth > margin - DEVIANCE_RULED_OUT and candidates.cancels(candidates.forms[i], others, form):
                 continue
-            if worth > margin - DOUBT and excessive(pool, pool.forms[i], [*others, pool.forms[i]]) > 1.0:
+            if (
+                worth > margin - DEVIANCE_RULED_OUT
+                and excessive(candidates, candidates.forms[i], [*others, candidates.forms[i]]) > 1.0
+            ):
                 continue
-            best[pool.forms[i].key] = max(best.get(pool.forms[i].key, -np.inf), worth)
-    keys = [key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT]
-    return tuple(dict.fromkeys([*keys, *_several(pool, form, others)]))
+            best[candidates.forms[i].key] = max(best.get(candidates.forms[i].key, -np.inf), worth)
+    keys = [key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DEVIANCE_RULED_OUT]
+    return tuple(dict.fromkeys([*keys, *_several(candidates, form, others)]))
 
 
-def _several(pool: Pool, form: Form, others: Sequence[Form]) -> list[tuple[str, str]]:
+def _several(candidates: Candidates, form: Form, others: Sequence[Form]) -> list[tuple[str, str]]:
     """Causes of one effect that explain together, with no more numbers, what one cause of the other origin does.
 
     A station that drifts along three directions, and a tool side that does so along each.
     """
-    explained, _ = pool.scan(others)
+    explained, _ = candidates.scan(others)
     used = {one.key for one in others} | {form.key}
     by_effect: dict[str, dict[tuple[str, str], Form]] = {}
-    for one in pool.forms:
+    for one in candidates.forms:
         if one.candidate.origin != form.candidate.origin and one.key not in used and len(one.columns) == 1:
             best = by_effect.setdefault(one.candidate.effect, {})
             if one.key not in best or explained[one.index] > explained[best[one.key].index]:
                 best[one.key] = one
-    whole = pool.explained_by([*others, form])
+    whole = candidates.explained_by([*others, form])
     keys: list[tuple[str, str]] = []
     for group in (list(best.values()) for best in by_effect.values()):
         if not 1 < len(group) <= len(form.columns):
             continue
-        together = pool.explained_by([*others, *group])
-        if together < whole - DOUBT:
+        together = candidates.explained_by([*others, *group])
+        if together < whole - DEVIANCE_RULED_OUT:
             continue
         for one in group:
-            if pool.explained_by([*others, *(other for other in group if other is not one)]) < together - DOUBT:
+            if (
+                candidates.explained_by([*others, *(other for other in group if other is not one)])
+                < together - DEVIANCE_RULED_OUT
+            ):
                 keys.append(one.key)
     return keys
 
 
-def _margin(pool: Pool, form: Form, others: Sequence[Form]) -> float:
+def _margin(candidates: Candidates, form: Form, others: Sequence[Form]) -> float:
     """What a cause explains beside others, its price paid."""
-    explained, dof = (float(values[form.index]) for values in pool.scan(others))
-    return explained - pool.cost(form, dof)
+    explained, dof = (float(values[form.index]) for values in candidates.scan(others))
+    return explained - candidates.critical_value(form, dof)
 
 
-def ruled_out(pool: Pool, form: Form, others: Sequence[Form], excess: float) -> tuple[Rival, ...]:
+def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], excess: float) -> tuple[Rival, ...]:
     """What came next in a cause's place and is ruled out."""
-    margin = _margin(pool, form, others)
+    margin = _margin(candidates, form, others)
     used = {one.key for one in others} | {form.key}
-    tried = [one for one in pool.forms if one.key not in used]
+    tried = [one for one in candidates.forms if one.key not in used]
     best: dict[tuple[str, str], Rival] = {}
-    for one, (explained, dof, _) in zip(tried, pool.scores(others, [one.index for one in tried]), strict=True):
+    for one, (explained, dof, _) in zip(tried, candidates.scores(others, [one.index for one in tried]), strict=True):
         if dof > 0:
-            behind = 0.5 * (margin - float(explained - pool.cost(one, dof)))
+            behind = 0.5 * (margin - float(explained - candidates.critical_value(one, dof)))
             if one.key not in best or behind < best[one.key].log_odds:
                 best[one.key] = Rival(*one.key, float(np.clip(explained / excess, 0.0, 1.0)), behind)
-    out = [rival for rival in best.values() if rival.log_odds >= 0.5 * DOUBT]
+    out = [rival for rival in best.values() if rival.log_odds >= 0.5 * DEVIANCE_RULED_OUT]
     return tuple(sorted(out, key=lambda rival: rival.log_odds)[:RUNNERS_UP])
 
 
-def measured_next(pool: Pool, named: Sequence[Form], causes: Sequence[Cause]) -> tuple[Next, ...]:
+def measured_next(candidates: Candidates, named: Sequence[Form], causes: Sequence[Cause]) -> tuple[Next, ...]:
     """Points that tell causes from what they could be mistaken for."""
     found: list[Next] = []
     for form, cause in zip(named, causes, strict=True):
         others = [one for one in named if one is not form]
-        tried = {one.key for one in pool.forms}
-        rivals = [_best(pool, key, others) for key in cause.equivalent if key in tried][:RIVALS]
+        tried = {one.key for one in candidates.forms}
+        rivals = [_best(candidates, key, others) for key in cause.equivalent if key in tried][:RIVALS]
         if rivals:
-            found += next_points(pool.problem, form, rivals, others)
+            found += next_points(candidates.problem, form, rivals, others)
     return tuple(found)
 
 
-def _best(pool: Pool, key: tuple[str, str], others: Sequence[Form]) -> Form:
-    tried = [i for i, form in enumerate(pool.forms) if form.key == key]
-    return pool.forms[tried[int(np.argmin(pool.scores(others, tried)[:, 2]))]]
+def _best(candidates: Candidates, key: tuple[str, str], others: Sequence[Form]) -> Form:
+    tried = [i for i, form in enumerate(candidates.forms) if form.key == key]
+    return candidates.forms[tried[int(np.argmin(candidates.scores(others, tried)[:, 2]))]]
 
 
 POSES: Final = 400
@@ -225,7 +235,7 @@ def _prediction(problem: Problem, forms: Sequence[Form], plan: Any) -> np.ndarra
     found = estimate(problem, forms)
     left = problem.residual - found.signature.sum(axis=1)
     effects = [effect for own in found.effects for effect in own]
-    return _moves(problem, effects, problem.followed(left), plan)
+    return _moves(problem, effects, problem.setup_step(left), plan)
 
 
 def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan: Any) -> np.ndarray:

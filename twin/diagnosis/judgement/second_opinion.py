@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from twin.diagnosis.judgement.single_effects import ODDS, Alternatives, Fit, SingleEffects
-from twin.diagnosis.problem.pool import Form, Pool
+from twin.diagnosis.problem.forms import Candidates, Form
 from twin.diagnosis.selection.search import ROUGHLY
 
 CREDIBLE: Final = 0.95
@@ -111,22 +111,22 @@ class Comparison:
         return bool(self.further) or any(cause.instead for cause in self.causes)
 
 
-def second_opinion(pool: Pool, start: Sequence[Form] = (), most: int = MOST) -> SecondOpinion:
-    """Posterior of the causes of a pool.
+def second_opinion(candidates: Candidates, start: Sequence[Form] = (), most: int = MOST) -> SecondOpinion:
+    """Posterior of the causes of the candidates.
 
     The prior of a form is its part of the search's price: effects share it as they share the rate of false alarms, the places of an
     effect by their number of independent forms. A size known beforehand, or bounded by physics, is part of it.
 
     Args:
-        pool: the data and the forms; what was forbidden to the search is judged by its own prior here.
+        candidates: the data and the forms; what was forbidden to the search is judged by its own prior here.
         start: forms that the search chose: the iteration starts from them as well as from nothing.
         most: effects at most.
     """
-    effects = SingleEffects(_alternatives(pool), pool.slope, pool.cross, pool.dof)
+    effects = SingleEffects(_alternatives(candidates), candidates.slope, candidates.cross, candidates.dof)
     found = effects.fitted(most, [form.index for form in start])
-    keys = [form.key for form in pool.forms]
+    keys = [form.key for form in candidates.forms]
     ordered = sorted(found, key=lambda effect: (not effect.found, -effect.log_odds))
-    return SecondOpinion(tuple(_by_key(effect, keys, pool.key_of) for effect in ordered))
+    return SecondOpinion(tuple(_by_key(effect, keys, candidates.key_of) for effect in ordered))
 
 
 def compared(opinion: SecondOpinion, groups: Sequence[Collection[Key]]) -> Comparison:
@@ -171,18 +171,20 @@ def compared(opinion: SecondOpinion, groups: Sequence[Collection[Key]]) -> Compa
     return Comparison(causes, tuple(further))
 
 
-def _alternatives(pool: Pool) -> list[Alternatives]:
+def _alternatives(candidates: Candidates) -> list[Alternatives]:
     found = []
-    for rows, columns, inner in pool.blocks():
-        forms = [pool.forms[i] for i in rows]
+    for rows, columns, inner in candidates.blocks():
+        forms = [candidates.forms[i] for i in rows]
         largest, centre, width = np.ones(columns.shape), np.zeros(columns.shape), np.zeros(len(rows))
         for i, form in enumerate(forms):
             if np.isfinite(form.candidate.largest):
-                largest[i] = form.candidate.largest / np.array([column.scale for column in form.cell.columns])
+                largest[i] = form.candidate.largest / np.array([column.scale for column in form.variant.columns])
             if form.candidate.specification.all_or_nothing:
-                centre[i], width[i] = 1.0 / form.cell.columns[0].scale, ROUGHLY
+                centre[i], width[i] = 1.0 / form.variant.columns[0].scale, ROUGHLY
         # A form's part of the price of the search, which counts independent forms.
-        prior = np.array([np.exp(-form.price) * form.candidate.tests / len(form.candidate.cells) for form in forms])
+        prior = np.array(
+            [np.exp(-form.log_tests) * form.candidate.tests / len(form.candidate.variants) for form in forms]
+        )
         found.append(Alternatives(rows, columns, inner, prior, largest, centre, width))
     return found
 

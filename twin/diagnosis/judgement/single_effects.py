@@ -20,7 +20,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.diagnosis.problem.pool import SEEN
+from twin.diagnosis.problem.forms import LEAST_NONCENTRALITY
 
 ODDS: Final = 20.0
 """Odds of an effect against none from which on it counts as found."""
@@ -228,7 +228,7 @@ class _Kind:
 
     def __init__(self, own: Alternatives, dof: float) -> None:
         values, vectors = np.linalg.eigh(own.inner)
-        seen = (values > SEEN) & (values > 1e-8 * np.einsum("nii->ni", own.inner).max(axis=1)[:, None])
+        seen = (values > LEAST_NONCENTRALITY) & (values > 1e-8 * np.einsum("nii->ni", own.inner).max(axis=1)[:, None])
         some = seen.any(axis=1) & (own.prior > 0.0)
         values, vectors, seen = np.where(seen, values, 0.0)[some], vectors[some], seen[some]
         self.forms, self.columns, self.prior = own.forms[some], own.columns[some], own.prior[some]

@@ -11,9 +11,9 @@ import numpy as np
 from twin._common.arrays import locked
 from twin._common.distributions import f_log_sf
 from twin.diagnosis.estimate.estimate import Estimate, estimate
-from twin.diagnosis.estimate.misfit import MANY
+from twin.diagnosis.estimate.misfit import MANY_ROUNDS
 from twin.diagnosis.judgement.evidence import between_positions
-from twin.diagnosis.problem.pool import Form, log_chance
+from twin.diagnosis.problem.forms import Form, log_p_value
 from twin.diagnosis.selection.structure import Findings
 from twin.machine.effects import Effect
 from twin.numerics.covariance import Covariance
@@ -84,31 +84,31 @@ def sized(found: Findings) -> Sized:
     forms = list(found.structure.forms)
     dropped: list[Form] = []
     while True:
-        estimated = estimate(found.problem, forms, found.posed.scatter.dof, found.structure.beside)
+        estimated = estimate(found.problem, forms, found.task.noise.dof, found.structure.beside)
         if found.structure.traces:
             judged = [(log_p_beside(found, estimated, forms, form), form) for form in forms]
         else:
             judged = [
-                (_log_p(against) + form.price, form)
-                for form, against in zip(forms, estimated.against, strict=True)
-                if MANY <= against[2] < np.inf
+                (_log_p(against) + form.log_tests, form)
+                for form, against in zip(forms, estimated.wald, strict=True)
+                if MANY_ROUNDS <= against[2] < np.inf
             ]
         worst = max(judged, key=lambda one: one[0], default=None)
-        if worst is None or worst[0] <= np.log(found.pool.level):
+        if worst is None or worst[0] <= np.log(found.candidates.level):
             break
         dropped.append(worst[1])
         forms = [form for form in forms if form is not worst[1]]
     beside = tuple(found.beside.forms[form.index] for form in forms)
-    doubts = tuple(between_positions(found.pool, forms, form) for form in forms)
+    doubts = tuple(between_positions(found.candidates, forms, form) for form in forms)
     return Sized(found, tuple(forms), beside, estimated, tuple(dropped), doubts)
 
 
 def log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
     """As `Sized.log_p`."""
-    explained, dof, _ = found.pool.scores([one for one in forms if one is not form], [form.index])[0]
+    explained, dof, _ = found.candidates.scores([one for one in forms if one is not form], [form.index])[0]
     left = max((found.problem.chi2 - estimated.explained) / max(found.problem.dof, 1), 1.0)
-    chance = log_chance(np.array(explained / left), max(float(dof), 1.0), found.pool.dof)
-    return min(float(chance) + form.price, 0.0)
+    chance = log_p_value(np.array(explained / left), max(float(dof), 1.0), found.candidates.dof)
+    return min(float(chance) + form.log_tests, 0.0)
 
 
 def _log_p(against: tuple[float, int, float]) -> float:

@@ -1,1 +1,1 @@
-"""The readings as they are judged: placed, with their scatter, whitened, and with what every candidate would do to them."""
+"""The statistical problem of a diagnosis: fitted set-up, measurement noise, whitened readings and candidates' signatures."""

@@ -1,7 +1,7 @@
-"""How far readings scatter when nothing changes: as the table says, as the instrument says, or as the repeats say.
+"""Measurement noise of the readings, estimated from repeats or from residuals where neither table nor instrument states it.
 
-Repeats are compared after everything that may honestly differ between them (a frame, a target, time, temperature) is taken out, or a
-drift would pass for scatter and hide itself.
+Before repeats are compared, all effects that may change between them (a frame, a target, time, temperature) are removed by
+regression; otherwise a drift would be counted as noise and hide itself.
 """
 
 from __future__ import annotations
@@ -14,27 +14,28 @@ import numpy as np
 from twin._common.arrays import locked
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.problem.sweep import signatures_of
+from twin.diagnosis.problem.signature_products import signatures_of
 from twin.identification.network import Network, View
 from twin.identification.setup import SetUp
 from twin.identification.spread import repeats
 from twin.measurement.instruments.base import along_and_across
 from twin.measurement.table import Measurements
 
-ENOUGH: Final = 20
-"""Degrees of freedom of repeats below which the instrument's own figures are taken."""
-WEIGHINGS: Final = 3
+LEAST_DOF: Final = 20
+"""Degrees of freedom below which no noise is estimated."""
+ITERATIONS: Final = 3
+"""Iterations of the weights along and across the beam."""
 
 
 @final
 @dataclass(frozen=True)
-class Scatter:
-    """Covariance of the readings.
+class ReadingNoise:
+    """Noise covariance of the readings.
 
     Attributes:
         covariance: (n, 3, 3) m².
-        dof: degrees of freedom it is known with; infinite where it is given.
-        source: in words.
+        dof: degrees of freedom of the estimate; infinite where the covariance is given.
+        source: where it comes from, in words.
     """
 
     covariance: np.ndarray
@@ -44,138 +45,143 @@ class Scatter:
 
 def from_repeats(
     data: Measurements, view: View, read: np.ndarray, known: tuple[Candidate, ...], seen: np.ndarray
-) -> Scatter | None:
-    """Scatter along and across the beam from repeats; None if they are too few.
+) -> ReadingNoise | None:
+    """Return the noise along and across the beam estimated from repeats; None if they are too few.
 
     Args:
         data: the measurements.
-        view: of these points, whitened by anything that is isotropic (its whitening is taken out again).
-        read: (n, 3) coordinates that were read.
-        known: the catalogue of all points.
-        seen: (m, 3) all points in their stations' frames; the covariance is theirs.
+        view: their linearisation, with any isotropic whitening, which is undone here.
+        read: (n, 3) whether a coordinate was measured.
+        known: the candidate causes.
+        seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
     """
     group = repeats(data)
     size = np.bincount(group)
-    again = size[group] > 1
-    if np.sum(np.maximum(size - 1, 0)) < ENOUGH // 2:
+    repeated = size[group] > 1
+    if np.sum(np.maximum(size - 1, 0)) < LEAST_DOF // 2:
         return None
     columns: list[Column] = [
         column
-        for c in known
-        if c.specification.varies != "never"
-        for cell in c.cells[:: max(len(c.cells) // 4, 1)]
-        for column in cell.columns
+        for candidate in known
+        if candidate.specification.varies != "never"
+        for variant in candidate.variants[:: max(len(candidate.variants) // 4, 1)]
+        for column in variant.columns
     ]
     raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
     nuisance = signatures_of(view, columns)
-    every = np.einsum("nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], nuisance], axis=2))
-    every *= read[:, :, None]
-    total = np.zeros((len(size), *every.shape[1:]))
-    np.add.at(total, group, every)
-    every = (every - total[group] / size[group][:, None, None]) * again[:, None, None]
-    free = float(np.sum(np.where(again, 1.0 - 1.0 / size[group], 0.0)))
-    return _scatter(every, free, view, read, seen, "repeats")
+    values = np.einsum("nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], nuisance], axis=2))
+    values *= read[:, :, None]
+    total = np.zeros((len(size), *values.shape[1:]))
+    np.add.at(total, group, values)
+    values = (values - total[group] / size[group][:, None, None]) * repeated[:, None, None]
+    dof = float(np.sum(np.where(repeated, 1.0 - 1.0 / size[group], 0.0)))
+    return _estimated(values, dof, view, read, seen, "repeats")
 
 
-def from_the_rest(
+def from_residuals(
     network: Network, setup: SetUp, view: View, known: tuple[Candidate, ...], seen: np.ndarray
-) -> Scatter | None:
-    """Scatter along and across the beam from what the set-up and every plain form of every cause leave; None if that is too little.
+) -> ReadingNoise | None:
+    """Return the noise along and across the beam from the residuals of a regression on the main form of every cause.
 
-    For readings that nothing else is said of: no uncertainties, no instrument, no repeats. What is taken for scatter here is too much
-    if an effect has none of these forms, so causes are missed rather than invented.
+    For readings without uncertainties, instrument or repeats. If an effect has none of these forms the noise is overestimated, so
+    that causes are missed rather than invented. None if too few degrees of freedom remain.
 
     Args:
         network: data and model.
-        setup: the fitted set-up.
-        view: of the points that count, whitened by anything that is isotropic.
-        known: the catalogue of all points.
-        seen: (m, 3) all points in their stations' frames; the covariance is theirs.
+        setup: the fitted set-up; its unknowns are among the regressors.
+        view: linearisation of the points used, with any isotropic whitening, which is undone here.
+        known: the candidate causes.
+        seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
     """
-    columns = [column for c in known for column in _plain(c)]
+    columns = [column for candidate in known for column in _main_columns(candidate)]
     by_setup = np.zeros((len(view.rows), 3, len(setup)))
     network.fill_setup_columns(view, setup, by_setup)
     read = network.read[view.rows]
-    taken = signatures_of(view, columns)
+    basis = signatures_of(view, columns)
     raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
-    every = np.einsum(
-        "nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], by_setup * setup.plausible, taken], axis=2)
+    values = np.einsum(
+        "nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], by_setup * setup.plausible, basis], axis=2)
     )
-    every *= read[:, :, None]
-    return _scatter(every, float(len(view.rows)), view, read, seen, "what no plain form of any cause accounts for")
+    values *= read[:, :, None]
+    return _estimated(values, float(len(view.rows)), view, read, seen, "the residuals of a fit of every cause")
 
 
-def _plain(candidate: Candidate) -> tuple[Column, ...]:
-    """The widest curve, the lowest harmonics, the first of everything else; none of what has only forms that others have."""
+def _main_columns(candidate: Candidate) -> tuple[Column, ...]:
+    """Return a candidate's main columns: the widest curve, the lowest harmonics, else the first forms; none if others have the same."""
     count = candidate.specification.plain_forms
     if count is not None:
-        return tuple(column for cell in candidate.cells[:count] for column in cell.columns)
-    return max(candidate.cells, key=lambda cell: len(cell.columns)).columns
+        return tuple(column for variant in candidate.variants[:count] for column in variant.columns)
+    return max(candidate.variants, key=lambda variant: len(variant.columns)).columns
 
 
-def _scatter(
-    every: np.ndarray, free: float, view: View, read: np.ndarray, seen: np.ndarray, source: str
-) -> Scatter | None:
-    """Along and across the beam, from (n, 3, k): what scatters, and what is to be taken out of it.
+def _estimated(
+    values: np.ndarray, dof_each: float, view: View, read: np.ndarray, seen: np.ndarray, source: str
+) -> ReadingNoise | None:
+    """Return the noise along and across the beam, after regression; None with fewer than `LEAST_DOF` degrees of freedom.
 
     Args:
-        every: metres.
-        free: degrees of freedom a direction before anything is taken out.
-        view: of the points.
-        read: (n, 3) coordinates that were read.
-        seen: (m, 3) points the covariance is wanted of.
-        source: in words.
+        values: (n, 3, k) m: the deviations, then the regressors.
+        dof_each: degrees of freedom in each direction before the regression.
+        view: linearisation of the points.
+        read: (n, 3) whether a coordinate was measured.
+        seen: (m, 3) the points whose covariance is returned.
+        source: where the deviations come from, in words.
     """
     if not read[:, 1:].any():
-        left, taken = _cleared(every)
-        dof = free - float(np.sum(taken[:, 0] ** 2))
-        if dof < ENOUGH:
+        residual, basis = _regressed(values)
+        dof = dof_each - float(np.sum(basis[:, 0] ** 2))
+        if dof < LEAST_DOF:
             return None
         found = np.zeros((len(seen), 3, 3))
-        found[:, 0, 0] = np.sum(left[:, 0] ** 2) / dof
-        return Scatter(
+        found[:, 0, 0] = np.sum(residual[:, 0] ** 2) / dof
+        return ReadingNoise(
             locked(found), dof, f"{source}: {np.sqrt(found[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)"
         )
     if not read.all():
-        # Something that reads a plane is no tracker: the same in every coordinate it reads.
-        left, taken = _cleared(every)
-        dof = free * np.count_nonzero(read) / len(read) - taken.shape[2]
-        if dof < ENOUGH:
+        # An instrument that measures two coordinates is no tracker: the same noise in both.
+        residual, basis = _regressed(values)
+        dof = dof_each * np.count_nonzero(read) / len(read) - basis.shape[2]
+        if dof < LEAST_DOF:
             return None
-        sigma = float(np.sqrt(np.sum(left**2) / dof))
+        sigma = float(np.sqrt(np.sum(residual**2) / dof))
         text = f"{source}: {sigma * 1e6:.2g} µm a coordinate ({dof:.0f} degrees of freedom)"
-        return Scatter(locked(np.tile(sigma**2 * np.eye(3), (len(seen), 1, 1))), dof, text)
+        return ReadingNoise(locked(np.tile(sigma**2 * np.eye(3), (len(seen), 1, 1))), dof, text)
     beam = view.seen / np.linalg.norm(view.seen, axis=1, keepdims=True)
-    a = c = 1.0
-    for _ in range(WEIGHINGS):
-        # Weighed as they scatter: taken out all alike, what across the beam leaves would swamp what is along it.
-        lengths = np.einsum("ni,nik->nk", beam, every)[:, None, :] * beam[:, :, None]
-        left, taken = _cleared(lengths / a + (every - lengths) / c)
-        along = np.einsum("ni,ni->n", left, beam)
-        used = float(np.sum(np.einsum("nik,ni->nk", taken, beam) ** 2))
-        dof_along = free - used
-        dof_across = 2.0 * free - (taken.shape[2] - used)
-        if dof_along < ENOUGH:
+    along_u = across_u = 1.0
+    for _ in range(ITERATIONS):
+        # Weighted by the noise: unweighted, the residuals across the beam would dominate those along it.
+        lengths = np.einsum("ni,nik->nk", beam, values)[:, None, :] * beam[:, :, None]
+        residual, basis = _regressed(lengths / along_u + (values - lengths) / across_u)
+        along = np.einsum("ni,ni->n", residual, beam)
+        dof_used = float(np.sum(np.einsum("nik,ni->nk", basis, beam) ** 2))
+        dof_along = dof_each - dof_used
+        dof_across = 2.0 * dof_each - (basis.shape[2] - dof_used)
+        if dof_along < LEAST_DOF:
             return None
-        a *= float(np.sqrt(np.sum(along**2) / dof_along))
-        c *= float(np.sqrt((np.sum(left**2) - np.sum(along**2)) / dof_across))
-    if abs(np.log(a / c)) < 3.0 * np.sqrt(0.5 / dof_along + 0.5 / dof_across):
-        # The same in all directions as far as they can tell: one number, known better.
-        left, taken = _cleared(every)
-        a = c = float(np.sqrt(np.sum(left**2) / (3.0 * free - taken.shape[2])))
+        along_u *= float(np.sqrt(np.sum(along**2) / dof_along))
+        across_u *= float(np.sqrt((np.sum(residual**2) - np.sum(along**2)) / dof_across))
+    if abs(np.log(along_u / across_u)) < 3.0 * np.sqrt(0.5 / dof_along + 0.5 / dof_across):
+        # Isotropic within the uncertainty: one pooled value has more degrees of freedom.
+        residual, basis = _regressed(values)
+        along_u = across_u = float(np.sqrt(np.sum(residual**2) / (3.0 * dof_each - basis.shape[2])))
     n = len(seen)
-    text = f"{source}: {a * 1e6:.2g} µm along the beam, {c * 1e6:.2g} µm across ({dof_along + dof_across:.0f} degrees of freedom)"
-    return Scatter(locked(along_and_across(seen, np.full(n, a), np.full(n, c))), dof_along + dof_across, text)
+    text = (
+        f"{source}: {along_u * 1e6:.2g} µm along the beam, {across_u * 1e6:.2g} µm across "
+        f"({dof_along + dof_across:.0f} degrees of freedom)"
+    )
+    return ReadingNoise(
+        locked(along_and_across(seen, np.full(n, along_u), np.full(n, across_u))), dof_along + dof_across, text
+    )
 
 
-def _cleared(every: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 3) the first of (n, 3, k) columns without the others, and (n, 3, m) an orthonormal basis of those."""
-    flat = every.reshape(-1, every.shape[2])
+def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Regress the first of (n, 3, k) columns on the others: return residuals (n, 3) and an orthonormal basis (n, 3, m)."""
+    flat = values.reshape(-1, values.shape[2])
     scale = np.maximum(np.linalg.norm(flat[:, 1:], axis=0), 1e-30)
     others = flat[:, 1:] / scale
-    values, vectors = np.linalg.eigh(others.T @ others)
-    seen = values > 1e-12 * max(float(values[-1]), 1e-300) if len(values) else np.zeros(0, dtype=bool)
-    # Twice: the square loses half the digits.
-    basis, _ = np.linalg.qr(others @ (vectors[:, seen] / np.sqrt(values[seen])))
-    left = flat[:, 0] - basis @ (basis.T @ flat[:, 0])
-    return left.reshape(-1, 3), basis.reshape(-1, 3, basis.shape[1])
+    eigenvalues, vectors = np.linalg.eigh(others.T @ others)
+    seen = eigenvalues > 1e-12 * max(float(eigenvalues[-1]), 1e-300) if len(eigenvalues) else np.zeros(0, dtype=bool)
+    # Orthonormalised again by QR: the normal matrix loses half the digits.
+    basis, _ = np.linalg.qr(others @ (vectors[:, seen] / np.sqrt(eigenvalues[seen])))
+    residual = flat[:, 0] - basis @ (basis.T @ flat[:, 0])
+    return residual.reshape(-1, 3), basis.reshape(-1, 3, basis.shape[1])

@@ -1,4 +1,4 @@
-"""The readings as a diagnosis takes them up: placed, with their scatter, and with the rows that are too far off to be chance."""
+"""The readings of a diagnosis: with fitted set-up, measurement noise and outliers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from twin._common.distributions import chi2_isf
 from twin._common.units import MM
 from twin.diagnosis.candidates.candidate import Catalogue
 from twin.diagnosis.candidates.catalogue import catalogue
-from twin.diagnosis.problem.noise import ENOUGH, Scatter, from_repeats, from_the_rest
+from twin.diagnosis.problem.noise import LEAST_DOF, ReadingNoise, from_repeats, from_residuals
 from twin.diagnosis.problem.problem import Problem
 from twin.identification.inputs import prepared
 from twin.identification.network import Network, stated_covariance
@@ -27,23 +27,24 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements, RowNote
 
-ROBUST: Final = 4
+ITERATIONS: Final = 4
+"""Repetitions of fit and outlier test, at most."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Posed:
-    """What is to be solved.
+class DiagnosisTask:
+    """One diagnosis: data, candidate causes and noise.
 
     Attributes:
-        problem: the rows that count, whitened.
-        known: the causes to try.
-        scatter: of the readings.
+        problem: the rows used, whitened.
+        catalogue: the candidate causes.
+        noise: noise of these rows.
     """
 
     problem: Problem
-    known: Catalogue
-    scatter: Scatter
+    catalogue: Catalogue
+    noise: ReadingNoise
 
 
 @final
@@ -52,28 +53,28 @@ class Readings:
     """All rows, with the set-up fitted to the good ones.
 
     Attributes:
-        network: data and model, scatter as known now.
+        network: data and model, whitened by this noise.
         setup: stations and targets.
-        scatter: of all rows.
-        calibration: the model that is judged.
-        bad: (n,) rows too far off to be chance, if nothing but scatter is there.
+        noise: noise of all rows.
+        calibration: the model under test.
+        bad: (n,) whether a row is an outlier if the model is right and there is only noise.
     """
 
     network: Network
     setup: SetUp
-    scatter: Scatter
+    noise: ReadingNoise
     calibration: Calibration
     bad: np.ndarray
 
-    def some(self, rows: np.ndarray, notes: Sequence[RowNote] = ()) -> Readings:
-        """Some of the rows, the set-up as it was fitted to all.
+    def select_rows(self, rows: np.ndarray, notes: Sequence[RowNote] = ()) -> Readings:
+        """Return some of the rows, with the set-up fitted to all.
 
         Args:
             rows: their numbers.
-            notes: of those that are left out.
+            notes: notes on the rows that are left out.
         """
         network = self.network
-        covariance = locked(np.array(self.scatter.covariance[rows]))
+        covariance = locked(np.array(self.noise.covariance[rows]))
         data = network.data.select(rows)
         fewer = Network(
             network.machine,
@@ -83,92 +84,90 @@ class Readings:
             self.calibration,
             covariance,
         )
-        return Readings(
-            fewer, self.setup, replace(self.scatter, covariance=covariance), self.calibration, self.bad[rows]
-        )
+        return Readings(fewer, self.setup, replace(self.noise, covariance=covariance), self.calibration, self.bad[rows])
 
-    def without(self, bad: np.ndarray) -> Posed:
-        """What is to be solved with some rows listed and left out, the causes to try, and how the rows scatter.
+    def without(self, bad: np.ndarray) -> DiagnosisTask:
+        """Return the diagnosis task without some rows, which are listed in its data with the reason.
 
         Args:
             bad: (n,) rows to leave out.
         """
-        left, network = self, self.network
+        kept, network = self, self.network
         if np.any(bad):
             difference = network.residuals_m(np.zeros(0), self.setup, np.arange(len(network.data)))
             notes = explained(network, difference, network.residual(np.zeros(0), self.setup), bad)
-            left = self.some(np.flatnonzero(~bad), notes)
-        known = catalogue(network.machine, left.network.data, self.calibration)
-        return Posed(Problem(left.network, self.setup, self.calibration), known, left.scatter)
+            kept = self.select_rows(np.flatnonzero(~bad), notes)
+        known = catalogue(network.machine, kept.network.data, self.calibration)
+        return DiagnosisTask(Problem(kept.network, self.setup, self.calibration), known, kept.noise)
 
 
 def readings(
     data: Measurements, machine: Machine, calibration: Calibration, instrument: Instrument | None = None
 ) -> Readings:
-    """Place stations and targets, and find how the readings scatter.
+    """Fit stations and targets, and determine the measurement noise and the outliers.
 
     Args:
         data: the measurements.
         machine: the machine.
-        calibration: the model to be judged.
-        instrument: what read the data; None where the table's uncertainties or the repeats say how it scatters.
+        calibration: the model under test.
+        instrument: instrument whose noise model is used; None to take the table's uncertainties, or to estimate from repeats.
 
     Raises:
         InputError: data that cannot be a measurement of this machine.
     """
     reader, data, setup = prepared(machine, data, instrument)
-    nothing = Unknowns(machine, (), ())
+    no_unknowns = Unknowns(machine, (), ())
     covariance = stated_covariance(data, reader)
-    given = bool(np.isfinite(data.u_mm).any())
-    stated = given or instrument is not None
-    repeated = None if stated else _first_look(data, covariance)
-    if repeated is not None:
-        covariance = repeated
-    figures = f"the figures of the {reader.name}" + (
-        "" if instrument is not None else ", presumed: nothing else is said"
+    has_u = bool(np.isfinite(data.u_mm).any())
+    stated = has_u or instrument is not None
+    preliminary = None if stated else _isotropic_from_repeats(data, covariance)
+    if preliminary is not None:
+        covariance = preliminary
+    figures = f"the noise model of the {reader.name}" + (
+        "" if instrument is not None else ", assumed: no uncertainties stated, too few repeats"
     )
-    scatter = Scatter(covariance, np.inf, "the table's uncertainties" if given else figures)
-    network = Network(machine, data, reader, nothing, calibration, covariance)
-    setup, bad = _settled(network, setup)
+    noise = ReadingNoise(covariance, np.inf, "the table's uncertainties" if has_u else figures)
+    network = Network(machine, data, reader, no_unknowns, calibration, covariance)
+    setup, bad = _setup_without_outliers(network, setup)
     if not stated:
         known = catalogue(machine, data, calibration).candidates
         view = network.view(np.zeros(0), setup, np.flatnonzero(~bad))
         seen = network.view(np.zeros(0), setup, np.arange(len(data))).seen
-        own = from_repeats(data.select(~bad), view, network.read[~bad], known, seen)
-        if own is None:
-            own = from_the_rest(network, setup, view, known, seen)
-        if own is not None:
-            scatter = own
-            network = Network(machine, data, reader, nothing, calibration, own.covariance)
-            setup, bad = _settled(network, setup)
-    return Readings(network, setup, scatter, calibration, bad)
+        estimated = from_repeats(data.select(~bad), view, network.read[~bad], known, seen)
+        if estimated is None:
+            estimated = from_residuals(network, setup, view, known, seen)
+        if estimated is not None:
+            noise = estimated
+            network = Network(machine, data, reader, no_unknowns, calibration, estimated.covariance)
+            setup, bad = _setup_without_outliers(network, setup)
+    return Readings(network, setup, noise, calibration, bad)
 
 
-def _first_look(data: Measurements, stated: np.ndarray) -> np.ndarray | None:
-    """The same scatter in every direction, from the median distance of repeats: enough to see outliers by; None without repeats.
+def _isotropic_from_repeats(data: Measurements, stated: np.ndarray) -> np.ndarray | None:
+    """Return an isotropic covariance (n, 3, 3) from the median distance of repeats, for a first outlier test; None without repeats.
 
-    The instrument's figures will not do: along the beam they are many times smaller than across, and data that do not scatter
-    like that would be full of outliers.
+    The instrument's noise model is not suitable for this test: it is many times smaller along the beam than across, and data with
+    isotropic noise would appear full of outliers.
     """
     group = repeats(data)
     size = np.bincount(group)
-    if np.sum(np.maximum(size - 1, 0)) < ENOUGH // 2:
+    if np.sum(np.maximum(size - 1, 0)) < LEAST_DOF // 2:
         return None
     points = np.where(np.isfinite(data.point_mm), data.point_mm, 0.0) * MM
     mean = np.stack([np.bincount(group, points[:, i]) / size for i in range(3)], axis=1)
     again = size[group] > 1
-    off = (points - mean[group])[again] / np.sqrt(1.0 - 1.0 / size[group][again])[:, None]
+    deviation = (points - mean[group])[again] / np.sqrt(1.0 - 1.0 / size[group][again])[:, None]
     dimensions = int(np.isfinite(data.point_mm).any(axis=0).sum())
-    sigma = float(np.sqrt(np.median(np.sum(off**2, axis=1)) / chi2_isf(0.5, dimensions)))
+    sigma = float(np.sqrt(np.median(np.sum(deviation**2, axis=1)) / chi2_isf(0.5, dimensions)))
     if sigma <= 0.0:
         return None
     return locked(np.where(stated != 0.0, 1.0, 0.0) * np.eye(3) * sigma**2)
 
 
-def _settled(network: Network, setup: SetUp) -> tuple[SetUp, np.ndarray]:
-    """The set-up fitted without outliers, and which rows those are."""
+def _setup_without_outliers(network: Network, setup: SetUp) -> tuple[SetUp, np.ndarray]:
+    """Return the set-up fitted without outliers, and (n,) whether a row is one."""
     bad = np.zeros(len(network.data), dtype=bool)
-    for _ in range(ROBUST):
+    for _ in range(ITERATIONS):
         setup = solve(network, np.zeros(0), setup, (~bad).astype(float)).setup
         found = outliers(network, network.residual(np.zeros(0), setup))
         if np.array_equal(found, bad):

@@ -17,8 +17,8 @@ import numpy as np
 
 from twin._common.distributions import student_isf
 from twin.diagnosis.candidates.candidate import Candidate
-from twin.diagnosis.problem.pool import Form, Pool, log_chance, together
-from twin.diagnosis.problem.problem import Problem, plain, rms, unwhitened
+from twin.diagnosis.problem.forms import Candidates, Form, columns_of, log_p_value
+from twin.diagnosis.problem.problem import Problem, rms, unwhiten, unwhitened_um
 from twin.diagnosis.selection.likelihood import Likelihood
 from twin.machine.effects.names import axis_of
 from twin.machine.machine import Machine
@@ -43,7 +43,7 @@ def foretold_patterns(likelihood: Likelihood, forms: Sequence[Form], written: Co
     return likelihood.made(which[own], values[own])
 
 
-def foretold(problem: Problem, part: Pool, forms: Sequence[Form]) -> np.ndarray:
+def foretold(problem: Problem, part: Candidates, forms: Sequence[Form]) -> np.ndarray:
     """(3n,) what causes fitted to a part of the readings do to all of them.
 
     Nothing along what that part does not see: it would be noise times a lever on the rest.
@@ -74,19 +74,19 @@ def interval(table: np.ndarray) -> tuple[float, float] | None:
     return whole - half, whole + half
 
 
-def foretells(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
+def foretells(candidates: Candidates, form: Form, forms: Sequence[Form]) -> bool:
     """Whether a function of an axis's position foretells positions of that axis that were left out of its fit.
 
     A variant of another effect has to foretell more than that does: a reversal that changes along the travel more than the plain one.
 
     Args:
-        pool: the data.
+        candidates: the data.
         form: the cause.
         forms: all causes.
     """
     if not form.candidate.specification.curve:
         return True
-    machine, data = pool.problem.network.machine, pool.problem.network.data
+    machine, data = candidates.problem.network.machine, candidates.problem.network.data
     where = form.candidate.where
     axis = machine.names.index(axis_of(where))
     if len(np.unique(np.round(data.positions[:, axis], 3))) > DENSE:
@@ -96,48 +96,52 @@ def foretells(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
         return False
     others = [one for one in forms if one is not form]
     if form.candidate.specification.variant_of:
-        others += [one for one in pool.forms if one.key == (form.candidate.specification.variant_of, where)]
-    gained = positions_held_out(pool, form, others, split)
+        others += [one for one in candidates.forms if one.key == (form.candidate.specification.variant_of, where)]
+    gained = positions_held_out(candidates, form, others, split)
     return gained is not None and gained[0] > 0.0
 
 
-def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Parts) -> tuple[float, float] | None:
+def positions_held_out(
+    candidates: Candidates, form: Form, others: Sequence[Form], split: Parts
+) -> tuple[float, float] | None:
     """95 % interval of what one cause gains at positions that it was not fitted to, all others kept; None where none is given.
 
     Args:
-        pool: the data.
+        candidates: the data.
         form: the cause.
         others: the other causes.
         split: the positions.
     """
 
-    def judged(small: Pool) -> tuple[np.ndarray, np.ndarray]:
-        return foretold(pool.problem, small, others), foretold(pool.problem, small, [*others, form])
+    def judged(small: Candidates) -> tuple[np.ndarray, np.ndarray]:
+        return foretold(candidates.problem, small, others), foretold(candidates.problem, small, [*others, form])
 
-    table = on_parts(pool, split, judged)
+    table = on_parts(candidates, split, judged)
     return None if table is None else interval(table)
 
 
-def on_parts(pool: Pool, split: Parts, judged: Callable[[Pool], Sequence[np.ndarray]]) -> np.ndarray | None:
+def on_parts(
+    candidates: Candidates, split: Parts, judged: Callable[[Candidates], Sequence[np.ndarray]]
+) -> np.ndarray | None:
     """(groups, models + 1) sums of squares of what is held out, µm², with each model, and how many values.
 
     Args:
-        pool: all data.
+        candidates: all data.
         split: what is held out together.
         judged: the rest of the data → (3n,) what each model, fitted to it, does to the whitened readings, all of them.
     """
-    problem = pool.problem
+    problem = candidates.problem
     table: np.ndarray | None = None
     for k in range(int(split.part.max()) + 1):
         rows = split.part == k
         part = problem.without(rows)
         if part is None:
             return None
-        small = pool.on(part)
+        small = candidates.on_part(part)
         squares = []
         for made in judged(small):
-            left = part.following(problem.residual - made).reshape(-1, 3, 1)[rows]
-            squares.append(np.sum((plain(problem, left, rows)[:, :, 0] * 1e6) ** 2, axis=1))
+            left = part.refit_setup(problem.residual - made).reshape(-1, 3, 1)[rows]
+            squares.append(np.sum((unwhiten(problem, left, rows)[:, :, 0] * 1e6) ** 2, axis=1))
         read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
         counted = np.stack([*squares, read], axis=1)
         table = np.zeros((int(split.group.max()) + 1, counted.shape[1])) if table is None else table
@@ -227,7 +231,7 @@ OVERFITTED: Final = 1.25
 """Ratio of the RMS residual of held-out readings to that of the fit above which the fit is checked for too many causes."""
 
 
-def held_up(pool: Pool, forms: Sequence[Form]) -> list[Form]:
+def held_up(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
     """The causes without those that only overfit; all of them unless held-out readings fit much worse than the others.
 
     Causes enter in order of the chi² they explain, and each must be significant against the residual after it (F-to-enter, Efroymson
@@ -236,35 +240,39 @@ def held_up(pool: Pool, forms: Sequence[Form]) -> list[Form]:
     claim between the measured positions.
 
     Args:
-        pool: the data.
+        candidates: the data.
         forms: the causes.
     """
-    if PLENTY * len(together(forms)) < pool.problem.dof:
+    if PLENTY * len(columns_of(forms)) < candidates.problem.dof:
         return list(forms)
-    split = parts(pool.problem.network.data, pool.problem.network.machine, [form.candidate for form in forms])
+    split = parts(
+        candidates.problem.network.data, candidates.problem.network.machine, [form.candidate for form in forms]
+    )
     if split is None or split.of not in ("positions", "poses") or split.group.max() + 1 < ENOUGH:
         return list(forms)
-    claimed = _by_entry(pool, [form for form in forms if split.of == "poses" or foretells(pool, form, forms)])
+    claimed = _by_entry(
+        candidates, [form for form in forms if split.of == "poses" or foretells(candidates, form, forms)]
+    )
 
-    def judged(small: Pool) -> list[np.ndarray]:
-        return [foretold(pool.problem, small, claimed[:k]) for k in range(len(claimed) + 1)]
+    def judged(small: Candidates) -> list[np.ndarray]:
+        return [foretold(candidates.problem, small, claimed[:k]) for k in range(len(claimed) + 1)]
 
-    table = on_parts(pool, split, judged)
-    if table is None or table[:, -2].sum() / table[:, -1].sum() <= (OVERFITTED * _in_fit(pool, claimed)) ** 2:
+    table = on_parts(candidates, split, judged)
+    if table is None or table[:, -2].sum() / table[:, -1].sum() <= (OVERFITTED * _in_fit(candidates, claimed)) ** 2:
         return list(forms)
-    gone = {form.index for form in claimed[_fewest(table[:, : _beyond_rest(pool, claimed) + 1]) :]}
+    gone = {form.index for form in claimed[_fewest(table[:, : _beyond_rest(candidates, claimed) + 1]) :]}
     return [form for form in forms if form.index not in gone]
 
 
-def _beyond_rest(pool: Pool, forms: Sequence[Form]) -> int:
+def _beyond_rest(candidates: Candidates, forms: Sequence[Form]) -> int:
     """Number of forms, entered in this order, that are significant against the residual (F-to-enter)."""
-    problem, free = pool.problem, float(pool.problem.dof)
+    problem, free = candidates.problem, float(candidates.problem.dof)
     for k, form in enumerate(forms):
-        explained, dof, _ = pool.scores(forms[:k], [form.index])[0]
+        explained, dof, _ = candidates.scores(forms[:k], [form.index])[0]
         free -= dof
-        left = (problem.chi2 - pool.explained_by(forms[: k + 1])) / max(free, 1.0)
-        chance = log_chance(np.array(explained / max(left, 1.0)), max(float(dof), 1.0), max(free, 1.0))
-        if float(chance) + form.price > np.log(pool.level):
+        left = (problem.chi2 - candidates.explained_by(forms[: k + 1])) / max(free, 1.0)
+        chance = log_p_value(np.array(explained / max(left, 1.0)), max(float(dof), 1.0), max(free, 1.0))
+        if float(chance) + form.log_tests > np.log(candidates.level):
             return k
     return len(forms)
 
@@ -276,17 +284,17 @@ def _fewest(squares: np.ndarray) -> int:
     return int(np.argmax(worse.sum(axis=0) <= error))
 
 
-def _by_entry(pool: Pool, forms: Sequence[Form]) -> list[Form]:
+def _by_entry(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
     """In the order in which each explains most beside those before it."""
     rest, entered = list(forms), list[Form]()
     while rest:
-        explained = pool.scores(entered, [form.index for form in rest])[:, 0]
+        explained = candidates.scores(entered, [form.index for form in rest])[:, 0]
         entered.append(rest.pop(int(np.argmax(explained))))
     return entered
 
 
-def _in_fit(pool: Pool, forms: Sequence[Form]) -> float:
+def _in_fit(candidates: Candidates, forms: Sequence[Form]) -> float:
     """RMS residual of the fit, µm."""
-    problem = pool.problem
-    residual = problem.project(problem.residual - foretold(problem, pool, forms))
-    return rms(unwhitened(problem, residual), problem.network.read)
+    problem = candidates.problem
+    residual = problem.project(problem.residual - foretold(problem, candidates, forms))
+    return rms(unwhitened_um(problem, residual), problem.network.read)

@@ -17,7 +17,7 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dpotri
 
 from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.problem.pool import Form, Pool, pseudo, together
+from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
 from twin.diagnosis.selection.unnamed import Trace
 
 STEPS: Final = 40
@@ -46,7 +46,7 @@ class Model:
         variances: of each group of the patterns' columns, relative to the scatter, µm².
         scatter: s², at least one.
         explained: of the misfit, by causes and patterns together.
-        values: (columns,) of the causes, in the order of `together`.
+        values: (columns,) of the causes, in the order of `columns_of`.
         random: of the patterns' rotated columns, µm.
         covariance: (columns, columns) of the causes' values at these variances, in units of the scatter.
         followed: degrees of freedom that the patterns follow the readings with.
@@ -64,18 +64,18 @@ class Model:
 
 @final
 class Likelihood:
-    """Causes of a pool beside some patterns.
+    """Causes of the candidates beside some patterns.
 
     The columns of each variance are rotated so that they are orthogonal in the readings. The likelihood stays the same, and columns
     without a reading drop out: for few readings, that is most of the columns.
 
     Args:
-        pool: the data and the causes.
+        candidates: the data and the causes.
         traces: the patterns.
     """
 
-    def __init__(self, pool: Pool, traces: Sequence[Trace]) -> None:
-        self.pool = pool
+    def __init__(self, candidates: Candidates, traces: Sequence[Trace]) -> None:
+        self.candidates = candidates
         self.traces = tuple(traces)
         self._imitated: dict[int, np.ndarray] = {}
         self.columns: list[Column] = []
@@ -87,14 +87,14 @@ class Likelihood:
                 group += [3 * k + i] * len(own)
                 self.columns += own
         self.group = np.array(group, dtype=int)
-        problem = pool.problem
+        problem = candidates.problem
         found = problem.products(self.columns)
         size = np.bincount(self.group, np.diag(found.gram), 3 * len(traces))
         self._size = np.where(size > UNREAD * size.max(initial=0.0), size, 0.0)
         self._rotation, self._own = _orthogonal(found.gram, self.group, self._size)
         self._gram = self._rotation.T @ found.gram @ self._rotation
         self._slope = self._rotation.T @ found.slope
-        self._cross = self._rotation.T @ pool.along(self.columns)
+        self._cross = self._rotation.T @ candidates.along(self.columns)
         self._chi2, self._dof = problem.chi2, max(problem.dof, 1)
 
     def fit(self, forms: Sequence[Form], start: Model | None = None, without: int | None = None) -> Model:
@@ -111,8 +111,8 @@ class Likelihood:
             variances, scatter = np.maximum(start.variances, SMALL * first), start.scatter
         if without is not None:
             variances = np.where(np.arange(len(variances)) // 3 == without, 0.0, variances)
-        columns = together(forms)
-        fixed = self.pool.gram(forms)
+        columns = columns_of(forms)
+        fixed = self.candidates.gram(forms)
         for _ in range(STEPS):
             model, moved = self._at(columns, fixed, variances, scatter)
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -143,10 +143,10 @@ class Likelihood:
         inverse, log_det = _inverse(inner)
         values, back = np.zeros(len(columns)), np.zeros((0, 0))
         if len(columns):
-            back, _ = pseudo(fixed - cross.T @ inverse @ cross)
-            values = back @ (self.pool.slope[columns] - cross.T @ (inverse @ slope))
+            back, _ = pseudo_inverse(fixed - cross.T @ inverse @ cross)
+            values = back @ (self.candidates.slope[columns] - cross.T @ (inverse @ slope))
         found = inverse @ (slope - cross @ values)
-        explained = float(self.pool.slope[columns] @ values + slope @ found)
+        explained = float(self.candidates.slope[columns] @ values + slope @ found)
         more = max((self._chi2 - explained) / self._dof, 1.0)
         # From that of the stated scatter alone, which is −χ².
         twice = self._chi2 - (self._chi2 - explained) / more - self._dof * float(np.log(more)) - log_det
@@ -161,7 +161,7 @@ class Likelihood:
 
     def gained(self, forms: Sequence[Form], model: Model, form: Form) -> float:
         """What one of the causes makes the readings more likely by at most: at variances that are not fitted anew without it."""
-        at = np.searchsorted(together(forms), form.columns)
+        at = np.searchsorted(columns_of(forms), form.columns)
         values = model.values[at]
         return float(values @ np.linalg.pinv(model.covariance[np.ix_(at, at)], hermitian=True) @ values) / model.scatter
 
@@ -171,7 +171,7 @@ class Likelihood:
         lower = np.linalg.cholesky(inner)
         cross = solve_triangular(lower, self._cross[used] * deviation[:, None], lower=True)
         slope = solve_triangular(lower, self._slope[used] * deviation, lower=True)
-        explained, dof = self.pool.scan_beside(forms, cross, slope)
+        explained, dof = self.candidates.scan_beside(forms, cross, slope)
         return explained / model.scatter, dof
 
     def left(self, forms: Sequence[Form], model: Model) -> np.ndarray:
@@ -185,8 +185,8 @@ class Likelihood:
         if form.index in self._imitated:
             return self._imitated[form.index]
         own = form.columns
-        whole = self.pool.gram([form])
-        values = np.ones(len(own)) if len(own) == 1 else self.pool.fitted([form])[1]
+        whole = self.candidates.gram([form])
+        values = np.ones(len(own)) if len(own) == 1 else self.candidates.fitted([form])[1]
         size = float(values @ whole @ values)
         found = np.zeros(len(self.traces))
         for k in range(len(self.traces)):
@@ -200,16 +200,16 @@ class Likelihood:
 
     def explained(self, forms: Sequence[Form], model: Model) -> float:
         """What the patterns explain beside some causes, more than these alone."""
-        return model.explained - self.pool.explained_by(forms)
+        return model.explained - self.candidates.explained_by(forms)
 
     def slope_beside(self, forms: Sequence[Form]) -> np.ndarray:
         """Inner products of the patterns' rotated columns with what the causes leave, these fitted alone."""
-        columns, values, _ = self.pool.fitted(forms)
+        columns, values, _ = self.candidates.fitted(forms)
         return np.asarray(self._slope - self._cross[:, columns] @ values)
 
     def slope_with(self, residual: np.ndarray) -> np.ndarray:
         """Inner products of the patterns' rotated columns with a (3n,) whitened residual, beside the set-up."""
-        problem = self.pool.problem
+        problem = self.candidates.problem
         left = problem.project(residual)
         found = [
             problem.along(problem.signature(self.columns[start : start + TOGETHER]), left)
@@ -246,7 +246,7 @@ class Likelihood:
             which: (k,) their numbers.
             values: (k,) how much of each, µm.
         """
-        problem = self.pool.problem
+        problem = self.candidates.problem
         found = np.zeros(len(problem.residual))
         for start in range(0, len(which), TOGETHER):
             some = slice(start, start + TOGETHER)
@@ -255,12 +255,12 @@ class Likelihood:
 
     def pattern(self, forms: Sequence[Form], model: Model) -> np.ndarray:
         """(3n,) what the patterns do to the whitened readings, most likely, beside set-up and causes: what those cannot do."""
-        problem = self.pool.problem
+        problem = self.candidates.problem
         found = self.made(np.arange(len(self.columns)), self._rotation @ model.random)
-        columns = together(forms)
+        columns = columns_of(forms)
         if len(columns):
-            back, _ = pseudo(self.pool.gram(forms))
-            signature = problem.signature([self.pool.products.columns[i] for i in columns])
+            back, _ = pseudo_inverse(self.candidates.gram(forms))
+            signature = problem.signature([self.candidates.products.columns[i] for i in columns])
             found -= signature @ (back @ (self._cross[:, columns].T @ model.random))
         return problem.project(found)
 

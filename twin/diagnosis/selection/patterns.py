@@ -17,7 +17,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.signatures import Column, Part
+from twin.diagnosis.candidates.signatures import Column, SignatureTerm
 from twin.machine.effects.waves import APPROACH, Waves, terms
 from twin.machine.machine import Axis, Machine
 from twin.measurement.table import CARRIERS, Measurements, state_of
@@ -129,7 +129,7 @@ class Pattern:
         """Signatures, µm a unit, of the functions up to an order along some directions; those of a direction together."""
         functions = Functions(len(self.own), len(self.order), self.at, self.own)
         chosen = np.flatnonzero(self.order <= level).tolist()
-        return [Column((Part((self.field, i), functions, k, UM),), 1.0) for i in directions for k in chosen]
+        return [Column((SignatureTerm((self.field, i), functions, k, UM),), 1.0) for i in directions for k in chosen]
 
 
 def patterns(machine: Machine, data: Measurements) -> list[Pattern]:

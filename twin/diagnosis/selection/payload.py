@@ -16,8 +16,8 @@ from typing import Final, final
 import numpy as np
 from scipy.optimize import minimize
 
-from twin.diagnosis.candidates.machine_effects import cell_at
-from twin.diagnosis.problem.pool import Form, Pool, pseudo, together
+from twin.diagnosis.candidates.machine_effects import variant_at
+from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
 from twin.diagnosis.selection.search import Selection, possible, select
 from twin.machine.effects import Payload
 from twin.machine.effects.gravity_compliance import FREE, GRAVITY_COMPLIANCE, payloads_of
@@ -113,94 +113,96 @@ def weights(four: np.ndarray) -> np.ndarray:
     return np.concatenate([[1.0, four[0]], four[0] * four[1:]])
 
 
-def chosen(pool: Pool, before: Sequence[Form] = ()) -> Selection:
+def chosen(candidates: Candidates, before: Sequence[Form] = ()) -> Selection:
     """The best set of causes that are possible, with one payload a side in the load of all joints that give way.
 
     Args:
-        pool: the forms; where joints ask for a payload they have it in their load from then on.
+        candidates: the forms; where joints ask for a payload they have it in their load from then on.
         before: the best set before forms were refined; begun with where it has a payload, which not every way through a search finds.
     """
-    anew = not any(MASS in form.cell.fixed for form in before)
-    best = select(pool, () if anew else [pool.forms[form.index] for form in before])
+    anew = not any(MASS in form.variant.fixed for form in before)
+    best = select(candidates, () if anew else [candidates.forms[form.index] for form in before])
     for _ in range(ROUNDS):
-        loads = [load for side in SIDES if (load := asked(pool, best.forms, side)) is not None]
-        if not any([_put(pool, _believed(pool, load)) for load in loads]):
+        loads = [load for side in SIDES if (load := asked(candidates, best.forms, side)) is not None]
+        if not any([_put(candidates, _believed(candidates, load)) for load in loads]):
             break
-        _bar(pool)
-        known = {form.key: form for form in pool.forms if MASS in form.cell.fixed}
-        best, anew = select(pool, [known.get(form.key, form) for form in best.forms]), False
-    return possible(pool, best, anew)
+        _bar(candidates)
+        known = {form.key: form for form in candidates.forms if MASS in form.variant.fixed}
+        best, anew = select(candidates, [known.get(form.key, form) for form in best.forms]), False
+    return possible(candidates, best, anew)
 
 
-def _believed(pool: Pool, load: Load) -> Payload:
+def _believed(candidates: Candidates, load: Load) -> Payload:
     """The payload that explains most, if that is worth its price; none, of no mass, if it is not."""
     found = load.payload()
     more = load.under(load.four(found))[0] - load.under(np.zeros(4))[0]
-    return found if more > pool.cost(load.free[0], 4.0) else replace(found, mass_kg=0.0)
+    return found if more > candidates.critical_value(load.free[0], 4.0) else replace(found, mass_kg=0.0)
 
 
-def again(pool: Pool, forms: Sequence[Form]) -> None:
+def again(candidates: Candidates, forms: Sequence[Form]) -> None:
     """Have the payloads that some causes were found with in the load of all joints, after other data were judged."""
     yielding = [form for form in forms if form.candidate.specification is GRAVITY_COMPLIANCE]
-    for payload in {one for form in yielding for one in payloads_of(axis_of_form(pool, form), form.cell.fixed)}:
-        _put(pool, payload)
+    for payload in {
+        one for form in yielding for one in payloads_of(axis_of_form(candidates, form), form.variant.fixed)
+    }:
+        _put(candidates, payload)
 
 
-def chosen_on(part: Pool, forms: Sequence[Form]) -> Selection:
+def chosen_on(part: Candidates, forms: Sequence[Form]) -> Selection:
     """The best set of causes on a part of the data, from one that was found on all of them; payloads as they are there.
 
     Args:
-        part: of the pool.
-        forms: of the pool; each stays where it is worth it.
+        part: of the candidates.
+        forms: of the candidates; each stays where it is worth it.
     """
     _bar(part)
     return possible(part, select(part, [part.forms[form.index] for form in forms]), False)
 
 
-def _bar(pool: Pool) -> None:
+def _bar(candidates: Candidates) -> None:
     """No joint has a payload of its own."""
-    pool.bar([form for form in pool.forms if FREE in form.cell.fixed])
+    candidates.exclude_forms([form for form in candidates.forms if FREE in form.variant.fixed])
 
 
-def asked(pool: Pool, forms: Sequence[Form], side: Side) -> Load | None:
+def asked(candidates: Candidates, forms: Sequence[Form], side: Side) -> Load | None:
     """The joints of a side that give way, if any of them asks for a payload or was given one."""
-    free = {form.key: form for form in pool.forms if FREE in form.cell.fixed}
-    joints = [form for form in forms if form.key in free and side_of(axis_of_form(pool, form)) == side]
-    if not any(FREE in form.cell.fixed or MASS in form.cell.fixed for form in joints):
+    free = {form.key: form for form in candidates.forms if FREE in form.variant.fixed}
+    joints = [form for form in forms if form.key in free and side_of(axis_of_form(candidates, form)) == side]
+    if not any(FREE in form.variant.fixed or MASS in form.variant.fixed for form in joints):
         return None
     own = [free[form.key] for form in joints]
     every = [*(form for form in forms if form not in joints), *own]
-    columns, gram = together(every), pool.gram(every)
+    columns, gram = columns_of(every), candidates.gram(every)
     at = np.concatenate([np.searchsorted(columns, form.columns) for form in own])
     rest = np.setdiff1d(np.arange(len(columns)), at)
-    slope = pool.slope[columns]
-    inverse, _ = pseudo(gram[np.ix_(rest, rest)])
+    slope = candidates.slope[columns]
+    inverse, _ = pseudo_inverse(gram[np.ix_(rest, rest)])
     along = gram[np.ix_(at, rest)] @ inverse
-    size = np.concatenate([[column.scale for column in form.cell.columns] for form in own])
+    size = np.concatenate([[column.scale for column in form.variant.columns] for form in own])
     left = (gram[np.ix_(at, at)] - along @ gram[np.ix_(rest, at)]) / np.outer(size, size)
-    heaviest = heaviest_kg(pool.problem.network.machine)
+    heaviest = heaviest_kg(candidates.problem.network.machine)
     return Load(side, heaviest, tuple(joints), tuple(own), left, (slope[at] - along @ slope[rest]) / size)
 
 
-def _put(pool: Pool, payload: Payload) -> bool:
+def _put(candidates: Candidates, payload: Payload) -> bool:
     """Have a payload in the load of every joint of its side; whether that changes anything."""
-    machine = pool.problem.network.machine
-    state = state_of(pool.problem.network.data, machine)
+    machine = candidates.problem.network.machine
+    state = state_of(candidates.problem.network.data, machine)
     numbers = payload.numbers
     size = Payload.of_shares(payload.side, heaviest_kg(machine), np.ones(4)).numbers
     moved = False
-    for form in list(pool.forms):
-        joint = form.candidate.specification is GRAVITY_COMPLIANCE and FREE not in form.cell.fixed
-        if not joint or side_of(axis_of_form(pool, form)) != payload.side:
+    for form in list(candidates.forms):
+        joint = form.candidate.specification is GRAVITY_COMPLIANCE and FREE not in form.variant.fixed
+        if not joint or side_of(axis_of_form(candidates, form)) != payload.side:
             continue
-        before = form.cell.fixed
+        before = form.variant.fixed
         if before and all(abs(before[name] - value) <= STILL * size[name] for name, value in numbers.items()):
             continue
-        pool.refine(form, cell_at(form.candidate, numbers, machine, state))
+        candidates.refine(form, variant_at(form.candidate, numbers, machine, state))
         moved = True
     return moved
 
 
-def axis_of_form(pool: Pool, form: Form) -> Axis:
+def axis_of_form(candidates: Candidates, form: Form) -> Axis:
     """The axis of a joint that gives way."""
-    return pool.problem.network.machine.by_name[form.candidate.where]
+    return candidates.problem.network.machine.by_name[form.candidate.where]

@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 
 from twin.diagnosis.estimate.estimate import estimate
-from twin.diagnosis.problem.pool import Pool
+from twin.diagnosis.problem.forms import Candidates
 from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.readings import ROBUST, Posed, Readings
-from twin.diagnosis.selection.search import glimpse, pool_of
+from twin.diagnosis.problem.readings import ITERATIONS, DiagnosisTask, Readings
+from twin.diagnosis.selection.search import candidates_of, glimpse
 from twin.identification.outliers import outliers
 
 WITNESSES: Final = 3
@@ -24,7 +24,7 @@ LOOKED_AT: Final = 20_000
 SEED: Final = 1964
 
 
-def posed(placed: Readings) -> Posed:
+def diagnosis_task(placed: Readings) -> DiagnosisTask:
     """What is to be solved: the rows that count, whitened, and the causes to try.
 
     Args:
@@ -44,15 +44,15 @@ def _still_bad(placed: Readings) -> np.ndarray:
         drawn = np.random.default_rng(SEED).choice(np.flatnonzero(~placed.bad), LOOKED_AT - len(bad), replace=False)
         rows = np.sort(np.concatenate([bad, drawn]))
         found = np.zeros(count, dtype=bool)
-        found[rows] = _still_bad(placed.some(rows))
+        found[rows] = _still_bad(placed.select_rows(rows))
         return found
     everything = placed.without(np.zeros(len(placed.bad), dtype=bool))
-    whole, pool = everything.problem, pool_of(everything)
+    whole, candidates = everything.problem, candidates_of(everything)
     size = np.linalg.norm(placed.network.residual(np.zeros(0), placed.setup), axis=1)
     for share in TAKEN_BACK:
         bad = placed.bad & (size > np.quantile(size[placed.bad], share))
-        for _ in range(ROBUST):
-            still = _beyond(placed, whole, pool, bad)
+        for _ in range(ITERATIONS):
+            still = _beyond(placed, whole, candidates, bad)
             settled = np.count_nonzero(still & ~bad) == 0 and np.count_nonzero(still) > 0.9 * np.count_nonzero(bad)
             if settled or np.count_nonzero(still) > 0.5 * np.count_nonzero(placed.bad):
                 break
@@ -62,11 +62,11 @@ def _still_bad(placed: Readings) -> np.ndarray:
     return placed.bad
 
 
-def _beyond(placed: Readings, whole: Problem, pool: Pool, bad: np.ndarray) -> np.ndarray:
+def _beyond(placed: Readings, whole: Problem, candidates: Candidates, bad: np.ndarray) -> np.ndarray:
     """(n,) rows too far off once the causes that the other rows show are taken out of all."""
     part = whole.without(bad) if np.any(bad) else whole
     if part is None:
         return placed.bad
-    forms = glimpse(pool.on(part), CLEAR)
+    forms = glimpse(candidates.on_part(part), CLEAR)
     left = whole.residual - estimate(part, forms).signature.sum(axis=1)
-    return outliers(placed.network, part.following(left).reshape(-1, 3))
+    return outliers(placed.network, part.refit_setup(left).reshape(-1, 3))

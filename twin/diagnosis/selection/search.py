@@ -1,6 +1,6 @@
 """Which causes account for the misfit: forward selection with re-examination, every search paid for.
 
-Sets of causes are compared by what they explain less what each must explain to be believed (`twin.diagnosis.problem.pool`).
+Sets of causes are compared by what they explain less what each must explain to be believed (`twin.diagnosis.problem.forms`).
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from typing import Final, final
 import numpy as np
 
 from twin.diagnosis.candidates.candidate import Candidate, Cell
-from twin.diagnosis.problem.pool import FURTHER, Form, Pool
-from twin.diagnosis.problem.readings import Posed
+from twin.diagnosis.problem.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
+from twin.diagnosis.problem.readings import DiagnosisTask
 from twin.diagnosis.selection.left_out import parts
 
 SHARE: Final = 0.25
-"""A family's share of `ALARMS` grows with its number of forms to this power: more is lost where each form is dear already."""
+"""A family's share of `FALSE_ALARM_RATE` grows with its number of forms to this power: more is lost where each form is dear already."""
 SELDOM: Final = 0.1
-"""Share of `ALARMS`, beside that of others, of mistakes of which one look tells if they are there at all."""
+"""Share of `FALSE_ALARM_RATE`, beside that of others, of mistakes of which one look tells if they are there at all."""
 MOST: Final = 30
 """Causes at most: as many as a machine has curves."""
 FEW: Final = 6
@@ -58,97 +58,98 @@ class Selection:
     worth: float
 
 
-def select(pool: Pool, begun: Sequence[Form] = ()) -> Selection:
+def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
     """The best set: from several first choices, forward, each step re-examined by removing and exchanging.
 
     Args:
-        pool: the forms.
+        candidates: the forms.
         begun: a set to begin with instead, whose causes stay where each is worth it.
     """
     found = Selection((), 0.0)
-    if not pool.forms:
+    if not candidates.forms:
         return found
     if begun:
-        pool.prepare(begun)
-        forms = grown(pool, list(begun))
-        return Selection(tuple(forms), pool.worth(forms))
-    margin = pool.margins([])
+        candidates.prepare(begun)
+        forms = grown(candidates, list(begun))
+        return Selection(tuple(forms), candidates.penalised_gain(forms))
+    margin = candidates.margins([])
     order = [int(i) for i in np.argsort(-margin, kind="stable") if margin[i] > 0.0]
     first: dict[int, int] = {}
     for i in order:
-        first.setdefault(int(pool.key_of[i]), i)
+        first.setdefault(int(candidates.key_of[i]), i)
     if not first:
         return found
-    pool.prepare([pool.forms[i] for i in list(first.values())[:LIKELY]])
-    likely = [[pool.forms[i]] for i in list(first.values())[:STARTS]]
+    candidates.prepare([candidates.forms[i] for i in list(first.values())[:LIKELY]])
+    likely = [[candidates.forms[i]] for i in list(first.values())[:STARTS]]
     for start in likely:
-        forms = grown(pool, start)
-        worth = pool.worth(forms)
+        forms = grown(candidates, start)
+        worth = candidates.penalised_gain(forms)
         if worth > found.worth + 1e-6:
             found = Selection(tuple(forms), worth)
         if len(forms) > FEW:
             break  # a model that is wrong all over: where one begins is not what matters
     if len(found.forms) > FEW:
         # A machine whose constants were never identified: each of them is worth little before the others are in.
-        numbers = np.array([form.candidate.specification.constant for form in pool.forms])
-        forms = grown(pool, grown(pool, [], numbers))
-        worth = pool.worth(forms)
+        numbers = np.array([form.candidate.specification.constant for form in candidates.forms])
+        forms = grown(candidates, grown(candidates, [], numbers))
+        worth = candidates.penalised_gain(forms)
         if worth > (1.0 - SAME) * found.worth:
             found = Selection(tuple(forms), worth)
-    forms = _split(pool, list(found.forms))
-    return Selection(tuple(forms), pool.worth(forms))
+    forms = _split(candidates, list(found.forms))
+    return Selection(tuple(forms), candidates.penalised_gain(forms))
 
 
-def glimpse(pool: Pool, most: int) -> tuple[Form, ...]:
+def glimpse(candidates: Candidates, most: int) -> tuple[Form, ...]:
     """The first few causes that anyone would name: what is large, not what is right in the end."""
-    margin = pool.margins([])
+    margin = candidates.margins([])
     if len(margin) == 0 or margin.max() <= 0.0:
         return ()
-    return tuple(grown(pool, [pool.forms[int(np.argmax(margin))]], most=most))
+    return tuple(grown(candidates, [candidates.forms[int(np.argmax(margin))]], most=most))
 
 
-def possible(pool: Pool, best: Selection, anew: bool) -> Selection:
+def possible(candidates: Candidates, best: Selection, anew: bool) -> Selection:
     """The best set in which no cause is larger than it can be (`excessive`).
 
     Args:
-        pool: the forms.
+        candidates: the forms.
         best: the best set, whatever its size (`select`).
         anew: whether the search is made anew without a cause that is too large, or goes on from the others.
     """
-    allowed = pool.allowed
+    allowed = candidates.critical_table
     while True:
         if any(
-            form.candidate.specification.flexible and excessive(pool, form, best.forms) == np.inf for form in best.forms
+            form.candidate.specification.flexible and excessive(candidates, form, best.forms) == np.inf
+            for form in best.forms
         ):
             # None of them: what they displaced comes back.
-            pool.allowed = allowed
-            pool.forbid({form.key for form in pool.forms if form.candidate.specification.flexible})
-            allowed = pool.allowed
-            best = select(pool, () if anew else [f for f in best.forms if not f.candidate.specification.flexible])
+            candidates.critical_table = allowed
+            candidates.exclude({form.key for form in candidates.forms if form.candidate.specification.flexible})
+            allowed = candidates.critical_table
+            best = select(candidates, () if anew else [f for f in best.forms if not f.candidate.specification.flexible])
             continue
-        excess = [excessive(pool, form, best.forms) for form in best.forms]
+        excess = [excessive(candidates, form, best.forms) for form in best.forms]
         if not excess or max(excess) <= 1.0:
             return best
         # One at a time: what it made up for may be possible without it.
         worst = best.forms[int(np.argmax(excess))].key
-        pool.forbid({worst})
-        best = select(pool, () if anew else [form for form in best.forms if form.key != worst])
+        candidates.exclude({worst})
+        best = select(candidates, () if anew else [form for form in best.forms if form.key != worst])
 
 
-def excessive(pool: Pool, form: Form, forms: Sequence[Form]) -> float:
+def excessive(candidates: Candidates, form: Form, forms: Sequence[Form]) -> float:
     """How many times larger a form is than it can be: than physics allows, or than what it is to explain.
 
     A cause that would move the readings by more than they are off needs another that takes it back; neither is there.
 
     Args:
-        pool: the data.
+        candidates: the data.
         form: one of ``forms``.
         forms: what is in.
     """
-    columns, values, inverse = pool.fitted(forms)
+    columns, values, inverse = candidates.fitted(forms)
     at = np.searchsorted(columns, form.columns)
     u = np.sqrt(np.maximum(np.diag(inverse)[at], 0.0))
-    return excess_of(form, values[at], u, pool.gram([form]), float(pool.slope[columns] @ values))
+    return excess_of(form, values[at], u, candidates.gram([form]), float(candidates.slope[columns] @ values))
 
 
 def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float) -> float:
@@ -165,7 +166,7 @@ def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, e
     if form.candidate.specification.flexible and own < LEAST * explained:
         return np.inf
     found = own / (CANCELS * (explained + FEWEST))
-    scale = np.array([column.scale for column in form.cell.columns])
+    scale = np.array([column.scale for column in form.variant.columns])
     if np.isfinite(form.candidate.largest):
         found = max(found, float(np.max((np.abs(values) - DOUBTED * u) * scale)) / form.candidate.largest)
     if form.candidate.specification.non_negative and len(values) == 1 and values[0] < -DOUBTED * u[0]:
@@ -175,104 +176,112 @@ def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, e
     return found
 
 
-def _split(pool: Pool, forms: list[Form]) -> list[Form]:
+def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
     """Curves that have a constant or a slope, told apart into the numbers those are and the curves they leave.
 
     The datum gives a curve neither (`twin.identification.unknowns`). Where they are the smaller part of it, one cause says it in fewer
     words; where they are the larger, the number is what is wrong with the machine, and curves that share it hide it.
     """
-    pure = {(one.key, one.cell.columns[-1]): one for one in pool.forms if one.cell.fixed.get("first", 0.0) > 0.0}
-    bent = [pure[form.key, form.cell.columns[-1]] for form in forms if form.cell.fixed.get("first") == 0.0]
-    trial = [form for form in forms if form.cell.fixed.get("first") != 0.0]
-    whole = pool.explained_by(forms)
-    enough = whole - SAME * (whole - pool.explained_by(trial))
+    pure = {
+        (one.key, one.variant.columns[-1]): one for one in candidates.forms if one.variant.fixed.get("first", 0.0) > 0.0
+    }
+    bent = [pure[form.key, form.variant.columns[-1]] for form in forms if form.variant.fixed.get("first") == 0.0]
+    trial = [form for form in forms if form.variant.fixed.get("first") != 0.0]
+    whole = candidates.explained_by(forms)
+    enough = whole - SAME * (whole - candidates.explained_by(trial))
     trial += bent
     numbers: list[Form] = []
-    while bent and pool.explained_by(trial) < enough:
-        margin = np.where([form.candidate.specification.constant for form in pool.forms], _free(pool, trial), -np.inf)
+    while bent and candidates.explained_by(trial) < enough:
+        margin = np.where(
+            [form.candidate.specification.constant for form in candidates.forms], _free(candidates, trial), -np.inf
+        )
         if margin.max() <= 0.0:
             return forms
-        numbers.append(pool.forms[int(np.argmax(margin))])
+        numbers.append(candidates.forms[int(np.argmax(margin))])
         trial.append(numbers[-1])
-    whole = pool.explained_by(trial)
+    whole = candidates.explained_by(trial)
     for one in numbers:
         others = [other for other in trial if other is not one]
-        own = whole - pool.explained_by(others)
+        own = whole - candidates.explained_by(others)
         hosts = []
-        for form, rest in zip([form for form in forms if form.cell.fixed.get("first") == 0.0], bent, strict=True):
-            hosted = pool.explained_by([form if other is rest else other for other in others])
+        for form, rest in zip([form for form in forms if form.variant.fixed.get("first") == 0.0], bent, strict=True):
+            hosted = candidates.explained_by([form if other is rest else other for other in others])
             if hosted > whole - SAME * own:
-                hosts.append(whole - pool.explained_by([other for other in trial if other is not rest]))
+                hosts.append(whole - candidates.explained_by([other for other in trial if other is not rest]))
         # Of several curves none has it more than another.
         if len(hosts) == 1 and own < hosts[0]:
             return forms
     for rest in bent:
         without = [one for one in trial if one is not rest]
-        if pool.worth(without) >= pool.worth(trial):
+        if candidates.penalised_gain(without) >= candidates.penalised_gain(trial):
             trial = without
     return trial
 
 
-def grown(pool: Pool, forms: Sequence[Form], allowed: np.ndarray | bool = True, most: int = MOST) -> list[Form]:
+def grown(
+    candidates: Candidates, forms: Sequence[Form], allowed: np.ndarray | bool = True, most: int = MOST
+) -> list[Form]:
     """More and more forms, as long as each is worth it.
 
     Args:
-        pool: the forms.
+        candidates: the forms.
         forms: to begin with.
         allowed: (forms,) which may come in.
         most: how many at most.
     """
-    forms = _exchanged(pool, list(forms), allowed)
+    forms = _exchanged(candidates, list(forms), allowed)
     while len(forms) < most:
-        now = pool.worth(forms)
-        best = pool.forms[int(np.argmax(pool.margins(forms)))]
-        if best.bent and best.slot in {form.slot for form in forms}:
+        now = candidates.penalised_gain(forms)
+        best = candidates.forms[int(np.argmax(candidates.margins(forms)))]
+        if best.nonlinear and best.slot in {form.slot for form in forms}:
             # Most of what is left is what lies between two periods or time constants that were tried: the estimate sees to that.
             return forms
-        margin = np.where(allowed, _free(pool, forms), -np.inf)
+        margin = np.where(allowed, _free(candidates, forms), -np.inf)
         for i in np.argsort(-margin, kind="stable")[:TRIED]:
-            if margin[i] <= FURTHER:
-                return _exchanged(pool, forms, allowed) if len(forms) > FEW else forms
-            larger = [*forms, pool.forms[int(i)]]
+            if margin[i] <= ADDITIONAL_CAUSE_PENALTY:
+                return _exchanged(candidates, forms, allowed) if len(forms) > FEW else forms
+            larger = [*forms, candidates.forms[int(i)]]
             if len(larger) <= FEW:
-                larger = _exchanged(pool, larger, allowed)
-            if pool.worth(larger) > now + 1e-6:
+                larger = _exchanged(candidates, larger, allowed)
+            if candidates.penalised_gain(larger) > now + 1e-6:
                 break
         else:
             return forms
         forms = larger
-    return _exchanged(pool, forms, allowed) if len(forms) > FEW else forms
+    return _exchanged(candidates, forms, allowed) if len(forms) > FEW else forms
 
 
-def _free(pool: Pool, forms: Sequence[Form]) -> np.ndarray:
+def _free(candidates: Candidates, forms: Sequence[Form]) -> np.ndarray:
     """Margins of the forms that may stand beside some others."""
-    taken = [pool.slot_of[form.index] for form in forms]
-    return np.where(np.isin(pool.slot_of, taken), -np.inf, pool.margins(forms))
+    taken = [candidates.slot_of[form.index] for form in forms]
+    return np.where(np.isin(candidates.slot_of, taken), -np.inf, candidates.margins(forms))
 
 
-def _exchanged(pool: Pool, forms: list[Form], allowed: np.ndarray | bool) -> list[Form]:
+def _exchanged(candidates: Candidates, forms: list[Form], allowed: np.ndarray | bool) -> list[Form]:
     """Each cause replaced by any better one, or dropped, until nothing changes."""
-    now = pool.worth(forms)
+    now = candidates.penalised_gain(forms)
     for _ in range(8):
-        better = _better(pool, forms, now, allowed)
+        better = _better(candidates, forms, now, allowed)
         if better is None:
             break
         forms, now = better
     return forms
 
 
-def _better(pool: Pool, forms: list[Form], now: float, allowed: np.ndarray | bool) -> tuple[list[Form], float] | None:
+def _better(
+    candidates: Candidates, forms: list[Form], now: float, allowed: np.ndarray | bool
+) -> tuple[list[Form], float] | None:
     for k in range(len(forms))[-FEW:]:
         others = forms[:k] + forms[k + 1 :]
-        if others and (worth := pool.worth(others)) >= now:
+        if others and (worth := candidates.penalised_gain(others)) >= now:
             return others, worth
-        margin = np.where(allowed, _free(pool, others), -np.inf)
+        margin = np.where(allowed, _free(candidates, others), -np.inf)
         for i in np.argsort(-margin)[:TRIED]:
-            trial = [*others, pool.forms[int(i)]]
+            trial = [*others, candidates.forms[int(i)]]
             if (
                 np.isfinite(margin[i])
-                and pool.forms[int(i)] is not forms[k]
-                and (worth := pool.worth(trial)) > now + 1e-6
+                and candidates.forms[int(i)] is not forms[k]
+                and (worth := candidates.penalised_gain(trial)) > now + 1e-6
             ):
                 return trial, worth
     return None
@@ -280,7 +289,7 @@ def _better(pool: Pool, forms: list[Form], now: float, allowed: np.ndarray | boo
 
 def every(candidates: Sequence[Candidate], costs: dict[str, float]) -> list[tuple[Candidate, Cell, float]]:
     """All forms of all candidates, with their prices."""
-    return [(c, cell, costs[c.effect]) for c in candidates for cell in c.cells]
+    return [(c, variant, costs[c.effect]) for c in candidates for variant in c.variants]
 
 
 def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
@@ -294,8 +303,8 @@ def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
     return {effect: float(np.log(total * count / shares[effect])) for effect, count in tests.items()}
 
 
-def pool_of(posed: Posed) -> Pool:
+def candidates_of(task: DiagnosisTask) -> Candidates:
     """Every form of every candidate with its price, and what the data say of it."""
-    problem, known = posed.problem, posed.known.candidates
+    problem, known = task.problem, task.catalogue.candidates
     split = parts(problem.network.data, problem.network.machine, ())
-    return Pool(problem, every(known, prices(known)), posed.scatter.dof, None if split is None else split.part)
+    return Candidates(problem, every(known, prices(known)), task.noise.dof, None if split is None else split.part)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Final, final
 
-from twin.diagnosis.candidates.machine_effects import cell_at
+from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.estimate.estimate import estimate
-from twin.diagnosis.problem.pool import Form
-from twin.diagnosis.problem.readings import Posed
+from twin.diagnosis.problem.forms import Form
+from twin.diagnosis.problem.readings import DiagnosisTask
 from twin.diagnosis.selection.left_out import foretells, held_up
 from twin.diagnosis.selection.patterns import patterns
 from twin.diagnosis.selection.payload import chosen
-from twin.diagnosis.selection.search import Selection, pool_of
+from twin.diagnosis.selection.search import Selection, candidates_of
 from twin.diagnosis.selection.structure import Findings, Structure, named, settled
 from twin.measurement.table import state_of
 
@@ -22,13 +22,13 @@ STAYS: Final = 0.2
 """Standard uncertainties by which a period or time constant that was put there once may still move."""
 
 
-def selected(posed: Posed) -> Findings:
+def selected(task: DiagnosisTask) -> Findings:
     """The causes that account for the misfit, and the patterns beside them.
 
     Args:
-        posed: the rows that count, and the causes to try.
+        task: the rows that count, and the causes to try.
     """
-    return Searcher(posed).run()
+    return Searcher(task).run()
 
 
 @final
@@ -36,13 +36,13 @@ class Searcher:
     """The catalogue and the patterns without a name, on one data set.
 
     Args:
-        posed: the rows that count, and the causes to try.
+        task: the rows that count, and the causes to try.
     """
 
-    def __init__(self, posed: Posed) -> None:
-        self.posed = posed
-        self.problem = posed.problem
-        self.pool = pool_of(posed)
+    def __init__(self, task: DiagnosisTask) -> None:
+        self.task = task
+        self.problem = task.problem
+        self.candidates = candidates_of(task)
         self.patterns = patterns(self.problem.network.machine, self.problem.network.data)
 
     def run(self) -> Findings:
@@ -52,12 +52,12 @@ class Searcher:
         while varying := [
             form
             for form in found.forms
-            if form.candidate.specification.variant_of and not foretells(self.pool, form, found.forms)
+            if form.candidate.specification.variant_of and not foretells(self.candidates, form, found.forms)
         ]:
-            self.pool.forbid({form.key for form in varying})
+            self.candidates.exclude({form.key for form in varying})
             found, refuted = self._settled()
-        beside = self.pool.beside(found.problem) if found.traces else self.pool
-        return Findings(self.posed, self.patterns, self.pool, beside, found, refuted)
+        beside = self.candidates.for_problem(found.problem) if found.traces else self.candidates
+        return Findings(self.task, self.patterns, self.candidates, beside, found, refuted)
 
     def _settled(self) -> tuple[Structure, tuple[Form, ...]]:
         """The causes that stand and the patterns beside them, and the causes that readings left out refute.
@@ -65,13 +65,13 @@ class Searcher:
         Where these are too few for what was fitted to them, they are too few as well to ask what causes a pattern could do.
         """
         chosen = self._best().forms
-        kept = held_up(self.pool, chosen)
+        kept = held_up(self.candidates, chosen)
         if len(kept) == len(chosen):
-            found = settled(self.pool, chosen, self.patterns)
-            chosen, kept = found.forms, held_up(self.pool, found.forms)
+            found = settled(self.candidates, chosen, self.patterns)
+            chosen, kept = found.forms, held_up(self.candidates, found.forms)
             if len(kept) == len(chosen):
                 return found, ()
-        return named(self.pool, kept, self.patterns), tuple(form for form in chosen if form not in kept)
+        return named(self.candidates, kept, self.patterns), tuple(form for form in chosen if form not in kept)
 
     def _best(self) -> Selection:
         """Named causes alone.
@@ -79,20 +79,20 @@ class Searcher:
         Between two periods or time constants that were tried, a large cause leaves more than another cause is: what is large is put
         where the data have it, and the search made again.
         """
-        best = chosen(self.pool)
+        best = chosen(self.candidates)
         for _ in range(REFINED):
             if not self._refined(best):
                 break
-            best = chosen(self.pool, best.forms)
+            best = chosen(self.candidates, best.forms)
         return best
 
     def _refined(self, best: Selection) -> bool:
         machine, data = self.problem.network.machine, self.problem.network.data
-        bent = [form for form in best.forms if form.bent]
+        bent = [form for form in best.forms if form.nonlinear]
         large = [
             form
             for form in bent
-            if self.pool.scores([one for one in best.forms if one is not form], [form.index])[0, 0] > LARGE
+            if self.candidates.scores([one for one in best.forms if one is not form], [form.index])[0, 0] > LARGE
         ]
         if not large:
             return False
@@ -101,10 +101,10 @@ class Searcher:
         moved = False
         for form, quantities in zip(best.forms, found.quantities, strict=True):
             # A straight drift has a time constant to show, but none in its columns.
-            put = {q.name: q for q in quantities if form in large and q.name in form.bent}
-            if not any(abs(form.cell.fixed[q.name] - q.value) > STAYS * q.u for q in put.values()):
+            put = {q.name: q for q in quantities if form in large and q.name in form.nonlinear}
+            if not any(abs(form.variant.fixed[q.name] - q.value) > STAYS * q.u for q in put.values()):
                 continue
             moved = True
             fixed = {name: q.value for name, q in put.items()}
-            self.pool.refine(form, cell_at(form.candidate, fixed, machine, state))
+            self.candidates.refine(form, variant_at(form.candidate, fixed, machine, state))
         return moved

@@ -14,10 +14,10 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.diagnosis.estimate.estimate import Beside
-from twin.diagnosis.problem.pool import DOUBT, Form, Pool, together
+from twin.diagnosis.estimate.estimate import RandomEffects
+from twin.diagnosis.problem.forms import DEVIANCE_RULED_OUT, Candidates, Form, columns_of
 from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.readings import Posed
+from twin.diagnosis.problem.readings import DiagnosisTask
 from twin.diagnosis.selection.likelihood import Likelihood, Model
 from twin.diagnosis.selection.patterns import Pattern
 from twin.diagnosis.selection.search import FEW, excess_of
@@ -69,11 +69,11 @@ class Structure:
         return () if self.likelihood is None else self.likelihood.traces
 
     @property
-    def beside(self) -> Beside | None:
+    def beside(self) -> RandomEffects | None:
         """The patterns, for an estimate of the causes beside them."""
         if self.model is None or self.likelihood is None:
             return None
-        return Beside(self.likelihood.random(self.model), self.model.scatter)
+        return RandomEffects(self.likelihood.random(self.model), self.model.scatter)
 
     def explained(self, forms: Sequence[Form]) -> float:
         """What the patterns explain beside some of the causes."""
@@ -100,45 +100,48 @@ class Findings:
     """What was asked of the data and what they answered.
 
     Attributes:
-        posed: the rows that count, and the causes that were tried.
+        task: the rows that count, and the causes that were tried.
         patterns: the patterns without a name that were looked for.
-        pool: the causes, beside the set-up.
-        beside: the same, beside the patterns that were found as well; ``pool`` itself where there are none.
+        candidates: the causes, beside the set-up.
+        beside: the same, beside the patterns that were found as well; ``candidates`` itself where there are none.
         structure: the causes that stand, and those patterns.
         refuted: causes that the readings show, and readings left out of the fit do not (`twin.diagnosis.selection.left_out`).
     """
 
-    posed: Posed
+    task: DiagnosisTask
     patterns: Sequence[Pattern]
-    pool: Pool
-    beside: Pool
+    candidates: Candidates
+    beside: Candidates
     structure: Structure
     refuted: tuple[Form, ...] = ()
 
     @property
     def problem(self) -> Problem:
         """The rows that count, whitened."""
-        return self.posed.problem
+        return self.task.problem
 
 
-def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
+def settled(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
     """Causes chosen as if everything had a name, or, where patterns carry more than a small part, those that stand beside these.
 
     Args:
-        pool: the data, and what a cause must explain.
+        candidates: the data, and what a cause must explain.
         forms: the causes that were chosen.
         tried: patterns to look for.
     """
-    found = named(pool, forms, tried)
+    found = named(candidates, forms, tried)
     left, patterned = bool(found.traces), False
     if left or len(forms) >= FEWER:
-        carried = pool.explained_by(found.forms)
+        carried = candidates.explained_by(found.forms)
         if not found.forms or (found.model is not None and carried < MOSTLY * found.model.explained) or not left:
-            other = _patterned(pool, tried)
+            other = _patterned(candidates, tried)
             # Enough causes can imitate anything: a pattern that does what several of them do is the simpler account.
-            simpler = len(other.forms) <= len(found.forms) - FEWER and _worth(pool, other) > pool.worth(forms) - DOUBT
+            simpler = (
+                len(other.forms) <= len(found.forms) - FEWER
+                and _worth(candidates, other) > candidates.penalised_gain(forms) - DEVIANCE_RULED_OUT
+            )
             # Causes that no pattern beside them can do are no parts of one.
-            better = _apart(found) and _worth(pool, found) > _worth(pool, other)
+            better = _apart(found) and _worth(candidates, found) > _worth(candidates, other)
             if other.traces and (left or simpler) and not better:
                 found, patterned = other, True
     keys = {form.key for form in found.forms}
@@ -152,62 +155,64 @@ def _apart(found: Structure) -> bool:
     return likelihood is not None and bool(found.forms) and not any(likelihood.imitated(f).any() for f in found.forms)
 
 
-def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[tuple[Form, ...], Likelihood | None]:
+def again(
+    candidates: Candidates, forms: Sequence[Form], found: Structure
+) -> tuple[tuple[Form, ...], Likelihood | None]:
     """Causes as they stand on a part of the data, beside the patterns that were found on all of it, and the likelihood of those.
 
     Args:
-        pool: the part.
+        candidates: the part.
         forms: the causes that were chosen on it.
         found: the account of all data.
     """
     if not found.traces:
         return tuple(forms), None
-    likelihood = Likelihood(pool, found.traces)
+    likelihood = Likelihood(candidates, found.traces)
     if found.patterned:
-        stand = [pool.forms[form.index] for form in found.forms]
+        stand = [candidates.forms[form.index] for form in found.forms]
         return tuple(_dropped(likelihood, stand, likelihood.fit(stand))[0]), likelihood
     return tuple(without_parts(likelihood, forms, likelihood.fit(forms))), likelihood
 
 
-def named(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
+def named(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
     """The causes that were chosen, without those that carry only a part of what they go with, and the patterns beside them."""
     stand = list(forms)
     traces: list[Trace] = []
-    problem, likelihood, model = pool.problem, None, None
+    problem, likelihood, model = candidates.problem, None, None
     while True:
         seen = {(trace.pattern.side, trace.pattern.names) for trace in traces}
         more = [
             trace
-            for trace in (scan(problem, tried, stand, pool.dof) if len(traces) < MOST else [])
+            for trace in (scan(problem, tried, stand, candidates.dof) if len(traces) < MOST else [])
             if trace.found and (trace.pattern.side, trace.pattern.names) not in seen
         ]
         if not more:
             return Structure(tuple(stand), likelihood, model, problem, ())
-        likelihood = Likelihood(pool, [*traces, more[0]])
+        likelihood = Likelihood(candidates, [*traces, more[0]])
         model = likelihood.fit(stand)
         whole = without_parts(likelihood, stand, model)
         if len(whole) == len(stand):
             traces.append(more[0])
-            problem = pool.problem.beside(likelihood.random(model), model.scatter)
+            problem = candidates.problem.with_random_effects(likelihood.random(model), model.scatter)
         else:
             # What they had taken up is the patterns' or another cause's.
-            stand, traces, problem, likelihood, model = whole, [], pool.problem, None, None
+            stand, traces, problem, likelihood, model = whole, [], candidates.problem, None, None
 
 
-def _patterned(pool: Pool, tried: Sequence[Pattern]) -> Structure:
+def _patterned(candidates: Candidates, tried: Sequence[Pattern]) -> Structure:
     """The account from the pattern on that shows best; nothing where none shows."""
-    whole = scan(pool.problem, tried, (), pool.dof)
+    whole = scan(candidates.problem, tried, (), candidates.dof)
     if not (whole and whole[0].found):
-        return Structure((), None, None, pool.problem, ())
-    return _beside(pool, whole[0], tried)
+        return Structure((), None, None, candidates.problem, ())
+    return _beside(candidates, whole[0], tried)
 
 
-def _worth(pool: Pool, found: Structure) -> float:
+def _worth(candidates: Candidates, found: Structure) -> float:
     """What an account explains less what each part of it must."""
     if found.model is None:
-        return pool.worth(found.forms)
+        return candidates.penalised_gain(found.forms)
     prices = sum(_price(trace) for trace in found.traces)
-    return found.model.twice - prices - sum(_cost(pool, form) for form in found.forms)
+    return found.model.twice - prices - sum(_cost(candidates, form) for form in found.forms)
 
 
 def _price(trace: Trace) -> float:
@@ -215,19 +220,19 @@ def _price(trace: Trace) -> float:
     return float(2.0 * (trace.log_price - np.log(ALARMS)))
 
 
-def _cost(pool: Pool, form: Form) -> float:
+def _cost(candidates: Candidates, form: Form) -> float:
     """What a cause must make the readings more likely by beside a pattern, twice the logarithm."""
-    return pool.cost(form, float(len(form.columns)))
+    return candidates.critical_value(form, float(len(form.columns)))
 
 
-def _beside(pool: Pool, first: Trace, tried: Sequence[Pattern]) -> Structure:
+def _beside(candidates: Candidates, first: Trace, tried: Sequence[Pattern]) -> Structure:
     """The account from a pattern on: causes beside it, another pattern where one is left, and no pattern that is not needed."""
     traces = [first]
     forms: list[Form] = []
     seen = {(first.pattern.side, first.pattern.names)}
     barred: set[int] = set()
     while True:
-        likelihood = Likelihood(pool, traces)
+        likelihood = Likelihood(candidates, traces)
         forms, model = _stepwise(likelihood, forms, barred)
         needed = [
             trace
@@ -237,13 +242,13 @@ def _beside(pool: Pool, first: Trace, tried: Sequence[Pattern]) -> Structure:
         if len(needed) < len(traces):
             traces = needed
             if not traces:
-                return Structure(tuple(forms), None, None, pool.problem, ())
-            likelihood = Likelihood(pool, traces)
+                return Structure(tuple(forms), None, None, candidates.problem, ())
+            likelihood = Likelihood(candidates, traces)
             forms, model = _stepwise(likelihood, forms, barred)
-        problem = pool.problem.beside(likelihood.random(model), model.scatter)
+        problem = candidates.problem.with_random_effects(likelihood.random(model), model.scatter)
         more = [
             trace
-            for trace in (scan(problem, tried, forms, pool.dof) if len(traces) < MOST else [])
+            for trace in (scan(problem, tried, forms, candidates.dof) if len(traces) < MOST else [])
             if trace.found and (trace.pattern.side, trace.pattern.names) not in seen
         ]
         if more:
@@ -254,20 +259,20 @@ def _beside(pool: Pool, first: Trace, tried: Sequence[Pattern]) -> Structure:
         if len(whole) == len(forms):
             forms, model = _plainer(likelihood, forms, model)
             return Structure(tuple(forms), likelihood, model, problem, ())
-        barred |= {int(pool.key_of[form.index]) for form in forms if form not in whole}
+        barred |= {int(candidates.key_of[form.index]) for form in forms if form not in whole}
         forms = whole
 
 
 def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[int]) -> tuple[list[Form], Model]:
     """Causes added while they pay for themselves beside the patterns, and dropped where they no more do."""
-    pool = likelihood.pool
+    candidates = likelihood.candidates
     stand, model = _dropped(likelihood, list(forms), likelihood.fit(forms))
     while len(stand) < CAUSES:
         best: tuple[float, Form, Model] | None = None
         for form in _hopeful(likelihood, stand, model, barred):
             with_it = likelihood.fit([*stand, form], model)
-            gained = with_it.twice - model.twice - _cost(pool, form)
-            if gained > (best[0] if best else 0.0) and _possible(pool, [*stand, form], with_it):
+            gained = with_it.twice - model.twice - _cost(candidates, form)
+            if gained > (best[0] if best else 0.0) and _possible(candidates, [*stand, form], with_it):
                 best = gained, form, with_it
                 if len(stand) >= FEW:
                     break  # a model that is wrong all over: the order is not what matters
@@ -286,51 +291,55 @@ def _exchanged(
     likelihood: Likelihood, stand: list[Form], model: Model, barred: Collection[int]
 ) -> tuple[list[Form], Model] | None:
     """One cause replaced by another where that is likelier; None where none is."""
-    pool = likelihood.pool
+    candidates = likelihood.candidates
     for form in stand:
         others = [one for one in stand if one is not form]
         less = likelihood.fit(others, model)
         for other in _hopeful(likelihood, others, less, barred):
             trial = [*others, other]
             found = likelihood.fit(trial, less)
-            gained = found.twice - _cost(pool, other) - model.twice + _cost(pool, form)
-            if other is not form and gained > BETTER and _possible(pool, trial, found):
+            gained = found.twice - _cost(candidates, other) - model.twice + _cost(candidates, form)
+            if other is not form and gained > BETTER and _possible(candidates, trial, found):
                 return trial, found
     return None
 
 
 def _plainer(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
     """Curves that no datum leaves a constant or a slope, replaced by the machine's constant that these data cannot tell from them."""
-    pool = likelihood.pool
+    candidates = likelihood.candidates
     for form in list(forms):
-        if form.cell.fixed.get("first") != 0.0:
+        if form.variant.fixed.get("first") != 0.0:
             continue
         others = [one for one in forms if one is not form]
         explained, dof = likelihood.scan(others, likelihood.fit(others, model))
-        margin = explained - pool.costs(dof)
+        margin = explained - candidates.critical_values(dof)
         taken = {one.key for one in others}
-        numbers = [f for f in pool.forms if f.candidate.specification.constant and f.key not in taken and dof[f.index]]
+        numbers = [
+            f for f in candidates.forms if f.candidate.specification.constant and f.key not in taken and dof[f.index]
+        ]
         for number in sorted(numbers, key=lambda one: -margin[one.index])[:1]:
             trial = [*others, number]
             found = likelihood.fit(trial, model)
-            lost = model.twice - _cost(pool, form) - found.twice + _cost(pool, number)
-            if lost < DOUBT and _possible(pool, trial, found):
+            lost = model.twice - _cost(candidates, form) - found.twice + _cost(candidates, number)
+            if lost < DEVIANCE_RULED_OUT and _possible(candidates, trial, found):
                 forms, model = trial, found
     return forms, model
 
 
 def _hopeful(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred: Collection[int]) -> list[Form]:
     """The best form of the most promising candidates."""
-    pool = likelihood.pool
+    candidates = likelihood.candidates
     explained, dof = likelihood.scan(stand, model)
-    costs = pool.costs(dof)
-    out = np.isin(pool.slot_of, [pool.slot_of[form.index] for form in stand]) | np.isin(pool.key_of, list(barred))
+    costs = candidates.critical_values(dof)
+    out = np.isin(candidates.slot_of, [candidates.slot_of[form.index] for form in stand]) | np.isin(
+        candidates.key_of, list(barred)
+    )
     margin = np.where(out, -np.inf, explained - costs)
     found: dict[int, Form] = {}
     for i in np.argsort(-margin, kind="stable").tolist():
         if len(found) == TRIED or not explained[i] > HOPEFUL * costs[i] or not np.isfinite(margin[i]):
             break
-        found.setdefault(int(pool.key_of[i]), pool.forms[i])
+        found.setdefault(int(candidates.key_of[i]), candidates.forms[i])
     return list(found.values())
 
 
@@ -338,7 +347,7 @@ def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
     """Without the causes that do not pay for themselves, those first that gain least at the variances as they are."""
     stand = list(forms)
     while True:
-        prices = {form.index: _cost(likelihood.pool, form) for form in stand}
+        prices = {form.index: _cost(likelihood.candidates, form) for form in stand}
         gained = {form.index: likelihood.gained(stand, model, form) for form in stand}
         for form in sorted(stand, key=lambda one: gained[one.index] - prices[one.index]):
             if gained[form.index] > CLEAR * prices[form.index]:
@@ -364,14 +373,14 @@ def without_parts(likelihood: Likelihood, forms: Sequence[Form], model: Model) -
 def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> Form | None:
     """The cause that carries the smallest part of what it goes with, if patterns that could do the same explain more beside it."""
     left = likelihood.left(forms, model)
-    whole = likelihood.pool.explained_by(forms)
+    whole = likelihood.candidates.explained_by(forms)
     worst: tuple[float, Form] | None = None
     for form in forms:
         # A machine has all its constants: what they carry together is asked.
         constant = form.candidate.specification.constant
         alike = [one for one in forms if constant and one.candidate.specification.constant]
         others = [one for one in forms if one is not form and one not in alike]
-        carried = whole - likelihood.pool.explained_by(others)
+        carried = whole - likelihood.candidates.explained_by(others)
         beside = float(likelihood.imitated(form) @ left)
         ratio = carried / max(beside, 1e-9)
         if carried < PART * beside and (worst is None or ratio < worst[0]):
@@ -379,11 +388,11 @@ def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> For
     return None if worst is None else worst[1]
 
 
-def _possible(pool: Pool, forms: Sequence[Form], model: Model) -> bool:
+def _possible(candidates: Candidates, forms: Sequence[Form], model: Model) -> bool:
     """Whether no cause would have to be larger than it can be."""
-    columns = together(forms)
+    columns = columns_of(forms)
     return all(
-        excess_of(form, model.values[at], np.zeros(len(at)), pool.gram([form]), model.explained) <= 1.0
+        excess_of(form, model.values[at], np.zeros(len(at)), candidates.gram([form]), model.explained) <= 1.0
         for form in forms
         for at in [np.searchsorted(columns, form.columns)]
     )

@@ -15,8 +15,8 @@ import numpy as np
 from scipy import special
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.signatures import Fields
-from twin.diagnosis.problem.pool import Form, log_chance
+from twin.diagnosis.candidates.signatures import ReadingDerivatives
+from twin.diagnosis.problem.forms import Form, log_p_value
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.selection.patterns import Pattern
 from twin.numerics.functions import Rows, pieces
@@ -101,15 +101,15 @@ def scan(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof:
 
 def _beside(problem: Problem, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
     """(3n, k) O and (3n,) residual of xᵀ(1 − OOᵀ)y, which is xᵀMy with the causes free; rows held out are zero in both."""
-    basis = problem.kept(problem.basis @ problem.root)
+    basis = problem.zero_held_out(problem.basis @ problem.root)
     if forms:
-        columns = problem.signature([column for form in forms for column in form.cell.columns])
+        columns = problem.signature([column for form in forms for column in form.variant.columns])
         own = problem.project(columns)
         gram = columns.T @ own
         values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
         seen = values > SEEN * values[-1]
         basis = np.concatenate([basis, own @ (vectors[:, seen] / np.sqrt(values[seen]))], axis=1)
-    residual = problem.kept(problem.residual)
+    residual = problem.zero_held_out(problem.residual)
     return basis, residual - basis @ (basis.T @ residual)
 
 
@@ -126,7 +126,7 @@ class _Scores:
     def __init__(self, problem: Problem, beside: np.ndarray, left: np.ndarray) -> None:
         n = len(problem.view.rows)
         self._kept = np.ones(n, dtype=bool)
-        self._kept[problem.held] = False
+        self._kept[problem.held_out] = False
         self._beside, self._left = beside.reshape(n, 3, -1), left.reshape(n, 3)
         self._view = problem.view
         self._of: dict[tuple[str, str], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = {}
@@ -186,7 +186,7 @@ class _Scores:
         return self._of[key]
 
     def _fields(self, pattern: Pattern, rows: Rows) -> np.ndarray:
-        return Fields(self._view, rows).of(pattern.field) * UM
+        return ReadingDerivatives(self._view, rows).of(pattern.field) * UM
 
 
 def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:
@@ -204,7 +204,7 @@ def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:
 
 def _two_moments(score: float, mean: float, variance: float) -> float:
     """Log of the chance of a score under the scaled χ² with its mean and variance (Satterthwaite 1946)."""
-    return float(log_chance(np.array(2.0 * score * mean / variance), 2.0 * mean**2 / variance, np.inf))
+    return float(log_p_value(np.array(2.0 * score * mean / variance), 2.0 * mean**2 / variance, np.inf))
 
 
 def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:

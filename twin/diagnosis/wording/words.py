@@ -142,11 +142,11 @@ def contests(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> list[Conte
     found = []
     for pair, points in by_pair.items():
         a, b = (_both(*_parted(name)) for name in pair)
-        posed = [one for one in points if "pose" in one]
-        if not posed:
+        task = [one for one in points if "pose" in one]
+        if not task:
             found.append(Contest((a, b), (), capital(str(points[0]["text"]).rpartition(": ")[2]) + "."))
             continue
-        best = max(float(one["expected_chi2"]) for one in posed)
+        best = max(float(one["expected_chi2"]) for one in task)
         apart = best**0.5 * sigma_um
         if ENOUGH > HOPELESS * best:
             text = f"No position that was tried tells them apart: they differ by {apart:.1g} µm at most. To compensate, either will do."
@@ -160,7 +160,7 @@ def contests(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> list[Conte
                 str(one["station"]),
                 f"{float(one['expected_chi2']) ** 0.5 * sigma_um:.2g} µm",
             )
-            for one in posed
+            for one in task
         )
         many = max(ceil(ENOUGH / best), 1)
         readings = "one reading decides" if many == 1 else f"some {many} readings decide"

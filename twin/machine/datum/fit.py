@@ -39,7 +39,7 @@ def with_values(
         curve = _over(curve, link)
     basis, own = curve.family, len(curve.coefficients)
     for count in range(own, max(MAX_COEFFICIENTS, own) + 1):
-        if basis.misfit(count, rotary=not link.axis.linear) is not None:
+        if basis.count_problem(count, rotary=not link.axis.linear) is not None:
             continue
         added = fit(basis, curve.domain, link, count) @ difference
         if np.abs(functions(basis, curve.domain, link, count) @ added - difference).max() <= FIT_TOLERANCE:
@@ -59,7 +59,7 @@ def _over(curve: Curve, link: DatumLink) -> Curve:
         InputError: the basis cannot represent it.
     """
     values = functions(curve.family, curve.domain, link, len(curve.coefficients)) @ curve.coefficients
-    basis, count = curve.family.over(link.domain, len(curve.coefficients))
+    basis, count = curve.family.restricted(link.domain, len(curve.coefficients))
     found = fit(basis, link.domain, link, count) @ values
     own = tuple(float(v) for v in found)
     return replace(curve, domain=link.domain, coefficients=own, covariance=None, knots=basis.knots)

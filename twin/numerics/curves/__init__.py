@@ -1,8 +1,8 @@
 """Bases for error curves and tool paths.
 
-Which basis is no matter of accuracy up to the degrees `identify` uses: polynomials of one degree are one space, and on held-out
-data power, Chebyshev and Bernstein are equal to the last digit. So `identify` writes `power`. Error between stops, µm RMS (1 µm
-scatter a stop, size chosen on stops left out; `python -m tests.benchmarks.curves`):
+Up to the degrees that `identify` uses, the choice of a polynomial basis does not affect the accuracy: all polynomials of one degree are
+one space, and on held-out data power, Chebyshev and Bernstein bases agree to the last digit. So `identify` writes `power`. Error
+between stops, µm RMS (noise of 1 µm at each stop, size chosen on held-out stops; `python -m tests.benchmarks.curves`):
 
 | curve, stops | degree ≤ 12 | degree ≤ 60 | cubic spline |
 |---|---|---|---|
@@ -11,7 +11,7 @@ scatter a stop, size chosen on stops left out; `python -m tests.benchmarks.curve
 | kinks, 11 / 51 / 101 | 1.18 / 0.64 / 0.46 | 1.18 / 0.63 / 0.47 | 0.98 / 0.56 / 0.46 |
 | pitch of 20 mm, 101 | 2.83 | 2.83 | 1.02 |
 
-When the accurate solver (`twin.numerics.curves.FGBernstein`, bidiagonal factors without subtraction) matters: rounding of one fitted
+Effect of the accurate solver (`twin.numerics.curves.FGBernstein`, bidiagonal factors without subtraction): rounding error of one fitted
 polynomial, largest error of the curve in nm against exact arithmetic.
 
 | stops / degree | power in mm | power in u | Chebyshev | Bernstein, ordinary | Bernstein, accurate |
@@ -20,8 +20,9 @@ polynomial, largest error of the curve in nm against exact arithmetic.
 | 51 / 20 | 10 | 3e-6 | 7e-12 | 2e-8 | 2e-8 |
 | 101 / 50 | 9e3 | 6e3 | 3e-10 | 40 | 18 |
 
-It matters for control points of rough data (relative error, ordinary → accurate: noise 21/20 4e-10 → 1e-14, random 101/40 2e-4
-→ 1e-14, 51/50 1 → 1e-14), not for smooth data, whose own rounding is the limit, nor for the curve's values.
+The accurate solver improves the control points of rough data (relative error, ordinary → accurate: noise 21/20 4e-10 → 1e-14, random
+101/40 2e-4 → 1e-14, 51/50 1 → 1e-14). It has no effect for smooth data, where the rounding of the data is the limit, nor on the
+values of the curve.
 """
 
 from twin.numerics.curves.basis import Basis

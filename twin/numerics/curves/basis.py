@@ -1,7 +1,7 @@
-"""A curve basis: the functions an error curve is a sum of, ``e(q) = Σ c_k f_k(q)``, q in mm or degrees.
+"""Base class of curve bases: an error curve is ``e(q) = Σ c_k f_k(q)``, q in mm or degrees.
 
-Every basis evaluates NumPy arrays and CasADi expressions with the same lines, so that the curve that is compiled is the
-curve that is plotted. What describes a basis stands in its own file; nothing outside this folder asks for a basis by its name.
+Every basis evaluates NumPy arrays and CasADi expressions with the same code, so that the compiled curve equals the plotted one. Each
+basis is described in its own module; no code outside this package refers to a basis by its name.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Exact = list[list[Fraction]]
 
 @dataclass(frozen=True)
 class Basis(ABC):
-    """A family of functions on a domain; two are equal if they have the same functions.
+    """A family of functions on a domain; two bases are equal if they have the same functions.
 
     Attributes:
-        name: ``basis:`` in a calibration file.
-        formula: of its functions, one sentence for the documentation.
-        order_noun: what `order` counts.
-        takes_knots: whether a curve of it has knots.
-        knots: those knots, mm or degrees; empty if it takes none.
+        name: value of ``basis:`` in a calibration file.
+        formula: formula of its functions, for the documentation.
+        order_noun: noun for what `order` counts.
+        takes_knots: whether its curves have knots.
+        knots: the knots, mm or degrees; empty if it takes none.
     """
 
     name: ClassVar[str]
@@ -44,88 +44,88 @@ class Basis(ABC):
 
     @abstractmethod
     def functions(self, q: Any, domain: tuple[float, float], count: int) -> list[Any]:
-        """Values of the first ``count`` functions.
+        """Return the values of the first ``count`` functions.
 
         Args:
             q: axis position, mm or degrees: an array of any shape, or a CasADi expression.
             domain: (lo, hi) in the same unit.
-            count: how many.
+            count: number of functions.
         """
 
     @abstractmethod
-    def misfit(self, count: int, *, rotary: bool) -> str | None:
-        """Why a curve of this basis cannot have that many coefficients on that kind of axis; None if it can."""
+    def count_problem(self, count: int, *, rotary: bool) -> str | None:
+        """Return what is expected instead if ``count`` coefficients are not allowed on that kind of axis; None if they are."""
 
-    def knots_misfit(self, domain: tuple[float, float]) -> str | None:
-        """Why the knots do not belong to a curve of that domain; None if they do."""
+    def knots_problem(self, domain: tuple[float, float]) -> str | None:
+        """Return what is expected instead if the knots do not fit the domain; None if they do."""
         return None
 
     @property
     def periodic(self) -> bool:
-        """Whether the functions themselves repeat every turn."""
+        """Whether the functions have a period of one revolution."""
         return False
 
     @property
     def nested(self) -> bool:
-        """Whether the first functions are the same however many follow, so that a coefficient can be put to zero or added."""
+        """Whether the first functions do not depend on the number of functions, so that coefficients may be dropped or added."""
         return True
 
     @classmethod
     def order(cls, count: int) -> int:
-        """What a curve of ``count`` coefficients is called by: its degree, or what ``order_noun`` names instead."""
+        """Return the order of a curve of ``count`` coefficients: its degree, or what ``order_noun`` names."""
         return max(count - 1, 0)
 
     @classmethod
     def preference(cls, *, rotary: bool, endless: bool) -> int | None:
-        """Place of this basis among those that `identify` tries on a kind of axis, 0 first; None: it does not try it.
+        """Return the rank of this basis among those that `identify` tries on a kind of axis, 0 first; None if it is not tried.
 
         Args:
-            rotary: whether the axis turns.
-            endless: whether it turns without limits.
+            rotary: whether the axis is rotary.
+            endless: whether it has no limits.
         """
         return None
 
     def largest(self, count: int) -> int:
-        """The largest number of coefficients, at most ``count``, that `identify` may seek."""
+        """Return the largest number of coefficients, at most ``count``, that `identify` may fit."""
         return count
 
     def groups(self, first: int, count: int) -> list[tuple[int, ...]]:
-        """Indices of the functions ``first`` … ``count − 1`` that come and go together, lowest order first."""
+        """Return the functions ``first`` … ``count − 1`` in groups of indices that are only used together, lowest order first."""
         return [(k,) for k in range(first, count)]
 
-    def powers(self, count: int) -> Exact | None:
-        """(m, count) coefficients of each of ``count`` functions in powers of u, a column each; None if they are no polynomials."""
+    def to_powers(self, count: int) -> Exact | None:
+        """Return the matrix (m, count) of the functions' coefficients in powers of u, one column each; None if not polynomials."""
         return None
 
-    def of_powers(self, count: int) -> Exact | None:
-        """(count, m) coefficients in ``count`` functions of those powers of u that they make, u⁰ to u^(m−1); None if they make none."""
+    def from_powers(self, count: int) -> Exact | None:
+        """Return the matrix (count, m) of coefficients of the powers u⁰ … u^(m−1) in the functions; None if they span none."""
         return None
 
-    def into(self, count: int, target: Basis, target_count: int) -> np.ndarray | None:
-        """What writes a curve of ``count`` coefficients in another basis, or in more functions of this one.
+    def conversion_to(self, count: int, target: Basis, target_count: int) -> np.ndarray | None:
+        """Return the matrix that converts ``count`` coefficients to another basis, or to more functions of this one.
 
-        Polynomials go through exact powers of u, rounded once at the end.
+        Polynomials are converted through exact powers of u and rounded once at the end.
 
         Returns:
-            (target_count, count); None where the target cannot make what this basis makes.
+            (target_count, count); None if the target does not span the functions of this basis.
         """
         if self == target and self.nested:
             return np.eye(target_count, count)
-        there, back = self.powers(count), target.of_powers(target_count)
+        there, back = self.to_powers(count), target.from_powers(target_count)
         if there is None or back is None or len(there) > len(back[0]):
             return None
         return rounded_product(back, there)
 
-    def together(self, count: int, other: Basis, other_count: int) -> tuple[Basis, int]:
-        """The basis, and how many of its functions, that a curve of this basis is written in when one of another is added."""
+    def common_basis(self, count: int, other: Basis, other_count: int) -> tuple[Basis, int]:
+        """Return basis and number of functions for the sum of a curve of this basis and one of another."""
         return self, max(count, other_count)
 
-    def over(self, domain: tuple[float, float], count: int) -> tuple[Basis, int]:
-        """The basis, and how many of its functions, that part of a curve is written in, over a smaller domain."""
+    def restricted(self, domain: tuple[float, float], count: int) -> tuple[Basis, int]:
+        """Return basis and number of functions for part of a curve over a smaller domain."""
         return self, count
 
     def value(self, q: Any, domain: tuple[float, float], coefficients: Sequence[float]) -> Any:
-        """The curve: Σ c_k f_k(q), in the unit of its coefficients."""
+        """Return Σ c_k f_k(q), in the unit of the coefficients."""
         functions = self.functions(q, domain, len(coefficients))
         total = coefficients[0] * functions[0]
         for coefficient, function in zip(coefficients[1:], functions[1:], strict=True):
@@ -134,7 +134,7 @@ class Basis(ABC):
 
 
 def rounded_product(left: Exact, right: Exact) -> np.ndarray:
-    """The product, rounded; the left one may have more columns than the right one has rows."""
+    """Return the matrix product in floating point; ``left`` may have more columns than ``right`` has rows."""
     rows = len(right)
     return np.array(
         [[float(sum(row[k] * right[k][j] for k in range(rows))) for j in range(len(right[0]))] for row in left]

@@ -1,4 +1,4 @@
-"""The same curve in other functions, each matrix made once."""
+"""Conversion of curves between bases, with cached matrices."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from twin.numerics.curves.basis import Basis, rounded_product
 
 @cache
 def conversion(source: Basis, target: Basis, count: int, into: int) -> np.ndarray | None:
-    """What writes a curve of one basis in another; see `Basis.into`.
+    """Return the matrix that converts coefficients from one basis to another; see `Basis.conversion_to`.
 
     Args:
-        source: its basis.
-        target: the other.
-        count: coefficients it has.
-        into: coefficients it gets, ``count`` or more.
+        source: basis of the curve.
+        target: the other basis.
+        count: number of coefficients of the curve.
+        into: number of coefficients in the other basis, ``count`` or more.
 
     Returns:
-        (into, count); None where the one basis cannot make what the other makes.
+        (into, count); None if the target does not span the functions of the source.
     """
-    matrix = source.into(count, target, into)
+    matrix = source.conversion_to(count, target, into)
     return None if matrix is None else locked(matrix)
 
 
 @cache
 def of_legendre(target: Basis, count: int) -> np.ndarray | None:
-    """(count, count) coefficients of the Legendre polynomials of degree 0, 1 …, a column each; None if it does not make all of them."""
-    back = target.of_powers(count)
+    """Return the coefficients (count, count) of the Legendre polynomials 0, 1 … in a basis, one column each; None if it lacks any."""
+    back = target.from_powers(count)
     if back is None or len(back[0]) < count:
         return None
     legendre = [[Fraction(0)] * count for _ in range(count)]

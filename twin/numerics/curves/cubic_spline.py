@@ -48,7 +48,7 @@ class CubicSpline(Basis):
         rising = all(a < b for a, b in pairwise(self.knots))
         if not (2 <= len(self.knots) <= MOST_KNOTS and rising and all(map(isfinite, self.knots))):
             expected = f"knots: 2 to {MOST_KNOTS} increasing numbers, both ends of the domain among them"
-            raise InputError("no knots of a cubic spline", expected=expected, value=list(self.knots))
+            raise InputError("invalid knots of a cubic spline", expected=expected, value=list(self.knots))
 
     @property
     def count(self) -> int:
@@ -56,9 +56,9 @@ class CubicSpline(Basis):
         return len(self.knots) + DEGREE - 1
 
     def functions(self, q: Any, domain: tuple[float, float], count: int) -> list[Any]:
-        """See `Basis.functions`; beyond the end knots the first and the last cubic go on."""
+        """See `Basis.functions`; beyond the end knots the first and the last cubic are extrapolated."""
         t = self._repeated
-        # One from a knot on; the first and last span reach as far as q does.
+        # Step functions at the knots; the first and last span are unbounded.
         begun = [0.0 * q + 1.0, *(1.0 * (q >= knot) for knot in self.knots[1:-1]), 0.0 * q]
         spans = [start - end for start, end in pairwise(begun)]
         found: list[Any] = [None] * DEGREE + spans + [None] * DEGREE
@@ -71,19 +71,19 @@ class CubicSpline(Basis):
             ]
         return found[:count]
 
-    def misfit(self, count: int, *, rotary: bool) -> str | None:
-        """See `Basis.misfit`."""
+    def count_problem(self, count: int, *, rotary: bool) -> str | None:
+        """See `Basis.count_problem`."""
         return None if count == self.count else f"{self.count} coefficients, two more than there are knots"
 
-    def knots_misfit(self, domain: tuple[float, float]) -> str | None:
-        """See `Basis.knots_misfit`."""
+    def knots_problem(self, domain: tuple[float, float]) -> str | None:
+        """See `Basis.knots_problem`."""
         lo, hi = domain
         ends = self.knots[0], self.knots[-1]
         return None if ends == (lo, hi) else f"knots from {lo:g} to {hi:g}, the ends of the domain"
 
     @property
     def nested(self) -> bool:
-        """Every function belongs to these knots."""
+        """All functions depend on the knots, so the basis is not nested."""
         return False
 
     @classmethod
@@ -91,8 +91,8 @@ class CubicSpline(Basis):
         """Number of spans between knots."""
         return max(count - DEGREE, 0)
 
-    def of_powers(self, count: int) -> Exact | None:
-        """See `Basis.of_powers`: a coefficient is the polar form of the power at the three knots within its function's support."""
+    def from_powers(self, count: int) -> Exact | None:
+        """See `Basis.from_powers`: a coefficient is the polar form of the power at the three knots within its function's support."""
         if count != self.count:
             return None
         lo, hi = Fraction(self.knots[0]), Fraction(self.knots[-1])
@@ -106,8 +106,8 @@ class CubicSpline(Basis):
             for k in range(count)
         ]
 
-    def into(self, count: int, target: Basis, target_count: int) -> np.ndarray | None:
-        """See `Basis.into`: exact where the target has all of these knots; by its values at the averages of three of its knots each."""
+    def conversion_to(self, count: int, target: Basis, target_count: int) -> np.ndarray | None:
+        """See `Basis.conversion_to`; exact if the target has all of these knots. Collocated at the averages of three knots each."""
         if not (isinstance(target, CubicSpline) and set(self.knots) <= set(target.knots)):
             return None
         same_ends = (self.knots[0], self.knots[-1]) == (target.knots[0], target.knots[-1])
@@ -120,25 +120,25 @@ class CubicSpline(Basis):
         there, back = (np.stack(one.functions(at, (t[0], t[-1]), one.count), axis=1) for one in (self, target))
         return np.asarray(np.linalg.solve(back, there))
 
-    def together(self, count: int, other: Basis, other_count: int) -> tuple[Basis, int]:
-        """A spline with the knots of both; with these knots where the other is none."""
+    def common_basis(self, count: int, other: Basis, other_count: int) -> tuple[Basis, int]:
+        """Return a spline with the knots of both; with these knots if the other has none."""
         whole = CubicSpline(tuple(sorted({*self.knots, *other.knots})))
         return whole, whole.count
 
-    def over(self, domain: tuple[float, float], count: int) -> tuple[Basis, int]:
-        """The knots within the smaller domain, and its ends."""
+    def restricted(self, domain: tuple[float, float], count: int) -> tuple[Basis, int]:
+        """Return a spline with the knots within the smaller domain and its ends."""
         lo, hi = domain
         part = CubicSpline((lo, *(knot for knot in self.knots if lo < knot < hi), hi))
         return part, part.count
 
     @property
     def _repeated(self) -> list[float]:
-        """The knots, each end of the domain four times."""
+        """The knots, with each end of the domain repeated four times."""
         return [self.knots[0]] * DEGREE + list(self.knots) + [self.knots[-1]] * DEGREE
 
 
 def _scaled(rise: Any, width: float, function: Any) -> Any:
-    """``rise / width`` times the function; None where it is zero everywhere."""
+    """Return ``rise / width`` times the function; None if it is zero everywhere."""
     return None if function is None or width == 0.0 else rise * (1.0 / width) * function
 
 

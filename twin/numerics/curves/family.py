@@ -1,4 +1,4 @@
-"""Every curve basis, and the choice among them."""
+"""All curve bases, and their selection."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ POWER: Final = Power()
 
 
 def basis_named(name: str) -> type[Basis]:
-    """The basis of that name in a calibration file.
+    """Return the basis with a name as in a calibration file.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no such basis.
     """
     found = next((basis for basis in BASES if basis.name == name), None)
     if found is None:
@@ -32,20 +32,20 @@ def basis_named(name: str) -> type[Basis]:
 
 @cache
 def basis_of(name: str, knots: tuple[float, ...] = ()) -> Basis:
-    """A basis by its name and knots, made once.
+    """Return a basis by its name and knots; cached.
 
     Raises:
-        InputError: there is none of that name, or none with these knots.
+        InputError: there is no basis of that name, or none with these knots.
     """
     return basis_named(name)(knots)
 
 
 def bases_for(*, rotary: bool, endless: bool) -> tuple[Basis, ...]:
-    """The bases that `identify` tries for the curves of one kind of axis, the first choice first.
+    """Return the bases that `identify` tries for the curves of one kind of axis, the first choice first.
 
     Args:
-        rotary: whether the axis turns.
-        endless: whether it turns without limits.
+        rotary: whether the axis is rotary.
+        endless: whether it has no limits.
     """
     places = [(basis.preference(rotary=rotary, endless=endless), basis) for basis in BASES]
     tried = sorted(((place, basis) for place, basis in places if place is not None), key=lambda one: one[0])

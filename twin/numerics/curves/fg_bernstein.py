@@ -2,15 +2,15 @@
 
 Mainar and Peña (Numer. Linear Algebra Appl. 25, 2018) call u_k = C(n,k) f^k g^(n−k), k = 0…n, the fg-Bernstein basis of degree n;
 Díaz Pérez et al. (2019), eq. 10, give the bidiagonal factors of its collocation matrix A = (u_k(t_i)) as products and quotients of
-differences of the data alone: each is right to rounding, however ill-conditioned A is.
+differences of the data alone: each is accurate to rounding for any condition number of A.
 
-Here f = φ(x), g = φ(1 − x), x = (t − a)/(b − a): φ(x) = x makes the Bernstein polynomials, φ(x) = sin(Δx)/sin Δ the trigonometric
+Here f = φ(x), g = φ(1 − x), x = (t − a)/(b − a): φ(x) = x gives the Bernstein polynomials, φ(x) = sin(Δx)/sin Δ the trigonometric
 ones of the paper (f = sin((Δ + s)/2), g = sin((Δ − s)/2), s from −Δ to Δ), but for the sin Δ, with which a curve starts and ends at its
-control points. In both, f(x)g(y) − f(y)g(x) = φ(x − y): the differences eq. 10 wants. Only the polynomials sum to one (the others to
-(f + g)^n, up to 2^(n/2) at Δ = π/2), and trigonometric ones of odd degree cannot make a constant.
+control points. In both, f(x)g(y) − f(y)g(x) = φ(x − y): the differences that eq. 10 needs. Only the polynomials sum to one (the others
+to (f + g)^n, up to 2^(n/2) at Δ = π/2), and trigonometric ones of odd degree do not contain a constant.
 
-A curve is evaluated to some roundings of Σ |c_k| u_k: control points far larger than the curve (a smooth one over many points, above
-degree 60 or so) are no good, accurate as they are.
+The rounding error of a curve's value is a small multiple of Σ |c_k| u_k: where the control points are far larger than the curve (a
+smooth one over many points, above degree 60 or so) its values are inaccurate although the control points are accurate.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from twin._common.arrays import locked
 from twin._common.errors import InputError
 
 MOST_DEGREE: Final = 250
-"""Beyond it numbers of eq. 10 may leave the range of a double."""
+"""Largest degree; above it the numbers of eq. 10 may overflow."""
 MOST_HALF_ANGLE_RAD: Final = 3.0
-"""At π f/g no longer increases; at 3 rad the middle function of MOST_DEGREE is 1e286."""
+"""Largest Δ: at π, f/g is no longer increasing; at 3 rad the middle function of MOST_DEGREE is 1e286."""
 PAPER_HALF_ANGLE_RAD: Final = 1.57
 """The paper's Δ."""
 
@@ -50,10 +50,10 @@ class _Bidiagonal:
     upper: np.ndarray
 
     def solve(self, values: np.ndarray) -> np.ndarray:
-        """What makes these values: c of A c = values, A square, in O(n²).
+        """Solve A c = values for c, A square, in O(n²).
 
-        Every factor's inverse has the signs of a chessboard, so nothing cancels but what the data themselves cancel: the error of c is
-        some n roundings of |A⁻¹| |values| at most, which is that of every single c_k where the values alternate in sign (Koev 2007).
+        The inverse of every factor has a checkerboard sign pattern, so that the only cancellation is that of the data: the error of c
+        is at most about n roundings of |A⁻¹| |values|, high relative accuracy of each c_k if the values alternate in sign (Koev 2007).
 
         Args:
             values: (n+1, d).
@@ -77,7 +77,7 @@ class FGBernstein:
         degree: n; there are n + 1 functions.
         domain: (a, b) of the parameter, in its own unit.
         kind: ``polynomial`` or ``trigonometric``.
-        half_angle_rad: Δ of the trigonometric kind, more than 0, at most 3: the parameter runs through an angle of 2Δ. No part of
+        half_angle_rad: Δ of the trigonometric kind, more than 0, at most 3: the parameter spans an angle of 2Δ. Not used for
             polynomials.
 
     Raises:
@@ -91,21 +91,23 @@ class FGBernstein:
 
     def __post_init__(self) -> None:
         if not 0 <= self.degree <= MOST_DEGREE:
-            raise InputError("no such degree of a curve", expected=f"0 to {MOST_DEGREE}", value=self.degree)
+            raise InputError("degree of a curve out of range", expected=f"0 to {MOST_DEGREE}", value=self.degree)
         a, b = self.domain
         if not (a < b and np.isfinite(b - a)):
-            raise InputError("an empty domain", expected="(a, b) with a < b, both finite", value=self.domain)
+            raise InputError(
+                "the domain is empty or not finite", expected="(a, b) with a < b, both finite", value=self.domain
+            )
         if self.kind not in ("polynomial", "trigonometric"):
-            raise InputError("no such kind of curve", expected="polynomial or trigonometric", value=self.kind)
+            raise InputError("unknown kind of curve", expected="polynomial or trigonometric", value=self.kind)
         if self.kind == "trigonometric" and not 0.0 < self.half_angle_rad <= MOST_HALF_ANGLE_RAD:
             raise InputError(
-                "no such half angle",
+                "half angle out of range",
                 expected=f"more than 0, at most {MOST_HALF_ANGLE_RAD:g} rad",
                 value=self.half_angle_rad,
             )
 
     def collocation(self, t: np.ndarray) -> np.ndarray:
-        """(m, n+1) values of the functions at (m,) parameters, in any order; each to its own rounding.
+        """Return the values (m, n+1) of the functions at parameters (m,) in any order, each accurate to rounding.
 
         Raises:
             InputError: a parameter outside the domain.
@@ -113,14 +115,14 @@ class FGBernstein:
         return locked(self._values(self._inside(t), self.degree))
 
     def derivative(self, control: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """(m, d) first derivative by the parameter: y' = n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}.
+        """Return the first derivative (m, d) by the parameter: y' = n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}.
 
         Args:
             control: (n+1, d) control points.
             t: (m,) parameters in any order.
 
         Raises:
-            InputError: a parameter outside the domain; another number of control points.
+            InputError: a parameter outside the domain; a wrong number of control points.
         """
         points, inside, n = _points(control, self.degree + 1), self._inside(t), self.degree
         if n == 0:
@@ -130,16 +132,20 @@ class FGBernstein:
         return locked(n * (forward * (lower @ points[1:]) + back * (lower @ points[:-1])))
 
     def least_squares(self, t: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """(n+1, d) control points of the curve nearest to (m, d) points at (m,) increasing parameters, with high relative accuracy.
+        """Return the control points (n+1, d) of the least-squares curve through points, with high relative accuracy.
 
-        A = B A_τ: τ are n + 1 of the parameters, B the values of their Lagrange functions, which are products, so each is right to
-        its rounding; with the τ far from each other B is well-conditioned (no singular value below one: it holds the identity). An
-        ordinary QR fits B to the points, which gives the curve's own points at τ; eq. 10 turns these into control points. The error is
-        some roundings of |A⁺| |points|, as with the QR factorisation (Marco and Martínez 2010) the paper uses, in O(m n²) operations
-        on whole arrays.
+        A = B A_τ, where τ are n + 1 of the parameters and B holds the values of their Lagrange functions; these are products and so
+        accurate to rounding. With well-spaced τ, B is well-conditioned (it contains the identity, so no singular value is below one).
+        An ordinary QR fits B to the points, which yields the curve's values at τ; eq. 10 converts these to control points. The error
+        is some roundings of |A⁺| |points|, as with the QR factorisation (Marco and Martínez 2010) that the paper uses, in O(m n²)
+        operations on whole arrays.
+
+        Args:
+            t: (m,) increasing parameters.
+            points: (m, d) points.
 
         Raises:
-            InputError: parameters outside the domain, not increasing, or fewer than n + 1; points of another number, or not finite.
+            InputError: parameters outside the domain, not increasing, or fewer than n + 1; wrong number of points, or not finite.
         """
         nodes = self._increasing(t)
         values = _points(points, len(nodes))
@@ -148,16 +154,16 @@ class FGBernstein:
         return locked(self._factors(nodes[chosen]).solve(solve_triangular(triangle, q.T @ values)))
 
     def _factors(self, t: np.ndarray) -> _Bidiagonal:
-        """The factors of the collocation matrix at (m,) increasing parameters, m ≥ n + 1 (eq. 10), each right to its rounding.
+        """Return the factors of the collocation matrix at (m,) increasing parameters, m ≥ n + 1 (eq. 10), each accurate to rounding.
 
-        The paper's text has 0 < t_1 and t_m < 1; both ends of the domain are allowed: no quotient there is by zero.
+        The paper requires 0 < t_1 and t_m < 1; both ends of the domain are allowed here, since no quotient has a zero divisor there.
         """
         n, m = self.degree, len(t)
         f, g = self._sides(t)
         lower, pivots, upper = np.zeros((m, n + 1)), np.ones(n + 1), np.zeros((n + 1, n + 1))
         product = np.ones(m)
         for j in range(min(n + 1, m - 1)):
-            # Rows and columns from 0. From one column to the next, the quotient of products grows by one pair of differences.
+            # Rows and columns count from 0. Each column adds one pair of differences to the quotient of products.
             lower[j + 1 :, j] = (g[j + 1 :] / g[j:-1]) ** (n - j) * (g[: m - 1 - j] / g[j:-1]) * product[j + 1 :]
             product[j + 2 :] *= self._difference(t[j + 2 :], t[1 : m - 1 - j])
             product[j + 2 :] /= self._difference(t[j + 1 : -1], t[: m - 2 - j])
@@ -174,11 +180,11 @@ class FGBernstein:
         return _Bidiagonal(locked(lower), locked(pivots), locked(upper))
 
     def _lagrange(self, t: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """(m, n+1) values at t of the functions of the space that are one at one chosen parameter and zero at the others."""
+        """Return the values (m, n+1) at t of the Lagrange functions: one at one chosen parameter, zero at the others."""
         own = (chosen, np.arange(len(chosen)))
         apart = self._difference(t[:, None], t[chosen])
         apart[own] = 1.0
-        # As many differences above the line as below: any scale cancels, and this one keeps the products within range.
+        # Numerator and denominator have the same number of differences: the scale cancels and prevents overflow.
         apart /= np.exp(np.mean(np.log(np.abs(apart[chosen]))))
         apart[own] = 1.0
         found = np.prod(apart, axis=1)[:, None] / apart / np.prod(apart[chosen], axis=1)
@@ -186,9 +192,9 @@ class FGBernstein:
         return found
 
     def _spread(self, t: np.ndarray) -> np.ndarray:
-        """Indices of n + 1 of the parameters, increasing, far from each other.
+        """Return indices of n + 1 well-spaced parameters, increasing (Leja points).
 
-        A's determinant at them is ∏ φ(x_i − x_j), but for a constant: each is the farthest from those before in that sense (Leja).
+        The determinant of A at them is ∏ φ(x_i − x_j) times a constant; each point maximises its product with those before.
         """
         chosen = [0]
         far = np.zeros(len(t))
@@ -207,12 +213,12 @@ class FGBernstein:
         return x if self.kind == "polynomial" else np.sin(self.half_angle_rad * x) / sin(self.half_angle_rad)
 
     def _sides(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Both f and g, each from its own end of the domain, where it is small."""
+        """Return f and g, each computed from the end of the domain where it is small."""
         a, b = self.domain
         return self._phi((t - a) / (b - a)), self._phi((b - t) / (b - a))
 
     def _slopes(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(m, 1) derivatives of f and g by the parameter."""
+        """Return the derivatives (m, 1) of f and g by the parameter."""
         a, b = self.domain
         if self.kind == "polynomial":
             slope = np.full((len(t), 1), 1.0 / (b - a))
@@ -222,7 +228,7 @@ class FGBernstein:
         return size * np.cos(rate * (t - a))[:, None], -size * np.cos(rate * (b - t))[:, None]
 
     def _difference(self, t: Any, s: Any) -> np.ndarray:
-        """φ(x − y) = f(t)g(s) − f(s)g(t)."""
+        """Return φ(x − y) = f(t)g(s) − f(s)g(t)."""
         a, b = self.domain
         return self._phi((t - s) / (b - a))
 
@@ -230,13 +236,13 @@ class FGBernstein:
         parameters = np.atleast_1d(np.asarray(t, dtype=float))
         a, b = self.domain
         if parameters.ndim != 1:
-            raise InputError("parameters of another shape", expected="a list of numbers", value=parameters.shape)
-        # Sums like k·(b/n) leave the domain by their rounding.
+            raise InputError("wrong shape of the parameters", expected="a list of numbers", value=parameters.shape)
+        # Allow for rounding of sums such as k·(b/n).
         slack = 4.0 * np.finfo(float).eps * max(abs(a), abs(b))
         outside = ~((parameters >= a - slack) & (parameters <= b + slack))
         if np.any(outside):
             raise InputError(
-                "a parameter outside the domain", expected=f"{a:g} to {b:g}", value=float(parameters[outside][0])
+                "a parameter is outside the domain", expected=f"{a:g} to {b:g}", value=float(parameters[outside][0])
             )
         return np.clip(parameters, a, b)
 
@@ -246,7 +252,7 @@ class FGBernstein:
         if len(wrong):
             i = int(wrong[0])
             raise InputError(
-                "parameters that repeat or go back",
+                "parameters must increase",
                 expected=f"more than {nodes[i]:g} after it",
                 value=float(nodes[i + 1]),
             )
@@ -262,7 +268,7 @@ class FGBernstein:
 def _points(points: np.ndarray, count: int) -> np.ndarray:
     found = np.asarray(points, dtype=float)
     if found.ndim != 2 or len(found) != count:
-        raise InputError("points of another number", expected=f"an array of {count} rows", value=found.shape)
+        raise InputError("wrong number of points", expected=f"an array of {count} rows", value=found.shape)
     if not np.all(np.isfinite(found)):
-        raise InputError("a point that is no number", expected="finite coordinates")
+        raise InputError("a point is not finite", expected="finite coordinates")
     return found

@@ -27,33 +27,33 @@ class Fourier(Basis):
             found += [cos(order * angle), sin(order * angle)]
         return found
 
-    def misfit(self, count: int, *, rotary: bool) -> str | None:
-        """See `Basis.misfit`."""
+    def count_problem(self, count: int, *, rotary: bool) -> str | None:
+        """See `Basis.count_problem`."""
         if not rotary:
             return "a rotary axis (fourier is in the axis angle)"
         return None if count % 2 == 1 else "an odd number of coefficients: constant, then cos and sin of each order"
 
     @property
     def periodic(self) -> bool:
-        """Every harmonic repeats each turn."""
+        """Every harmonic has a period of one revolution."""
         return True
 
     @classmethod
     def order(cls, count: int) -> int:
-        """Number of harmonics."""
+        """Return the number of harmonics."""
         return max((count - 1) // 2, 0)
 
     @classmethod
     def preference(cls, *, rotary: bool, endless: bool) -> int | None:
-        """Tried on rotary axes: first on those without limits, after powers on the others."""
+        """Return 0 for rotary axes without limits, 1 for other rotary axes (after powers), None for linear axes."""
         if not rotary:
             return None
         return 0 if endless else 1
 
     def largest(self, count: int) -> int:
-        """An odd number: cosine and sine of every harmonic."""
+        """Return an odd number: the constant, then cosine and sine of every harmonic."""
         return count - 1 + count % 2
 
     def groups(self, first: int, count: int) -> list[tuple[int, ...]]:
-        """Cosine and sine of a harmonic together."""
+        """Return the indices of cosine and sine of each harmonic."""
         return [tuple(k for k in (n, n + 1) if k < count) for n in range(max(first, 1), count, 2)]

@@ -26,19 +26,19 @@ class Power(Basis):
             powers.append(powers[-1] * u)
         return powers
 
-    def misfit(self, count: int, *, rotary: bool) -> str | None:
-        """See `Basis.misfit`."""
+    def count_problem(self, count: int, *, rotary: bool) -> str | None:
+        """See `Basis.count_problem`."""
         return None if count >= 1 else "at least one coefficient"
 
     @classmethod
     def preference(cls, *, rotary: bool, endless: bool) -> int | None:
-        """Tried first on every axis with limits."""
+        """Return 0 for axes with limits, None for others."""
         return None if endless else 0
 
-    def powers(self, count: int) -> Exact | None:
-        """See `Basis.powers`."""
+    def to_powers(self, count: int) -> Exact | None:
+        """See `Basis.to_powers`."""
         return [[Fraction(int(i == j)) for j in range(count)] for i in range(count)]
 
-    def of_powers(self, count: int) -> Exact | None:
-        """See `Basis.of_powers`."""
-        return self.powers(count)
+    def from_powers(self, count: int) -> Exact | None:
+        """See `Basis.from_powers`."""
+        return self.to_powers(count)

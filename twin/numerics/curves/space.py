@@ -1,4 +1,4 @@
-"""Functions that are orthonormal over a domain, made from those of a basis in their order: what a curve is sought in."""
+"""Spaces of functions, orthonormalised over a domain from those of a basis in order, in which curves are fitted."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ NODES: Final = 400
 @final
 @dataclass(frozen=True)
 class CurveSpace:
-    """The functions one error motion is sought in.
+    """The space of functions in which one error motion is fitted.
 
     Attributes:
         name: ISO 230-1 name.
-        basis: family.
+        basis: the basis.
         domain: (lo, hi) mm or degrees.
-        first: index of the first orthonormal function the datum leaves to it.
-        count: how many functions, those before ``first`` included.
+        first: index of the first orthonormal function that is not fixed by the datum.
+        count: number of functions, those before ``first`` included.
     """
 
     name: str
@@ -37,14 +37,14 @@ class CurveSpace:
 
     @cached_property
     def transform(self) -> np.ndarray:
-        """(count, count) coefficients of the basis for each orthonormal function, a column each."""
-        return self.written(self.count)
+        """(count, count) basis coefficients of each orthonormal function, one column each."""
+        return self.transform_of(self.count)
 
-    def written(self, count: int) -> np.ndarray:
-        """(count, count) coefficients of the basis for each of the first ``count`` orthonormal functions, a column each.
+    def transform_of(self, count: int) -> np.ndarray:
+        """Return the basis coefficients (count, count) of the first ``count`` orthonormal functions, one column each.
 
-        Upper triangular, and the corner of `transform`, where the basis is nested; a curve of Bernstein polynomials has other ones for
-        every degree. Orthonormal polynomials are Legendre's, P_k √(2k + 1).
+        For a nested basis the matrix is upper triangular and a leading block of `transform`; for Bernstein polynomials it differs with
+        every degree. The orthonormal polynomials are Legendre's, P_k √(2k + 1).
         """
         legendre = of_legendre(self.basis, count)
         if legendre is not None:
@@ -56,7 +56,7 @@ class CurveSpace:
         return np.asarray(np.linalg.inv(triangle * np.sign(np.diag(triangle))[:, None]))
 
     def functions(self, q: np.ndarray) -> np.ndarray:
-        """(n, count) orthonormal functions at positions, mm or degrees."""
+        """Return the orthonormal functions (n, count) at positions, mm or degrees."""
         if of_legendre(self.basis, self.count) is None:
             return self._raw(q, self.count) @ self.transform
         lo, hi = self.domain
@@ -65,17 +65,17 @@ class CurveSpace:
         )
 
     def grid(self) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and weights of a mean over the domain."""
+        """Return positions and weights of a quadrature of the mean over the domain."""
         x, w = _rule()
         lo, hi = self.domain
         return (lo + hi) / 2.0 + x * (hi - lo) / 2.0, w / 2.0
 
     def groups(self) -> list[tuple[int, ...]]:
-        """Indices that come and go together, lowest order first: a power each, cosine and sine of a harmonic together."""
+        """Return groups of indices that are only used together, lowest order first: single powers, cosine and sine of a harmonic."""
         return self.basis.groups(self.first, self.count)
 
     def below(self, unseen: np.ndarray) -> CurveSpace:
-        """The space below the first order of which a function is among the (count − first,) that are unseen."""
+        """Return the space of the orders below the first with a function marked in ``unseen`` (count − first,)."""
         if not np.any(unseen):
             return self
         kept = [0, *(group[-1] + 1 for group in self.groups() if group[-1] - self.first < np.argmax(unseen))]
@@ -87,11 +87,11 @@ class CurveSpace:
 
 @cache
 def _rule() -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights of the Gauss-Legendre rule, found once."""
+    """Return nodes and weights of the Gauss-Legendre rule; cached."""
     x, w = np.polynomial.legendre.leggauss(NODES)
     return locked(x), locked(w)
 
 
 def _norms(count: int) -> np.ndarray:
-    """(count,) what makes the mean square of each Legendre polynomial one."""
+    """Return factors (count,) that make the mean square of each Legendre polynomial one."""
     return np.asarray(np.sqrt(2.0 * np.arange(count) + 1.0))

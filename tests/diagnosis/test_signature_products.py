@@ -1,4 +1,4 @@
-"""Diagnosis by passes over the points: the same numbers as with all signatures at hand, whatever is taken away, and at any size."""
+"""Blockwise inner products equal those computed from full signatures, with any points held out and for any number of points."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin._common.arrays import locked
 from twin.diagnosis import diagnose
-from twin.diagnosis.candidates.signatures import of_effect
-from twin.diagnosis.problem.pool import ALARMS, SAMPLED
+from twin.diagnosis.candidates.signatures import effect_columns
+from twin.diagnosis.problem.forms import FALSE_ALARM_RATE, SAMPLED_POINTS
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.problem.sweep import PointBlock, Signatures
+from twin.diagnosis.problem.signature_products import PointBlock, Signatures
 from twin.diagnosis.selection.left_out import parts as parts_of
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
@@ -39,7 +39,7 @@ def measured(machine: Machine, folder: Path, poses: int, seed: int = 3) -> Measu
 
 
 def split(problem: Problem) -> np.ndarray:
-    """(n,) the part each reading is held out with."""
+    """Return the part (n,) that each reading belongs to."""
     found = parts_of(problem.network.data, problem.network.machine, ())
     assert found is not None
     return found.part
@@ -47,18 +47,18 @@ def split(problem: Problem) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def searched(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> tuple[Problem, Searcher]:
-    """Some 900 points, and a calibration that is not exactly known."""
+    """Return a problem of some 900 points with an uncertain calibration, and its search."""
     data = measured(dmu50, tmp_path_factory.mktemp("data"), 40)
     placed = readings(data, dmu50, _doubted(Calibration.default(dmu50)))
-    posed = placed.without(placed.bad)
-    return posed.problem, Searcher(posed)
+    task = placed.without(placed.bad)
+    return task.problem, Searcher(task)
 
 
 @pytest.fixture(scope="module")
 def whole(searched: tuple[Problem, Searcher]) -> np.ndarray:
-    """(3n, columns) all signatures, as only a small set of points allows."""
+    """Return all signatures (3n, columns) at all points."""
     problem, searcher = searched
-    return problem.signature(searcher.pool.products.columns)
+    return problem.signature(searcher.candidates.products.columns)
 
 
 def close(found: np.ndarray, truth: np.ndarray, size: np.ndarray | float) -> None:
@@ -70,26 +70,28 @@ def test_inner_products_with_vectors_by_part(searched: tuple[Problem, Searcher],
     parts = split(problem)
     rng = np.random.default_rng(1)
     vectors = rng.standard_normal((len(parts), 3, 70))
-    found = Signatures(problem.view, searcher.pool.products.columns, parts).along(lambda block: vectors[block.rows])
+    found = Signatures(problem.view, searcher.candidates.products.columns, parts).along(
+        lambda block: vectors[block.rows]
+    )
     assert len(found) == parts.max() + 1 > 1
     for part, own in enumerate(found):
         rows = np.repeat(parts == part, 3)
         close(own, whole[rows].T @ vectors.reshape(-1, 70)[rows], np.linalg.norm(whole))
     some = np.sort(rng.choice(len(parts), 100, replace=False))
-    few = searcher.pool.products.signatures.along(lambda block: vectors[block.rows], some)
+    few = searcher.candidates.products.signatures.along(lambda block: vectors[block.rows], some)
     rows = (3 * some[:, None] + np.arange(3)).ravel()
     close(few[0], whole[rows].T @ vectors.reshape(-1, 70)[rows], np.linalg.norm(whole))
 
 
 def test_inner_products_within_forms(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
     _, searcher = searched
-    pool = searcher.pool
-    for columns, blocks in zip(pool._columns, pool.products.within, strict=True):
+    candidates = searcher.candidates
+    for columns, blocks in zip(candidates._columns, candidates.products.within, strict=True):
         for own, block in zip(columns[::17], blocks[::17], strict=True):
             close(block, whole[:, own].T @ whole[:, own], np.abs(block).max() + 1e-30)
 
 
-def test_what_is_left_beside_set_up_and_doubt(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
+def test_projection_of_set_up_and_calibration(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
     """Against an orthonormal basis of the whole matrix by singular values: the definition."""
     problem, searcher = searched
     nuisance, prior = problem.nuisance, problem.prior
@@ -104,7 +106,7 @@ def test_what_is_left_beside_set_up_and_doubt(searched: tuple[Problem, Searcher]
         kept = some * keep[:, None]
         truth = kept.T @ kept - (basis.T @ kept).T @ (basis.T @ kept)
         size = np.linalg.norm(kept, axis=0).max() ** 2
-        found = part.products(searcher.pool.products.columns[::97])
+        found = part.products(searcher.candidates.products.columns[::97])
         assert np.abs(found.gram - truth).max() <= 1e-10 * size
         assert np.abs(part.inner(some) - truth).max() <= 1e-10 * size
         residual = problem.residual * keep
@@ -113,8 +115,8 @@ def test_what_is_left_beside_set_up_and_doubt(searched: tuple[Problem, Searcher]
         assert part.chi2 == pytest.approx(residual @ residual - np.sum((basis.T @ residual) ** 2), rel=1e-9)
 
 
-def test_a_doubt_too_small_to_show_is_not_lost(dmu50: Machine, searched: tuple[Problem, Searcher]) -> None:
-    """Its direction has the prior; it is no reason to hold nothing out."""
+def test_negligible_calibration_uncertainty(dmu50: Machine, searched: tuple[Problem, Searcher]) -> None:
+    """A direction with negligible uncertainty is kept by its prior; points can still be held out."""
     problem, _ = searched
     doubted = _doubted(Calibration.default(dmu50))
     assert doubted.joint is not None
@@ -128,14 +130,14 @@ def test_a_doubt_too_small_to_show_is_not_lost(dmu50: Machine, searched: tuple[P
 
 
 @pytest.mark.parametrize("which", ["a part", "any points"])
-def test_what_is_taken_away(searched: tuple[Problem, Searcher], whole: np.ndarray, which: str) -> None:
+def test_inner_products_without_some_points(searched: tuple[Problem, Searcher], whole: np.ndarray, which: str) -> None:
     problem, searcher = searched
     parts = split(problem)
-    products = Products(problem, searcher.pool.products.columns, searcher.pool._columns, parts=parts)
+    products = Products(problem, searcher.candidates.products.columns, searcher.candidates._columns, parts=parts)
     gone = np.flatnonzero(parts == 1)
     if which == "any points":
         gone = np.sort(np.random.default_rng(2).choice(len(parts), 60, replace=False))
-    left = products.less(gone)
+    left = products.without(gone)
     rows = np.repeat(~np.isin(np.arange(len(parts)), gone), 3)
     columns = np.arange(0, whole.shape[1], 211)
     size = np.linalg.norm(whole) ** 2
@@ -144,11 +146,11 @@ def test_what_is_taken_away(searched: tuple[Problem, Searcher], whole: np.ndarra
     close(left.by_residual, whole[rows].T @ problem.residual[rows], size)
 
 
-def test_another_column_in_the_place_of_one(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
+def test_replacing_a_column(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
     problem, searcher = searched
-    pool = searcher.pool
-    products = Products(problem, pool.products.columns, pool._columns)
-    alone = np.array([pool.forms[i].columns[0] for i in pool._rows[0][:2]])
+    candidates = searcher.candidates
+    products = Products(problem, candidates.products.columns, candidates._columns)
+    alone = np.array([candidates.forms[i].columns[0] for i in candidates._rows[0][:2]])
     products.cross(np.array([0, 5, 9]))
     products.replace(alone[:1], [products.columns[int(alone[1])]])
     changed = np.array(whole)
@@ -158,23 +160,23 @@ def test_another_column_in_the_place_of_one(searched: tuple[Problem, Searcher], 
     assert not np.array_equal(changed, whole) or alone[0] == alone[1]
 
 
-def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -> None:
-    """Columns that are worked out many at once against the effects themselves, one a parameter."""
+def test_columns_equal_the_derivatives_of_their_effects(searched: tuple[Problem, Searcher]) -> None:
+    """Columns evaluated together agree with the effects, parameter by parameter."""
     problem, searcher = searched
     machine, data = problem.network.machine, problem.network.data
     state, block = state_of(data, machine), PointBlock(problem.view, slice(None))
     seen = set()
-    for candidate in searcher.posed.known.candidates:
+    for candidate in searcher.task.catalogue.candidates:
         if candidate.build is None:
             continue
-        for cell in (candidate.cells[0], candidate.cells[-1]):
-            values = np.linspace(0.7, 1.3, len(cell.columns))
-            effects = candidate.build(values, cell.fixed)
-            own = Signatures(problem.view, cell.columns).at(block)
-            found = own @ (values / np.array([column.scale for column in cell.columns]))
+        for variant in (candidate.variants[0], candidate.variants[-1]):
+            values = np.linspace(0.7, 1.3, len(variant.columns))
+            effects = candidate.build(values, variant.fixed)
+            own = Signatures(problem.view, variant.columns).at(block)
+            found = own @ (values / np.array([column.scale for column in variant.columns]))
             truth = np.zeros_like(found)
             for effect in effects:
-                columns = of_effect(effect, machine, state)
+                columns = effect_columns(effect, machine, state)
                 at = 6 * next(
                     i
                     for i, f in enumerate(machine.frames)
@@ -183,21 +185,21 @@ def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -
                 for i, part in effect.components(state).items():
                     truth += problem.view.by_error[:, :, at + i] * (np.broadcast_to(part, len(found))[:, None] * 1e-6)
                 assert len(columns) == len(effect.parameters)
-            assert np.abs(found - truth).max() <= 1e-9 * max(np.abs(truth).max(), 1e-12), (candidate.key, cell.fixed)
+            assert np.abs(found - truth).max() <= 1e-9 * max(np.abs(truth).max(), 1e-12), (candidate.key, variant.fixed)
             seen.add(candidate.effect)
     assert {"pitch_error", "harmonic", "positioning", "thermal_drift", "misplaced", "reversal"} <= seen
 
 
 @pytest.mark.slow
-def test_the_price_of_the_search_from_some_of_the_points(dmu50: Machine, tmp_path: Path) -> None:
-    """Where there are more points than it is taken from, it is what it would be on other data of that kind."""
+def test_significance_level_from_a_sample_of_the_points(dmu50: Machine, tmp_path: Path) -> None:
+    """The level from a sample of many points agrees with that of other data of the same kind."""
     levels = []
-    for poses in (SAMPLED // 6 - 120, SAMPLED // 3):
+    for poses in (SAMPLED_POINTS // 6 - 120, SAMPLED_POINTS // 3):
         data = measured(dmu50, tmp_path, poses)
         placed = readings(data, dmu50, Calibration.default(dmu50))
-        posed = placed.without(placed.bad)
-        levels.append(Searcher(posed).pool.level)
-    assert min(levels) >= ALARMS
+        task = placed.without(placed.bad)
+        levels.append(Searcher(task).candidates.level)
+    assert min(levels) >= FALSE_ALARM_RATE
     assert levels[0] == pytest.approx(levels[1], rel=0.5)
 
 
@@ -215,8 +217,8 @@ print(peak_mb(), *(f"{c.effect}:{c.where}" for c in found.causes))
 
 
 @pytest.mark.slow
-def test_memory_grows_no_worse_than_in_proportion(dmu50: Machine, tmp_path: Path) -> None:
-    """By less than 12 kB a point, 10.7 as measured: signatures of all forms would be 150 kB."""
+def test_memory_grows_at_most_in_proportion_to_the_points(dmu50: Machine, tmp_path: Path) -> None:
+    """Less than 12 kB for each point (10.7 kB measured); signatures of all forms would take 150 kB."""
     peaks = []
     for poses in (2_000, 16_000):
         measured(dmu50, tmp_path, poses)
@@ -234,7 +236,7 @@ def test_memory_grows_no_worse_than_in_proportion(dmu50: Machine, tmp_path: Path
 
 
 def test_many_points_are_diagnosed_as_few(dmu50: Machine, tmp_path: Path) -> None:
-    """More than are held at once, and than the price is taken from: the same names, sizes within their uncertainty."""
+    """With more points than a block or the sample for the level: the same names, sizes within their uncertainty."""
     found = diagnose(measured(dmu50, tmp_path, 1_000), dmu50)
     assert {(cause.effect, cause.where) for cause in found.causes} == {effect.key for effect in EFFECTS}
     for cause in found.causes:

@@ -1,0 +1,325 @@
+"""Signatures of many columns and their inner products, computed in blocks of points to limit the memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.threads import side_by_side
+from twin.diagnosis.candidates.signatures import Column, Freedom, ReadingDerivatives, SignatureTerm
+from twin.identification.network import View
+from twin.numerics.functions import Functions, Rows, pieces
+
+BLOCK_WIDTH: Final = 64
+"""Vectors, or products of two functions, processed at a time, so that they stay in the processor's cache."""
+LEAST_FUNCTIONS: Final = 16
+"""Sets of fewer functions than this are merged into one set."""
+LARGEST_CACHE: Final = 2**25
+"""Number of function values (256 MB) up to which they are cached between passes."""
+
+
+@final
+@dataclass(frozen=True)
+class _ProductPlan:
+    """Terms of the inner products that come from one pair of function sets.
+
+    Attributes:
+        first: (p,) index in the first set of each product of two functions.
+        second: (p,) index in the second set.
+        derivatives: pairs of derivatives that these products are multiplied by.
+        entries: indices of inner product, product of functions and pair of derivatives, and the weight; (e,) each.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    derivatives: tuple[tuple[Freedom, Freedom], ...]
+    entries: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+@final
+class PointBlock:
+    """Derivatives and functions of the state at a block of points, each computed once.
+
+    Args:
+        view: linearisation at some or all points of the data.
+        rows: the block's rows in the view.
+    """
+
+    def __init__(self, view: View, rows: Rows) -> None:
+        self.rows = rows
+        self._points = view.rows[rows]
+        self.derivatives = ReadingDerivatives(view, rows)
+        self._values: dict[Functions, np.ndarray | None] = {}
+
+    def values(self, functions: Functions) -> np.ndarray | None:
+        """Return the functions' values (points, count), or None if all are zero."""
+        if functions not in self._values:
+            zero = functions.where is not None and not functions.where[self._points].any()
+            self._values[functions] = None if zero else functions.values(self._points)
+        return self._values[functions]
+
+
+@final
+class Signatures:
+    """Signatures of many columns in plausible sizes, never held at all points at once.
+
+    Args:
+        view: linearisation at the points.
+        columns: the columns.
+        parts: (n,) number of the part each point belongs to, from 0; a single part if None.
+    """
+
+    def __init__(self, view: View, columns: Sequence[Column], parts: np.ndarray | None = None) -> None:
+        self.view = view
+        self._parts = np.zeros(len(view.rows), dtype=int) if parts is None else parts
+        self.columns = list(columns)
+        self._blocks: dict[int, PointBlock] = {}
+        self._planned: (
+            tuple[Sequence[np.ndarray], _PairCodes, Mapping[tuple[Functions, Functions], _ProductPlan]] | None
+        ) = None
+        self._prepare()
+
+    def replace(self, at: Sequence[int], columns: Sequence[Column]) -> None:
+        """Replace the columns with indices ``at``."""
+        for i, column in zip(at, columns, strict=True):
+            self.columns[i] = column
+        self._prepare()
+
+    def along(self, vectors: Callable[[PointBlock], np.ndarray], rows: np.ndarray | None = None) -> np.ndarray:
+        """Return inner products (parts, columns, r) with r vectors.
+
+        Args:
+            vectors: function that returns the vectors (points, 3, r) at a block of points.
+            rows: the points to sum over, as one part; all points, by part, if None.
+        """
+
+        def partial(own: Sequence[int]) -> np.ndarray:
+            total: dict[tuple[int, Functions, Freedom, int], np.ndarray] = {}
+            for run in own:
+                part = part_of(run)
+                block = self._block(run, runs)
+                right = vectors(block)
+                for few in pieces(right.shape[2], BLOCK_WIDTH):
+                    projected: dict[str, np.ndarray] = {}
+                    for functions, lookup in self._lookup.items():
+                        values = block.values(functions)
+                        if values is None:
+                            continue
+                        for freedom, (_, index, _) in lookup.items():
+                            name, direction = freedom
+                            if name not in projected:
+                                projected[name] = block.derivatives.of(name).transpose(0, 2, 1) @ right[:, :, few]
+                            # Each derivative multiplies only a few functions of the merged set.
+                            some = values if functions is not self._merged else values[:, index]
+                            found = projected[name][:, direction].T @ some
+                            key = part, functions, freedom, few.start
+                            if key in total:
+                                total[key] += found
+                            else:
+                                total[key] = found
+            found = np.zeros((count, len(self.columns), right.shape[2]))
+            while total:
+                (part, functions, freedom, start), values = total.popitem()
+                columns, index, weight = self._lookup[functions][freedom]
+                own_values = values.T if functions is self._merged else values.T[index]
+                np.add.at(found[part, :, start : start + len(values)], columns, weight[:, None] * own_values)
+            return found
+
+        runs, part_of, count = self._runs_of(rows)
+        return np.asarray(sum(side_by_side(range(len(runs)), partial)))
+
+    def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:
+        """Return the inner products within groups of columns: (parts, groups, w, w) for each array (groups, w).
+
+        An inner product is a sum of products of two functions times products of two derivatives; each product of functions is
+        computed once.
+
+        Args:
+            groups: indices of the columns of each group, one array (groups, w) for each width w.
+            rows: as in `along`.
+        """
+        if self._planned is None or self._planned[0] is not groups:
+            codes = _pair_codes(groups, len(self.columns))
+            self._planned = groups, codes, self._product_plan(codes[0][codes[1]])
+        _, (pairs, lower, places, transposed), needed = self._planned
+
+        def partial(own: Sequence[int]) -> np.ndarray:
+            total: dict[tuple[int, Functions, Functions], np.ndarray] = {}
+            for run in own:
+                part = part_of(run)
+                block = self._block(run, runs)
+                turned: dict[Functions, np.ndarray] = {}
+                dots: dict[tuple[Freedom, Freedom], np.ndarray] = {}
+                for (a, b), lookup in needed.items():
+                    of_a, of_b = block.values(a), block.values(b)
+                    if of_a is None or of_b is None:
+                        continue
+                    for functions, of in ((a, of_a), (b, of_b)):
+                        if functions not in turned:
+                            turned[functions] = np.ascontiguousarray(of.T)
+                    for one, other in lookup.derivatives:
+                        if (one, other) not in dots:
+                            dots[one, other] = np.einsum("bi,bi->b", block.derivatives[one], block.derivatives[other])
+                    weights = np.stack([dots[both] for both in lookup.derivatives], axis=1)
+                    if (part, a, b) not in total:
+                        total[part, a, b] = np.zeros((len(lookup.first), len(lookup.derivatives)))
+                    for few in pieces(len(lookup.first), BLOCK_WIDTH):
+                        products = turned[a][lookup.first[few]] * turned[b][lookup.second[few]]
+                        total[part, a, b][few] += products @ weights
+            found = np.zeros((count, len(pairs)))
+            own_of = np.flatnonzero(lower)
+            for (part, a, b), values in total.items():
+                place, product, freedom, weight = needed[a, b].entries
+                np.add.at(found[part], own_of[place], weight * values[product, freedom])
+            return found
+
+        runs, part_of, count = self._runs_of(rows)
+        values = np.asarray(sum(side_by_side(range(len(runs)), partial)))
+        # The matrices are symmetric.
+        values[:, ~lower] = values[:, transposed]
+        return [values[:, own] for own in places]
+
+    def _product_plan(self, pairs: np.ndarray) -> Mapping[tuple[Functions, Functions], _ProductPlan]:
+        """Return the terms of the inner products of pairs of columns (codes: first · columns + second)."""
+        lists: dict[tuple[Functions, Functions], list[tuple[int, int, int, Freedom, Freedom, float]]] = {}
+        for place, code in enumerate(pairs.tolist()):
+            one, other = (self.columns[i] for i in divmod(code, len(self.columns)))
+            scale = one.scale * other.scale
+            for p in one.terms:
+                for q in other.terms:
+                    (a, k), (b, n) = self._location(p), self._location(q)
+                    lists.setdefault((a, b), []).append(
+                        (place, k, n, p.freedom, q.freedom, scale * p.weight * q.weight)
+                    )
+        found = {}
+        for both, own in lists.items():
+            products: dict[tuple[int, int], int] = {}
+            derivatives: dict[tuple[Freedom, Freedom], int] = {}
+            entries = [
+                (
+                    place,
+                    products.setdefault((k, n), len(products)),
+                    derivatives.setdefault((f, g), len(derivatives)),
+                    weight,
+                )
+                for place, k, n, f, g, weight in own
+            ]
+            columns = [np.array(values) for values in zip(*entries, strict=True)]
+            first, second = (np.array(values) for values in zip(*products, strict=True))
+            found[both] = _ProductPlan(
+                first, second, tuple(derivatives), (columns[0], columns[1], columns[2], columns[3])
+            )
+        return found
+
+    def at(self, block: PointBlock, columns: Sequence[int] | None = None) -> np.ndarray:
+        """Return signatures (points, 3, columns) at a block of points, of some columns (indices) or all."""
+        lookup = self._lookup if columns is None else self._grouped(columns)
+        count = len(self.view.residual[block.rows])
+        found = np.zeros((len(self.columns) if columns is None else len(columns), count, 3))
+        for functions, of in lookup.items():
+            values = block.values(functions)
+            if values is None:
+                continue
+            for freedom, (at, index, weight) in of.items():
+                part = (values[:, index] * weight).T[:, :, None] * block.derivatives[freedom]
+                if len(set(at.tolist())) == len(at):
+                    found[at] += part
+                else:
+                    # A column may contain several functions of one set.
+                    np.add.at(found, at, part)
+        return found.transpose(1, 2, 0)
+
+    def _block(self, run: int, runs: Sequence[np.ndarray]) -> PointBlock:
+        """Return the block of a run, from the cache if the function values of all points fit there."""
+        if runs is not self._runs or not self._cache:
+            return PointBlock(self.view, runs[run])
+        if run not in self._blocks:
+            self._blocks[run] = PointBlock(self.view, runs[run])
+        return self._blocks[run]
+
+    def _location(self, part: SignatureTerm) -> tuple[Functions, int]:
+        """Return the set and index under which a term's function is evaluated."""
+        start = self._start.get(part.functions)
+        return (part.functions, part.index) if start is None else (self._merged, start + part.index)
+
+    def _prepare(self) -> None:
+        self._planned = None
+        few = dict.fromkeys(
+            p.functions for column in self.columns for p in column.terms if p.functions.count < LEAST_FUNCTIONS
+        )
+        starts = np.cumsum([0, *(functions.count for functions in few)]).tolist()
+        self._start = dict(zip(few, starts[:-1], strict=True))
+        self._merged = Functions(
+            len(self.view.rows),
+            starts[-1],
+            lambda rows: np.concatenate([functions.values(rows) for functions in few], axis=1),
+        )
+        self._lookup = self._grouped(range(len(self.columns)))
+        size = sum(functions.count for functions in self._lookup) * len(self.view.rows)
+        self._cache = size <= LARGEST_CACHE
+        self._runs = self._ordered_runs(np.arange(len(self.view.rows)), self._parts)
+
+    def _runs_of(self, rows: np.ndarray | None) -> tuple[list[np.ndarray], Callable[[int], int], int]:
+        """Return runs of all points or of ``rows``, a function from run to part, and the number of parts."""
+        if rows is not None:
+            return self._ordered_runs(rows, np.zeros(len(self._parts), dtype=int)), lambda run: 0, 1
+        return self._runs, lambda run: int(self._parts[self._runs[run][0]]), int(self._parts.max(initial=0)) + 1
+
+    def _ordered_runs(self, rows: np.ndarray, parts: np.ndarray) -> list[np.ndarray]:
+        """Split points into runs of one part each, points where the same functions are zero together, so that these are skipped."""
+        pattern = parts[rows]
+        for functions in self._lookup:
+            if functions.where is not None:
+                pattern = 2 * pattern + functions.where[self.view.rows[rows]]
+        order = np.argsort(pattern, kind="stable")
+        ends = np.flatnonzero(np.diff(parts[rows][order])) + 1
+        return [own[run] for own in np.split(rows[order], ends) for run in pieces(len(own))]
+
+    def _grouped(
+        self, columns: Sequence[int]
+    ) -> Mapping[Functions, Mapping[Freedom, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+        """Return, by function set and derivative, the positions in ``columns``, the indices of functions and the weights."""
+        lists: dict[Functions, dict[Freedom, list[tuple[int, int, float]]]] = {}
+        for place, i in enumerate(columns):
+            column = self.columns[i]
+            for part in column.terms:
+                functions, index = self._location(part)
+                own = lists.setdefault(functions, {}).setdefault(part.freedom, [])
+                own.append((place, index, part.weight * column.scale))
+        return {functions: {freedom: _as_arrays(own) for freedom, own in of.items()} for functions, of in lists.items()}
+
+
+def _as_arrays(entries: Sequence[tuple[int, int, float]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    first, second, third = zip(*entries, strict=True)
+    return np.array(first), np.array(second), np.array(third)
+
+
+_PairCodes = tuple[np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]
+
+
+def _pair_codes(groups: Sequence[np.ndarray], count: int) -> _PairCodes:
+    """Return the pairs of columns within groups, each once.
+
+    Args:
+        groups: indices of columns, (groups, w) each.
+        count: number of columns.
+
+    Returns:
+        The codes of the pairs (first · count + second); whether first ≤ second; for each array of groups, the positions of its
+        (groups, w, w) pairs among the codes; and for each pair with first > second, the position of the transposed pair.
+    """
+    codes = [columns[:, :, None] * count + columns[:, None, :] for columns in groups]
+    pairs, places = np.unique(np.concatenate([np.zeros(0, dtype=int), *map(np.ravel, codes)]), return_inverse=True)
+    lower = pairs // count <= pairs % count
+    transposed = np.searchsorted(pairs, pairs[~lower] % count * count + pairs[~lower] // count)
+    ends = np.cumsum([code.size for code in codes])[:-1]
+    own = [place.reshape(code.shape) for place, code in zip(np.split(places, ends), codes, strict=True)]
+    return pairs, lower, own, transposed
+
+
+def signatures_of(view: View, columns: Sequence[Column]) -> np.ndarray:
+    """Return signatures (points, 3, columns) of a few columns at all points of a view."""
+    return Signatures(view, columns).at(PointBlock(view, slice(None)))
