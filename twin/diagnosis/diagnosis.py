@@ -1,4 +1,4 @@
-"""The answer, in words as well."""
+"""The result of a diagnosis, with its text."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from twin.diagnosis.wording.text import diagnosis_brief, diagnosis_text
 @final
 @dataclass(frozen=True)
 class Diagnosis(Answer):
-    """What the simulation gets wrong about measured data, and why; see `Answer` for the numbers."""
+    """The errors that measured data show beyond the model, and their causes; see `Answer` for the numbers."""
 
     def to_text(self) -> str:
-        """For people, in lines of at most 100 characters."""
+        """Return the diagnosis in words, in lines of at most 100 characters."""
         return diagnosis_text(self)
 
     def _repr_html_(self) -> str:
