@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 
 import twin
 from twin.cli.commands import app
-from twin.comparison.pairs import joint_spread, paired
-from twin.comparison.significance import FALSE_ALARMS, SHARE, fewest, holm, simultaneous_factor, whiten
+from twin.comparison.pairs import joint_covariance, pair_errors
+from twin.comparison.significance import FALSE_ALARMS, SHARE, smallest_set, holm_adjusted, simultaneous_factor, whiten
 from twin.machine.control import ControlSection, TableEntry
 from twin.machine.effects.entries import effect_named
 from twin.numerics.covariance import Covariance
@@ -94,12 +94,12 @@ def drawn(truth: twin.Calibration, rng: np.random.Generator) -> twin.Calibration
 
 def looks(first: twin.Calibration, second: twin.Calibration) -> tuple[bool, bool, tuple[str, ...]]:
     """The three looks that need no tool: all together, error by error, the fewest."""
-    pairs, _ = paired(first, second)
+    pairs, _ = pair_errors(first, second)
     white = whiten(
-        np.concatenate([pair.change for pair in pairs]), joint_spread(pairs, (first.covariance, second.covariance))
+        np.concatenate([pair.change for pair in pairs]), joint_covariance(pairs, (first.covariance, second.covariance))
     )
-    own = holm([whiten(pair.change, pair.spread).p_value for pair in pairs])
-    found = fewest(pairs, white, [MACHINE.by_name[pair.axis].linear for pair in pairs])
+    own = holm_adjusted([whiten(pair.change, pair.covariance).p_value for pair in pairs])
+    found = smallest_set(pairs, white, [MACHINE.by_name[pair.axis].linear for pair in pairs])
     return white.p_value <= SHARE, min(own) <= SHARE, tuple(pairs[one.pair].name for one in found.culprits)
 
 
@@ -155,7 +155,7 @@ def test_the_same_curve_written_otherwise_has_not_changed(coefficients: list[flo
     one = replace(base, curves=MappingProxyType({"E_XX": whole}))
     for curve in (whole.written("bernstein", len(coefficients) + 1), small):
         (pair,) = (
-            p for p in paired(one, replace(one, curves=MappingProxyType({"E_XX": curve})))[0] if p.name == "E_XX"
+            p for p in pair_errors(one, replace(one, curves=MappingProxyType({"E_XX": curve})))[0] if p.name == "E_XX"
         )
         # Rounding of the conversions, of numbers up to 70.
         assert np.abs(pair.values).max() < 1e-10
@@ -177,14 +177,14 @@ def test_change_and_its_uncertainty_are_the_functions_own(seed: int) -> None:
         )
     base = made(u=None)
     one, two = (replace(base, curves=MappingProxyType({"E_XX": curve})) for curve in curves)
-    pair = paired(one, two)[0][0]
+    pair = pair_errors(one, two)[0][0]
     q = pair.positions
     assert pair.values == pytest.approx(curves[1](q) - curves[0](q), abs=1e-11)
     u = np.polynomial.polynomial.polyvander((q - 250.0) / 250.0, 5)
     expected = sum(
         np.einsum("gi,ij,gj->g", u[:, :n], c.covariance, u[:, :n]) for n, c in zip((4, 6), curves, strict=True)
     )
-    assert np.einsum("gi,ij,gj->g", pair.shape, pair.spread, pair.shape) == pytest.approx(expected, rel=1e-9)
+    assert np.einsum("gi,ij,gj->g", pair.shape, pair.covariance, pair.shape) == pytest.approx(expected, rel=1e-9)
     assert float(pair.change @ pair.change) == pytest.approx(float(np.mean(pair.values**2)), rel=1e-9)
 
 
@@ -206,7 +206,7 @@ def test_a_band_holds_the_whole_curve_in_nineteen_of_twenty_cases() -> None:
 def test_an_unlimited_axis_is_compared_round_the_turn_wherever_the_domains_begin() -> None:
     one = made(curves={"E_ZC": ((0.0, 360.0), "fourier", (0.0, 3.0, 1.0))}, squareness={}, location={})
     two = made(curves={"E_ZC": ((-180.0, 180.0), "fourier", (0.0, 3.0, 1.0, 2.0, 0.0))}, squareness={}, location={})
-    pair = paired(one, two)[0][0]
+    pair = pair_errors(one, two)[0][0]
     assert pair.values == pytest.approx(2.0 * np.cos(2.0 * np.deg2rad(pair.positions)), abs=1e-12)
 
 
@@ -259,7 +259,7 @@ def test_conventions_without_variance_are_left_out_and_told() -> None:
     ]
     found = twin.compare(*sides, poses=20)
     (error,) = found.errors
-    assert error.fixed == pytest.approx(10.0, rel=1e-3) and error.significant is False
+    assert error.without_variance == pytest.approx(10.0, rel=1e-3) and error.significant is False
     assert found.verdict == "unchanged" and found.unjudged == ("E_XX",)
     white = whiten(np.array([10.0, 0.1, 0.0]), 2.0 * matrix)
     assert white.rank == 2 and white.chi2 == pytest.approx(0.1**2 / 0.4)
@@ -282,7 +282,7 @@ def test_an_error_only_one_gives_is_listed_and_not_taken_as_zero() -> None:
         extra=(effect_named("reversal", "Y", {"size": 4.0}, MACHINE),),
     )
     found = twin.compare(older, newer, poses=20)
-    assert {one.name: one.given_by for one in found.apart} == {"E_X0C": "first", "reversal:Y": "second"}
+    assert {one.name: one.given_by for one in found.not_compared} == {"E_X0C": "first", "reversal:Y": "second"}
     assert found.unjudged == ("E_X0C", "reversal:Y")
     assert "E_X0C" not in {error.name for error in found.errors}
 
@@ -348,9 +348,9 @@ def test_words_follow_what_the_changes_have_in_common() -> None:
             made(), made(curves=knocked, squareness={**SQUARENESS, "E_A0Z": -22.0, "E_B0Z": 4.0}), poses=20
         ).meaning
     )
-    assert "Everything that changed is at one axis, Z" in text
+    assert "All changes are at one axis, Z" in text
     found = twin.compare(made(), drawn(made(), np.random.default_rng(1)), poses=20, tolerance_mm=1.0)
-    assert found.verdict == "unchanged" and "the older one stands" in found.meaning[0]
+    assert found.verdict == "unchanged" and "the older one remains valid" in found.meaning[0]
     assert found.good_enough is True and found.tool.left.enough(0.1) is not True
 
 

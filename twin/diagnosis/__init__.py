@@ -2,16 +2,16 @@
 
     twin diagnose measured.csv --calibration mine.yaml --json diagnosis.json --html diagnosis.html --extended better.yaml
 
-**Residuals.** The positions of stations and targets are fitted, nothing else. The residuals are compared with the measurement noise: the
+**Residuals.** The positions of stations and targets are fitted, nothing else. The residuals are compared with measurement noise: the
 table's `u_x_mm …`, else the noise model of the named instrument, else the spread of repeats (after removing everything that may
 differ between them), else the residuals that no simple form of any cause explains. Outliers are listed and set aside, unless one of the
 causes explains them.
 
-**Causes.** Every effect of a catalogue is tested wherever the machine can have it: reversal, constant or along the travel; pitch errors;
-squareness; axis locations; curves of the linear axes; harmonics of the rotary axes; thermal expansion, growth and drift; an error of one
-axis that grows with another; droop of the cradle; compliance under gravity and under a payload. So are errors of the instrument: a
-re-aligned frame, a drifting station, a bumped target, the refractive index, scales and shears of one of several stations or rounds,
-positions reported before an axis had settled, readings taken later than the positions (column `feed_mm_min`, or rows read in
+**Causes.** Every effect of a catalogue is tested wherever the machine can have it: reversal, constant or along the travel; pitch
+errors; squareness; axis locations; curves of the linear axes; harmonics of the rotary axes; thermal expansion, growth and drift; an
+error of one axis that grows with another; droop of the cradle; compliance under gravity and under a payload. So are errors of the
+instrument: a re-aligned frame, a drifting station, a bumped target, the refractive index, scales and shears of one of several stations
+or rounds, positions reported before an axis had settled, readings taken later than the positions (column `feed_mm_min`, or rows read in
 motion). So are errors of the calibration: a polynomial fitted without its constant, terms that the machine does not have, a wrong
 sign, a curve under another name or at another joint.
 
@@ -24,8 +24,8 @@ record. A straight drift of the machine is a `thermal_drift` with its rate, and 
 constant is longer); in a calibration it is `{effect: thermal_drift, where: Z, parameters: {rate: 3.2}}`, µm/h. Targets on both sides
 separate the two; with targets on one side only, both are named.
 
-Joints deflect (`gravity_compliance`) under the weights of the URDF and under a payload that it does not contain: one `payload` per side,
-mass and centre of gravity in the tool's or the work's frame, the same for all joints that carry it. In a calibration it is
+Joints deflect (`gravity_compliance`) under the weights of the URDF and under a payload that it does not contain: one `payload` per
+side, mass and centre of gravity in the tool's or the work's frame, the same for all joints that carry it. In a calibration it is
 `{effect: payload, where: tool, parameters: {mass: 2.4, centre_x_mm: 35, centre_y_mm: -20, centre_z_mm: 60}}`, part of the load of every
 `gravity_compliance` in the file, whose uncertainties there hold for exactly this payload. If the machine's own weight has no effect
 on the readings, as if the control corrected it, only the products of compliance and mass are known: the mass is then at its bound, the
@@ -45,8 +45,8 @@ pattern is not named.
 fit, only those causes are named that are significant against the residuals and reduce the held-out error; the others are listed as not
 named. On 24 poses of an arm whose joints have random errors, 30 causes fitted everything; none is named.
 
-**Verdict.** `consistent`, `explained` (the causes carry nine tenths of the excess), `ambiguous` (a cause is confounded with others, which
-are named, with points to measure that separate them) or `unexplained`. Each cause has the probability given by a second, Bayesian
+**Verdict.** `consistent`, `explained` (the causes carry nine tenths of the excess), `ambiguous` (a cause is confounded with others,
+which are named, with points to measure that separate them) or `unexplained`. Each cause has the probability given by a second, Bayesian
 method (sum of single effects, `twin.diagnosis.judgement.second_opinion`); if the two methods disagree, the verdict is `ambiguous`.
 
 **Extended calibration.** `--extended` writes the calibration with the errors of the machine that were found, parameters and
@@ -61,9 +61,9 @@ few positions that do not predict held-out ones, nor pitch errors at evenly spac
 
 **Gain.** Every figure of gain is evaluated anew on the readings with the calibration as written. What is held out depends on the
 claim: positions or poses for functions of position, rounds or blocks of time for changes in time, with a confidence interval from six
-groups on. The causes are those found on all readings; each is fitted to the other groups, and stays only if it is significant there. The
-selection has therefore seen all readings, and the payload's mass and centre are those of all readings: held-out figures are slightly
-optimistic.
+groups on. The causes are those found on all readings; each is fitted to the other groups, and stays only if it is significant there.
+The selection has therefore seen all readings, and the payload's mass and centre are those of all readings: held-out figures are
+slightly optimistic.
 
 **Empirical effects.** `--extended better.yaml --empirical` adds an effect `empirical` for each unexplained pattern on one side of the
 machine, without a known cause. It shifts that side by a smooth function of the pattern's columns (positions, approach directions,
@@ -101,10 +101,10 @@ the whole catalogue and scaled to a noncentrality λ after projection; isotropic
 
 At λ = 30 a test that knew λ and the distribution of the effects would find 93 to 94 % at the same rate of false alarms.
 
-On data of four machines simulated without linearisation (`python -m tests.benchmark -o DIR --kinds outside nothing mixed300 --draws 2`),
-64 cases with a pattern at λ = 300 that is in no catalogue (short waves, products, reversals that depend on the position, jumps, bumps,
-sawteeth, temporary drifts): 100 % unexplained, 98 % with the right column, 5 % with a false cause of the machine. Of 8 cases with both
-such a pattern and a known effect, 7 had the right name.
+On data of four machines simulated without linearisation (`python -m tests.benchmark -o DIR --kinds outside nothing mixed300
+--draws 2`), 64 cases with a pattern at λ = 300 that is in no catalogue (short waves, products, reversals that depend on the position,
+jumps, bumps, sawteeth, temporary drifts): 100 % unexplained, 98 % with the right column, 5 % with a false cause of the machine. Of 8
+cases with both such a pattern and a known effect, 7 had the right name.
 
 Standard methods with the same candidates on the same cases of three of these machines (`python -m tests.benchmark -o DIR --machines
 trunnion robot stage --kinds known60 nothing outside-smooth outside-lost --draws 3 --method twin --method stepwise-bic --method

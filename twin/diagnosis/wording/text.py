@@ -12,7 +12,6 @@ from twin.diagnosis.result import Answer, Cause, readable_unit
 from twin.diagnosis.wording.verdict import facts, headline, sentence
 from twin.diagnosis.wording.words import (
     coefficient,
-    separating_points,
     grouped,
     held_out_words,
     likelihood_words,
@@ -24,6 +23,7 @@ from twin.diagnosis.wording.words import (
     percent,
     plain,
     probability,
+    separating_points,
     symbol,
 )
 from twin.display.numbers import tied
