@@ -1,7 +1,7 @@
-"""From the causes to the answer: what is left, the extended calibration, what it gains, and what these data could not show.
+"""From the causes to the result: unexplained residuals, the extended calibration, its gain, and the causes that are not identifiable.
 
-What the causes leave is either patterns without a name or more scatter than stated. A cause that data could not show, however large,
-looks like something of the set-up or of the calibration's own uncertainty: which, is said.
+Residuals that the causes do not explain are either unnamed patterns or excess noise. A cause that is not identifiable is confounded
+with the set-up or with the uncertainty of the calibration; the result says with which.
 """
 
 from __future__ import annotations
@@ -35,17 +35,18 @@ from twin.numerics.covariance import Covariance
 from twin.numerics.observability import Unknown, determinability
 
 MOSTLY_EXPLAINED: Final = 0.1
-"""Share of the excess that causes may leave and still count as the explanation."""
+"""Share of the excess that may remain unexplained for the verdict ``explained``."""
 RANKED: Final = 12
+"""Largest number of causes in the ranking."""
 
 
 def answer(judged: Judged, calibration: Calibration, *, empirical: bool = False) -> Diagnosis:
-    """The whole answer.
+    """Return the complete diagnosis.
 
     Args:
         judged: the causes as they are reported.
-        calibration: the model that was judged.
-        empirical: whether what is left unexplained extends the calibration as well.
+        calibration: the calibration tested.
+        empirical: whether unexplained patterns extend the calibration as well.
     """
     sized, found = judged.sized, judged.sized.found
     problem, network = found.problem, found.problem.network
@@ -77,7 +78,7 @@ def answer(judged: Judged, calibration: Calibration, *, empirical: bool = False)
         next_measurement=judged.next_measurement,
         trends=misfit.trends,
         ranking=_ranking(found.pool),
-        # Last: it puts the pool back to what was tried.
+        # Evaluated last: it resets the pool.
         gain=gain(sized, (residual, after), left, unnamed) if changed else None,
         tried=len(found.posed.known.candidates),
         scatter=found.posed.scatter.source,
@@ -92,12 +93,12 @@ def answer(judged: Judged, calibration: Calibration, *, empirical: bool = False)
 
 
 def _extended(judged: Judged, calibration: Calibration, unnamed: Extended | None) -> Calibration:
-    """The calibration with the causes that are promised, and with what was made of the rest."""
+    """Return the calibration extended by the promised causes and by the empirical effects, if any."""
     effects: list[Effect] = judged.sized.effects
     covariance = judged.sized.covariance
     if unnamed is not None:
         effects = [*effects, *unnamed.effects]
-        # Independent: the causes' covariance already holds what the patterns can do to them.
+        # As independent blocks: the covariance of the causes already contains the influence of the patterns.
         covariance = Covariance.of_blocks([covariance, unnamed.covariance])
     if not effects:
         return calibration
@@ -115,7 +116,7 @@ def _verdict(judged: Judged, left: Unexplained | None) -> Verdict:
 
 
 def _unidentifiable(found: Findings) -> dict[tuple[str, str], str]:
-    """Candidates that the data could not show, and what looks the same as each."""
+    """Return the candidates that the data cannot show, with what each is confounded with."""
     pool = found.pool
     seen: dict[tuple[str, str], bool] = {}
     for form, score in zip(pool.forms, pool.scores([], range(len(pool.forms))), strict=True):
@@ -135,22 +136,23 @@ def _ranking(pool: Pool) -> tuple[tuple[str, str, float, float], ...]:
 
 
 SEEN_AT: Final = 0.05
-"""Chance below which a column is said to go with the misfit."""
+"""p-value below which a trend of the residuals with a column is reported."""
 LARGE: Final = 1e-4
+"""p-value of the residuals from which on they count as noise."""
 SMALL: Final = 0.01
-"""Share of the excess below which what is left beside causes is noted, and no finding: real machines have some everywhere."""
+"""Share of the excess below which unexplained residuals are not a finding: real machines always have some."""
 
 
 @final
 @dataclass(frozen=True)
 class WholeMisfit:
-    """The misfit of the readings.
+    """The residuals of all readings.
 
     Attributes:
-        p_value: chance of as large a one without any cause.
-        expected_um: RMS a coordinate that the scatter lets expect.
-        trends: columns it goes with, one by one, before any cause is taken out.
-        left: what the causes leave of it; None where that is no more than scatter.
+        p_value: of the residuals without any cause.
+        expected_um: RMS per coordinate expected from measurement noise.
+        trends: columns that the residuals depend on, one by one, before any cause is fitted.
+        left: unexplained residuals; None if they are compatible with noise.
     """
 
     p_value: float
@@ -160,10 +162,10 @@ class WholeMisfit:
 
 
 def misfit_of(sized: Sized) -> WholeMisfit:
-    """The misfit, and what the causes leave of it.
+    """Return the statistics of the residuals, and those the causes do not explain.
 
     Args:
-        sized: the causes, with their sizes.
+        sized: the causes with their sizes.
     """
     problem, found = sized.found.problem, sized.found
     chances = [_p_value(problem, found.posed.scatter), *(float(np.exp(t.log_paid)) for t in found.structure.traces)]
@@ -171,7 +173,7 @@ def misfit_of(sized: Sized) -> WholeMisfit:
 
 
 def _unexplained(sized: Sized) -> Unexplained | None:
-    """What the causes leave: the patterns, or more scatter than stated."""
+    """Return the unexplained residuals: unnamed patterns, or excess noise."""
     found, forms, excess = sized.found, sized.forms, sized.excess
     problem, structure = found.problem, found.structure
     if structure.traces:
@@ -182,8 +184,8 @@ def _unexplained(sized: Sized) -> Unexplained | None:
         carrier = sides.pop() if len(sides) == 1 else "both"
         size = float(np.sqrt(np.nansum(patterns_um**2) / max(np.count_nonzero(problem.network.read), 1)))
         text = (
-            f"a pattern that goes with {' and '.join(columns)} on the {carrier} side, {size:.2g} µm RMS a coordinate, "
-            f"{100 * share:.2g} % of the excess, fits no effect that is known here"
+            f"a pattern that depends on {' and '.join(columns)} on the {carrier} side, {size:.2g} µm RMS per coordinate, "
+            f"{100 * share:.2g} % of the excess, matches no known effect"
         )
         return Unexplained(share, columns, carrier, text, size)
     after = problem.chi2 - sized.estimate.explained
@@ -192,12 +194,12 @@ def _unexplained(sized: Sized) -> Unexplained | None:
     if more >= LARGE or (forms and share <= SMALL):
         return None
     size = float(np.sqrt(max(after / problem.dof - 1.0, 0.0))) * _expected_um(problem)
-    what = "more scatter than stated" + (" is left" if forms else "")
-    return Unexplained(share, (), "both", f"{what}, without any pattern in the columns given", size)
+    what = "the residuals exceed the stated noise" + (" even with the causes in the model" if forms else "")
+    return Unexplained(share, (), "both", f"{what}, without a pattern in any column of the table", size)
 
 
 def _trends(found: Findings) -> tuple[Trend, ...]:
-    """Columns the misfit goes with, one by one, before any cause is taken out."""
+    """Return the columns that the residuals depend on, one by one, before any cause is fitted."""
     single = [pattern for pattern in found.patterns if len(pattern.channels) == 1]
     best: dict[tuple[str, str], Trace] = {}
     for trace in scan(found.problem, [one for one in single if one.field == "base"], (), found.posed.scatter.dof):
@@ -210,7 +212,7 @@ def _trends(found: Findings) -> tuple[Trend, ...]:
 
 
 def _p_value(problem: Problem, scatter: Scatter, chi2: float | None = None, fitted: int = 0) -> float:
-    """Chance of as large a misfit without any cause, or of a misfit once some numbers were fitted."""
+    """Return the p-value of the residuals without any cause, or of a given χ² after fitting some parameters."""
     chi2, dof = problem.chi2 if chi2 is None else chi2, max(problem.dof - fitted, 1)
     if np.isfinite(scatter.dof):
         return float(f_sf(chi2 / dof, dof, scatter.dof))
@@ -218,7 +220,7 @@ def _p_value(problem: Problem, scatter: Scatter, chi2: float | None = None, fitt
 
 
 def _expected_um(problem: Problem) -> float:
-    """RMS a coordinate that the scatter lets expect, µm."""
+    """Return the RMS residual per coordinate expected from measurement noise, µm."""
     variances = np.einsum("nii->ni", problem.network.covariance)[problem.network.read]
     return float(np.sqrt(np.mean(variances) * problem.dof / problem.readings)) * 1e6
 
@@ -227,17 +229,17 @@ ITSELF: Final = "itself"
 
 
 def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str], str]:
-    """A sentence for every candidate that none of its forms shows.
+    """Return for each candidate that is not identifiable what it is confounded with, in words.
 
     Args:
         problem: the data.
-        forms: of those candidates, all of them.
+        forms: all forms of these candidates.
     """
     every = list(dict.fromkeys((form.key, column) for form in forms for column in form.cell.columns))
     if not every:
         return {}
     found = problem.products([column for _, column in every])
-    # Beside the set-up there is next to nothing of them; what there was before is what the basis has of it, too.
+    # Little of these columns remains after projecting out the set-up; the basis holds the part that was projected out.
     sizes_of = np.sqrt(np.maximum(np.diag(found.gram), 0.0) + np.sum(found.basis**2, axis=0))
     strongest: dict[tuple[str, str], tuple[float, int]] = {}
     for i, ((key, _), size) in enumerate(zip(every, sizes_of.tolist(), strict=True)):
@@ -246,7 +248,7 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
     own = [i for _, i in strongest.values()]
     setup = named_setup(problem.setup)
     count, doubt = len(setup), len(problem.prior)
-    # All of it in the directions of the basis, and what of the causes is beside them.
+    # The whole in the directions of the basis, and the part of the causes orthogonal to it.
     values, vectors = np.linalg.eigh(found.gram[np.ix_(own, own)])
     beside = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     whole = np.zeros((len(problem.back) + len(own), doubt + count + len(own)))
@@ -254,28 +256,28 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
         [problem.back[:, count:], problem.back[:, :count], found.basis[:, own]], axis=1
     )
     whole[len(problem.back) :, doubt + count :] = beside
-    # Triangular, the calibration's doubt first: below it stands what that doubt does not take up, and every choice among its columns
-    # is a factor of theirs.
+    # Triangular, the calibration's uncertainty first: the rows below it hold what that uncertainty does not absorb, and any choice of
+    # their columns is a factor of the corresponding part.
     left = np.asarray(np.linalg.qr(whole, mode="r"))[doubt:, doubt:]
-    # Columns are in plausible sizes; of the cause one is a millimetre or milliradian at its largest.
+    # Columns are in plausible sizes; a unit of the cause is at most one millimetre or milliradian.
     sizes = np.array([*(one.plausible * one.factor for one in setup), 1.0])
     unknowns = [*setup, Unknown(ITSELF, "", 1.0)]
     said = {}
     for k, (key, (size, _)) in enumerate(strongest.items()):
         if size**2 <= SEEN:
-            said[key] = "nothing that was moved shows it"
+            said[key] = "no motion in the measurement shows it"
             continue
         if float(np.linalg.norm(left[:, count + k])) ** 2 <= SEEN:
-            said[key] = "the calibration itself is not known well enough"
+            said[key] = "the uncertainty of the calibration hides it"
             continue
         columns = np.array([*range(count), count + k])
-        told = determinability(left[:, columns] / sizes, unknowns, tolerance=float(np.sqrt(SEEN)))
-        direction = told.moving(ITSELF)
+        observed = determinability(left[:, columns] / sizes, unknowns, tolerance=float(np.sqrt(SEEN)))
+        direction = observed.moving(ITSELF)
         if direction is None:
-            said[key] = "stations, targets and the calibration's own doubt together take it up"
+            said[key] = "confounded with the stations, the targets and the uncertainty of the calibration together"
             continue
         first, *others = direction.moves
-        # What makes up for it is the opposite of what it looks like.
+        # The compensating moves, with opposite sign, are what it looks like.
         same = ", ".join(f"{move.name} {-move.value / first.value:+.3g} {move.unit}" for move in others)
-        said[key] = f"{LARGEST * 1e-3:g} mm or mrad of it looks like {same}"
+        said[key] = f"{LARGEST * 1e-3:g} mm or mrad of it is equivalent to {same}"
     return said

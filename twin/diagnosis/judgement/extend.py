@@ -1,7 +1,7 @@
-"""Effects without a known cause, made of the patterns that no named cause explains.
+"""Empirical effects, without a known cause, fitted to the patterns that no named cause explains.
 
-Their coefficients are what is most likely at the variances of the patterns, beside the causes as they are written. They enter a
-calibration only where readings held out confirm them, and hold only within the ranges that were measured.
+Their coefficients are the most likely ones at the variances of the patterns, with the causes fixed at their written sizes. They enter
+a calibration only if held-out readings confirm them, and are valid only within the measured ranges.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ DIRECTIONS: Final = 3
 @final
 @dataclass(frozen=True, eq=False)
 class Extended:
-    """What is made of the patterns.
+    """Empirical effects fitted to the unexplained patterns.
 
     Attributes:
-        extension: what is said of it.
-        effects: those that are written; none where held-out readings do not confirm them.
+        extension: their description in the result.
+        effects: those that are written; empty if held-out readings do not confirm them.
         covariance: of their parameters.
-        written: numbers of the patterns they are made of.
-        left_um: RMS a coordinate of the patterns that are not written beside these.
+        written: numbers of their patterns.
+        left_um: RMS per coordinate of the patterns that are not written.
     """
 
     extension: Extension
@@ -51,16 +51,16 @@ class Extended:
 
 
 def extend(sized: Sized, calibration: Calibration) -> Extended:
-    """Make an effect of each pattern, and hold readings out to see whether they gain.
+    """Fit an empirical effect to each pattern, and test on held-out readings whether the effects reduce the residuals.
 
     Args:
-        sized: the causes that stand, with their sizes.
-        calibration: the model that was judged.
+        sized: the causes with their sizes.
+        calibration: the calibration tested.
     """
     found, forms = sized.found, sized.forms
     likelihood = found.structure.likelihood
     if likelihood is None or not likelihood.traces:
-        return _nothing(Extension((), 0.0, None, False, "it goes with no column of the table"))
+        return _not_extended(Extension((), 0.0, None, False, "it depends on no column of the table"))
     machine, problem = found.problem.network.machine, found.problem
     model = likelihood.fit(forms, found.structure.model)
     left = problem.residual - sized.estimate.signature.sum(axis=1)
@@ -88,32 +88,32 @@ def extend(sized: Sized, calibration: Calibration) -> Extended:
     reason = _unproven(held) if effects else "; ".join(dict.fromkeys(str(term.reason) for term in terms))
     extension = Extension(tuple(terms), _rms(problem, moved), held, reason is None, reason)
     if reason is not None:
-        return _nothing(extension)
+        return _not_extended(extension)
     names = tuple(parameter.name for effect in effects for parameter in effect.parameters)
     matrix = locked(covariance[np.ix_(kept, kept)])
     return Extended(extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, stays))
 
 
-def _nothing(extension: Extension) -> Extended:
+def _not_extended(extension: Extension) -> Extended:
     return Extended(extension, (), Covariance.none(), (), 0.0)
 
 
 def _rms(problem: Problem, made: np.ndarray) -> float:
-    """µm a coordinate of what (3n,) whitened shifts do to the readings, beside the set-up."""
+    """Return the RMS per coordinate, µm, of (3n,) whitened shifts after projecting out the set-up."""
     return rms(unwhitened(problem, problem.project(made)), problem.network.read)
 
 
 def _term(trace: Trace, machine: Machine, size: float, taken: Sequence[str]) -> Term:
-    """What an effect of a pattern would be, and why there can be none."""
+    """Return the term of a pattern, with the reason if it cannot become an effect."""
     pattern = trace.pattern
     columns = pattern.waves(trace.level)
     along = _along(trace)
     reason = None
     unknown = [one.column for one in columns if not usable(one.column, machine)]
     if unknown:
-        reason = f"it goes with {' and '.join(unknown)}, which a later program does not know"
+        reason = f"it depends on {' and '.join(unknown)}, which a later program does not know"
     elif size == 0.0:
-        reason = "beside the causes nothing of it is left"
+        reason = "with the causes in the model its size is zero"
     else:
         try:
             acting_frame(pattern.side, along, machine)
@@ -132,19 +132,19 @@ def _along(trace: Trace) -> Literal["base", "tool", "work"]:
 def _effect(
     term: Term, trace: Trace, machine: Machine, likelihood: Likelihood, k: int, which: np.ndarray, values: np.ndarray
 ) -> Empirical:
-    """The effect of one pattern.
+    """Return the empirical effect of one pattern.
 
     Args:
-        term: its place.
+        term: side, columns and ranges of the effect.
         trace: the pattern.
         machine: the machine.
         likelihood: of all patterns.
-        k: number of this one.
-        which: numbers of its columns that are followed.
-        values: how much of each, µm.
+        k: number of this pattern.
+        which: numbers of its columns with a coefficient.
+        values: their coefficients, µm.
     """
     columns = trace.pattern.waves(trace.level)
-    # Columns of a direction stand together, in the order of the functions.
+    # Columns are sorted by direction, then by function.
     names = np.array(Empirical.names(columns)).ravel()
     own = np.flatnonzero(likelihood.group // DIRECTIONS == k)
     chosen = names[np.searchsorted(own, which)].tolist()
@@ -154,13 +154,13 @@ def _effect(
 
 
 def _unproven(held: HeldOut | None) -> str | None:
-    """Why held-out readings do not show that the effects gain; None where they do."""
+    """Return why held-out readings do not confirm the effects; None if they do."""
     if held is None:
-        return "nothing could be held out to confirm it"
+        return "no readings could be held out to confirm it"
     if held.ci95_um is None:
         return f"fewer than {ENOUGH} {held.of} could be held out, too few to confirm it"
     if held.ci95_um[0] <= 0.0:
         return (
-            f"{held.of} held out do not confirm it ({held.before_um:.3g} µm without it, {held.after_um:.3g} µm with it)"
+            f"held-out {held.of} do not confirm it ({held.before_um:.3g} µm without it, {held.after_um:.3g} µm with it)"
         )
     return None

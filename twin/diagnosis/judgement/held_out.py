@@ -1,4 +1,4 @@
-"""Residuals of readings that the fit has not seen, without and with what was found."""
+"""Residuals of held-out readings, without and with the causes found."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from twin.machine.effects.waves import APPROACH
 
 
 def held_out(sized: Sized, written: Collection[int] = ()) -> HeldOut | None:
-    """Residuals of readings that the fit has not seen, without and with the causes that are worth their price on the others.
+    """Return the residuals of held-out readings, without and with the causes that are significant on the other readings.
 
-    The search begins with the causes that stand; where a period lies or what cannot be is forgotten first. None where nothing can be
-    held out.
+    The search on each part starts from the selected causes; fitted periods and forbidden causes are reset first. None if nothing can
+    be held out.
 
     Args:
-        sized: the causes that stand in the end: they decide what is held out (`twin.diagnosis.selection.folds`).
+        sized: the causes with their sizes; they decide what is held out (`twin.diagnosis.selection.left_out`).
         written: numbers of the patterns that are in the file as well.
     """
     found, forms = sized.found, sized.forms
@@ -47,7 +47,7 @@ def held_out(sized: Sized, written: Collection[int] = ()) -> HeldOut | None:
         return None
 
     def judged(small: Pool) -> tuple[np.ndarray, np.ndarray]:
-        # Where causes were refuted by readings left out, those that stand are not searched anew.
+        # If held-out readings refuted causes, the remaining ones are not searched again.
         chosen = forms if found.refuted else chosen_on(small, forms).forms
         kept, likelihood = again(small, chosen, found.structure)
         after = foretold(problem, small, [form for form in kept if form.key not in barred])
@@ -59,17 +59,17 @@ def held_out(sized: Sized, written: Collection[int] = ()) -> HeldOut | None:
 
 
 def held_out_patterns(found: Findings, forms: Sequence[Form], written: Collection[int]) -> HeldOut | None:
-    """Residuals of readings held out, with the causes alone and with some patterns beside them, all fitted to the other readings.
+    """Return the residuals of held-out readings, with the causes alone and with some patterns added, fitted to the other readings.
 
     Args:
-        found: the causes and patterns.
-        forms: the causes that stand; the same on every part.
-        written: numbers of the patterns.
+        found: the selected causes and patterns.
+        forms: the causes; the same on every part.
+        written: numbers of the patterns added.
     """
     problem, structure = found.problem, found.structure
     network, pool = problem.network, found.pool
     names = {name for k in written for name in structure.traces[k].pattern.names}
-    # A direction of approach is that of a position as well.
+    # The approach direction of an axis is held out by the positions of that axis.
     axes = {state_name(name).removeprefix(APPROACH) for name in names}
     moving = [i for i, name in enumerate(network.machine.names) if name in axes]
     split = at_positions(network.data, moving) if moving else in_time(network.data)

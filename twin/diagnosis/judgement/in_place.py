@@ -1,7 +1,7 @@
-"""What could stand in a cause's place: what these data cannot tell from it, what they rule out, and what to measure next.
+"""Alternatives to a cause: those it is confounded with, those that are ruled out, and the points to measure next.
 
-To measure next: points at which two causes that these data cannot tell apart would differ most. Both are fitted to the data, each with
-its own set-up. Where their predictions then differ by d in readings of covariance V, one reading adds dᵀV⁻¹d to the discrimination
+The points to measure next are those at which the predictions of two confounded causes differ most. Both are fitted to the data, each
+with its own set-up. If their predictions then differ by d in readings of covariance V, one reading adds dᵀV⁻¹d to the discrimination
 between them (twice the expected log-likelihood ratio; Atkinson and Fedorov 1975, T-optimality).
 """
 
@@ -27,19 +27,19 @@ from twin.measurement.table import state_of
 from twin.uncertainty.budget import volume
 
 RIVALS: Final = 2
-"""Rivals of a cause for which points are suggested."""
+"""Number of alternatives of a cause for which points are suggested."""
 RUNNERS_UP: Final = 2
-"""Causes ruled out in a cause's place that are listed with it."""
+"""Number of alternatives that are ruled out and listed with a cause."""
 
 
 def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
-    """What could stand in a cause's place, the others kept, without the data objecting.
+    """Return the causes that a cause is confounded with, the other causes kept.
 
-    Beside patterns much fits that would leave the patterns more to do: what a cause carries more than another, all patterns aside, may
-    be no more than what the patterns are.
+    With unnamed patterns, an alternative may fit only because the patterns take over the difference. It is kept only if, without the
+    patterns, it explains less than the cause by no more than the patterns explain.
 
     Args:
-        found: causes and patterns.
+        found: the selected causes and patterns.
         form: the cause, of ``found.beside``.
         others: the other causes, likewise.
     """
@@ -59,7 +59,7 @@ def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tup
 
 
 def _in_place(pool: Pool, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
-    """What explains as much in a cause's place, its price paid."""
+    """Return the causes that explain as much in place of a cause, corrected for multiple testing."""
     margin = _margin(pool, form, others)
     used = {one.key for one in others} | {form.key}
     tried = [i for i, one in enumerate(pool.forms) if one.key not in used]
@@ -72,7 +72,7 @@ def _in_place(pool: Pool, form: Form, others: Sequence[Form]) -> tuple[tuple[str
             elsewhere = pool.forms[i].candidate.origin != form.candidate.origin
             more = dof > own and not elsewhere
             if worth > margin - DOUBT and more and pool.contains([*others, pool.forms[i]], others, form):
-                continue  # the same thing, said with more
+                continue  # contains the cause, with more parameters
             if worth > margin - DOUBT and pool.cancels(pool.forms[i], others, form):
                 continue
             if worth > margin - DOUBT and excessive(pool, pool.forms[i], [*others, pool.forms[i]]) > 1.0:
@@ -83,9 +83,9 @@ def _in_place(pool: Pool, form: Form, others: Sequence[Form]) -> tuple[tuple[str
 
 
 def _several(pool: Pool, form: Form, others: Sequence[Form]) -> list[tuple[str, str]]:
-    """Causes of one effect that explain together, with no more numbers, what one cause of the other origin does.
+    """Return causes of one effect that together explain as much as one cause of the other origin, with no more parameters.
 
-    A station that drifts along three directions, and a tool side that does so along each.
+    Example: drift of a station in three directions, and drift of the tool side along each of them.
     """
     explained, _ = pool.scan(others)
     used = {one.key for one in others} | {form.key}
@@ -110,13 +110,13 @@ def _several(pool: Pool, form: Form, others: Sequence[Form]) -> list[tuple[str, 
 
 
 def _margin(pool: Pool, form: Form, others: Sequence[Form]) -> float:
-    """What a cause explains beside others, its price paid."""
+    """Return the χ² that a cause explains given others, less its correction for multiple testing."""
     explained, dof = (float(values[form.index]) for values in pool.scan(others))
     return explained - pool.cost(form, dof)
 
 
 def ruled_out(pool: Pool, form: Form, others: Sequence[Form], excess: float) -> tuple[Rival, ...]:
-    """What came next in a cause's place and is ruled out."""
+    """Return the best alternatives to a cause that are ruled out."""
     margin = _margin(pool, form, others)
     used = {one.key for one in others} | {form.key}
     tried = [one for one in pool.forms if one.key not in used]
@@ -131,7 +131,7 @@ def ruled_out(pool: Pool, form: Form, others: Sequence[Form], excess: float) -> 
 
 
 def measured_next(pool: Pool, named: Sequence[Form], causes: Sequence[Cause]) -> tuple[Next, ...]:
-    """Points that tell causes from what they could be mistaken for."""
+    """Return the points to measure next, which separate the causes from their alternatives."""
     found: list[Next] = []
     for form, cause in zip(named, causes, strict=True):
         others = [one for one in named if one is not form]
@@ -148,21 +148,23 @@ def _best(pool: Pool, key: tuple[str, str], others: Sequence[Form]) -> Form:
 
 
 POSES: Final = 400
+"""Number of candidate poses."""
 SEED: Final = 1975
 WANTED: Final = 3
+"""Number of points suggested per pair of causes."""
 APART: Final = 0.15
-"""Share of the ranges two suggested poses are apart at least."""
+"""Smallest distance of two suggested poses, relative to the ranges of the axes."""
 
 
 def next_points(
     problem: Problem, form: Form, rivals: Sequence[Form], others: Sequence[Form]
 ) -> tuple[Mapping[str, Any], ...]:
-    """Points that tell a cause from its rivals.
+    """Return the points at which the predictions of a cause and its alternatives differ most.
 
     Args:
         problem: the data.
         form: the cause.
-        rivals: what could stand in its place.
+        rivals: the alternatives.
         others: the other causes.
     """
     network = problem.network
@@ -173,7 +175,7 @@ def next_points(
         theirs = _prediction(problem, [rival, *others], plan)
         name = f"{form.candidate.effect} {form.candidate.where}", f"{rival.candidate.effect} {rival.candidate.where}"
         if ours is None or theirs is None:
-            text = f"to tell {name[0]} from {name[1]}: repeat the first round without touching the instrument or the targets"
+            text = f"to separate {name[0]} from {name[1]}: repeat the first round without touching the instrument or the targets"
             found.append({"separates": list(name), "text": text})
             continue
         sigma = np.sqrt(np.einsum("nii->n", network.covariance).mean() / max(network.read.sum(axis=1).mean(), 1.0))
@@ -189,8 +191,8 @@ def next_points(
             sides = " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in approach.items())
             text = (
                 f"{where}, target {plan.target[row]}, station {plan.station[row]}"
-                + (f", arriving {sides}" if sides else "")
-                + f": tells {name[0]} from {name[1]} by {gain[row]:.2g} a point (25 is enough)"
+                + (f", approached from {sides}" if sides else "")
+                + f": separates {name[0]} from {name[1]} with χ² {gain[row]:.2g} per reading (25 in total is enough)"
             )
             found.append(
                 {
@@ -207,19 +209,19 @@ def next_points(
 
 
 def _possible(problem: Problem) -> Any:
-    """Poses over the whole volume, both directions, every target from every station that has seen it."""
+    """Return candidate poses over the volume, with both approach directions and the measured pairs of target and station."""
     data, machine = problem.network.data, problem.network.machine
     rng = np.random.default_rng(SEED)
     positions = volume(machine, POSES, SEED)
     rows = rng.integers(0, len(data), POSES)
     approach = np.where(np.any(data.approach != 0, axis=0), rng.choice([-1.0, 1.0], (POSES, len(machine.axes))), 0.0)
-    # Targets, time and temperatures as some measured point had them; the reading is only there to be replaced.
+    # Target, time and temperatures are those of a measured row; its reading is not used.
     some = data.select(rows)
     return replace(some, positions=locked(positions), approach=locked(approach))
 
 
 def _prediction(problem: Problem, forms: Sequence[Form], plan: Any) -> np.ndarray | None:
-    """(n, 3) metres: what the causes and the set-up fitted with them change at other points; None for an instrument's cause."""
+    """Return (n, 3) m, the change that causes and refitted set-up predict at other points; None for a cause of the instrument."""
     if any(form.candidate.build is None for form in forms):
         return None
     found = estimate(problem, forms)
