@@ -242,8 +242,8 @@ def unsettled(data: Measurements, machine: Machine, where: str) -> str:
     if np.mean(np.abs(steps - np.round(steps)) > FINER) <= MOST:
         return ""
     return (
-        f"the positions of {where} are finer than its least increment, so they are not the commanded ones: if they were reported before "
-        f"{where} had settled, this is no reversal; commanded positions with a column readback_{where}_{axis.unit} would decide"
+        f"the positions of {where} are finer than its least increment, so they are not the commanded ones: if they were reported "
+        f"before {where} had settled, this is no reversal; commanded positions with a column readback_{where}_{axis.unit} would decide"
     )
 
 
@@ -297,8 +297,8 @@ def _load_cause(pool: Pool, load: Load, payload: Payload, variances: np.ndarray)
     at_bound = _heaviest(load, payload)
     if at_bound:
         text += (
-            f". The mass is at its upper bound ({load.heaviest:.3g} kg): the effect of the machine's own weight is smaller than the URDF "
-            "implies, as if the control corrected it; only the products of mass and compliance are known"
+            f". The mass is at its upper bound ({load.heaviest:.3g} kg): the effect of the machine's own weight is smaller than the "
+            "URDF implies, as if the control corrected it; only the products of mass and compliance are known"
         )
     columns = [column for form in load.free for column in form.cell.columns]
     size = np.array([column.scale for column in columns])

@@ -1,7 +1,6 @@
-"""Readings left out of a fit: what causes fitted to the others predict of them, and which causes only overfit.
+"""Cross-validation: prediction of held-out readings by causes fitted to the others, and removal of causes that overfit.
 
-What is held out is what the claim is about: a function of position is held out at positions, or poses; a change in time in rounds, or
-blocks of time.
+What is held out depends on the claim: positions or poses for a function of position; rounds or blocks of time for a change in time.
 
 If the stated noise is small, every part of an unmodelled error is significant. Forty parameters then fit twenty poses and fail at the
 twenty-first. The number of causes is chosen by cross-validation (Stone 1974).
@@ -25,13 +24,13 @@ from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 
 DENSE: Final = 20
-"""Positions of an axis from which on what repeats at them holds between them as well."""
+"""Number of positions of an axis above which a curve through them is taken to be valid between them."""
 ENOUGH: Final = 6
-"""Independent groups below which no interval is given."""
+"""Smallest number of independent groups for a confidence interval."""
 
 
 def foretold_patterns(likelihood: Likelihood, forms: Sequence[Form], written: Collection[int]) -> np.ndarray:
-    """(3n,) what some patterns, fitted to a part of the readings beside causes, do to all of them.
+    """Return the (3n,) prediction for all readings of some patterns, fitted with the causes to a part of the readings.
 
     Args:
         likelihood: the patterns on that part.
@@ -44,9 +43,9 @@ def foretold_patterns(likelihood: Likelihood, forms: Sequence[Form], written: Co
 
 
 def foretold(problem: Problem, part: Pool, forms: Sequence[Form]) -> np.ndarray:
-    """(3n,) what causes fitted to a part of the readings do to all of them.
+    """Return the (3n,) prediction for all readings of causes fitted to a part of them.
 
-    Nothing along what that part does not see: it would be noise times a lever on the rest.
+    Directions that the part does not determine are set to zero; they would only amplify noise.
     """
     columns, values, _ = part.fitted(forms)
     signature = problem.signature([part.products.columns[i] for i in columns])
@@ -54,12 +53,12 @@ def foretold(problem: Problem, part: Pool, forms: Sequence[Form]) -> np.ndarray:
 
 
 def interval(table: np.ndarray) -> tuple[float, float] | None:
-    """95 % interval of the difference of two RMS values, by leaving out one group at a time; None for fewer than `ENOUGH`.
+    """Return the 95 % confidence interval of the difference of two RMS values by the jackknife; None for fewer than `ENOUGH` groups.
 
-    The jackknife's pseudo-values with Student's t (Tukey 1958): groups, not readings, are independent.
+    One group is left out at a time; pseudo-values with Student's t (Tukey 1958). Groups, not readings, are independent.
 
     Args:
-        table: (groups, 3) sums of squares before and after, and how many values.
+        table: (groups, 3) sums of squares before and after, and number of values.
     """
     count = len(table)
     if count < ENOUGH:
@@ -75,9 +74,9 @@ def interval(table: np.ndarray) -> tuple[float, float] | None:
 
 
 def foretells(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
-    """Whether a function of an axis's position foretells positions of that axis that were left out of its fit.
+    """Return whether a function of an axis's position predicts held-out positions of that axis.
 
-    A variant of another effect has to foretell more than that does: a reversal that changes along the travel more than the plain one.
+    A variant of another effect must predict better than that effect, for example a reversal curve better than a constant reversal.
 
     Args:
         pool: the data.
@@ -102,13 +101,13 @@ def foretells(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
 
 
 def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Parts) -> tuple[float, float] | None:
-    """95 % interval of what one cause gains at positions that it was not fitted to, all others kept; None where none is given.
+    """Return the 95 % interval of the gain of one cause at held-out positions, all others kept; None if there is no interval.
 
     Args:
         pool: the data.
         form: the cause.
         others: the other causes.
-        split: the positions.
+        split: the folds of positions.
     """
 
     def judged(small: Pool) -> tuple[np.ndarray, np.ndarray]:
@@ -119,12 +118,12 @@ def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Pa
 
 
 def on_parts(pool: Pool, split: Parts, judged: Callable[[Pool], Sequence[np.ndarray]]) -> np.ndarray | None:
-    """(groups, models + 1) sums of squares of what is held out, µm², with each model, and how many values.
+    """Return (groups, models + 1): sums of squared held-out residuals of each model, µm², and the number of values.
 
     Args:
         pool: all data.
-        split: what is held out together.
-        judged: the rest of the data → (3n,) what each model, fitted to it, does to the whitened readings, all of them.
+        split: the folds.
+        judged: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
     """
     problem = pool.problem
     table: np.ndarray | None = None
@@ -146,22 +145,22 @@ def on_parts(pool: Pool, split: Parts, judged: Callable[[Pool], Sequence[np.ndar
 
 
 FOLDS: Final = 8
-"""Parts at most."""
+"""Largest number of folds."""
 SEED: Final = 2001
 BLOCKS: Final = 8
-"""Parts of one long round, in time."""
+"""Number of blocks of time of a single round."""
 HeldOutOf = Literal["rounds", "positions", "poses", "blocks"]
 
 
 @final
 @dataclass(frozen=True)
 class Parts:
-    """What is held out together.
+    """Folds of a cross-validation.
 
     Attributes:
         of: ``rounds``, ``positions`` of the one axis that moved, ``poses``, or ``blocks`` of time.
-        group: (n,) the independent group of each reading.
-        part: (n,) the part it is held out with: whole groups, drawn at random.
+        group: (n,) independent group of each reading.
+        part: (n,) fold of each reading: whole groups, drawn at random.
     """
 
     of: HeldOutOf
@@ -170,12 +169,12 @@ class Parts:
 
 
 def parts(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> Parts | None:
-    """By what the causes claim; None where nothing can be held out.
+    """Return the folds suited to the causes; None if nothing can be held out.
 
     Args:
         data: the measurements.
         machine: the machine.
-        causes: that were found.
+        causes: the causes found.
     """
     changing = bool(causes) and all(cause.specification.varies == "with time" for cause in causes)
     if not changing:
@@ -188,7 +187,7 @@ def parts(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> 
 
 
 def in_time(data: Measurements) -> Parts | None:
-    """Rounds, or blocks of time where there is but one round; None for too few readings.
+    """Return folds of rounds, or of blocks of time for a single round; None for too few readings.
 
     Args:
         data: the measurements.
@@ -205,11 +204,11 @@ def in_time(data: Measurements) -> Parts | None:
 
 
 def at_positions(data: Measurements, axes: Sequence[int]) -> Parts | None:
-    """Positions of one axis, or poses of several; None where there is but one.
+    """Return folds of positions of one axis, or of poses of several; None if there is only one.
 
     Args:
         data: the measurements.
-        axes: numbers of those that moved.
+        axes: numbers of the axes that moved.
     """
     _, group = np.unique(np.round(data.positions[:, list(axes)], 3), axis=0, return_inverse=True)
     group = group.reshape(-1)
@@ -224,11 +223,11 @@ def _drawn(of: HeldOutOf, group: np.ndarray) -> Parts:
 PLENTY: Final = 20
 """Degrees of freedom per parameter above which overfitting is negligible."""
 OVERFITTED: Final = 1.25
-"""Ratio of the RMS residual of held-out readings to that of the fit above which the fit is checked for too many causes."""
+"""Ratio of held-out to fitted RMS residual above which the number of causes is reduced."""
 
 
 def held_up(pool: Pool, forms: Sequence[Form]) -> list[Form]:
-    """The causes without those that only overfit; all of them unless held-out readings fit much worse than the others.
+    """Return the causes without those that overfit; all of them unless held-out readings fit much worse than the others.
 
     Causes enter in order of the chi² they explain, and each must be significant against the residual after it (F-to-enter, Efroymson
     1960). Of these the smallest number is kept whose held-out error is within one standard error of the minimum (Breiman and others
@@ -257,7 +256,7 @@ def held_up(pool: Pool, forms: Sequence[Form]) -> list[Form]:
 
 
 def _beyond_rest(pool: Pool, forms: Sequence[Form]) -> int:
-    """Number of forms, entered in this order, that are significant against the residual (F-to-enter)."""
+    """Return the number of forms, entered in this order, that are significant against the residual (F-to-enter)."""
     problem, free = pool.problem, float(pool.problem.dof)
     for k, form in enumerate(forms):
         explained, dof, _ = pool.scores(forms[:k], [form.index])[0]
@@ -270,14 +269,14 @@ def _beyond_rest(pool: Pool, forms: Sequence[Form]) -> int:
 
 
 def _fewest(squares: np.ndarray) -> int:
-    """Number of causes: of (groups, causes + 1) sums of squares with none, the first, the first two and so on."""
+    """Return the number of causes from (groups, causes + 1) sums of squares with none, the first, the first two, and so on."""
     worse = squares - squares[:, [int(np.argmin(squares.sum(axis=0)))]]
     error = np.sqrt(len(squares)) * worse.std(axis=0, ddof=1)
     return int(np.argmax(worse.sum(axis=0) <= error))
 
 
 def _by_entry(pool: Pool, forms: Sequence[Form]) -> list[Form]:
-    """In the order in which each explains most beside those before it."""
+    """Return the forms in the order in which each explains most given those before it."""
     rest, entered = list(forms), list[Form]()
     while rest:
         explained = pool.scores(entered, [form.index for form in rest])[:, 0]
@@ -286,7 +285,7 @@ def _by_entry(pool: Pool, forms: Sequence[Form]) -> list[Form]:
 
 
 def _in_fit(pool: Pool, forms: Sequence[Form]) -> float:
-    """RMS residual of the fit, µm."""
+    """Return the RMS residual of the fit, µm."""
     problem = pool.problem
     residual = problem.project(problem.residual - foretold(problem, pool, forms))
     return rms(unwhitened(problem, residual), problem.network.read)

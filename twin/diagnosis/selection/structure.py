@@ -1,9 +1,9 @@
-"""What stands beside each other in the readings: causes with a name, and patterns without.
+"""Joint selection of named causes and unnamed patterns.
 
-Causes are chosen first as if everything had a name. Where a pattern is left beside them, the account is made anew from the patterns on:
-a cause comes in where it makes the readings more likely, the patterns' variances fitted anew with it, by more than its price
-(`twin.diagnosis.selection.likelihood`). So a cause with an imperfect form stays a cause, and one that imitates a part of a pattern
-is none.
+Causes are selected first without patterns. If a pattern is then significant in the residuals, the selection is repeated starting from
+the patterns: a cause enters if it increases the likelihood, with the patterns' variances re-estimated, by more than its correction for
+multiple testing (`twin.diagnosis.selection.likelihood`). A cause of imperfect form is thus kept, and a cause that only imitates part
+of a pattern is not.
 """
 
 from __future__ import annotations
@@ -24,36 +24,37 @@ from twin.diagnosis.selection.search import FEW, excess_of
 from twin.diagnosis.selection.unnamed import ALARMS, Trace, scan
 
 MOST: Final = 3
-"""Patterns at most."""
+"""Largest number of patterns."""
 CAUSES: Final = 30
-"""Causes at most."""
+"""Largest number of causes."""
 TRIED: Final = 5
-"""Causes that are looked at in full at every step."""
+"""Number of causes evaluated in full at every step."""
 CLEAR: Final = 20.0
-"""Times its price that a cause gains at most, from which on it is not asked whether it pays for itself."""
+"""Ratio of a cause's bound on its gain to its price from which on it is kept without a refit."""
 BETTER: Final = 0.1
+"""Smallest gain in twice the log likelihood for an exchange of causes."""
 MOSTLY: Final = 0.9
-"""Share of all that is explained from which on causes stand, whatever their form leaves to patterns."""
+"""Share of the explained χ² from which on causes are kept, whatever the patterns explain in addition."""
 PART: Final = 1.0
-"""Times what patterns that can imitate it leave, which a cause must carry."""
+"""Smallest ratio of what a cause explains to what patterns that can imitate it explain in addition."""
 HOPEFUL: Final = 0.3
-"""Share of its price that a cause must explain beside patterns whose variances still hold it, to be looked at."""
+"""Share of its price that a cause must explain at the present variances of the patterns to be evaluated in full."""
 FEWER: Final = 3
-"""Causes that one pattern must replace to be the simpler account."""
+"""Number of causes that one pattern must replace to be the simpler model."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Causes, and the patterns beside them.
+    """The selected causes and patterns.
 
     Attributes:
         forms: the causes.
-        likelihood: of causes beside the patterns; None where there are none.
-        model: at the most likely variances; likewise.
-        problem: the data with the patterns free beside the set-up.
-        fallen: causes that were chosen at first and do not stand beside the patterns.
-        patterned: whether the account was made from the patterns on, not from the causes.
+        likelihood: of causes with the patterns; None without patterns.
+        model: causes and patterns at the most likely variances; None without patterns.
+        problem: the data with patterns and set-up projected out.
+        fallen: causes selected at first that are not kept with the patterns.
+        patterned: whether the selection started from the patterns, not from the causes.
     """
 
     forms: tuple[Form, ...]
@@ -65,26 +66,26 @@ class Structure:
 
     @property
     def traces(self) -> tuple[Trace, ...]:
-        """The patterns."""
+        """Return the patterns found."""
         return () if self.likelihood is None else self.likelihood.traces
 
     @property
     def beside(self) -> Beside | None:
-        """The patterns, for an estimate of the causes beside them."""
+        """Return the patterns for a joint estimate with the causes; None without patterns."""
         if self.model is None or self.likelihood is None:
             return None
         return Beside(self.likelihood.random(self.model), self.model.scatter)
 
     def explained(self, forms: Sequence[Form]) -> float:
-        """What the patterns explain beside some of the causes."""
+        """Return the χ² that the patterns explain in addition to some of the causes."""
         return (
             0.0 if self.likelihood is None else self.likelihood.explained(forms, self.likelihood.fit(forms, self.model))
         )
 
     def pattern(self, forms: Sequence[Form]) -> np.ndarray:
-        """(3n,) what the patterns do to the whitened readings beside some of the causes.
+        """Return the (3n,) effect of the patterns on the whitened readings, given some of the causes.
 
-        As large as the patterns are expected to be: what is most likely at every reading is smaller by its own variance.
+        It is scaled to the expected size of the patterns: the most likely value at each reading is smaller by its variance.
         """
         if self.likelihood is None:
             return np.zeros(len(self.problem.residual))
@@ -97,15 +98,15 @@ class Structure:
 @final
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What was asked of the data and what they answered.
+    """The result of the selection, with the problem it belongs to.
 
     Attributes:
-        posed: the rows that count, and the causes that were tried.
-        patterns: the patterns without a name that were looked for.
-        pool: the causes, beside the set-up.
-        beside: the same, beside the patterns that were found as well; ``pool`` itself where there are none.
-        structure: the causes that stand, and those patterns.
-        refuted: causes that the readings show, and readings left out of the fit do not (`twin.diagnosis.selection.left_out`).
+        posed: the problem without outliers, and the causes tested.
+        patterns: the unnamed patterns tested.
+        pool: the causes, with the set-up projected out.
+        beside: the same with the patterns found projected out as well; ``pool`` itself without patterns.
+        structure: the selected causes and patterns.
+        refuted: causes that fit the readings but do not predict held-out ones (`twin.diagnosis.selection.left_out`).
     """
 
     posed: Posed
@@ -117,17 +118,17 @@ class Findings:
 
     @property
     def problem(self) -> Problem:
-        """The rows that count, whitened."""
+        """Return the whitened problem without outliers."""
         return self.posed.problem
 
 
 def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
-    """Causes chosen as if everything had a name, or, where patterns carry more than a small part, those that stand beside these.
+    """Return the given causes, or, if patterns explain more than a small part, the joint selection of causes and patterns.
 
     Args:
-        pool: the data, and what a cause must explain.
-        forms: the causes that were chosen.
-        tried: patterns to look for.
+        pool: the data and the forms.
+        forms: the causes selected without patterns.
+        tried: patterns to test.
     """
     found = named(pool, forms, tried)
     left, patterned = bool(found.traces), False
@@ -135,9 +136,9 @@ def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Stru
         carried = pool.explained_by(found.forms)
         if not found.forms or (found.model is not None and carried < MOSTLY * found.model.explained) or not left:
             other = _patterned(pool, tried)
-            # Enough causes can imitate anything: a pattern that does what several of them do is the simpler account.
+            # Enough causes can imitate anything: one pattern instead of several causes is the simpler model.
             simpler = len(other.forms) <= len(found.forms) - FEWER and _worth(pool, other) > pool.worth(forms) - DOUBT
-            # Causes that no pattern beside them can do are no parts of one.
+            # Causes that no pattern can imitate are not parts of one.
             better = _apart(found) and _worth(pool, found) > _worth(pool, other)
             if other.traces and (left or simpler) and not better:
                 found, patterned = other, True
@@ -147,18 +148,18 @@ def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Stru
 
 
 def _apart(found: Structure) -> bool:
-    """Whether there are causes and patterns, and no pattern could do most of any cause."""
+    """Return whether there are causes and patterns, and no pattern can imitate any cause."""
     likelihood = found.likelihood
     return likelihood is not None and bool(found.forms) and not any(likelihood.imitated(f).any() for f in found.forms)
 
 
 def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[tuple[Form, ...], Likelihood | None]:
-    """Causes as they stand on a part of the data, beside the patterns that were found on all of it, and the likelihood of those.
+    """Return the causes kept on a part of the data, with the patterns found on all of it, and their likelihood.
 
     Args:
-        pool: the part.
-        forms: the causes that were chosen on it.
-        found: the account of all data.
+        pool: the part of the data.
+        forms: the causes selected on it.
+        found: the selection on all data.
     """
     if not found.traces:
         return tuple(forms), None
@@ -170,7 +171,7 @@ def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[tuple[Fo
 
 
 def named(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
-    """The causes that were chosen, without those that carry only a part of what they go with, and the patterns beside them."""
+    """Return the given causes, without those that explain only part of a pattern, and the patterns found in the residuals."""
     stand = list(forms)
     traces: list[Trace] = []
     problem, likelihood, model = pool.problem, None, None
@@ -190,12 +191,12 @@ def named(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Struct
             traces.append(more[0])
             problem = pool.problem.beside(likelihood.random(model), model.scatter)
         else:
-            # What they had taken up is the patterns' or another cause's.
+            # What these causes explained may belong to patterns or to other causes.
             stand, traces, problem, likelihood, model = whole, [], pool.problem, None, None
 
 
 def _patterned(pool: Pool, tried: Sequence[Pattern]) -> Structure:
-    """The account from the pattern on that shows best; nothing where none shows."""
+    """Return the selection starting from the most significant pattern; an empty one if none is significant."""
     whole = scan(pool.problem, tried, (), pool.dof)
     if not (whole and whole[0].found):
         return Structure((), None, None, pool.problem, ())
@@ -203,7 +204,7 @@ def _patterned(pool: Pool, tried: Sequence[Pattern]) -> Structure:
 
 
 def _worth(pool: Pool, found: Structure) -> float:
-    """What an account explains less what each part of it must."""
+    """Return what a selection explains less the prices of its causes and patterns."""
     if found.model is None:
         return pool.worth(found.forms)
     prices = sum(_price(trace) for trace in found.traces)
@@ -211,17 +212,17 @@ def _worth(pool: Pool, found: Structure) -> float:
 
 
 def _price(trace: Trace) -> float:
-    """What a pattern must make the readings more likely by, twice the logarithm."""
+    """Return the smallest gain in twice the log likelihood for a pattern to be significant."""
     return float(2.0 * (trace.log_price - np.log(ALARMS)))
 
 
 def _cost(pool: Pool, form: Form) -> float:
-    """What a cause must make the readings more likely by beside a pattern, twice the logarithm."""
+    """Return the smallest gain in twice the log likelihood for a cause to be significant with patterns in the model."""
     return pool.cost(form, float(len(form.columns)))
 
 
 def _beside(pool: Pool, first: Trace, tried: Sequence[Pattern]) -> Structure:
-    """The account from a pattern on: causes beside it, another pattern where one is left, and no pattern that is not needed."""
+    """Return the selection starting from a pattern: causes are added, further patterns tested, unneeded patterns dropped."""
     traces = [first]
     forms: list[Form] = []
     seen = {(first.pattern.side, first.pattern.names)}
@@ -259,7 +260,7 @@ def _beside(pool: Pool, first: Trace, tried: Sequence[Pattern]) -> Structure:
 
 
 def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[int]) -> tuple[list[Form], Model]:
-    """Causes added while they pay for themselves beside the patterns, and dropped where they no more do."""
+    """Add causes while they are significant with the patterns in the model, and drop those that no longer are."""
     pool = likelihood.pool
     stand, model = _dropped(likelihood, list(forms), likelihood.fit(forms))
     while len(stand) < CAUSES:
@@ -270,7 +271,7 @@ def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[
             if gained > (best[0] if best else 0.0) and _possible(pool, [*stand, form], with_it):
                 best = gained, form, with_it
                 if len(stand) >= FEW:
-                    break  # a model that is wrong all over: the order is not what matters
+                    break  # a model with very many errors: the order does not matter
         if best is None:
             fewer, model = _dropped(likelihood, stand, model)
             other = _exchanged(likelihood, fewer, model, barred) if len(fewer) <= FEW else None
@@ -285,7 +286,7 @@ def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[
 def _exchanged(
     likelihood: Likelihood, stand: list[Form], model: Model, barred: Collection[int]
 ) -> tuple[list[Form], Model] | None:
-    """One cause replaced by another where that is likelier; None where none is."""
+    """Return the set with one cause replaced by a likelier one; None if there is none."""
     pool = likelihood.pool
     for form in stand:
         others = [one for one in stand if one is not form]
@@ -300,7 +301,7 @@ def _exchanged(
 
 
 def _plainer(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
-    """Curves that no datum leaves a constant or a slope, replaced by the machine's constant that these data cannot tell from them."""
+    """Replace curves with a constant or slope, which the datum excludes, by a confounded constant of the machine."""
     pool = likelihood.pool
     for form in list(forms):
         if form.cell.fixed.get("first") != 0.0:
@@ -320,7 +321,7 @@ def _plainer(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
 
 
 def _hopeful(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred: Collection[int]) -> list[Form]:
-    """The best form of the most promising candidates."""
+    """Return the best form of each of the most promising candidates."""
     pool = likelihood.pool
     explained, dof = likelihood.scan(stand, model)
     costs = pool.costs(dof)
@@ -335,7 +336,7 @@ def _hopeful(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred
 
 
 def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
-    """Without the causes that do not pay for themselves, those first that gain least at the variances as they are."""
+    """Drop the causes that are not significant, those with the smallest gain at the present variances first."""
     stand = list(forms)
     while True:
         prices = {form.index: _cost(likelihood.pool, form) for form in stand}
@@ -353,7 +354,7 @@ def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
 
 
 def without_parts(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> list[Form]:
-    """Causes without those that carry only a part of what they go with."""
+    """Return the causes without those that explain only part of a pattern."""
     stand = list(forms)
     while (part := _partial(likelihood, stand, model)) is not None:
         stand = [form for form in stand if form is not part]
@@ -362,12 +363,12 @@ def without_parts(likelihood: Likelihood, forms: Sequence[Form], model: Model) -
 
 
 def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> Form | None:
-    """The cause that carries the smallest part of what it goes with, if patterns that could do the same explain more beside it."""
+    """Return the cause that explains the smallest part of a pattern that can imitate it, if the pattern explains more; else None."""
     left = likelihood.left(forms, model)
     whole = likelihood.pool.explained_by(forms)
     worst: tuple[float, Form] | None = None
     for form in forms:
-        # A machine has all its constants: what they carry together is asked.
+        # A machine has all its constants: they are assessed together.
         constant = form.candidate.specification.constant
         alike = [one for one in forms if constant and one.candidate.specification.constant]
         others = [one for one in forms if one is not form and one not in alike]
@@ -380,7 +381,7 @@ def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> For
 
 
 def _possible(pool: Pool, forms: Sequence[Form], model: Model) -> bool:
-    """Whether no cause would have to be larger than it can be."""
+    """Return whether no cause is larger than possible."""
     columns = together(forms)
     return all(
         excess_of(form, model.values[at], np.zeros(len(at)), pool.gram([form]), model.explained) <= 1.0
