@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import twin
 from twin.cli.commands import app
 from twin.comparison.pairs import joint_covariance, pair_errors
-from twin.comparison.significance import FALSE_ALARMS, SHARE, smallest_set, holm_adjusted, simultaneous_factor, whiten
+from twin.comparison.significance import FALSE_ALARMS, SHARE, holm_adjusted, simultaneous_factor, smallest_set, whiten
 from twin.machine.control import ControlSection, TableEntry
 from twin.machine.effects.entries import effect_named
 from twin.numerics.covariance import Covariance

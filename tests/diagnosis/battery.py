@@ -85,7 +85,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Answer(Told):
+class DiagnosisResult(Told):
     """What was hidden in one draw, and what was said; ``alone`` if nothing could be mistaken for it even without scatter."""
 
     truth: tuple[Key, ...]
@@ -321,13 +321,13 @@ def answers(
     poses: int = 390,
     uncertain: bool = False,
     workers: Workers = HERE,
-) -> list[Answer]:
+) -> list[DiagnosisResult]:
     """Draws of one row of the table: the same for the same seed on any workers, but for the seconds."""
     case = Case(row, seed, noise, poses, uncertain)
     return [one for found in in_order(answers_of, case, tasks(draws), workers, name=told) for one in found]
 
 
-def answers_of(case: Case, task: tuple[int, int]) -> list[Answer]:
+def answers_of(case: Case, task: tuple[int, int]) -> list[DiagnosisResult]:
     """Of one data set."""
     number, draws = task
     data = DataSet(case, number)
@@ -351,16 +351,16 @@ def _answer(
     columns: tuple[str, ...],
     alone: bool,
     seconds: float,
-) -> Answer:
+) -> DiagnosisResult:
     pool = found.beside
     named = [pool.forms[form.index] for form in found.structure.forms]
     groups = []
     for form in named:
         others = [one for one in named if one is not form]
         groups.append(equivalent(found, form, others))
-    unnamed = tuple(name for trace in found.structure.traces for name in trace.pattern.names)
+    unnamed = tuple(name for pattern_test in found.structure.pattern_tests for name in pattern_test.pattern.names)
     pulls = () if unnamed else _pulls(found.problem, found.structure.forms, truth)
-    return Answer(
+    return DiagnosisResult(
         truth=tuple(one[0] for one in truth),
         columns=columns,
         named=tuple(form.key for form in named),
@@ -426,7 +426,7 @@ def _pulls(
     return tuple(found)
 
 
-def summary(row: str, found: Sequence[Answer]) -> dict[str, float]:
+def summary(row: str, found: Sequence[DiagnosisResult]) -> dict[str, float]:
     """Shares of the draws."""
     n = len(found)
 

@@ -354,7 +354,7 @@ def _methods(
     def own() -> tuple[tuple[Key, ...], tuple[str, ...]]:
         searcher.pool.judge(problem)
         found = searcher.run().structure
-        unnamed = (name for trace in found.traces for name in trace.pattern.names)
+        unnamed = (name for pattern_test in found.pattern_tests for name in pattern_test.pattern.names)
         return tuple(form.key for form in found.forms), tuple(unnamed)
 
     return {

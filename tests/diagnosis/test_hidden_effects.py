@@ -561,7 +561,7 @@ def test_readings_of_which_nothing_is_said_and_none_is_repeated(
     truth = one("reversal", "Y", size=5.0)
     read = hidden.noisy(hidden.points(plan, [truth] if hides else []), rng, noise, SIGMA_MM)
     result = diagnose(load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=None), dmu50), dmu50, calibration)
-    assert result.scatter.startswith("what no plain form of any cause accounts for")
+    assert result.noise_source.startswith("what no plain form of any cause accounts for")
     assert [(c.effect, c.where) for c in result.causes] == ([truth.key] if hides else [])
     assert result.unexplained is None
 

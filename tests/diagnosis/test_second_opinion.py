@@ -11,7 +11,14 @@ import pytest
 from scipy import stats
 
 from tests.diagnosis.battery import Case, DataSet
-from twin.diagnosis.judgement.second_opinion import CREDIBLE, Key, SecondOpinion, SingleEffect, compared, second_opinion
+from twin.diagnosis.judgement.second_opinion import (
+    CREDIBLE,
+    Key,
+    SecondOpinion,
+    SingleEffect,
+    compare_with_search,
+    second_opinion,
+)
 from twin.diagnosis.judgement.single_effects import ODDS, SIZE_PRIOR, SIZES, Alternatives, Fit, SingleEffects
 
 DRAWS = 2000
@@ -298,7 +305,7 @@ def test_comparison_with_the_search(
     instead: list[tuple[Key, ...]],
     further: int,
 ) -> None:
-    found = compared(opinion(*effects), groups)
+    found = compare_with_search(opinion(*effects), groups)
     assert [cause.instead for cause in found.causes] == instead
     assert len(found.further) == further
     assert found.disagree == (any(instead) or further > 0)
@@ -321,7 +328,7 @@ def test_cause_is_named_on_the_truth_machine(data_set: DataSet) -> None:
         assert [effect.found for effect in found.effects] == [True, False]
         assert key in found.effects[0].credible
         assert sum(found.effects[0].posterior.values()) == pytest.approx(1.0)
-        comparison = compared(found, [[key]])
+        comparison = compare_with_search(found, [[key]])
         assert not comparison.disagree
         assert comparison.causes[0].probability == pytest.approx(found.probability([key]))
 

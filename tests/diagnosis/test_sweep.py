@@ -21,7 +21,7 @@ from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.problem.sweep import PointBlock, Signatures
-from twin.diagnosis.selection.left_out import parts as parts_of
+from twin.diagnosis.selection.left_out import choose_folds
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -40,9 +40,9 @@ def measured(machine: Machine, folder: Path, poses: int, seed: int = 3) -> Measu
 
 def split(problem: Problem) -> np.ndarray:
     """(n,) the part each reading is held out with."""
-    found = parts_of(problem.network.data, problem.network.machine, ())
+    found = choose_folds(problem.network.data, problem.network.machine, ())
     assert found is not None
-    return found.part
+    return found.fold
 
 
 @pytest.fixture(scope="module")

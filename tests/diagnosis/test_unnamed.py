@@ -16,7 +16,7 @@ from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.selection.likelihood import Likelihood
 from twin.diagnosis.selection.patterns import Pattern, patterns
 from twin.diagnosis.selection.searcher import Searcher
-from twin.diagnosis.selection.unnamed import log_tail, scan
+from twin.diagnosis.selection.unnamed import log_tail, scan_patterns
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import load
@@ -85,8 +85,8 @@ def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) ->
     problem, pool = searched.problem, searched.pool
     form = next(one for one in pool.forms if one.key == ("reversal", "Y"))
     pattern = next(p for p in searched.patterns if p.names == ("Y_mm", "Z_mm") and p.side == "tool")
-    (trace,) = scan(problem, [pattern], [form], np.inf)
-    columns = [problem.signature(pattern.columns(trace.level, [i])) for i in trace.directions]
+    (pattern_test,) = scan_patterns(problem, [pattern], [form], np.inf)
+    columns = [problem.signature(pattern.columns(pattern_test.level, [i])) for i in pattern_test.directions]
     free = np.concatenate([problem.nuisance, problem.signature(form.cell.columns)], axis=1)
     phi = np.concatenate(columns, axis=1)
     phi = phi - free @ np.linalg.lstsq(free, phi, rcond=1e-12)[0]
@@ -101,7 +101,7 @@ def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) ->
     weights = np.linalg.eigvalsh(gram @ np.linalg.inv(gram + np.eye(len(gram))))
     slope = phi.T @ problem.residual
     score = slope @ np.linalg.solve(gram + np.eye(len(gram)), slope)
-    assert trace.log_p == pytest.approx(log_tail(np.sort(weights.real), float(score)), abs=1e-3)
+    assert pattern_test.log_p == pytest.approx(log_tail(np.sort(weights.real), float(score)), abs=1e-3)
 
 
 @pytest.mark.parametrize(("draws", "allowed"), [(24, 1), pytest.param(200, 5, marks=pytest.mark.slow)])
@@ -112,7 +112,7 @@ def test_without_anything_left_patterns_are_seldom_found(searched: Searcher, dra
     try:
         for _ in range(draws):
             problem.judge(rng.standard_normal(len(before)))
-            found += scan(problem, searched.patterns, (), np.inf)[0].found
+            found += scan_patterns(problem, searched.patterns, (), np.inf)[0].found
     finally:
         problem.judge(before)
     assert found <= allowed
@@ -125,9 +125,9 @@ def found_pattern(searched: Searcher, pattern: Pattern, size: float) -> Likeliho
     made = problem.signature(columns) @ rng.standard_normal(len(columns))
     problem.judge(made * size + rng.standard_normal(len(made)) * problem.network.read.reshape(-1))
     searched.pool.judge(problem)
-    (trace,) = scan(problem, [pattern], (), np.inf)
-    assert trace.found
-    return Likelihood(searched.pool, [trace])
+    (pattern_test,) = scan_patterns(problem, [pattern], (), np.inf)
+    assert pattern_test.found
+    return Likelihood(searched.pool, [pattern_test])
 
 
 def test_the_likelihood_beside_a_pattern_is_that_of_the_dense_covariance(searched: Searcher) -> None:
@@ -157,9 +157,9 @@ def test_the_likelihood_beside_a_pattern_is_that_of_the_dense_covariance(searche
             log_det = np.linalg.slogdet(np.eye(len(d)) + np.sqrt(np.outer(d, d)) * (phi.T @ phi))[1]
             return float(r @ r - chi2 / more - problem.dof * np.log(more) - log_det)
 
-        assert model.twice == pytest.approx(twice(model.variances), abs=0.05)
+        assert model.twice_log_ratio == pytest.approx(twice(model.variances), abs=0.05)
         for factor in (0.7, 1.4):
-            assert twice(model.variances * factor) < model.twice + 0.02
+            assert twice(model.variances * factor) < model.twice_log_ratio + 0.02
     finally:
         problem.judge(before)
         pool.judge(problem)
@@ -177,7 +177,7 @@ def test_what_a_pattern_most_likely_is_follows_from_the_dense_covariance(searche
         phi = beside(problem, problem.signature([likelihood.columns[i] for i in which]))
         inner = phi.T @ phi + np.diag(1.0 / model.variances[likelihood.group[which]])
         expected = np.linalg.inv(inner)
-        np.testing.assert_allclose(covariance, model.scatter * expected, atol=1e-5 * model.variances.max())
+        np.testing.assert_allclose(covariance, model.variance_factor * expected, atol=1e-5 * model.variances.max())
         np.testing.assert_allclose(values, expected @ (phi.T @ problem.residual), atol=1e-3 * np.abs(values).max())
         alone = likelihood.slope_beside([])
         np.testing.assert_allclose(likelihood.slope_with(problem.residual), alone, atol=1e-6 * np.abs(alone).max())

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from threadpoolctl import threadpool_limits
 
 from twin.diagnosis.diagnosis import Diagnosis
-from twin.diagnosis.judgement.answer import answer
-from twin.diagnosis.judgement.causes import judged
-from twin.diagnosis.judgement.sizes import sized
+from twin.diagnosis.judgement.answer import conclude
+from twin.diagnosis.judgement.causes import report_causes
+from twin.diagnosis.judgement.sizes import estimate_sizes
 from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.selection.rows import posed
-from twin.diagnosis.selection.searcher import selected
+from twin.diagnosis.selection.rows import exclude_outliers
+from twin.diagnosis.selection.searcher import select_causes
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
@@ -53,8 +53,8 @@ def diagnose(
         report("placing the stations", 0.0)
         placed = readings(data, machine, errors, instrument)
         report("searching", 0.2)
-        question = posed(placed)
-        found = selected(question)
+        problem = exclude_outliers(placed)
+        found = select_causes(problem)
         report("weighing", 0.7)
-        causes = judged(sized(found), errors)
-        return answer(causes, errors, empirical=empirical)
+        causes = report_causes(estimate_sizes(found), errors)
+        return conclude(causes, errors, empirical=empirical)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
-from twin.diagnosis.result import Answer
+from twin.diagnosis.result import DiagnosisResult
 from twin.diagnosis.wording.text import diagnosis_brief, diagnosis_text
 
 
 @final
 @dataclass(frozen=True)
-class Diagnosis(Answer):
-    """The errors that measured data show beyond the model, and their causes; see `Answer` for the numbers."""
+class Diagnosis(DiagnosisResult):
+    """The errors that measured data show beyond the model, and their causes; see `DiagnosisResult` for the numbers."""
 
     def to_text(self) -> str:
         """Return the diagnosis in words, in lines of at most 100 characters."""

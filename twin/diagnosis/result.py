@@ -283,7 +283,7 @@ class Gain:
 
 
 @dataclass(frozen=True)
-class Answer:
+class DiagnosisResult:
     """The result of a diagnosis in numbers (`twin.diagnosis.diagnosis.Diagnosis` adds words).
 
     Attributes:
@@ -301,7 +301,7 @@ class Answer:
         trends: significant dependence of the residuals on single columns, by column and side, clearest first.
         ranking: (effect, where, χ² explained, p-value) of the causes tested one by one, best first.
         tried: number of causes tested.
-        scatter: source of the measurement noise, in words.
+        noise_source: source of the measurement noise, in words.
         calibration, extended: the given calibration and the one extended by what was found.
         data: the readings used; it lists the rows set aside.
         residual_um, after_um: (n, 3) residuals without and with the causes; NaN where no coordinate was measured.
@@ -326,7 +326,7 @@ class Answer:
     trends: tuple[Trend, ...]
     ranking: tuple[tuple[str, str, float, float], ...]
     tried: int
-    scatter: str
+    noise_source: str
     calibration: Calibration
     extended: Calibration
     data: Measurements
@@ -378,7 +378,7 @@ class Answer:
                 {"column": t.column, "carrier": t.carrier, "explains": t.explains, "p_value": t.p_value}
                 for t in self.trends
             ],
-            "scatter": self.scatter,
+            "scatter": self.noise_source,
             "set_aside": [{"line": note.line, "reason": note.text} for note in self.data.set_aside],
             "notices": list(self.data.notices),
             "warnings": to_json(self.warnings),

@@ -18,16 +18,16 @@ from twin._common.distributions import chi2_sf, f_sf
 from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import LARGEST
 from twin.diagnosis.diagnosis import Diagnosis
-from twin.diagnosis.judgement.causes import Judged
+from twin.diagnosis.judgement.causes import ReportedCauses
 from twin.diagnosis.judgement.extend import Extended, extend
-from twin.diagnosis.judgement.gain import gain, of_file
-from twin.diagnosis.judgement.sizes import Sized
+from twin.diagnosis.judgement.gain import gain, residuals_as_written
+from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.noise import Scatter
 from twin.diagnosis.problem.pool import SEEN, Form, Pool
 from twin.diagnosis.problem.problem import Problem, plain, rms, unwhitened
 from twin.diagnosis.result import Trend, Unexplained, Verdict
 from twin.diagnosis.selection.structure import Findings
-from twin.diagnosis.selection.unnamed import Trace, scan
+from twin.diagnosis.selection.unnamed import PatternTest, scan_patterns
 from twin.identification.solve import named_setup
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
@@ -40,51 +40,51 @@ RANKED: Final = 12
 """Largest number of causes in the ranking."""
 
 
-def answer(judged: Judged, calibration: Calibration, *, empirical: bool = False) -> Diagnosis:
+def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: bool = False) -> Diagnosis:
     """Return the complete diagnosis.
 
     Args:
-        judged: the causes as they are reported.
+        reported: the causes as they are reported.
         calibration: the calibration tested.
         empirical: whether unexplained patterns extend the calibration as well.
     """
-    sized, found = judged.sized, judged.sized.found
+    sized, found = reported.sized, reported.sized.found
     problem, network = found.problem, found.problem.network
-    misfit = misfit_of(sized)
+    misfit = residual_statistics(sized)
     left = misfit.left
     unnamed = extend(sized, calibration) if empirical and left is not None else None
     if left is not None and unnamed is not None:
         left = replace(left, extension=unnamed.extension)
-    extended = _extended(judged, calibration, unnamed)
+    extended = _extended(reported, calibration, unnamed)
     changed = bool(sized.forms or extended is not calibration)
     instrument = sized.estimate.signature[:, [not own for own in sized.estimate.effects]].sum(axis=1)
     residual = unwhitened(problem, problem.residual)
-    after = of_file(problem, extended, instrument) if changed else residual
+    after = residuals_as_written(problem, extended, instrument) if changed else residual
     hidden = _unidentifiable(found)
     weights = network.whitening
     return Diagnosis(
-        verdict=_verdict(judged, left),
+        verdict=_verdict(reported, left),
         rms_um=rms(residual, network.read),
         absorbed_rms_um=rms(unwhitened(problem, problem.projected), network.read),
         expected_rms_um=misfit.expected_um,
         points=len(network.data),
         dof=problem.dof,
-        p_value=min([misfit.p_value, *(cause.p_value for cause in judged.causes)]),
-        causes=judged.causes,
+        p_value=min([misfit.p_value, *(cause.p_value for cause in reported.causes)]),
+        causes=reported.causes,
         unexplained=left,
         unidentifiable=tuple(hidden),
         looks_like=MappingProxyType(hidden),
         not_evaluated=found.posed.known.not_evaluated,
-        next_measurement=judged.next_measurement,
+        next_measurement=reported.next_measurement,
         trends=misfit.trends,
         ranking=_ranking(found.pool),
         # Evaluated last: it resets the pool.
         gain=gain(sized, (residual, after), left, unnamed) if changed else None,
         tried=len(found.posed.known.candidates),
-        scatter=found.posed.scatter.source,
+        noise_source=found.posed.scatter.source,
         calibration=calibration,
         extended=extended,
-        data=replace(network.data, notices=(*network.data.notices, *judged.notices)),
+        data=replace(network.data, notices=(*network.data.notices, *reported.notices)),
         residual_um=locked(residual),
         after_um=locked(after),
         directions=locked(plain(problem, problem.view.by_base)),
@@ -92,27 +92,27 @@ def answer(judged: Judged, calibration: Calibration, *, empirical: bool = False)
     )
 
 
-def _extended(judged: Judged, calibration: Calibration, unnamed: Extended | None) -> Calibration:
+def _extended(reported: ReportedCauses, calibration: Calibration, unnamed: Extended | None) -> Calibration:
     """Return the calibration extended by the promised causes and by the empirical effects, if any."""
-    effects: list[Effect] = judged.sized.effects
-    covariance = judged.sized.covariance
+    effects: list[Effect] = reported.sized.effects
+    covariance = reported.sized.covariance
     if unnamed is not None:
         effects = [*effects, *unnamed.effects]
         # As independent blocks: the covariance of the causes already contains the influence of the patterns.
         covariance = Covariance.of_blocks([covariance, unnamed.covariance])
     if not effects:
         return calibration
-    data = judged.sized.found.problem.network.data
+    data = reported.sized.found.problem.network.data
     source = "extended by twin diagnose from " + data.source
     return calibration.extended(effects, covariance, source, simulated=data.simulated)
 
 
-def _verdict(judged: Judged, left: Unexplained | None) -> Verdict:
+def _verdict(reported: ReportedCauses, left: Unexplained | None) -> Verdict:
     if left is not None and left.share > MOSTLY_EXPLAINED:
         return "unexplained"
-    if not judged.causes:
-        return "ambiguous" if judged.disagree else "consistent"
-    return "ambiguous" if judged.disagree or any(cause.equivalent for cause in judged.causes) else "explained"
+    if not reported.causes:
+        return "ambiguous" if reported.disagree else "consistent"
+    return "ambiguous" if reported.disagree or any(cause.equivalent for cause in reported.causes) else "explained"
 
 
 def _unidentifiable(found: Findings) -> dict[tuple[str, str], str]:
@@ -145,7 +145,7 @@ SMALL: Final = 0.01
 
 @final
 @dataclass(frozen=True)
-class WholeMisfit:
+class ResidualStatistics:
     """The residuals of all readings.
 
     Attributes:
@@ -161,26 +161,31 @@ class WholeMisfit:
     left: Unexplained | None
 
 
-def misfit_of(sized: Sized) -> WholeMisfit:
+def residual_statistics(sized: SizedCauses) -> ResidualStatistics:
     """Return the statistics of the residuals, and those the causes do not explain.
 
     Args:
         sized: the causes with their sizes.
     """
     problem, found = sized.found.problem, sized.found
-    chances = [_p_value(problem, found.posed.scatter), *(float(np.exp(t.log_paid)) for t in found.structure.traces)]
-    return WholeMisfit(min(chances), _expected_um(problem), _trends(found), _unexplained(sized))
+    chances = [
+        _p_value(problem, found.posed.scatter),
+        *(float(np.exp(t.log_p_corrected)) for t in found.structure.pattern_tests),
+    ]
+    return ResidualStatistics(min(chances), _expected_um(problem), _trends(found), _unexplained(sized))
 
 
-def _unexplained(sized: Sized) -> Unexplained | None:
+def _unexplained(sized: SizedCauses) -> Unexplained | None:
     """Return the unexplained residuals: unnamed patterns, or excess noise."""
     found, forms, excess = sized.found, sized.forms, sized.excess
     problem, structure = found.problem, found.structure
-    if structure.traces:
+    if structure.pattern_tests:
         patterns_um = unwhitened(problem, structure.pattern(forms))
         share = float(np.clip(structure.explained(forms) / excess, 0.0, 1.0))
-        columns = tuple(dict.fromkeys(name for trace in structure.traces for name in trace.pattern.names))
-        sides = {trace.pattern.side for trace in structure.traces}
+        columns = tuple(
+            dict.fromkeys(name for pattern_test in structure.pattern_tests for name in pattern_test.pattern.names)
+        )
+        sides = {pattern_test.pattern.side for pattern_test in structure.pattern_tests}
         carrier = sides.pop() if len(sides) == 1 else "both"
         size = float(np.sqrt(np.nansum(patterns_um**2) / max(np.count_nonzero(problem.network.read), 1)))
         text = (
@@ -201,13 +206,15 @@ def _unexplained(sized: Sized) -> Unexplained | None:
 def _trends(found: Findings) -> tuple[Trend, ...]:
     """Return the columns that the residuals depend on, one by one, before any cause is fitted."""
     single = [pattern for pattern in found.patterns if len(pattern.channels) == 1]
-    best: dict[tuple[str, str], Trace] = {}
-    for trace in scan(found.problem, [one for one in single if one.field == "base"], (), found.posed.scatter.dof):
-        best.setdefault((trace.pattern.side, trace.pattern.names[0]), trace)
+    best: dict[tuple[str, str], PatternTest] = {}
+    for pattern_test in scan_patterns(
+        found.problem, [one for one in single if one.field == "base"], (), found.posed.scatter.dof
+    ):
+        best.setdefault((pattern_test.pattern.side, pattern_test.pattern.names[0]), pattern_test)
     return tuple(
-        Trend(column, side, trace.explained, float(np.exp(trace.log_paid)))
-        for (side, column), trace in best.items()
-        if trace.log_paid < np.log(SEEN_AT)
+        Trend(column, side, pattern_test.explained, float(np.exp(pattern_test.log_p_corrected)))
+        for (side, column), pattern_test in best.items()
+        if pattern_test.log_p_corrected < np.log(SEEN_AT)
     )
 
 

@@ -21,13 +21,13 @@ from twin._common.distributions import normal_sf
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.candidates.following_error import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.judgement.evidence import curve_flaw, evidence
-from twin.diagnosis.judgement.in_place import equivalent, measured_next, ruled_out
-from twin.diagnosis.judgement.second_opinion import Comparison, SingleEffect, compared, second_opinion
-from twin.diagnosis.judgement.sizes import Sized
+from twin.diagnosis.judgement.in_place import equivalent, points_to_measure, ruled_out
+from twin.diagnosis.judgement.second_opinion import Comparison, SingleEffect, compare_with_search, second_opinion
+from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.pool import Form, Pool, log_chance
 from twin.diagnosis.problem.problem import unwhitened
 from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
-from twin.diagnosis.selection.payload import Load, asked, axis_of_form, weights
+from twin.diagnosis.selection.payload import Load, axis_of_form, loaded_joints, weights
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Payload
 from twin.machine.effects.gravity_compliance import PAYLOAD, payloads_of
@@ -42,7 +42,7 @@ AT_BOUND: Final = 0.99
 
 @final
 @dataclass(frozen=True, eq=False)
-class Judged:
+class ReportedCauses:
     """The causes as they are reported.
 
     Attributes:
@@ -53,14 +53,14 @@ class Judged:
         disagree: whether the second method explains the readings differently.
     """
 
-    sized: Sized
+    sized: SizedCauses
     causes: tuple[Cause, ...]
     next_measurement: tuple[Next, ...]
     notices: tuple[str, ...]
     disagree: bool
 
 
-def judged(sized: Sized, calibration: Calibration) -> Judged:
+def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCauses:
     """Return the causes with alternatives, probabilities and notices.
 
     Args:
@@ -70,7 +70,7 @@ def judged(sized: Sized, calibration: Calibration) -> Judged:
     found, forms = sized.found, sized.forms
     causes = [_cause(sized, k, calibration) for k in range(len(forms))]
     # With unnamed patterns the selection was made by likelihood, and no posterior probability is given.
-    comparison = None if found.structure.traces else _compared(sized, causes)
+    comparison = None if found.structure.pattern_tests else _second_method(sized, causes)
     if comparison is not None:
         causes = [
             # The form of a curve that does not predict held-out positions is unknown, and so is its probability.
@@ -79,18 +79,23 @@ def judged(sized: Sized, calibration: Calibration) -> Judged:
             else cause
             for cause, own in zip(causes, comparison.causes, strict=True)
         ]
-    also, silent = reported(found.pool, forms)
-    causes, loads = payload_causes(found.pool, forms, causes)
+    also, silent = readback_causes(found.pool, forms)
+    causes, loads = causes_with_payloads(found.pool, forms, causes)
     order = sorted(range(len(causes)), key=lambda k: -causes[k].share)
     ordered = [causes[k] for k in order]
-    wanted = measured_next(found.beside, [sized.beside[k] for k in order], ordered)
+    wanted = points_to_measure(found.beside, [sized.beside[k] for k in order], ordered)
     further = () if comparison is None else comparison.further
-    notices = (*silent, *_not_beyond(sized), *(_further(effect) for effect in further), *_fallen(sized))
+    notices = (
+        *silent,
+        *_insignificant_notice(sized),
+        *(_further(effect) for effect in further),
+        *_rejected_notices(sized),
+    )
     disagree = comparison is not None and comparison.disagree
-    return Judged(sized, (*ordered, *also, *loads), wanted, notices, disagree)
+    return ReportedCauses(sized, (*ordered, *also, *loads), wanted, notices, disagree)
 
 
-def _cause(sized: Sized, k: int, calibration: Calibration) -> Cause:
+def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     """Return one cause; its share is relative to the other causes, its rivals also to the patterns."""
     found, form = sized.found, sized.forms[k]
     others, rest = sized.others(form), [one for one in sized.beside if one is not sized.beside[k]]
@@ -98,7 +103,7 @@ def _cause(sized: Sized, k: int, calibration: Calibration) -> Cause:
     doubt, quantities = sized.doubts[k], sized.estimate.quantities[k]
     text = evidence(form, sized.estimate, k) + curve_flaw(found.pool, sized.forms, form, calibration) + doubt
     equal = equivalent(found, sized.beside[k], rest)
-    if why := _unsettled(sized, form):
+    if why := _approach_doubt(sized, form):
         text, equal = f"{text}; {why}", (*equal, (READ_BACK.name, form.candidate.where))
     return Cause(
         effect=form.candidate.effect,
@@ -117,11 +122,11 @@ def _cause(sized: Sized, k: int, calibration: Calibration) -> Cause:
     )
 
 
-def _unsettled(sized: Sized, form: Form) -> str:
+def _approach_doubt(sized: SizedCauses, form: Form) -> str:
     """Return why an effect of the approach direction may not exist; empty if there is no doubt."""
     where, network = form.candidate.where, sized.found.problem.network
     directed = any(name.startswith(APPROACH) for name in form.candidate.specification.channels(where))
-    return unsettled(network.data, network.machine, where) if directed else ""
+    return reversal_doubt(network.data, network.machine, where) if directed else ""
 
 
 def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
@@ -134,7 +139,7 @@ def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
     return any(abs(q.value) >= AT_BOUND * limits.get(q.name, candidate.largest) for q in quantities)
 
 
-def _not_beyond(sized: Sized) -> list[str]:
+def _insignificant_notice(sized: SizedCauses) -> list[str]:
     pool = sized.found.pool
     shares = [100.0 * float(pool.scores(sized.forms, [form.index])[0, 0]) / sized.excess for form in sized.dropped]
     each = [f"{' '.join(form.key)} ({share:.2g} %)" for form, share in zip(sized.dropped, shares, strict=True)]
@@ -142,20 +147,20 @@ def _not_beyond(sized: Sized) -> list[str]:
     return [text + ", ".join(each)] if each else []
 
 
-def _fallen(sized: Sized) -> list[str]:
+def _rejected_notices(sized: SizedCauses) -> list[str]:
     part = "they explain only part of a pattern that no known effect explains as a whole"
     few = "they increase the residuals of held-out readings: too few readings for this number of causes"
     return [
         f"not named, because {why}: {', '.join(sorted({' '.join(form.key) for form in forms}))}"
-        for why, forms in ((part, sized.found.structure.fallen), (few, sized.found.refuted))
+        for why, forms in ((part, sized.found.structure.rejected), (few, sized.found.refuted))
         if forms
     ]
 
 
-def _compared(sized: Sized, causes: Sequence[Cause]) -> Comparison:
+def _second_method(sized: SizedCauses, causes: Sequence[Cause]) -> Comparison:
     pairs = zip(sized.forms, causes, strict=True)
     groups = [(form.key, *cause.equivalent, *_variants(form.key)) for form, cause in pairs]
-    return compared(second_opinion(sized.found.pool, sized.found.structure.forms), groups)
+    return compare_with_search(second_opinion(sized.found.pool, sized.found.structure.forms), groups)
 
 
 def _variants(key: tuple[str, str]) -> list[tuple[str, str]]:
@@ -180,7 +185,7 @@ COMPATIBLE: Final = 3.0
 """Distance of the share from zero, in standard uncertainties, within which the readings follow the command."""
 
 
-def reported(pool: Pool, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]:
+def readback_causes(pool: Pool, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]:
     """Return causes for axes whose reported positions the readings do not follow, and notices on undecided axes.
 
     Args:
@@ -192,7 +197,7 @@ def reported(pool: Pool, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]
     tried = [form for form in pool.forms if form.candidate.specification is FOLLOWING_ERROR and form not in forms]
     for form in tried:
         axis = machine.by_name[form.candidate.where]
-        off = largest_off(data, machine.names.index(axis.name))
+        off = largest_readback_error(data, machine.names.index(axis.name))
         text = f"the positions reported for {axis.name} differ from the commands by up to {off:.3g} {axis.unit}"
         columns, values, inverse = pool.fitted([form, *forms])
         at, scale = int(np.searchsorted(columns, form.columns[0])), form.cell.columns[0].scale
@@ -224,12 +229,12 @@ def reported(pool: Pool, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]
     return causes, silent
 
 
-def largest_off(data: Measurements, axis: int) -> float:
+def largest_readback_error(data: Measurements, axis: int) -> float:
     """Return the largest difference of reported and commanded position of an axis, mm or degrees."""
     return float(np.nanmax(np.abs(data.readback[:, axis] - data.positions[:, axis])))
 
 
-def unsettled(data: Measurements, machine: Machine, where: str) -> str:
+def reversal_doubt(data: Measurements, machine: Machine, where: str) -> str:
     """Return why a reversal of an axis may not exist; empty if there is no doubt.
 
     Positions finer than the least increment cannot be commands. If they were reported before the axis had settled, their error
@@ -247,7 +252,7 @@ def unsettled(data: Measurements, machine: Machine, where: str) -> str:
     )
 
 
-def payload_causes(pool: Pool, forms: Sequence[Form], causes: Sequence[Cause]) -> tuple[list[Cause], list[Cause]]:
+def causes_with_payloads(pool: Pool, forms: Sequence[Form], causes: Sequence[Cause]) -> tuple[list[Cause], list[Cause]]:
     """Return the causes with uncertainties that include that of the payloads, and the payloads as causes.
 
     Args:
@@ -257,15 +262,15 @@ def payload_causes(pool: Pool, forms: Sequence[Form], causes: Sequence[Cause]) -
     """
     causes, found = list(causes), []
     for side in SIDES:
-        load = asked(pool, forms, side)
+        load = loaded_joints(pool, forms, side)
         known = () if load is None else payloads_of(axis_of_form(pool, load.joints[0]), load.joints[0].cell.fixed)
         if load is None or not known:
             continue
         (payload,) = known
-        four = load.four(payload)
+        shares = load.shares_of(payload)
         at = [forms.index(form) for form in load.joints]
-        more, variances = load.covariances(four, np.array([causes[k].parameters[0].u for k in at]))
-        _, compliances = load.under(four)
+        more, variances = load.covariances(shares, np.array([causes[k].parameters[0].u for k in at]))
+        _, compliances = load.explained_under(shares)
         for k, times, value in zip(at, more.tolist(), compliances.tolist(), strict=True):
             causes[k] = _less_certain(causes[k], times, value * payload.mass_kg, at_bound=_heaviest(load, payload))
         found.append(_load_cause(pool, load, payload, variances))
@@ -288,9 +293,9 @@ def _less_certain(cause: Cause, times: float, product: float, *, at_bound: bool)
 
 def _load_cause(pool: Pool, load: Load, payload: Payload, variances: np.ndarray) -> Cause:
     """Return the payload as a cause: it explains what the joints explain with it and not without."""
-    four, nothing = load.four(payload), np.zeros(4)
-    explained, compliances = load.under(four)
-    own, _ = load.under(nothing)
+    shares, nothing = load.shares_of(payload), np.zeros(4)
+    explained, compliances = load.explained_under(shares)
+    own, _ = load.explained_under(nothing)
     log_p = float(log_chance(np.array(max(explained - own, 0.0)), 4.0, pool.dof)) + load.joints[0].price
     excess = max(pool.problem.chi2 - pool.problem.dof, explained)
     text = f"the {load.side} side carries a mass that is not in the URDF: joints deflect under it"
@@ -302,7 +307,7 @@ def _load_cause(pool: Pool, load: Load, payload: Payload, variances: np.ndarray)
         )
     columns = [column for form in load.free for column in form.cell.columns]
     size = np.array([column.scale for column in columns])
-    shape = np.kron(compliances, weights(four) - weights(nothing))
+    shape = np.kron(compliances, weights(shares) - weights(nothing))
     return Cause(
         effect=PAYLOAD.name,
         where=load.side,

@@ -11,7 +11,7 @@ from twin.diagnosis.candidates.flaws import ITSELF, constant_dropped, flaw, time
 from twin.diagnosis.estimate.estimate import Estimate
 from twin.diagnosis.problem.pool import Form, Pool
 from twin.diagnosis.result import readable_unit
-from twin.diagnosis.selection.left_out import foretells
+from twin.diagnosis.selection.left_out import predicts_held_out
 from twin.diagnosis.wording.words import listed
 from twin.machine.calibration import Calibration
 from twin.machine.effects.specification import Found
@@ -75,7 +75,7 @@ def between_positions(pool: Pool, forms: Sequence[Form], form: Form) -> str:
     if periods:
         other = listed([f"{one:.3g}" for one in periods])
         return f"; other periods ({other} mm) fit equally well at these positions, so the error between them is unknown"
-    if not foretells(pool, form, forms):
+    if not predicts_held_out(pool, form, forms):
         return "; a curve through these positions does not predict held-out ones, so the error between them is unknown"
     return ""
 

@@ -15,12 +15,12 @@ import numpy as np
 from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.diagnosis.judgement.held_out import held_out_patterns
-from twin.diagnosis.judgement.sizes import Sized
+from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.problem import Problem, rms, unwhitened
 from twin.diagnosis.result import Extension, HeldOut, Term
 from twin.diagnosis.selection.left_out import ENOUGH
 from twin.diagnosis.selection.likelihood import Likelihood
-from twin.diagnosis.selection.unnamed import Trace
+from twin.diagnosis.selection.unnamed import PatternTest
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Empirical
 from twin.machine.empirical_entry import acting_frame, usable, where_of
@@ -50,7 +50,7 @@ class Extended:
     left_um: float
 
 
-def extend(sized: Sized, calibration: Calibration) -> Extended:
+def extend(sized: SizedCauses, calibration: Calibration) -> Extended:
     """Fit an empirical effect to each pattern, and test on held-out readings whether the effects reduce the residuals.
 
     Args:
@@ -59,7 +59,7 @@ def extend(sized: Sized, calibration: Calibration) -> Extended:
     """
     found, forms = sized.found, sized.forms
     likelihood = found.structure.likelihood
-    if likelihood is None or not likelihood.traces:
+    if likelihood is None or not likelihood.pattern_tests:
         return _not_extended(Extension((), 0.0, None, False, "it depends on no column of the table"))
     machine, problem = found.problem.network.machine, found.problem
     model = likelihood.fit(forms, found.structure.model)
@@ -71,12 +71,12 @@ def extend(sized: Sized, calibration: Calibration) -> Extended:
     kept = np.zeros(len(which), dtype=bool)
     moved, stays = np.zeros((2, len(problem.residual)))
     taken = [effect.name for effect in calibration.extra]
-    for k, trace in enumerate(likelihood.traces):
+    for k, pattern_test in enumerate(likelihood.pattern_tests):
         own = likelihood.group[which] // DIRECTIONS == k
-        made = likelihood.made(which[own], values[own])
-        term = _term(trace, machine, _rms(problem, made), taken)
+        made = likelihood.effect_on_readings(which[own], values[own])
+        term = _term(pattern_test, machine, _rms(problem, made), taken)
         if term.reason is None:
-            effects.append(_effect(term, trace, machine, likelihood, k, which[own], values[own]))
+            effects.append(_effect(term, pattern_test, machine, likelihood, k, which[own], values[own]))
             taken.append(effects[-1].name)
             written.append(k)
             kept |= own
@@ -103,11 +103,11 @@ def _rms(problem: Problem, made: np.ndarray) -> float:
     return rms(unwhitened(problem, problem.project(made)), problem.network.read)
 
 
-def _term(trace: Trace, machine: Machine, size: float, taken: Sequence[str]) -> Term:
+def _term(pattern_test: PatternTest, machine: Machine, size: float, taken: Sequence[str]) -> Term:
     """Return the term of a pattern, with the reason if it cannot become an effect."""
-    pattern = trace.pattern
-    columns = pattern.waves(trace.level)
-    along = _along(trace)
+    pattern = pattern_test.pattern
+    columns = pattern.waves(pattern_test.level)
+    along = _along(pattern_test)
     reason = None
     unknown = [one.column for one in columns if not usable(one.column, machine)]
     if unknown:
@@ -123,34 +123,40 @@ def _term(trace: Trace, machine: Machine, size: float, taken: Sequence[str]) -> 
     return Term(where_of(pattern.side, columns, taken), along, pattern.names, ranges, size, reason)
 
 
-def _along(trace: Trace) -> Literal["base", "tool", "work"]:
-    if trace.pattern.field == "base":
+def _along(pattern_test: PatternTest) -> Literal["base", "tool", "work"]:
+    if pattern_test.pattern.field == "base":
         return "base"
-    return "tool" if trace.pattern.side == "tool" else "work"
+    return "tool" if pattern_test.pattern.side == "tool" else "work"
 
 
 def _effect(
-    term: Term, trace: Trace, machine: Machine, likelihood: Likelihood, k: int, which: np.ndarray, values: np.ndarray
+    term: Term,
+    pattern_test: PatternTest,
+    machine: Machine,
+    likelihood: Likelihood,
+    k: int,
+    which: np.ndarray,
+    values: np.ndarray,
 ) -> Empirical:
     """Return the empirical effect of one pattern.
 
     Args:
         term: side, columns and ranges of the effect.
-        trace: the pattern.
+        pattern_test: the pattern.
         machine: the machine.
         likelihood: of all patterns.
         k: number of this pattern.
         which: numbers of its columns with a coefficient.
         values: their coefficients, µm.
     """
-    columns = trace.pattern.waves(trace.level)
+    columns = pattern_test.pattern.waves(pattern_test.level)
     # Columns are sorted by direction, then by function.
     names = np.array(Empirical.names(columns)).ravel()
     own = np.flatnonzero(likelihood.group // DIRECTIONS == k)
     chosen = names[np.searchsorted(own, which)].tolist()
-    frame, turning = acting_frame(trace.pattern.side, _along(trace), machine)
+    frame, turning = acting_frame(pattern_test.pattern.side, _along(pattern_test), machine)
     numbers = dict(zip(chosen, values.tolist(), strict=True))
-    return Empirical(term.where, _along(trace), columns, numbers, frame, turning)
+    return Empirical(term.where, _along(pattern_test), columns, numbers, frame, turning)
 
 
 def _unproven(held: HeldOut | None) -> str | None:

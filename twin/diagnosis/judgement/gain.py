@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.diagnosis.judgement.extend import Extended
 from twin.diagnosis.judgement.held_out import held_out
-from twin.diagnosis.judgement.sizes import Sized
+from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.problem import Problem, rms, unwhitened
 from twin.diagnosis.result import Gain, Unexplained
 from twin.identification.network import Network
@@ -23,12 +23,12 @@ from twin.measurement.table import Measurements, state_of
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.budget import volume
 
-TOOL_MM: Final = 100.0
+DEFAULT_TOOL_MM: Final = 100.0
 """Tool length assumed if the machine file has none."""
 
 
 def gain(
-    sized: Sized, residuals: tuple[np.ndarray, np.ndarray], left: Unexplained | None, unnamed: Extended | None
+    sized: SizedCauses, residuals: tuple[np.ndarray, np.ndarray], left: Unexplained | None, unnamed: Extended | None
 ) -> Gain:
     """Return the gain of the extended calibration.
 
@@ -53,8 +53,8 @@ def gain(
         effects = [*effects, *unnamed.effects]
         covariance, size = Covariance.of_blocks([covariance, unnamed.covariance]), unnamed.left_um
         # The true pattern is larger than the most likely one by its uncertainty, so that is part of the machine's error too.
-        unseen = at_tool(network.data, network.machine, unnamed.effects, unnamed.covariance)[1]
-    moved, doubt = at_tool(network.data, network.machine, effects, covariance)
+        unseen = error_at_tool(network.data, network.machine, unnamed.effects, unnamed.covariance)[1]
+    moved, doubt = error_at_tool(network.data, network.machine, effects, covariance)
     rest = sum(stays) + 3.0 * size**2
     before, after = residuals
     return Gain(
@@ -63,11 +63,11 @@ def gain(
         held,
         float(np.sqrt(moved**2 + unseen**2 + rest)),
         float(np.sqrt(doubt**2 + rest)),
-        tool_mm(network.machine),
+        tool_length_of(network.machine),
     )
 
 
-def of_file(problem: Problem, extended: Calibration, instrument: np.ndarray) -> np.ndarray:
+def residuals_as_written(problem: Problem, extended: Calibration, instrument: np.ndarray) -> np.ndarray:
     """Return the (n, 3) residuals in µm with a calibration as written, the set-up refitted; NaN where no coordinate was measured.
 
     Args:
@@ -76,7 +76,7 @@ def of_file(problem: Problem, extended: Calibration, instrument: np.ndarray) -> 
         instrument: (3n,) whitened effect of the instrument errors found, subtracted from the readings first.
     """
     network = problem.network
-    judged = Network(
+    as_written = Network(
         network.machine,
         network.data,
         network.instrument,
@@ -85,16 +85,16 @@ def of_file(problem: Problem, extended: Calibration, instrument: np.ndarray) -> 
         network.covariance,
         check=False,
     )
-    placed = Problem(judged, solve(judged, np.zeros(0), problem.setup, np.ones(len(network.data))).setup, None)
+    placed = Problem(as_written, solve(as_written, np.zeros(0), problem.setup, np.ones(len(network.data))).setup, None)
     return unwhitened(placed, placed.project(placed.residual - instrument))
 
 
-def tool_mm(machine: Machine) -> float:
-    """Return the tool length of the machine file, or `TOOL_MM`: at the spindle nose itself a rotation about it has no effect."""
-    return machine.tool_length_mm or TOOL_MM
+def tool_length_of(machine: Machine) -> float:
+    """Return the machine file's tool length, or `DEFAULT_TOOL_MM`: with zero length a rotation about the spindle nose has no effect."""
+    return machine.tool_length_mm or DEFAULT_TOOL_MM
 
 
-def at_tool(
+def error_at_tool(
     data: Measurements, machine: Machine, effects: Sequence[Effect], covariance: Covariance
 ) -> tuple[float, float]:
     """Return the RMS error at the tool over the volume with the given and with the extended calibration, on the extended machine.
@@ -118,7 +118,7 @@ def at_tool(
     state: dict[str, Any] = {name: values[rows] for name, values in measured.items()}
     state |= {f"approach_{name}": own for name, own in zip(machine.names, sides, strict=True)}
     state |= {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
-    at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_mm(machine))
+    at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_of(machine))
     by_error = at_tip.sensitivities(positions).error[:, :3]
     index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(machine.frames)}
 

@@ -19,7 +19,7 @@ from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.problem.pool import DOUBT, Form, Pool
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.result import Cause, Next, Rival
-from twin.diagnosis.selection.search import excessive
+from twin.diagnosis.selection.search import excess_ratio
 from twin.diagnosis.selection.structure import Findings
 from twin.identification.network import Network
 from twin.machine.effects import Effect, assemble
@@ -44,7 +44,7 @@ def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tup
         others: the other causes, likewise.
     """
     keys = _in_place(found.beside, form, others)
-    if not found.structure.traces or not keys:
+    if not found.structure.pattern_tests or not keys:
         return keys
     plain = found.pool
     kept = [plain.forms[one.index] for one in others]
@@ -75,7 +75,7 @@ def _in_place(pool: Pool, form: Form, others: Sequence[Form]) -> tuple[tuple[str
                 continue  # contains the cause, with more parameters
             if worth > margin - DOUBT and pool.cancels(pool.forms[i], others, form):
                 continue
-            if worth > margin - DOUBT and excessive(pool, pool.forms[i], [*others, pool.forms[i]]) > 1.0:
+            if worth > margin - DOUBT and excess_ratio(pool, pool.forms[i], [*others, pool.forms[i]]) > 1.0:
                 continue
             best[pool.forms[i].key] = max(best.get(pool.forms[i].key, -np.inf), worth)
     keys = [key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DOUBT]
@@ -130,7 +130,7 @@ def ruled_out(pool: Pool, form: Form, others: Sequence[Form], excess: float) -> 
     return tuple(sorted(out, key=lambda rival: rival.log_odds)[:RUNNERS_UP])
 
 
-def measured_next(pool: Pool, named: Sequence[Form], causes: Sequence[Cause]) -> tuple[Next, ...]:
+def points_to_measure(pool: Pool, named: Sequence[Form], causes: Sequence[Cause]) -> tuple[Next, ...]:
     """Return the points to measure next, which separate the causes from their alternatives."""
     found: list[Next] = []
     for form, cause in zip(named, causes, strict=True):
@@ -180,7 +180,7 @@ def next_points(
             continue
         sigma = np.sqrt(np.einsum("nii->n", network.covariance).mean() / max(network.read.sum(axis=1).mean(), 1.0))
         gain = np.sum(((ours - theirs) / sigma) ** 2, axis=1)
-        for row in _apart(problem, plan.positions, gain):
+        for row in _well_separated(problem, plan.positions, gain):
             pose = {axis.name: round(float(plan.positions[row, i]), 1) for i, axis in enumerate(network.machine.axes)}
             approach = {
                 axis.name: int(plan.approach[row, i])
@@ -242,7 +242,7 @@ def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan:
     return np.asarray(by_setup @ moved + np.einsum("nij,nj->ni", view.by_error, errors))
 
 
-def _apart(problem: Problem, positions: np.ndarray, gain: np.ndarray) -> list[int]:
+def _well_separated(problem: Problem, positions: np.ndarray, gain: np.ndarray) -> list[int]:
     span = np.maximum(np.ptp(positions, axis=0), MM)
     taken: list[int] = []
     for row in np.argsort(-gain):

@@ -75,7 +75,7 @@ class SecondOpinion:
 
 @final
 @dataclass(frozen=True)
-class Compared:
+class ComparedCause:
     """The result of the second method for one cause of the search.
 
     Attributes:
@@ -99,7 +99,7 @@ class Comparison:
         further: effects found that correspond to no cause of the search and replace none.
     """
 
-    causes: tuple[Compared, ...]
+    causes: tuple[ComparedCause, ...]
     further: tuple[SingleEffect, ...]
 
     @property
@@ -129,7 +129,7 @@ def second_opinion(pool: Pool, start: Sequence[Form] = (), most: int = MOST) -> 
     return SecondOpinion(tuple(_by_key(effect, keys, pool.key_of) for effect in ordered))
 
 
-def compared(opinion: SecondOpinion, groups: Sequence[Collection[Key]]) -> Comparison:
+def compare_with_search(opinion: SecondOpinion, groups: Sequence[Collection[Key]]) -> Comparison:
     """Compare the causes of the search with the second method.
 
     Each effect is assigned to at most one group, maximising the joint posterior probability. An unassigned effect disagrees with the
@@ -165,7 +165,7 @@ def compared(opinion: SecondOpinion, groups: Sequence[Collection[Key]]) -> Compa
         return () if index is None else opinion.effects[index].credible
 
     causes = tuple(
-        Compared(opinion.probability(group), credible(partner.get(g)), credible(instead.get(g)))
+        ComparedCause(opinion.probability(group), credible(partner.get(g)), credible(instead.get(g)))
         for g, group in enumerate(groups)
     )
     return Comparison(causes, tuple(further))

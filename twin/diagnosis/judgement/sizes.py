@@ -21,7 +21,7 @@ from twin.numerics.covariance import Covariance
 
 @final
 @dataclass(frozen=True, eq=False)
-class Sized:
+class SizedCauses:
     """The selected causes with their sizes.
 
     Attributes:
@@ -75,7 +75,7 @@ class Sized:
         return log_p_beside(self.found, self.estimate, self.forms, form)
 
 
-def sized(found: Findings) -> Sized:
+def estimate_sizes(found: Findings) -> SizedCauses:
     """Estimate the sizes of the causes, and drop one by one those that groups of readings do not confirm.
 
     Args:
@@ -85,7 +85,7 @@ def sized(found: Findings) -> Sized:
     dropped: list[Form] = []
     while True:
         estimated = estimate(found.problem, forms, found.posed.scatter.dof, found.structure.beside)
-        if found.structure.traces:
+        if found.structure.pattern_tests:
             judged = [(log_p_beside(found, estimated, forms, form), form) for form in forms]
         else:
             judged = [
@@ -100,11 +100,11 @@ def sized(found: Findings) -> Sized:
         forms = [form for form in forms if form is not worst[1]]
     beside = tuple(found.beside.forms[form.index] for form in forms)
     doubts = tuple(between_positions(found.pool, forms, form) for form in forms)
-    return Sized(found, tuple(forms), beside, estimated, tuple(dropped), doubts)
+    return SizedCauses(found, tuple(forms), beside, estimated, tuple(dropped), doubts)
 
 
 def log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
-    """Return `Sized.log_p` for given causes."""
+    """Return `SizedCauses.log_p` for given causes."""
     explained, dof, _ = found.pool.scores([one for one in forms if one is not form], [form.index])[0]
     left = max((found.problem.chi2 - estimated.explained) / max(found.problem.dof, 1), 1.0)
     chance = log_chance(np.array(explained / left), max(float(dof), 1.0), found.pool.dof)

@@ -29,7 +29,7 @@ ENOUGH: Final = 6
 """Smallest number of independent groups for a confidence interval."""
 
 
-def foretold_patterns(likelihood: Likelihood, forms: Sequence[Form], written: Collection[int]) -> np.ndarray:
+def predicted_pattern_shift(likelihood: Likelihood, forms: Sequence[Form], written: Collection[int]) -> np.ndarray:
     """Return the (3n,) prediction for all readings of some patterns, fitted with the causes to a part of the readings.
 
     Args:
@@ -39,10 +39,10 @@ def foretold_patterns(likelihood: Likelihood, forms: Sequence[Form], written: Co
     """
     which, values, _ = likelihood.most_likely(likelihood.fit(forms), likelihood.slope_beside(forms))
     own = np.isin(likelihood.group[which] // 3, list(written))
-    return likelihood.made(which[own], values[own])
+    return likelihood.effect_on_readings(which[own], values[own])
 
 
-def foretold(problem: Problem, part: Pool, forms: Sequence[Form]) -> np.ndarray:
+def predicted_shift(problem: Problem, part: Pool, forms: Sequence[Form]) -> np.ndarray:
     """Return the (3n,) prediction for all readings of causes fitted to a part of them.
 
     Directions that the part does not determine are set to zero; they would only amplify noise.
@@ -52,7 +52,7 @@ def foretold(problem: Problem, part: Pool, forms: Sequence[Form]) -> np.ndarray:
     return np.asarray(signature @ values)
 
 
-def interval(table: np.ndarray) -> tuple[float, float] | None:
+def jackknife_interval(table: np.ndarray) -> tuple[float, float] | None:
     """Return the 95 % confidence interval of the difference of two RMS values by the jackknife; None for fewer than `ENOUGH` groups.
 
     One group is left out at a time; pseudo-values with Student's t (Tukey 1958). Groups, not readings, are independent.
@@ -73,7 +73,7 @@ def interval(table: np.ndarray) -> tuple[float, float] | None:
     return whole - half, whole + half
 
 
-def foretells(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
+def predicts_held_out(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
     """Return whether a function of an axis's position predicts held-out positions of that axis.
 
     A variant of another effect must predict better than that effect, for example a reversal curve better than a constant reversal.
@@ -90,17 +90,19 @@ def foretells(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
     axis = machine.names.index(axis_of(where))
     if len(np.unique(np.round(data.positions[:, axis], 3))) > DENSE:
         return True
-    split = at_positions(data, [axis])
+    split = folds_at_positions(data, [axis])
     if split is None:
         return False
     others = [one for one in forms if one is not form]
     if form.candidate.specification.more_of:
         others += [one for one in pool.forms if one.key == (form.candidate.specification.more_of, where)]
-    gained = positions_held_out(pool, form, others, split)
+    gained = gain_at_held_out_positions(pool, form, others, split)
     return gained is not None and gained[0] > 0.0
 
 
-def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Parts) -> tuple[float, float] | None:
+def gain_at_held_out_positions(
+    pool: Pool, form: Form, others: Sequence[Form], split: Folds
+) -> tuple[float, float] | None:
     """Return the 95 % interval of the gain of one cause at held-out positions, all others kept; None if there is no interval.
 
     Args:
@@ -110,31 +112,31 @@ def positions_held_out(pool: Pool, form: Form, others: Sequence[Form], split: Pa
         split: the folds of positions.
     """
 
-    def judged(small: Pool) -> tuple[np.ndarray, np.ndarray]:
-        return foretold(pool.problem, small, others), foretold(pool.problem, small, [*others, form])
+    def predict(small: Pool) -> tuple[np.ndarray, np.ndarray]:
+        return predicted_shift(pool.problem, small, others), predicted_shift(pool.problem, small, [*others, form])
 
-    table = on_parts(pool, split, judged)
-    return None if table is None else interval(table)
+    table = held_out_squares(pool, split, predict)
+    return None if table is None else jackknife_interval(table)
 
 
-def on_parts(pool: Pool, split: Parts, judged: Callable[[Pool], Sequence[np.ndarray]]) -> np.ndarray | None:
+def held_out_squares(pool: Pool, split: Folds, predict: Callable[[Pool], Sequence[np.ndarray]]) -> np.ndarray | None:
     """Return (groups, models + 1): sums of squared held-out residuals of each model, µm², and the number of values.
 
     Args:
         pool: all data.
         split: the folds.
-        judged: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
+        predict: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
     """
     problem = pool.problem
     table: np.ndarray | None = None
-    for k in range(int(split.part.max()) + 1):
-        rows = split.part == k
+    for k in range(int(split.fold.max()) + 1):
+        rows = split.fold == k
         part = problem.without(rows)
         if part is None:
             return None
         small = pool.on(part)
         squares = []
-        for made in judged(small):
+        for made in predict(small):
             left = part.following(problem.residual - made).reshape(-1, 3, 1)[rows]
             squares.append(np.sum((plain(problem, left, rows)[:, :, 0] * 1e6) ** 2, axis=1))
         read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
@@ -154,21 +156,21 @@ HeldOutOf = Literal["rounds", "positions", "poses", "blocks"]
 
 @final
 @dataclass(frozen=True)
-class Parts:
+class Folds:
     """Folds of a cross-validation.
 
     Attributes:
         of: ``rounds``, ``positions`` of the one axis that moved, ``poses``, or ``blocks`` of time.
         group: (n,) independent group of each reading.
-        part: (n,) fold of each reading: whole groups, drawn at random.
+        fold: (n,) fold of each reading: whole groups, drawn at random.
     """
 
     of: HeldOutOf
     group: np.ndarray
-    part: np.ndarray
+    fold: np.ndarray
 
 
-def parts(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> Parts | None:
+def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> Folds | None:
     """Return the folds suited to the causes; None if nothing can be held out.
 
     Args:
@@ -180,13 +182,13 @@ def parts(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> 
     if not changing:
         moved = [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
         if moved:
-            found = at_positions(data, moved)
+            found = folds_at_positions(data, moved)
             if found is not None:
                 return found
-    return in_time(data)
+    return folds_in_time(data)
 
 
-def in_time(data: Measurements) -> Parts | None:
+def folds_in_time(data: Measurements) -> Folds | None:
     """Return folds of rounds, or of blocks of time for a single round; None for too few readings.
 
     Args:
@@ -200,10 +202,10 @@ def in_time(data: Measurements) -> Parts | None:
     order = np.argsort(data.time_s, kind="stable") if np.all(np.isfinite(data.time_s)) else np.arange(len(data))
     group = np.empty(len(data), dtype=int)
     group[order] = np.arange(len(data)) * BLOCKS // len(data)
-    return Parts("blocks", group, group)
+    return Folds("blocks", group, group)
 
 
-def at_positions(data: Measurements, axes: Sequence[int]) -> Parts | None:
+def folds_at_positions(data: Measurements, axes: Sequence[int]) -> Folds | None:
     """Return folds of positions of one axis, or of poses of several; None if there is only one.
 
     Args:
@@ -215,9 +217,9 @@ def at_positions(data: Measurements, axes: Sequence[int]) -> Parts | None:
     return _drawn("positions" if len(axes) == 1 else "poses", group) if group.max() > 0 else None
 
 
-def _drawn(of: HeldOutOf, group: np.ndarray) -> Parts:
+def _drawn(of: HeldOutOf, group: np.ndarray) -> Folds:
     count = int(group.max()) + 1
-    return Parts(of, group, (np.random.default_rng(SEED).permutation(count) % min(count, FOLDS))[group])
+    return Folds(of, group, (np.random.default_rng(SEED).permutation(count) % min(count, FOLDS))[group])
 
 
 PLENTY: Final = 20
@@ -226,13 +228,13 @@ OVERFITTED: Final = 1.25
 """Ratio of held-out to fitted RMS residual above which the number of causes is reduced."""
 
 
-def held_up(pool: Pool, forms: Sequence[Form]) -> list[Form]:
+def without_overfitting(pool: Pool, forms: Sequence[Form]) -> list[Form]:
     """Return the causes without those that overfit; all of them unless held-out readings fit much worse than the others.
 
     Causes enter in order of the chi² they explain, and each must be significant against the residual after it (F-to-enter, Efroymson
     1960). Of these the smallest number is kept whose held-out error is within one standard error of the minimum (Breiman and others
-    1984). If only one axis moved, causes that are not promised (`twin.diagnosis.selection.left_out.foretells`) are kept: they make no
-    claim between the measured positions.
+    1984). If only one axis moved, causes that are not promised (`twin.diagnosis.selection.left_out.predicts_held_out`) are kept: they
+    make no claim between the measured positions.
 
     Args:
         pool: the data.
@@ -240,15 +242,15 @@ def held_up(pool: Pool, forms: Sequence[Form]) -> list[Form]:
     """
     if PLENTY * len(together(forms)) < pool.problem.dof:
         return list(forms)
-    split = parts(pool.problem.network.data, pool.problem.network.machine, [form.candidate for form in forms])
+    split = choose_folds(pool.problem.network.data, pool.problem.network.machine, [form.candidate for form in forms])
     if split is None or split.of not in ("positions", "poses") or split.group.max() + 1 < ENOUGH:
         return list(forms)
-    claimed = _by_entry(pool, [form for form in forms if split.of == "poses" or foretells(pool, form, forms)])
+    claimed = _by_entry(pool, [form for form in forms if split.of == "poses" or predicts_held_out(pool, form, forms)])
 
-    def judged(small: Pool) -> list[np.ndarray]:
-        return [foretold(pool.problem, small, claimed[:k]) for k in range(len(claimed) + 1)]
+    def predict(small: Pool) -> list[np.ndarray]:
+        return [predicted_shift(pool.problem, small, claimed[:k]) for k in range(len(claimed) + 1)]
 
-    table = on_parts(pool, split, judged)
+    table = held_out_squares(pool, split, predict)
     if table is None or table[:, -2].sum() / table[:, -1].sum() <= (OVERFITTED * _in_fit(pool, claimed)) ** 2:
         return list(forms)
     gone = {form.index for form in claimed[_fewest(table[:, : _beyond_rest(pool, claimed) + 1]) :]}
@@ -287,5 +289,5 @@ def _by_entry(pool: Pool, forms: Sequence[Form]) -> list[Form]:
 def _in_fit(pool: Pool, forms: Sequence[Form]) -> float:
     """Return the RMS residual of the fit, µm."""
     problem = pool.problem
-    residual = problem.project(problem.residual - foretold(problem, pool, forms))
+    residual = problem.project(problem.residual - predicted_shift(problem, pool, forms))
     return rms(unwhitened(problem, residual), problem.network.read)

@@ -18,7 +18,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.pool import Form, Pool, pseudo, together
-from twin.diagnosis.selection.unnamed import Trace
+from twin.diagnosis.selection.unnamed import PatternTest
 
 STEPS: Final = 40
 """Largest number of iterations."""
@@ -44,9 +44,9 @@ class Model:
     """Causes with patterns, at the most likely variances.
 
     Attributes:
-        twice: twice the log likelihood ratio against noise as stated without causes and patterns.
+        twice_log_ratio: twice the log likelihood ratio against noise as stated without causes and patterns.
         variances: of each group of the patterns' columns, relative to the noise, µm².
-        scatter: s², the variance factor of the noise, at least one.
+        variance_factor: s², the variance factor of the noise, at least one.
         explained: χ² explained by causes and patterns together.
         values: (columns,) coefficients of the causes, in the order of `together`.
         random: coefficients of the patterns' rotated columns, µm.
@@ -54,9 +54,9 @@ class Model:
         followed: effective degrees of freedom of the patterns.
     """
 
-    twice: float
+    twice_log_ratio: float
     variances: np.ndarray
-    scatter: float
+    variance_factor: float
     explained: float
     values: np.ndarray
     random: np.ndarray
@@ -73,25 +73,25 @@ class Likelihood:
 
     Args:
         pool: the data and the causes.
-        traces: the patterns.
+        pattern_tests: the patterns.
     """
 
-    def __init__(self, pool: Pool, traces: Sequence[Trace]) -> None:
+    def __init__(self, pool: Pool, pattern_tests: Sequence[PatternTest]) -> None:
         self.pool = pool
-        self.traces = tuple(traces)
+        self.pattern_tests = tuple(pattern_tests)
         self._imitated: dict[int, np.ndarray] = {}
         self.columns: list[Column] = []
         group: list[int] = []
-        for k, trace in enumerate(traces):
+        for k, pattern_test in enumerate(pattern_tests):
             # All directions, each with its own variance: a cause may imitate the pattern along a direction other than the clearest.
             for i in range(3):
-                own = trace.pattern.columns(trace.level, [i])
+                own = pattern_test.pattern.columns(pattern_test.level, [i])
                 group += [3 * k + i] * len(own)
                 self.columns += own
         self.group = np.array(group, dtype=int)
         problem = pool.problem
         found = problem.products(self.columns)
-        size = np.bincount(self.group, np.diag(found.gram), 3 * len(traces))
+        size = np.bincount(self.group, np.diag(found.gram), 3 * len(pattern_tests))
         self._size = np.where(size > UNREAD * size.max(initial=0.0), size, 0.0)
         self._rotation, self._own = _orthogonal(found.gram, self.group, self._size)
         self._gram = self._rotation.T @ found.gram @ self._rotation
@@ -108,23 +108,26 @@ class Likelihood:
             without: number of a pattern to omit.
         """
         first = np.where(self._size > 0.0, FIRST / np.maximum(self._size, 1e-300), 0.0)
-        variances, scatter = first, 1.0
+        variances, variance_factor = first, 1.0
         if start is not None:
-            variances, scatter = np.maximum(start.variances, SMALL * first), start.scatter
+            variances, variance_factor = np.maximum(start.variances, SMALL * first), start.variance_factor
         if without is not None:
             variances = np.where(np.arange(len(variances)) // 3 == without, 0.0, variances)
         columns = together(forms)
         fixed = self.pool.gram(forms)
         for _ in range(STEPS):
-            model, moved = self._at(columns, fixed, variances, scatter)
+            model, moved = self._at(columns, fixed, variances, variance_factor)
             with np.errstate(divide="ignore", invalid="ignore"):
                 change = np.abs(np.log(moved / variances))
             followed = variances * self._size > SMALL
-            settled = not np.any(change[followed] > STILL) and abs(model.scatter / scatter - 1.0) < STILL * 0.1
-            variances, scatter = moved, model.scatter
+            settled = (
+                not np.any(change[followed] > STILL)
+                and abs(model.variance_factor / variance_factor - 1.0) < STILL * 0.1
+            )
+            variances, variance_factor = moved, model.variance_factor
             if settled:
                 break
-        return self._at(columns, fixed, variances, scatter)[0]
+        return self._at(columns, fixed, variances, variance_factor)[0]
 
     def _followed(self, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the rotated columns with a relevant variance, their standard deviations, and 1 + D^½ΦᵀMΦD^½ of them."""
@@ -136,7 +139,7 @@ class Likelihood:
         return used, deviation, inner
 
     def _at(
-        self, columns: np.ndarray, fixed: np.ndarray, variances: np.ndarray, scatter: float
+        self, columns: np.ndarray, fixed: np.ndarray, variances: np.ndarray, variance_factor: float
     ) -> tuple[Model, np.ndarray]:
         """Return the model at given variances, and updated variances."""
         used, deviation, inner = self._followed(variances)
@@ -151,21 +154,24 @@ class Likelihood:
         explained = float(self.pool.slope[columns] @ values + slope @ found)
         more = max((self._chi2 - explained) / self._dof, 1.0)
         # Relative to the stated noise alone, for which twice the log likelihood is −χ².
-        twice = self._chi2 - (self._chi2 - explained) / more - self._dof * float(np.log(more)) - log_det
+        twice_log_ratio = self._chi2 - (self._chi2 - explained) / more - self._dof * float(np.log(more)) - log_det
         groups = len(variances)
         share = 1.0 - np.diag(inverse)
         known = np.bincount(self._own[used], share, groups)
         squares = np.bincount(self._own[used], found**2, groups)
-        moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / scatter, variances)
+        moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / variance_factor, variances)
         random = np.zeros(len(self._own))
         random[used] = found * deviation
-        return Model(twice, variances, more, explained, values, random, back, float(share.sum())), moved
+        return Model(twice_log_ratio, variances, more, explained, values, random, back, float(share.sum())), moved
 
-    def gained(self, forms: Sequence[Form], model: Model, form: Form) -> float:
+    def gain_bound(self, forms: Sequence[Form], model: Model, form: Form) -> float:
         """Return an upper bound of the gain in twice the log likelihood by one cause: variances are not re-estimated without it."""
         at = np.searchsorted(together(forms), form.columns)
         values = model.values[at]
-        return float(values @ np.linalg.pinv(model.covariance[np.ix_(at, at)], hermitian=True) @ values) / model.scatter
+        return (
+            float(values @ np.linalg.pinv(model.covariance[np.ix_(at, at)], hermitian=True) @ values)
+            / model.variance_factor
+        )
 
     def scan(self, forms: Sequence[Form], model: Model) -> tuple[np.ndarray, np.ndarray]:
         """Return the χ² that every form explains given causes and patterns, in units of the noise, and its degrees of freedom."""
@@ -174,15 +180,18 @@ class Likelihood:
         cross = solve_triangular(lower, self._cross[used] * deviation[:, None], lower=True)
         slope = solve_triangular(lower, self._slope[used] * deviation, lower=True)
         explained, dof = self.pool.scan_beside(forms, cross, slope)
-        return explained / model.scatter, dof
+        return explained / model.variance_factor, dof
 
-    def left(self, forms: Sequence[Form], model: Model) -> np.ndarray:
+    def explained_by_patterns(self, forms: Sequence[Form], model: Model) -> np.ndarray:
         """Return (patterns,) the χ² that each pattern explains and causes and other patterns do not."""
         return np.array(
-            [max(model.explained - self.fit(forms, model, without=k).explained, 0.0) for k in range(len(self.traces))]
+            [
+                max(model.explained - self.fit(forms, model, without=k).explained, 0.0)
+                for k in range(len(self.pattern_tests))
+            ]
         )
 
-    def imitated(self, form: Form) -> np.ndarray:
+    def can_imitate(self, form: Form) -> np.ndarray:
         """Return (patterns,) one for each pattern that could reproduce most of the effect of a cause, else zero."""
         if form.index in self._imitated:
             return self._imitated[form.index]
@@ -190,8 +199,8 @@ class Likelihood:
         whole = self.pool.gram([form])
         values = np.ones(len(own)) if len(own) == 1 else self.pool.fitted([form])[1]
         size = float(values @ whole @ values)
-        found = np.zeros(len(self.traces))
-        for k in range(len(self.traces)):
+        found = np.zeros(len(self.pattern_tests))
+        for k in range(len(self.pattern_tests)):
             mine = np.flatnonzero(self._own // 3 == k)
             inner = self._gram[np.ix_(mine, mine)]
             along = self._cross[np.ix_(mine, own)] @ values
@@ -236,12 +245,12 @@ class Likelihood:
         # A direction that is not measured keeps its prior variance.
         covariance = np.diag(model.variances[self.group[which]]) + rotation @ (inverse - np.eye(len(used))) @ rotation.T
         values = rotation @ (inverse @ (slope[used] * deviation))
-        return which, values, model.scatter * (covariance + covariance.T) / 2.0
+        return which, values, model.variance_factor * (covariance + covariance.T) / 2.0
 
     def _followed_columns(self, model: Model) -> np.ndarray:
         return np.flatnonzero((model.variances * self._size)[self.group] > SMALL)
 
-    def made(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def effect_on_readings(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return the (3n,) effect of some columns of the patterns on the whitened readings, held out or not.
 
         Args:
@@ -258,7 +267,7 @@ class Likelihood:
     def pattern(self, forms: Sequence[Form], model: Model) -> np.ndarray:
         """Return the (3n,) most likely effect of the patterns on the whitened readings, set-up and causes projected out."""
         problem = self.pool.problem
-        found = self.made(np.arange(len(self.columns)), self._rotation @ model.random)
+        found = self.effect_on_readings(np.arange(len(self.columns)), self._rotation @ model.random)
         columns = together(forms)
         if len(columns):
             back, _ = pseudo(self.pool.gram(forms))
@@ -269,7 +278,7 @@ class Likelihood:
     def random(self, model: Model) -> list[tuple[Column, float]]:
         """Return the patterns' columns with their standard deviations, µm."""
         which = self._followed_columns(model)
-        sizes = np.sqrt(model.variances[self.group[which]] * model.scatter).tolist()
+        sizes = np.sqrt(model.variances[self.group[which]] * model.variance_factor).tolist()
         return [(self.columns[i], size) for i, size in zip(which.tolist(), sizes, strict=True)]
 
 

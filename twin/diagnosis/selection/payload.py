@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 
 from twin.diagnosis.candidates.machine_effects import cell_at
 from twin.diagnosis.problem.pool import Form, Pool, pseudo, together
-from twin.diagnosis.selection.search import Selection, possible, select
+from twin.diagnosis.selection.search import Selection, select, within_limits
 from twin.machine.effects import Payload
 from twin.machine.effects.gravity_compliance import FREE, GRAVITY_COMPLIANCE, payloads_of
 from twin.machine.effects.payload import MASS, SIDES, SOUGHT_MM, Side, heaviest_kg, side_of
@@ -61,21 +61,21 @@ class Load:
     gram: np.ndarray
     slope: np.ndarray
 
-    def under(self, four: np.ndarray) -> tuple[float, np.ndarray]:
+    def explained_under(self, shares: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the χ² that the joints explain under a payload, and (k,) their compliances."""
-        shapes = self._shapes(four)
+        shapes = self._shapes(shares)
         inverse = np.linalg.pinv(shapes.T @ self.gram @ shapes, rcond=LOST, hermitian=True)
         slope = shapes.T @ self.slope
         return float(slope @ inverse @ slope), np.asarray(inverse @ slope)
 
-    def _shapes(self, four: np.ndarray) -> np.ndarray:
-        return np.kron(np.eye(len(self.joints)), weights(four)[:, None])
+    def _shapes(self, shares: np.ndarray) -> np.ndarray:
+        return np.kron(np.eye(len(self.joints)), weights(shares)[:, None])
 
     def payload(self) -> Payload:
         """Return the payload that explains most."""
         fits = [
             minimize(
-                lambda four: -self.under(four)[0],
+                lambda shares: -self.explained_under(shares)[0],
                 np.array([share, 0.0, 0.0, 0.0]),
                 method="L-BFGS-B",
                 bounds=[(0.0, 1.0), *[(-1.0, 1.0)] * 3],
@@ -85,21 +85,21 @@ class Load:
         ]
         return Payload.of_shares(self.side, self.heaviest, min(fits, key=lambda fit: float(fit.fun)).x)
 
-    def four(self, payload: Payload) -> np.ndarray:
+    def shares_of(self, payload: Payload) -> np.ndarray:
         """Return a payload as (4,) shares of its bounds."""
         return np.array([payload.mass_kg / self.heaviest, *(one / SOUGHT_MM for one in payload.centre_mm)])
 
-    def covariances(self, four: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def covariances(self, shares: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (k,) factors on the uncertainties of the compliances due to the payload, and (4,) variances of the payload.
 
         Args:
-            four: (4,) the payload, as shares of its bounds.
+            shares: (4,) the payload, as shares of its bounds.
             u: (k,) standard uncertainties of the compliances under exactly this payload.
         """
-        _, values = self.under(four)
+        _, values = self.explained_under(shares)
         step = np.eye(4) * 1e-6
-        by_four = [(weights(four + one) - weights(four - one)) / 2e-6 for one in step]
-        slopes = np.concatenate([self._shapes(four), *[np.kron(values, one)[:, None] for one in by_four]], axis=1)
+        by_four = [(weights(shares + one) - weights(shares - one)) / 2e-6 for one in step]
+        slopes = np.concatenate([self._shapes(shares), *[np.kron(values, one)[:, None] for one in by_four]], axis=1)
         known = slopes.T @ self.gram @ slopes
         count = len(values)
         given = np.diag(np.linalg.pinv(known[:count, :count], rcond=LOST, hermitian=True))
@@ -110,12 +110,12 @@ class Load:
         return np.sqrt(np.maximum(found[:count] / np.maximum(u**2, 1e-300), 1.0)), found[count:]
 
 
-def weights(four: np.ndarray) -> np.ndarray:
+def weights(shares: np.ndarray) -> np.ndarray:
     """Return (5,) weights of the columns of a joint: own weight, mass, first moments."""
-    return np.concatenate([[1.0, four[0]], four[0] * four[1:]])
+    return np.concatenate([[1.0, shares[0]], shares[0] * shares[1:]])
 
 
-def chosen(pool: Pool, before: Sequence[Form] = ()) -> Selection:
+def select_with_payload(pool: Pool, before: Sequence[Form] = ()) -> Selection:
     """Return the best set of possible causes, with one payload per side in the load of all deflecting joints.
 
     Args:
@@ -125,46 +125,46 @@ def chosen(pool: Pool, before: Sequence[Form] = ()) -> Selection:
     anew = not any(MASS in form.cell.fixed for form in before)
     best = select(pool, () if anew else [pool.forms[form.index] for form in before])
     for _ in range(ROUNDS):
-        loads = [load for side in SIDES if (load := asked(pool, best.forms, side)) is not None]
-        if not any([_put(pool, _believed(pool, load)) for load in loads]):
+        loads = [load for side in SIDES if (load := loaded_joints(pool, best.forms, side)) is not None]
+        if not any([_add_payload(pool, _significant_payload(pool, load)) for load in loads]):
             break
-        _bar(pool)
+        _exclude_free_payloads(pool)
         known = {form.key: form for form in pool.forms if MASS in form.cell.fixed}
         best, anew = select(pool, [known.get(form.key, form) for form in best.forms]), False
-    return possible(pool, best, anew)
+    return within_limits(pool, best, anew)
 
 
-def _believed(pool: Pool, load: Load) -> Payload:
+def _significant_payload(pool: Pool, load: Load) -> Payload:
     """Return the payload that explains most, with zero mass if it is not significant."""
     found = load.payload()
-    more = load.under(load.four(found))[0] - load.under(np.zeros(4))[0]
+    more = load.explained_under(load.shares_of(found))[0] - load.explained_under(np.zeros(4))[0]
     return found if more > pool.cost(load.free[0], 4.0) else replace(found, mass_kg=0.0)
 
 
-def again(pool: Pool, forms: Sequence[Form]) -> None:
+def restore_payloads(pool: Pool, forms: Sequence[Form]) -> None:
     """Put the payloads of the given causes back into the load of all joints, after the pool was evaluated on other data."""
     yielding = [form for form in forms if form.candidate.specification is GRAVITY_COMPLIANCE]
     for payload in {one for form in yielding for one in payloads_of(axis_of_form(pool, form), form.cell.fixed)}:
-        _put(pool, payload)
+        _add_payload(pool, payload)
 
 
-def chosen_on(part: Pool, forms: Sequence[Form]) -> Selection:
+def select_on_part(part: Pool, forms: Sequence[Form]) -> Selection:
     """Return the best set of causes on a part of the data, starting from that on all data, with the payloads of the latter.
 
     Args:
         part: the pool on a part of the data.
         forms: the causes found on all data; each stays if it is significant.
     """
-    _bar(part)
-    return possible(part, select(part, [part.forms[form.index] for form in forms]), False)
+    _exclude_free_payloads(part)
+    return within_limits(part, select(part, [part.forms[form.index] for form in forms]), False)
 
 
-def _bar(pool: Pool) -> None:
+def _exclude_free_payloads(pool: Pool) -> None:
     """Exclude the forms with a free payload for each joint."""
     pool.bar([form for form in pool.forms if FREE in form.cell.fixed])
 
 
-def asked(pool: Pool, forms: Sequence[Form], side: Side) -> Load | None:
+def loaded_joints(pool: Pool, forms: Sequence[Form], side: Side) -> Load | None:
     """Return the deflecting joints of a side if any of them has a payload, free or fixed; else None."""
     free = {form.key: form for form in pool.forms if FREE in form.cell.fixed}
     joints = [form for form in forms if form.key in free and side_of(axis_of_form(pool, form)) == side]
@@ -184,7 +184,7 @@ def asked(pool: Pool, forms: Sequence[Form], side: Side) -> Load | None:
     return Load(side, heaviest, tuple(joints), tuple(own), left, (slope[at] - along @ slope[rest]) / size)
 
 
-def _put(pool: Pool, payload: Payload) -> bool:
+def _add_payload(pool: Pool, payload: Payload) -> bool:
     """Put a payload into the load of every joint of its side; return whether that changed anything."""
     machine = pool.problem.network.machine
     state = state_of(pool.problem.network.data, machine)

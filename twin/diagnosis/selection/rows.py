@@ -10,7 +10,7 @@ from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.problem.pool import Pool
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import ROBUST, Posed, Readings
-from twin.diagnosis.selection.search import glimpse, pool_of
+from twin.diagnosis.selection.search import largest_causes, pool_of
 from twin.identification.outliers import outliers
 
 WITNESSES: Final = 3
@@ -24,7 +24,7 @@ LOOKED_AT: Final = 20_000
 SEED: Final = 1964
 
 
-def posed(placed: Readings) -> Posed:
+def exclude_outliers(placed: Readings) -> Posed:
     """Return the problem without outliers: whitened rows and the causes to test.
 
     Args:
@@ -67,6 +67,6 @@ def _beyond(placed: Readings, whole: Problem, pool: Pool, bad: np.ndarray) -> np
     part = whole.without(bad) if np.any(bad) else whole
     if part is None:
         return placed.bad
-    forms = glimpse(pool.on(part), CLEAR)
+    forms = largest_causes(pool.on(part), CLEAR)
     left = whole.residual - estimate(part, forms).signature.sum(axis=1)
     return outliers(placed.network, part.following(left).reshape(-1, 3))

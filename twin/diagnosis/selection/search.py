@@ -14,7 +14,7 @@ import numpy as np
 from twin.diagnosis.candidates.candidate import Candidate, Cell
 from twin.diagnosis.problem.pool import FURTHER, Form, Pool
 from twin.diagnosis.problem.readings import Posed
-from twin.diagnosis.selection.left_out import parts
+from twin.diagnosis.selection.left_out import choose_folds
 
 SHARE: Final = 0.25
 """A family's share of `ALARMS` grows with its number of forms to this power, less than proportionally."""
@@ -70,7 +70,7 @@ def select(pool: Pool, begun: Sequence[Form] = ()) -> Selection:
         return found
     if begun:
         pool.prepare(begun)
-        forms = grown(pool, list(begun))
+        forms = forward_selection(pool, list(begun))
         return Selection(tuple(forms), pool.worth(forms))
     margin = pool.margins([])
     order = [int(i) for i in np.argsort(-margin, kind="stable") if margin[i] > 0.0]
@@ -82,7 +82,7 @@ def select(pool: Pool, begun: Sequence[Form] = ()) -> Selection:
     pool.prepare([pool.forms[i] for i in list(first.values())[:LIKELY]])
     likely = [[pool.forms[i]] for i in list(first.values())[:STARTS]]
     for start in likely:
-        forms = grown(pool, start)
+        forms = forward_selection(pool, start)
         worth = pool.worth(forms)
         if worth > found.worth + 1e-6:
             found = Selection(tuple(forms), worth)
@@ -91,7 +91,7 @@ def select(pool: Pool, begun: Sequence[Form] = ()) -> Selection:
     if len(found.forms) > FEW:
         # A machine whose constants were never identified: each explains little before the others are in the model.
         numbers = np.array([form.candidate.specification.constant for form in pool.forms])
-        forms = grown(pool, grown(pool, [], numbers))
+        forms = forward_selection(pool, forward_selection(pool, [], numbers))
         worth = pool.worth(forms)
         if worth > (1.0 - SAME) * found.worth:
             found = Selection(tuple(forms), worth)
@@ -99,16 +99,16 @@ def select(pool: Pool, begun: Sequence[Form] = ()) -> Selection:
     return Selection(tuple(forms), pool.worth(forms))
 
 
-def glimpse(pool: Pool, most: int) -> tuple[Form, ...]:
+def largest_causes(pool: Pool, most: int) -> tuple[Form, ...]:
     """Return the first few, largest causes, without re-examination."""
     margin = pool.margins([])
     if len(margin) == 0 or margin.max() <= 0.0:
         return ()
-    return tuple(grown(pool, [pool.forms[int(np.argmax(margin))]], most=most))
+    return tuple(forward_selection(pool, [pool.forms[int(np.argmax(margin))]], most=most))
 
 
-def possible(pool: Pool, best: Selection, anew: bool) -> Selection:
-    """Return the best set in which no cause is larger than possible (`excessive`).
+def within_limits(pool: Pool, best: Selection, anew: bool) -> Selection:
+    """Return the best set in which no cause is larger than possible (`excess_ratio`).
 
     Args:
         pool: the forms.
@@ -118,7 +118,8 @@ def possible(pool: Pool, best: Selection, anew: bool) -> Selection:
     allowed = pool.allowed
     while True:
         if any(
-            form.candidate.specification.pliable and excessive(pool, form, best.forms) == np.inf for form in best.forms
+            form.candidate.specification.pliable and excess_ratio(pool, form, best.forms) == np.inf
+            for form in best.forms
         ):
             # Exclude all of them; causes they displaced return.
             pool.allowed = allowed
@@ -126,7 +127,7 @@ def possible(pool: Pool, best: Selection, anew: bool) -> Selection:
             allowed = pool.allowed
             best = select(pool, () if anew else [f for f in best.forms if not f.candidate.specification.pliable])
             continue
-        excess = [excessive(pool, form, best.forms) for form in best.forms]
+        excess = [excess_ratio(pool, form, best.forms) for form in best.forms]
         if not excess or max(excess) <= 1.0:
             return best
         # One at a time: another cause that it compensated may be possible without it.
@@ -135,7 +136,7 @@ def possible(pool: Pool, best: Selection, anew: bool) -> Selection:
         best = select(pool, () if anew else [form for form in best.forms if form.key != worst])
 
 
-def excessive(pool: Pool, form: Form, forms: Sequence[Form]) -> float:
+def excess_ratio(pool: Pool, form: Form, forms: Sequence[Form]) -> float:
     """Return the ratio of a form's size to the largest possible: by physics, or by the residuals it explains.
 
     A cause larger than the residuals needs another that cancels it; neither exists.
@@ -148,11 +149,11 @@ def excessive(pool: Pool, form: Form, forms: Sequence[Form]) -> float:
     columns, values, inverse = pool.fitted(forms)
     at = np.searchsorted(columns, form.columns)
     u = np.sqrt(np.maximum(np.diag(inverse)[at], 0.0))
-    return excess_of(form, values[at], u, pool.gram([form]), float(pool.slope[columns] @ values))
+    return excess_ratio_of(form, values[at], u, pool.gram([form]), float(pool.slope[columns] @ values))
 
 
-def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float) -> float:
-    """Return the ratio of `excessive` for given values, in plausible sizes, with their standard uncertainties.
+def excess_ratio_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float) -> float:
+    """Return the ratio of `excess_ratio` for given values, in plausible sizes, with their standard uncertainties.
 
     Args:
         form: the form.
@@ -213,7 +214,9 @@ def _split(pool: Pool, forms: list[Form]) -> list[Form]:
     return trial
 
 
-def grown(pool: Pool, forms: Sequence[Form], allowed: np.ndarray | bool = True, most: int = MOST) -> list[Form]:
+def forward_selection(
+    pool: Pool, forms: Sequence[Form], allowed: np.ndarray | bool = True, most: int = MOST
+) -> list[Form]:
     """Add forms as long as each is significant.
 
     Args:
@@ -279,7 +282,7 @@ def _better(pool: Pool, forms: list[Form], now: float, allowed: np.ndarray | boo
     return None
 
 
-def every(candidates: Sequence[Candidate], costs: dict[str, float]) -> list[tuple[Candidate, Cell, float]]:
+def priced_forms(candidates: Sequence[Candidate], costs: dict[str, float]) -> list[tuple[Candidate, Cell, float]]:
     """Return all forms of all candidates, with their corrections for multiple testing."""
     return [(c, cell, costs[c.effect]) for c in candidates for cell in c.cells]
 
@@ -298,5 +301,5 @@ def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
 def pool_of(posed: Posed) -> Pool:
     """Return every form of every candidate with its correction for multiple testing, evaluated on the data."""
     problem, known = posed.problem, posed.known.candidates
-    split = parts(problem.network.data, problem.network.machine, ())
-    return Pool(problem, every(known, prices(known)), posed.scatter.dof, None if split is None else split.part)
+    split = choose_folds(problem.network.data, problem.network.machine, ())
+    return Pool(problem, priced_forms(known, prices(known)), posed.scatter.dof, None if split is None else split.fold)

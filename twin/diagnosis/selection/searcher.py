@@ -8,11 +8,11 @@ from twin.diagnosis.candidates.machine_effects import cell_at
 from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.problem.pool import Form
 from twin.diagnosis.problem.readings import Posed
-from twin.diagnosis.selection.left_out import foretells, held_up
+from twin.diagnosis.selection.left_out import predicts_held_out, without_overfitting
 from twin.diagnosis.selection.patterns import patterns
-from twin.diagnosis.selection.payload import chosen
+from twin.diagnosis.selection.payload import select_with_payload
 from twin.diagnosis.selection.search import Selection, pool_of
-from twin.diagnosis.selection.structure import Findings, Structure, named, settled
+from twin.diagnosis.selection.structure import Findings, Structure, joint_selection, with_patterns
 from twin.measurement.table import state_of
 
 LARGE: Final = 100.0
@@ -23,7 +23,7 @@ STAYS: Final = 0.2
 """Change of a period or time constant, in standard uncertainties, below which it is not refined again."""
 
 
-def selected(posed: Posed) -> Findings:
+def select_causes(posed: Posed) -> Findings:
     """Return the causes and the unnamed patterns that explain the residuals.
 
     Args:
@@ -53,11 +53,11 @@ class Searcher:
         while varying := [
             form
             for form in found.forms
-            if form.candidate.specification.more_of and not foretells(self.pool, form, found.forms)
+            if form.candidate.specification.more_of and not predicts_held_out(self.pool, form, found.forms)
         ]:
             self.pool.forbid({form.key for form in varying})
             found, refuted = self._settled()
-        beside = self.pool.beside(found.problem) if found.traces else self.pool
+        beside = self.pool.beside(found.problem) if found.pattern_tests else self.pool
         return Findings(self.posed, self.patterns, self.pool, beside, found, refuted)
 
     def _settled(self) -> tuple[Structure, tuple[Form, ...]]:
@@ -66,13 +66,13 @@ class Searcher:
         If there are too few readings for the causes, there are also too few to decide which causes a pattern could replace.
         """
         chosen = self._best().forms
-        kept = held_up(self.pool, chosen)
+        kept = without_overfitting(self.pool, chosen)
         if len(kept) == len(chosen):
-            found = settled(self.pool, chosen, self.patterns)
-            chosen, kept = found.forms, held_up(self.pool, found.forms)
+            found = joint_selection(self.pool, chosen, self.patterns)
+            chosen, kept = found.forms, without_overfitting(self.pool, found.forms)
             if len(kept) == len(chosen):
                 return found, ()
-        return named(self.pool, kept, self.patterns), tuple(form for form in chosen if form not in kept)
+        return with_patterns(self.pool, kept, self.patterns), tuple(form for form in chosen if form not in kept)
 
     def _best(self) -> Selection:
         """Return the best set of causes without patterns.
@@ -80,11 +80,11 @@ class Searcher:
         Between two tabulated periods or time constants, the residual of a large cause can exceed another cause. Periods and time
         constants of large causes are therefore refined, and the search is repeated.
         """
-        best = chosen(self.pool)
+        best = select_with_payload(self.pool)
         for _ in range(REFINED):
             if not self._refined(best):
                 break
-            best = chosen(self.pool, best.forms)
+            best = select_with_payload(self.pool, best.forms)
         return best
 
     def _refined(self, best: Selection) -> bool:

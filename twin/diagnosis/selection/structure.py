@@ -20,8 +20,8 @@ from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import Posed
 from twin.diagnosis.selection.likelihood import Likelihood, Model
 from twin.diagnosis.selection.patterns import Pattern
-from twin.diagnosis.selection.search import FEW, excess_of
-from twin.diagnosis.selection.unnamed import ALARMS, Trace, scan
+from twin.diagnosis.selection.search import FEW, excess_ratio_of
+from twin.diagnosis.selection.unnamed import ALARMS, PatternTest, scan_patterns
 
 MOST: Final = 3
 """Largest number of patterns."""
@@ -53,7 +53,7 @@ class Structure:
         likelihood: of causes with the patterns; None without patterns.
         model: causes and patterns at the most likely variances; None without patterns.
         problem: the data with patterns and set-up projected out.
-        fallen: causes selected at first that are not kept with the patterns.
+        rejected: causes selected at first that are not kept with the patterns.
         patterned: whether the selection started from the patterns, not from the causes.
     """
 
@@ -61,20 +61,20 @@ class Structure:
     likelihood: Likelihood | None
     model: Model | None
     problem: Problem
-    fallen: tuple[Form, ...]
+    rejected: tuple[Form, ...]
     patterned: bool = False
 
     @property
-    def traces(self) -> tuple[Trace, ...]:
+    def pattern_tests(self) -> tuple[PatternTest, ...]:
         """Return the patterns found."""
-        return () if self.likelihood is None else self.likelihood.traces
+        return () if self.likelihood is None else self.likelihood.pattern_tests
 
     @property
     def beside(self) -> Beside | None:
         """Return the patterns for a joint estimate with the causes; None without patterns."""
         if self.model is None or self.likelihood is None:
             return None
-        return Beside(self.likelihood.random(self.model), self.model.scatter)
+        return Beside(self.likelihood.random(self.model), self.model.variance_factor)
 
     def explained(self, forms: Sequence[Form]) -> float:
         """Return the χ² that the patterns explain in addition to some of the causes."""
@@ -92,7 +92,7 @@ class Structure:
         model = self.likelihood.fit(forms, self.model)
         pattern = self.likelihood.pattern(forms, model)
         size = max(float(pattern @ pattern), 1e-300)
-        return np.asarray(pattern * np.sqrt(1.0 + model.scatter * model.followed / size))
+        return np.asarray(pattern * np.sqrt(1.0 + model.variance_factor * model.followed / size))
 
 
 @final
@@ -122,7 +122,7 @@ class Findings:
         return self.posed.problem
 
 
-def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
+def joint_selection(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
     """Return the given causes, or, if patterns explain more than a small part, the joint selection of causes and patterns.
 
     Args:
@@ -130,8 +130,8 @@ def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Stru
         forms: the causes selected without patterns.
         tried: patterns to test.
     """
-    found = named(pool, forms, tried)
-    left, patterned = bool(found.traces), False
+    found = with_patterns(pool, forms, tried)
+    left, patterned = bool(found.pattern_tests), False
     if left or len(forms) >= FEWER:
         carried = pool.explained_by(found.forms)
         if not found.forms or (found.model is not None and carried < MOSTLY * found.model.explained) or not left:
@@ -139,21 +139,23 @@ def settled(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Stru
             # Enough causes can imitate anything: one pattern instead of several causes is the simpler model.
             simpler = len(other.forms) <= len(found.forms) - FEWER and _worth(pool, other) > pool.worth(forms) - DOUBT
             # Causes that no pattern can imitate are not parts of one.
-            better = _apart(found) and _worth(pool, found) > _worth(pool, other)
-            if other.traces and (left or simpler) and not better:
+            better = _not_imitable(found) and _worth(pool, found) > _worth(pool, other)
+            if other.pattern_tests and (left or simpler) and not better:
                 found, patterned = other, True
     keys = {form.key for form in found.forms}
-    fallen = tuple(form for form in forms if form.key not in keys)
-    return Structure(found.forms, found.likelihood, found.model, found.problem, fallen, patterned)
+    rejected = tuple(form for form in forms if form.key not in keys)
+    return Structure(found.forms, found.likelihood, found.model, found.problem, rejected, patterned)
 
 
-def _apart(found: Structure) -> bool:
+def _not_imitable(found: Structure) -> bool:
     """Return whether there are causes and patterns, and no pattern can imitate any cause."""
     likelihood = found.likelihood
-    return likelihood is not None and bool(found.forms) and not any(likelihood.imitated(f).any() for f in found.forms)
+    return (
+        likelihood is not None and bool(found.forms) and not any(likelihood.can_imitate(f).any() for f in found.forms)
+    )
 
 
-def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[tuple[Form, ...], Likelihood | None]:
+def refit_on_part(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[tuple[Form, ...], Likelihood | None]:
     """Return the causes kept on a part of the data, with the patterns found on all of it, and their likelihood.
 
     Args:
@@ -161,59 +163,59 @@ def again(pool: Pool, forms: Sequence[Form], found: Structure) -> tuple[tuple[Fo
         forms: the causes selected on it.
         found: the selection on all data.
     """
-    if not found.traces:
+    if not found.pattern_tests:
         return tuple(forms), None
-    likelihood = Likelihood(pool, found.traces)
+    likelihood = Likelihood(pool, found.pattern_tests)
     if found.patterned:
         stand = [pool.forms[form.index] for form in found.forms]
         return tuple(_dropped(likelihood, stand, likelihood.fit(stand))[0]), likelihood
     return tuple(without_parts(likelihood, forms, likelihood.fit(forms))), likelihood
 
 
-def named(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
+def with_patterns(pool: Pool, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
     """Return the given causes, without those that explain only part of a pattern, and the patterns found in the residuals."""
     stand = list(forms)
-    traces: list[Trace] = []
+    pattern_tests: list[PatternTest] = []
     problem, likelihood, model = pool.problem, None, None
     while True:
-        seen = {(trace.pattern.side, trace.pattern.names) for trace in traces}
+        seen = {(pattern_test.pattern.side, pattern_test.pattern.names) for pattern_test in pattern_tests}
         more = [
-            trace
-            for trace in (scan(problem, tried, stand, pool.dof) if len(traces) < MOST else [])
-            if trace.found and (trace.pattern.side, trace.pattern.names) not in seen
+            pattern_test
+            for pattern_test in (scan_patterns(problem, tried, stand, pool.dof) if len(pattern_tests) < MOST else [])
+            if pattern_test.found and (pattern_test.pattern.side, pattern_test.pattern.names) not in seen
         ]
         if not more:
             return Structure(tuple(stand), likelihood, model, problem, ())
-        likelihood = Likelihood(pool, [*traces, more[0]])
+        likelihood = Likelihood(pool, [*pattern_tests, more[0]])
         model = likelihood.fit(stand)
         whole = without_parts(likelihood, stand, model)
         if len(whole) == len(stand):
-            traces.append(more[0])
-            problem = pool.problem.beside(likelihood.random(model), model.scatter)
+            pattern_tests.append(more[0])
+            problem = pool.problem.beside(likelihood.random(model), model.variance_factor)
         else:
             # What these causes explained may belong to patterns or to other causes.
-            stand, traces, problem, likelihood, model = whole, [], pool.problem, None, None
+            stand, pattern_tests, problem, likelihood, model = whole, [], pool.problem, None, None
 
 
 def _patterned(pool: Pool, tried: Sequence[Pattern]) -> Structure:
     """Return the selection starting from the most significant pattern; an empty one if none is significant."""
-    whole = scan(pool.problem, tried, (), pool.dof)
+    whole = scan_patterns(pool.problem, tried, (), pool.dof)
     if not (whole and whole[0].found):
         return Structure((), None, None, pool.problem, ())
-    return _beside(pool, whole[0], tried)
+    return _from_pattern(pool, whole[0], tried)
 
 
 def _worth(pool: Pool, found: Structure) -> float:
     """Return what a selection explains less the prices of its causes and patterns."""
     if found.model is None:
         return pool.worth(found.forms)
-    prices = sum(_price(trace) for trace in found.traces)
-    return found.model.twice - prices - sum(_cost(pool, form) for form in found.forms)
+    prices = sum(_price(pattern_test) for pattern_test in found.pattern_tests)
+    return found.model.twice_log_ratio - prices - sum(_cost(pool, form) for form in found.forms)
 
 
-def _price(trace: Trace) -> float:
+def _price(pattern_test: PatternTest) -> float:
     """Return the smallest gain in twice the log likelihood for a pattern to be significant."""
-    return float(2.0 * (trace.log_price - np.log(ALARMS)))
+    return float(2.0 * (pattern_test.log_price - np.log(ALARMS)))
 
 
 def _cost(pool: Pool, form: Form) -> float:
@@ -221,39 +223,39 @@ def _cost(pool: Pool, form: Form) -> float:
     return pool.cost(form, float(len(form.columns)))
 
 
-def _beside(pool: Pool, first: Trace, tried: Sequence[Pattern]) -> Structure:
+def _from_pattern(pool: Pool, first: PatternTest, tried: Sequence[Pattern]) -> Structure:
     """Return the selection starting from a pattern: causes are added, further patterns tested, unneeded patterns dropped."""
-    traces = [first]
+    pattern_tests = [first]
     forms: list[Form] = []
     seen = {(first.pattern.side, first.pattern.names)}
     barred: set[int] = set()
     while True:
-        likelihood = Likelihood(pool, traces)
+        likelihood = Likelihood(pool, pattern_tests)
         forms, model = _stepwise(likelihood, forms, barred)
         needed = [
-            trace
-            for k, trace in enumerate(traces)
-            if model.twice - likelihood.fit(forms, model, without=k).twice > _price(trace)
+            pattern_test
+            for k, pattern_test in enumerate(pattern_tests)
+            if model.twice_log_ratio - likelihood.fit(forms, model, without=k).twice_log_ratio > _price(pattern_test)
         ]
-        if len(needed) < len(traces):
-            traces = needed
-            if not traces:
+        if len(needed) < len(pattern_tests):
+            pattern_tests = needed
+            if not pattern_tests:
                 return Structure(tuple(forms), None, None, pool.problem, ())
-            likelihood = Likelihood(pool, traces)
+            likelihood = Likelihood(pool, pattern_tests)
             forms, model = _stepwise(likelihood, forms, barred)
-        problem = pool.problem.beside(likelihood.random(model), model.scatter)
+        problem = pool.problem.beside(likelihood.random(model), model.variance_factor)
         more = [
-            trace
-            for trace in (scan(problem, tried, forms, pool.dof) if len(traces) < MOST else [])
-            if trace.found and (trace.pattern.side, trace.pattern.names) not in seen
+            pattern_test
+            for pattern_test in (scan_patterns(problem, tried, forms, pool.dof) if len(pattern_tests) < MOST else [])
+            if pattern_test.found and (pattern_test.pattern.side, pattern_test.pattern.names) not in seen
         ]
         if more:
-            traces = [*traces, more[0]]
+            pattern_tests = [*pattern_tests, more[0]]
             seen.add((more[0].pattern.side, more[0].pattern.names))
             continue
         whole = without_parts(likelihood, forms, model)
         if len(whole) == len(forms):
-            forms, model = _plainer(likelihood, forms, model)
+            forms, model = _simplified(likelihood, forms, model)
             return Structure(tuple(forms), likelihood, model, problem, ())
         barred |= {int(pool.key_of[form.index]) for form in forms if form not in whole}
         forms = whole
@@ -265,9 +267,9 @@ def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[
     stand, model = _dropped(likelihood, list(forms), likelihood.fit(forms))
     while len(stand) < CAUSES:
         best: tuple[float, Form, Model] | None = None
-        for form in _hopeful(likelihood, stand, model, barred):
+        for form in _promising(likelihood, stand, model, barred):
             with_it = likelihood.fit([*stand, form], model)
-            gained = with_it.twice - model.twice - _cost(pool, form)
+            gained = with_it.twice_log_ratio - model.twice_log_ratio - _cost(pool, form)
             if gained > (best[0] if best else 0.0) and _possible(pool, [*stand, form], with_it):
                 best = gained, form, with_it
                 if len(stand) >= FEW:
@@ -291,16 +293,16 @@ def _exchanged(
     for form in stand:
         others = [one for one in stand if one is not form]
         less = likelihood.fit(others, model)
-        for other in _hopeful(likelihood, others, less, barred):
+        for other in _promising(likelihood, others, less, barred):
             trial = [*others, other]
             found = likelihood.fit(trial, less)
-            gained = found.twice - _cost(pool, other) - model.twice + _cost(pool, form)
+            gained = found.twice_log_ratio - _cost(pool, other) - model.twice_log_ratio + _cost(pool, form)
             if other is not form and gained > BETTER and _possible(pool, trial, found):
                 return trial, found
     return None
 
 
-def _plainer(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
+def _simplified(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
     """Replace curves with a constant or slope, which the datum excludes, by a confounded constant of the machine."""
     pool = likelihood.pool
     for form in list(forms):
@@ -314,13 +316,13 @@ def _plainer(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
         for number in sorted(numbers, key=lambda one: -margin[one.index])[:1]:
             trial = [*others, number]
             found = likelihood.fit(trial, model)
-            lost = model.twice - _cost(pool, form) - found.twice + _cost(pool, number)
+            lost = model.twice_log_ratio - _cost(pool, form) - found.twice_log_ratio + _cost(pool, number)
             if lost < DOUBT and _possible(pool, trial, found):
                 forms, model = trial, found
     return forms, model
 
 
-def _hopeful(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred: Collection[int]) -> list[Form]:
+def _promising(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred: Collection[int]) -> list[Form]:
     """Return the best form of each of the most promising candidates."""
     pool = likelihood.pool
     explained, dof = likelihood.scan(stand, model)
@@ -340,13 +342,13 @@ def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
     stand = list(forms)
     while True:
         prices = {form.index: _cost(likelihood.pool, form) for form in stand}
-        gained = {form.index: likelihood.gained(stand, model, form) for form in stand}
+        gained = {form.index: likelihood.gain_bound(stand, model, form) for form in stand}
         for form in sorted(stand, key=lambda one: gained[one.index] - prices[one.index]):
             if gained[form.index] > CLEAR * prices[form.index]:
                 continue
             others = [one for one in stand if one is not form]
             less = likelihood.fit(others, model)
-            if model.twice - less.twice < prices[form.index]:
+            if model.twice_log_ratio - less.twice_log_ratio < prices[form.index]:
                 stand, model = others, less
                 break
         else:
@@ -356,15 +358,15 @@ def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
 def without_parts(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> list[Form]:
     """Return the causes without those that explain only part of a pattern."""
     stand = list(forms)
-    while (part := _partial(likelihood, stand, model)) is not None:
+    while (part := _partial_cause(likelihood, stand, model)) is not None:
         stand = [form for form in stand if form is not part]
         model = likelihood.fit(stand, model)
     return stand
 
 
-def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> Form | None:
+def _partial_cause(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> Form | None:
     """Return the cause that explains the smallest part of a pattern that can imitate it, if the pattern explains more; else None."""
-    left = likelihood.left(forms, model)
+    left = likelihood.explained_by_patterns(forms, model)
     whole = likelihood.pool.explained_by(forms)
     worst: tuple[float, Form] | None = None
     for form in forms:
@@ -373,7 +375,7 @@ def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> For
         alike = [one for one in forms if constant and one.candidate.specification.constant]
         others = [one for one in forms if one is not form and one not in alike]
         carried = whole - likelihood.pool.explained_by(others)
-        beside = float(likelihood.imitated(form) @ left)
+        beside = float(likelihood.can_imitate(form) @ left)
         ratio = carried / max(beside, 1e-9)
         if carried < PART * beside and (worst is None or ratio < worst[0]):
             worst = ratio, form
@@ -384,7 +386,7 @@ def _possible(pool: Pool, forms: Sequence[Form], model: Model) -> bool:
     """Return whether no cause is larger than possible."""
     columns = together(forms)
     return all(
-        excess_of(form, model.values[at], np.zeros(len(at)), pool.gram([form]), model.explained) <= 1.0
+        excess_ratio_of(form, model.values[at], np.zeros(len(at)), pool.gram([form]), model.explained) <= 1.0
         for form in forms
         for at in [np.searchsorted(columns, form.columns)]
     )

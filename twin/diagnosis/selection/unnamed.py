@@ -34,7 +34,7 @@ PLAUSIBLE: Final = 100.0
 
 @final
 @dataclass(frozen=True, eq=False)
-class Trace:
+class PatternTest:
     """One test of one pattern.
 
     Attributes:
@@ -56,15 +56,15 @@ class Trace:
     @property
     def found(self) -> bool:
         """Return whether it is significant, corrected for multiple testing."""
-        return self.log_paid < np.log(ALARMS)
+        return self.log_p_corrected < np.log(ALARMS)
 
     @property
-    def log_paid(self) -> float:
+    def log_p_corrected(self) -> float:
         """Return the log p-value corrected for multiple testing."""
         return min(self.log_p + self.log_price, 0.0)
 
 
-def scan(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof: float) -> list[Trace]:
+def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof: float) -> list[PatternTest]:
     """Return the most significant test of each pattern, most significant first.
 
     Args:
@@ -75,7 +75,7 @@ def scan(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof:
     """
     if not tried:
         return []
-    beside, left = _beside(problem, forms)
+    beside, left = _projected_out(problem, forms)
     scores = _Scores(problem, beside, left)
     tests: list[tuple[float, Pattern, int, tuple[int, ...], float]] = []
     for pattern in tried:
@@ -89,17 +89,17 @@ def scan(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof:
                     tests.append((_two_moments(found, mean, variance), pattern, level, directions, found - mean))
     price = float(np.log(max(len(tests), 1)))
     tests.sort(key=lambda one: one[0])
-    best: dict[int, Trace] = {}
+    best: dict[int, PatternTest] = {}
     for number, (log_p, pattern, level, directions, more) in enumerate(tests):
         if number < EXACT:
             log_p = scores.exact((pattern, level, directions), dof)
-        trace = Trace(pattern, level, directions, log_p, price, float(more))
+        pattern_test = PatternTest(pattern, level, directions, log_p, price, float(more))
         if id(pattern) not in best or log_p < best[id(pattern)].log_p:
-            best[id(pattern)] = trace
+            best[id(pattern)] = pattern_test
     return sorted(best.values(), key=lambda one: one.log_p)
 
 
-def _beside(problem: Problem, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+def _projected_out(problem: Problem, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
     """Return (3n, k) O with xᵀMy = xᵀ(1 − OOᵀ)y for free causes, and the (3n,) residual; held-out rows are zero in both."""
     basis = problem.kept(problem.basis @ problem.root)
     if forms:
@@ -119,15 +119,15 @@ class _Scores:
 
     Args:
         problem: the data.
-        beside: (3n, k) basis of what is projected out, from `_beside`.
-        left: (3n,) residual, from `_beside`.
+        beside: (3n, k) basis of what is projected out, from `_projected_out`.
+        left: (3n,) residual, from `_projected_out`.
     """
 
     def __init__(self, problem: Problem, beside: np.ndarray, left: np.ndarray) -> None:
         n = len(problem.view.rows)
         self._kept = np.ones(n, dtype=bool)
         self._kept[problem.held] = False
-        self._beside, self._left = beside.reshape(n, 3, -1), left.reshape(n, 3)
+        self._basis, self._left = beside.reshape(n, 3, -1), left.reshape(n, 3)
         self._view = problem.view
         self._of: dict[tuple[str, str], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = {}
 
@@ -148,19 +148,19 @@ class _Scores:
             gram[1:] = gram[0]
         return slope, gram - lost @ lost.transpose(0, 2, 1)
 
-    def exact(self, trace: tuple[Pattern, int, tuple[int, ...]], dof: float) -> float:
+    def exact(self, pattern_test: tuple[Pattern, int, tuple[int, ...]], dof: float) -> float:
         """Return the exact log p-value of one test (pattern, level, directions)."""
-        pattern, level, directions = trace
+        pattern, level, directions = pattern_test
         rows = self._along(pattern)[0]
         chosen = pattern.order <= level
         count = len(directions) * int(chosen.sum())
-        lost, slope, gram = np.zeros((count, self._beside.shape[2])), np.zeros(count), np.zeros((count, count))
+        lost, slope, gram = np.zeros((count, self._basis.shape[2])), np.zeros(count), np.zeros((count, count))
         for some in pieces(len(rows)):
             here = rows[some]
             fields = self._fields(pattern, here)[:, :, list(directions)]
             made = pattern.at(here)[:, chosen]
             whole = (fields[:, :, :, None] * made[:, None, None, :]).reshape(3 * len(here), -1)
-            lost += whole.T @ self._beside[here].reshape(3 * len(here), -1)
+            lost += whole.T @ self._basis[here].reshape(3 * len(here), -1)
             slope += whole.T @ self._left[here].reshape(-1)
             gram += whole.T @ whole
         gram -= lost @ lost.T
@@ -180,7 +180,7 @@ class _Scores:
             self._of[key] = (
                 rows,
                 np.einsum("nki,nki->ni", fields, fields),
-                np.einsum("nki,nkq->inq", fields, self._beside[rows]),
+                np.einsum("nki,nkq->inq", fields, self._basis[rows]),
                 np.einsum("nki,nk->in", fields, self._left[rows]),
             )
         return self._of[key]

@@ -9,7 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
-from twin.diagnosis.result import Answer, Cause
+from twin.diagnosis.result import Cause, DiagnosisResult
 from twin.diagnosis.wording.words import column, plain, side
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.effects import Effect
@@ -101,7 +101,7 @@ class Panel:
     limit: float | None = None
 
 
-def residual_panels(found: Answer, *, after: bool = False) -> list[Panel]:
+def residual_panels(found: DiagnosisResult, *, after: bool = False) -> list[Panel]:
     """Return the residuals against the columns they depend on, clearest first, or against every axis if they depend on none.
 
     Args:
@@ -131,7 +131,7 @@ def residual_panels(found: Answer, *, after: bool = False) -> list[Panel]:
     return panels
 
 
-def _clearest_columns(found: Answer, scales: Mapping[str, Scale]) -> list[tuple[str, str]]:
+def _clearest_columns(found: DiagnosisResult, scales: Mapping[str, Scale]) -> list[tuple[str, str]]:
     """Return (column, side) pairs that show the residuals; of correlated columns one, if possible a column of a cause."""
     own = {name for cause in found.causes for name in _columns_of(found, cause)}
     unexplained = found.unexplained
@@ -159,7 +159,7 @@ def _correlated(a: Scale, b: Scale) -> bool:
     return bool(abs(np.corrcoef(_ranks(a.values), _ranks(b.values))[0, 1]) > ALIKE)
 
 
-def cause_panels(found: Answer, cause: Cause) -> list[Panel]:
+def cause_panels(found: DiagnosisResult, cause: Cause) -> list[Panel]:
     """Return a cause against the columns it depends on: in its own unit if it is one error motion, else as shifts of the targets.
 
     Args:
@@ -182,7 +182,7 @@ def cause_panels(found: Answer, cause: Cause) -> list[Panel]:
     return [Panel(title, x.label, "shift of the targets [µm]", series, x.ticks)]
 
 
-def _affected(found: Answer, cause: Cause) -> np.ndarray:
+def _affected(found: DiagnosisResult, cause: Cause) -> np.ndarray:
     """Return (n,) which readings a cause affects, with the others of the same station or target."""
     size = np.linalg.norm(np.nan_to_num(cause.pattern_um), axis=1)
     rows = size > 1e-3 * max(float(size.max(initial=0.0)), 1e-12)
@@ -203,7 +203,7 @@ def _against_prediction(title: str, says: np.ndarray, left: np.ndarray, precisio
     return Panel(title, "shift predicted by this cause [µm]", "measured shift [µm]", (one,))
 
 
-def scales_of(found: Answer) -> dict[str, Scale]:
+def scales_of(found: DiagnosisResult) -> dict[str, Scale]:
     """Return all columns that residuals can be plotted against, by their name in the table."""
     data, machine = found.data, found.calibration.machine
     scales = {}
@@ -237,7 +237,7 @@ def _series(name: str, x: np.ndarray, y: np.ndarray, says: np.ndarray | None = N
     return Series(name, x[keep], y[keep], np.ones(np.count_nonzero(keep)), None if says is None else says[keep])
 
 
-def directed(found: Answer, values_um: np.ndarray) -> dict[str, np.ndarray]:
+def directed(found: DiagnosisResult, values_um: np.ndarray) -> dict[str, np.ndarray]:
     """Return measured coordinates as (n,) shifts by direction of the base, or along the beam if only lengths were measured."""
     read = np.isfinite(values_um)
     values = np.where(read, values_um, 0.0)
@@ -251,7 +251,7 @@ def directed(found: Answer, values_um: np.ndarray) -> dict[str, np.ndarray]:
     return {f"in {'xyz'[j]}": base[:, j] + nothing for j in range(3) if seen[j]}
 
 
-def _single(effect: Effect, found: Answer) -> tuple[int, np.ndarray] | None:
+def _single(effect: Effect, found: DiagnosisResult) -> tuple[int, np.ndarray] | None:
     """Return the only component of an effect and its (n,) value at each reading; None for several components."""
     machine = found.calibration.machine
     parts = effect.components(state_of(found.data, machine))
@@ -263,7 +263,7 @@ def _single(effect: Effect, found: Answer) -> tuple[int, np.ndarray] | None:
     return strong[0], np.broadcast_to(np.asarray(parts[strong[0]], dtype=float), len(found.data))
 
 
-def _own_unit(found: Answer, cause: Cause, effect: Effect, component: int, values: np.ndarray) -> list[Panel]:
+def _own_unit(found: DiagnosisResult, cause: Cause, effect: Effect, component: int, values: np.ndarray) -> list[Panel]:
     """Return panels of the error motion itself: its weighted least-squares estimate from each reading, with weights."""
     shift = np.where(np.isfinite(cause.pattern_um), cause.pattern_um, 0.0)
     left = np.where(np.isfinite(found.after_um), found.after_um, 0.0)
@@ -298,7 +298,7 @@ def drawing_of(cause: Cause) -> Drawing:
     return SPECIFICATIONS[cause.effect].drawn
 
 
-def _split(found: Answer, cause: Cause) -> list[tuple[str, np.ndarray]]:
+def _split(found: DiagnosisResult, cause: Cause) -> list[tuple[str, np.ndarray]]:
     """Return the readings in named groups: by approach direction, or by ranges of another axis."""
     data, machine = found.data, found.calibration.machine
     by = drawing_of(cause).split(cause.where)
@@ -315,7 +315,7 @@ def _split(found: Answer, cause: Cause) -> list[tuple[str, np.ndarray]]:
     return [(f"{by} {edges[k]:.0f}…{edges[k + 1]:.0f} {unit}", of == k) for k in range(3)]
 
 
-def _scales_of_cause(found: Answer, cause: Cause) -> list[Scale]:
+def _scales_of_cause(found: DiagnosisResult, cause: Cause) -> list[Scale]:
     """Return the scales that a cause is plotted against."""
     machine, where, drawn = found.calibration.machine, cause.where, drawing_of(cause)
     if drawn.size_of:
@@ -335,7 +335,7 @@ def _scales_of_cause(found: Answer, cause: Cause) -> list[Scale]:
     return own
 
 
-def _derived_scale(found: Answer, where: str, size_of: str) -> Scale:
+def _derived_scale(found: DiagnosisResult, where: str, size_of: str) -> Scale:
     """Return a scale that is no column of the table: distance from the instrument, or reported less commanded position."""
     if size_of == "distance":
         distance = np.linalg.norm(np.nan_to_num(found.data.point_mm), axis=1)
@@ -347,7 +347,7 @@ def _derived_scale(found: Answer, where: str, size_of: str) -> Scale:
     return Scale(f"{where}: reported less commanded position [{unit}]", off * scale)
 
 
-def _columns_of(found: Answer, cause: Cause) -> list[str]:
+def _columns_of(found: DiagnosisResult, cause: Cause) -> list[str]:
     """Return the names of the columns a cause depends on."""
     if also := drawing_of(cause).also(cause.where):
         return _named(also, found.calibration.machine)

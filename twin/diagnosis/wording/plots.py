@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from twin._common.errors import InputError
-from twin.diagnosis.result import Answer
+from twin.diagnosis.result import DiagnosisResult
 from twin.diagnosis.wording.panels import (
     FEWEST,
     Panel,
@@ -46,7 +46,7 @@ ABOVE: Final[dict[str, Any]] = {
 STYLES: Final = ((FORWARD, "o", "-"), (BACKWARD, "s", "--"), (THIRD, "^", "-."))
 
 
-def plot_residuals(found: Answer, *, after: bool = False, title: str = "") -> Figure:
+def plot_residuals(found: DiagnosisResult, *, after: bool = False, title: str = "") -> Figure:
     """Plot the residuals against the columns that show them most clearly, in the directions of the machine's base.
 
     Args:
@@ -58,12 +58,12 @@ def plot_residuals(found: Answer, *, after: bool = False, title: str = "") -> Fi
     return _drawn(residual_panels(found, after=after), title or about)
 
 
-def plot_cause(found: Answer, cause: int = 0, *, title: str = "") -> Figure:
+def plot_cause(found: DiagnosisResult, cause: int = 0, *, title: str = "") -> Figure:
     """Plot a fitted cause, and the readings after removing all other causes.
 
     Args:
         found: the diagnosis.
-        cause: index in `Answer.causes`.
+        cause: index in `DiagnosisResult.causes`.
         title: heading; a default if empty.
 
     Raises:
@@ -75,7 +75,7 @@ def plot_cause(found: Answer, cause: int = 0, *, title: str = "") -> Figure:
     return _drawn(cause_panels(found, one), title or f"{plain(one.effect, one.where)}: fitted (line), measured (dots)")
 
 
-def plot_ranking(found: Answer, *, title: str = "") -> Figure:
+def plot_ranking(found: DiagnosisResult, *, title: str = "") -> Figure:
     """Plot the χ² that each cause tested explains by itself.
 
     Args:
@@ -104,7 +104,7 @@ def plot_ranking(found: Answer, *, title: str = "") -> Figure:
     return figure
 
 
-def plot_unexplained(found: Answer, *, title: str = "") -> Figure | None:
+def plot_unexplained(found: DiagnosisResult, *, title: str = "") -> Figure | None:
     """Plot the unexplained residuals over the two columns they depend on, in the clearest direction; None for fewer columns.
 
     Args:

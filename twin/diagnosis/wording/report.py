@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.provenance import texts
-from twin.diagnosis.result import Answer, Cause, Quantity, readable_unit
+from twin.diagnosis.result import Cause, DiagnosisResult, Quantity, readable_unit
 from twin.diagnosis.wording import panels, verdict, words
 from twin.diagnosis.wording.plots import plot_panel, plot_unexplained
 from twin.diagnosis.wording.words import column, listed
@@ -40,7 +40,7 @@ class _Ranked:
     doubted: bool
 
 
-def diagnosis_html(diagnosis: Answer) -> str:
+def diagnosis_html(diagnosis: DiagnosisResult) -> str:
     """Return one self-contained HTML page; needs matplotlib (extra ``plots``).
 
     Args:
@@ -79,7 +79,7 @@ def diagnosis_html(diagnosis: Answer) -> str:
     )
 
 
-def _ranked(diagnosis: Answer) -> list[_Ranked]:
+def _ranked(diagnosis: DiagnosisResult) -> list[_Ranked]:
     """Return the causes found and those tested with a p-value below `LIKELY`."""
     named = {(cause.effect, cause.where) for cause in diagnosis.causes}
     doubted = {key for cause in diagnosis.causes for key in cause.equivalent}

@@ -8,7 +8,7 @@ from textwrap import wrap
 from typing import Final
 
 from twin._common.provenance import texts
-from twin.diagnosis.result import Answer, Cause, readable_unit
+from twin.diagnosis.result import Cause, DiagnosisResult, readable_unit
 from twin.diagnosis.wording.verdict import facts, headline, sentence
 from twin.diagnosis.wording.words import (
     coefficient,
@@ -35,7 +35,7 @@ ABSORBED: Final = 0.9
 HARD: Final = "\u00a0"
 
 
-def diagnosis_text(diagnosis: Answer) -> str:
+def diagnosis_text(diagnosis: DiagnosisResult) -> str:
     """Return the verdict, each cause, what to do, the gain and what to measure next, in lines of at most `WIDTH` characters.
 
     Args:
@@ -55,7 +55,7 @@ def diagnosis_text(diagnosis: Answer) -> str:
         "",
         *_wrapped(
             f"RMS residual {diagnosis.rms_um:.3g} µm per coordinate, {diagnosis.expected_rms_um:.3g} µm expected from "
-            f"{diagnosis.scatter} ({probability(diagnosis.p_value)}, {diagnosis.tried} causes tested).",
+            f"{diagnosis.noise_source} ({probability(diagnosis.p_value)}, {diagnosis.tried} causes tested).",
             hang=2,
         ),
     ]
@@ -91,7 +91,7 @@ def diagnosis_text(diagnosis: Answer) -> str:
     return "\n".join(lines) + "\n"
 
 
-def diagnosis_brief(diagnosis: Answer) -> str:
+def diagnosis_brief(diagnosis: DiagnosisResult) -> str:
     """Return the verdict and a table of the causes, as HTML for a notebook.
 
     Args:
@@ -153,7 +153,7 @@ def _numbers(cause: Cause) -> str:
     return "; ".join([*numbers, *([f"a curve of {curve} coefficients"] if curve else [])])
 
 
-def _gain(diagnosis: Answer) -> list[str]:
+def _gain(diagnosis: DiagnosisResult) -> list[str]:
     gain = diagnosis.gain
     if gain is None:
         return []

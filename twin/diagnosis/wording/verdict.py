@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from twin.diagnosis.result import Answer, Cause, Extension
+from twin.diagnosis.result import Cause, DiagnosisResult, Extension
 from twin.diagnosis.wording.words import (
     advice,
     capital,
@@ -34,7 +34,7 @@ NEXT: Final = "“What to measure next”"
 SIZED: Final = re.compile(r"\d (µm|µrad|mm|°|ppm)")
 
 
-def headline(diagnosis: Answer) -> tuple[str, Mood]:
+def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:
     """Return the verdict in one sentence, and its mood (the colour it is shown in)."""
     kinds = {kind(cause.effect) for cause in diagnosis.causes}
     if diagnosis.verdict == "consistent":
@@ -73,7 +73,7 @@ def headline(diagnosis: Answer) -> tuple[str, Mood]:
     return f"The machine has {many} that its model does not contain. Found:", "wrong"
 
 
-def facts(diagnosis: Answer) -> list[tuple[str, str]]:
+def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     """Return headings with one or two sentences each: the effect at the tool, what to do, what to avoid."""
     causes = diagnosis.causes
     if diagnosis.verdict == "consistent":
@@ -104,7 +104,7 @@ def facts(diagnosis: Answer) -> list[tuple[str, str]]:
     return [fact for fact in [*found, *extended(diagnosis)] if fact[1]]
 
 
-def extended(diagnosis: Answer) -> list[tuple[str, str]]:
+def extended(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     """Return what the extended calibration contains of the unexplained pattern, or why not; empty if that was not requested."""
     left = diagnosis.unexplained
     if left is None or left.extension is None:
@@ -165,7 +165,7 @@ def moves(cause: Cause) -> str:
     return f"It {what} by up to {size:.2g} µm."
 
 
-def noisier_than_stated(diagnosis: Answer) -> bool:
+def noisier_than_stated(diagnosis: DiagnosisResult) -> bool:
     """Return whether the noise is larger than stated even with all causes in the model."""
     if diagnosis.gain is None or diagnosis.unexplained is None or _written(diagnosis):
         return False
@@ -181,7 +181,7 @@ def either_side(causes: Iterable[Cause]) -> bool:
     )
 
 
-def _at_tool(diagnosis: Answer) -> str:
+def _at_tool(diagnosis: DiagnosisResult) -> str:
     gain, kinds = diagnosis.gain, {kind(cause.effect) for cause in diagnosis.causes}
     if kinds == {"instrument"}:
         return "No effect: the error is in the readings only."
@@ -197,13 +197,13 @@ def _at_tool(diagnosis: Answer) -> str:
     return f"{made}; relevant if your tolerance is below about five times this. {remaining}"
 
 
-def _written(diagnosis: Answer) -> bool:
+def _written(diagnosis: DiagnosisResult) -> bool:
     """Return whether the unexplained pattern is in the extended calibration."""
     left = diagnosis.unexplained
     return left is not None and left.extension is not None and left.extension.written
 
 
-def _when_unexplained(diagnosis: Answer) -> list[tuple[str, str]]:
+def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     left = diagnosis.unexplained
     if left is None:
         return []
@@ -243,7 +243,7 @@ def _when_unexplained(diagnosis: Answer) -> list[tuple[str, str]]:
     ]
 
 
-def _when_ambiguous(diagnosis: Answer) -> list[tuple[str, str]]:
+def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     causes, found = diagnosis.causes[:SHOWN], []
     certain = [one for one in causes if not one.equivalent]
     for one in causes:
