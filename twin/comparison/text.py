@@ -68,7 +68,7 @@ def _at_tool(found: Changes) -> list[str]:
     if left.poses:
         lines += [
             f"{'compensating with' if found.machine.runs_programs else 'taking out'} {found.first} on the machine of {found.second}:",
-            f"  {'remaining, workpiece aligned':<44}{number(left.rms_um):>8}{'':>9}{number(left.max_um):>9}{_or_unknown(left.u_max_um):>9}"
+            f"  {'remaining, workpiece aligned':<44}{number(left.rms_um):>8}{'':>9}{number(left.max_um):>9}{_value(left.u_max_um):>9}"
             f"   {place(left.where)}",
             f"  {'remaining, not aligned':<44}{number(left.as_it_is.rms_um):>8}{'':>9}{number(left.as_it_is.max_um):>9}",
         ]
@@ -105,12 +105,12 @@ def _errors(found: Changes) -> list[str]:
 def _row(name: str, row: Moved, *, star: bool = False) -> str:
     beyond = "  *" if star and np.isfinite(row.limit_um) and row.rms_um > row.limit_um else ""
     return (
-        f"  {name:<44}{number(row.rms_um):>8}{_or_unknown(row.limit_um):>9}{number(row.max_um):>9}{_or_unknown(row.u_max_um):>9}   "
+        f"  {name:<44}{number(row.rms_um):>8}{_value(row.limit_um):>9}{number(row.max_um):>9}{_value(row.u_max_um):>9}   "
         f"{place(row.where)}{beyond}"
     )
 
 
-def _or_unknown(value: float) -> str:
+def _value(value: float) -> str:
     return number(value) if np.isfinite(value) else "unknown"
 
 
@@ -125,6 +125,6 @@ def _error(found: Changes, error: ErrorChange) -> str:
     alone = found.tool.by_error.get(error.name)
     tool = f"{number(alone.rms_um):>8} µm" if alone else ""
     return (
-        f"  {name:<27} {error.iso_class:<7}{number(error.rms):>8}{with_sign(error.largest):>10}  {at:<12}{_or_unknown(error.u):>8}"
-        f"{_or_unknown(error.band):>9}{p:>9}{tool}{judged}"
+        f"  {name:<27} {error.iso_class:<7}{number(error.rms):>8}{with_sign(error.largest):>10}  {at:<12}{_value(error.u):>8}"
+        f"{_value(error.band):>9}{p:>9}{tool}{judged}"
     )
