@@ -122,7 +122,7 @@ def pulls(cause: Cause, truth: Hidden) -> dict[str, float]:
 
 
 def distance(result: Diagnosis, of: Plan, truth: Sequence[Hidden], noise: str = "isotropic") -> float:
-    """χ² of what all causes do to the readings less what was hidden, the set-up free: whatever the causes are called."""
+    """Return χ² of the difference between the causes found and the hidden effects, the set-up free, whatever the names."""
     rows = result.data.lines - 2
     found = np.zeros((len(of.q), 3))
     found[rows] = np.nansum([cause.pattern_um for cause in result.causes], axis=0) * 1e-3
@@ -133,9 +133,9 @@ def distance(result: Diagnosis, of: Plan, truth: Sequence[Hidden], noise: str = 
 
 
 def numbers(causes: Sequence[Cause]) -> int:
-    """How many numbers were fitted for some causes, or could have been.
+    """Return the number of parameters fitted for some causes, or that could have been fitted.
 
-    Of nested curves that hold the truth, the longest is the furthest from it: the others are its projections.
+    Among nested curves that contain the truth, the longest is the furthest from it: the others are its projections.
     """
     return sum(CURVES.get(c.effect, sum(q.u > 0.0 for q in c.parameters)) for c in causes)
 
@@ -169,10 +169,10 @@ def check(result: Diagnosis, of: Plan, truth: Hidden, noise: str = "isotropic", 
 
 
 def check_held_out(result: Diagnosis, truth: Hidden, instrument: LaserTracker | None) -> None:
-    """On rounds the selection did not see it is better, unless the others cannot tell the cause from another one.
+    """Check that the cause reduces held-out residuals, unless it is confounded with another one in the other rounds.
 
-    The bed is warmest in the first round and cools through the other two: from these alone a drift in time is as likely, and it
-    foretells something else of the first. What a warm-up does to the first round the others do not foretell at all.
+    The bed is warmest in the first round and cools during the other two: from these alone a drift in time is equally likely, and its
+    prediction of the first round differs. The effect of a warm-up on the first round is not predicted by the others at all.
     """
     assert result.gain is not None and result.gain.held_out is not None
     held = result.gain.held_out
@@ -189,7 +189,7 @@ def check_held_out(result: Diagnosis, truth: Hidden, instrument: LaserTracker | 
 
 @pytest.fixture(scope="module")
 def found(look: Callable[..., Diagnosis]) -> Callable[[Hidden], Diagnosis]:
-    """What is said of one effect of `EVERY`."""
+    """Return a function: effect of `EVERY` → diagnosis."""
     of = cache(lambda index: look([EVERY[index]], seed=100 + index))
     return lambda truth: of(EVERY.index(truth))
 
@@ -213,9 +213,9 @@ def test_uncertainties_are_neither_too_small_nor_too_large(found: Callable[[Hidd
 
 
 def pulls_of(pairs: Sequence[tuple[Diagnosis, Hidden]]) -> list[float]:
-    """Of all parameters that have the truth's name; of curves, those as long as what was hidden.
+    """Return the pulls of all parameters of the right causes; of curves, only those as long as the hidden one.
 
-    A longer curve is chosen where the noise along its further terms is large: their pulls are large because of that.
+    A longer curve is selected if the noise along its further terms is large, so their pulls are biased.
     """
     found: list[float] = []
     for result, truth in pairs:
@@ -231,13 +231,13 @@ NOISES = ("isotropic", "repeats", "tracker", "tracker-repeats")
 
 @pytest.fixture(scope="module")
 def loud(look: Callable[..., Diagnosis]) -> Callable[[Hidden, str], Diagnosis]:
-    """What is said of one effect of `EVERY`, `louder` where a tracker reads."""
+    """Return a function: effect of `EVERY` and noise → diagnosis; for a tracker the effect is `louder`."""
     of = cache(lambda index, noise: look([louder(EVERY[index], noise)], seed=200 + index, noise=noise))
     return lambda truth, noise: of(EVERY.index(truth), noise)
 
 
 def louder(truth: Hidden, noise: str) -> Hidden:
-    """Four times as large for a tracker: at 2 m it scatters 13 µm across its beam; three times what may be 20 ppm at most."""
+    """Return the effect four times as large for a tracker (13 µm noise across its beam at 2 m); refraction, at most 20 ppm, three times."""
     size = (3.0 if truth.effect == "refraction_scale" else 4.0) if noise.startswith("tracker") else 1.0
     same = ("order", "period", "phase", "time_constant")
     return replace(truth, numbers={k: v if k in same else size * v for k, v in truth.numbers.items()})
@@ -266,8 +266,8 @@ def test_uncertainties_whatever_the_scatter(loud: Callable[[Hidden, str], Diagno
     assert np.abs(found).max() < stats.norm.isf((1.0 - 0.99 ** (1.0 / len(found))) / 2.0)
 
 
-def test_a_round_unlike_the_others_is_not_foretold(look: Callable[..., Diagnosis]) -> None:
-    """A warm-up that is over within the first round: the others show nothing of it, and foretell nothing of that round.
+def test_a_round_unlike_the_others_is_not_predicted(look: Callable[..., Diagnosis]) -> None:
+    """A warm-up that ends within the first round: the others contain nothing of it, and do not predict that round.
 
     Three rounds are too few for an interval.
     """
@@ -321,7 +321,7 @@ def test_two_effects_are_both_found(look: Callable[..., Diagnosis], pair: tuple[
 
 
 def test_a_weak_effect_is_found_at_the_limit_of_the_data(look: Callable[..., Diagnosis]) -> None:
-    # λ = 1,500·(0.75/3)² ≈ 90 before projection: a quarter of the scatter of one reading.
+    # λ = 1,500·(0.75/3)² ≈ 90 before projection: a quarter of the noise of one reading.
     truth = one("reversal", "X", size=1.5)
     result = look([truth], seed=5)
     assert [(c.effect, c.where) for c in result.causes] == [truth.key]
@@ -394,14 +394,14 @@ def test_what_could_be_mistaken_for_a_small_effect(
     group: tuple[str, ...],
     outside: str,
 ) -> None:
-    """Of noncentrality λ, without noise: exactly those that lose less than 2 ln 100 of it, λ (1 − ρ²), ρ by the truth machine."""
+    """Equivalent are, without noise, exactly the causes that lose less than 2 ln 100 of λ: λ (1 − ρ²), ρ by the truth machine."""
     of, _ = planned(31)
     named = [Hidden(*name.split(" ", 1)) for name in (*group, outside) if "drift" not in name]
     units = [replace(other, numbers={UNIT[other.effect]: 1.0}) for other in (truth, *named)]
     seen = hidden.left_over(of, np.stack([hidden.points(of, [other]) - hidden.points(of) for other in units], axis=2))
     whole = seen / np.linalg.norm(seen, axis=0)
     lost = size * (1.0 - (whole[:, 0] @ whole[:, 1:]) ** 2)
-    # Told apart at odds of 100:1; what a search in a larger family costs more is a few tenths.
+    # Separated at odds of 100:1; the larger correction for a larger family is a few tenths.
     assert np.all(lost[:-1] < 2.0 * np.log(100.0) - 1.0) and lost[-1] > 2.0 * np.log(100.0) + 1.0
     amount = float(np.sqrt(size) / np.linalg.norm(seen[:, 0]))
     read = hidden.points(of, [replace(truth, numbers={UNIT[truth.effect]: amount})])
@@ -411,7 +411,7 @@ def test_what_could_be_mistaken_for_a_small_effect(
     assert names == {f"{truth.effect} {truth.where}", *group}
     if (cause.effect, cause.where) == truth.key:
         (number,) = cause.parameters
-        # Linear to what the calibration's own errors turn; u of one number alone is its size over √λ.
+        # Linear up to rotations by the calibration's errors; u of a single parameter is its size over √λ.
         assert number.value == pytest.approx(amount, rel=1e-3)
         assert number.u == pytest.approx(amount / np.sqrt(size), rel=1e-3)
 
@@ -469,15 +469,15 @@ def test_which_of_command_and_report_the_measurement_follows(look: Callable[...,
     (cause,) = result.causes
     if follows == "command":
         assert (cause.effect, cause.where, cause.origin) == ("read_back", "Y", "instrument")
-        assert "the measurement follows the commands" in cause.evidence
+        assert "the readings follow the commands" in cause.evidence
         assert result.extended is result.calibration and result.gain is None
     else:
         assert (cause.effect, cause.where) == ("following_error", "Y")
         assert abs(cause.parameters[0].value - 1.0) < 3.0 * cause.parameters[0].u
 
 
-def test_a_reversal_of_reported_positions_carries_the_doubt(look: Callable[..., Diagnosis]) -> None:
-    """Only reported positions are in the table, taken before Y had settled: what looks like lost motion may be none."""
+def test_a_reversal_of_reported_positions_is_ambiguous(look: Callable[..., Diagnosis]) -> None:
+    """Only reported positions are in the table, taken before Y had settled: the apparent reversal may not exist."""
     rng = np.random.default_rng(8)
     plan = hidden.rounded(hidden.plan(rng, poses=POSES))
     lag = np.zeros(plan.q.shape)
@@ -490,7 +490,7 @@ def test_a_reversal_of_reported_positions_carries_the_doubt(look: Callable[..., 
     (cause,) = result.causes
     assert (cause.effect, cause.where) in {("reversal", "Y"), ("reversal_curve", "Y")}
     assert ("read_back", "Y") in cause.equivalent and "readback_Y_mm" in cause.evidence
-    # As commanded, positions are whole increments, and lost motion is lost motion.
+    # Commanded positions are whole increments: the reversal is certain.
     plainly = look([one("reversal", "Y", size=16.0)], plan=plan)
     assert plainly.verdict == "explained" and plainly.causes[0].equivalent == ()
 
@@ -500,7 +500,7 @@ def test_what_the_set_up_absorbs_is_unidentifiable(look: Callable[..., Diagnosis
     found = look([])
     hidden = {("zero_offset", "X"), ("zero_offset", "Y"), ("zero_offset", "Z"), ("gravity_compliance", "C")}
     assert hidden <= set(found.unidentifiable) == set(found.looks_like)
-    assert found.looks_like["gravity_compliance", "C"] == "nothing that was moved shows it"
+    assert found.looks_like["gravity_compliance", "C"] == "no motion in the measurement shows it"
     for k in range(3):
         said = found.looks_like["zero_offset", "XYZ"[k]]
         assert f" {'xyz'[k]} " in said and ("station" in said or "target" in said)
@@ -509,7 +509,7 @@ def test_what_the_set_up_absorbs_is_unidentifiable(look: Callable[..., Diagnosis
 
 
 def test_the_battery_in_small() -> None:
-    """A sample of what `test_the_battery` asks of 200 draws a row: one miss is allowed, a factor of two in u is far off."""
+    """A sample of `test_the_battery` with 200 draws per row: one miss is allowed, a factor of two in u is excluded."""
     alone = battery.summary("one60", battery.answers("one60", 16, 21, poses=60))
     assert alone["right or in group"] >= 0.92 and alone["right"] >= 0.7
     assert alone["intervals"] >= 26.0 and 0.7 < alone["rms of pulls"] < 1.3
@@ -552,10 +552,10 @@ def test_the_battery(row: str, noise: str) -> None:
 
 @pytest.mark.parametrize("noise", ["isotropic", "tracker"])
 @pytest.mark.parametrize("hides", [True, False])
-def test_readings_of_which_nothing_is_said_and_none_is_repeated(
+def test_readings_without_uncertainties_and_repeats(
     dmu50: Machine, calibration: Calibration, tmp_path: Path, noise: str, hides: bool
 ) -> None:
-    """One round, no uncertainties, no instrument: the scatter is what no plain form of any cause accounts for."""
+    """One round, no uncertainties, no instrument: the noise is estimated from the residuals that no simple form of a cause explains."""
     rng = np.random.default_rng(5)
     plan = hidden.rounded(hidden.plan(rng, rounds=1, poses=POSES))
     truth = one("reversal", "Y", size=5.0)
@@ -568,7 +568,7 @@ def test_readings_of_which_nothing_is_said_and_none_is_repeated(
 
 @pytest.mark.parametrize("axis", ["Y", "B"])
 def test_runs_of_one_axis_alone(dmu50: Machine, calibration: Calibration, tmp_path: Path, axis: str) -> None:
-    """How the station is turned about the one line that moves nothing can say, and nothing needs to."""
+    """The rotation of the station about the only line of motion is not identifiable, and not needed."""
     rng = np.random.default_rng(5)
     plan = hidden.rounded(hidden.plan(rng, poses=POSES))
     still = [i for i, name in enumerate(hidden.AXES) if name != axis]

@@ -1,4 +1,4 @@
-"""Second opinion: its Bayes factors, its posterior against exact enumeration, and how it is compared with the search."""
+"""Sum of single effects: Bayes factors, posterior against exact enumeration, and comparison with the search."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def drawn(
 
 @pytest.mark.parametrize("dof", [float("inf"), 12.0])
 def test_odds_are_a_ratio_of_densities(dof: float) -> None:
-    """Alarms are rarer than one in 20, and the mean Bayes factor of silent data is one.
+    """False alarms are rarer than one in 20, and the mean Bayes factor of data without an effect is one.
 
     The mean itself has too heavy a tail to be drawn. Equivalent, and bounded: below any limit, the mean of the odds on silent data is
     the share of data with an effect from the prior. Four standard errors.
@@ -104,7 +104,7 @@ def test_odds_are_a_ratio_of_densities(dof: float) -> None:
 
 
 def test_bayes_factors_for_known_noise_raise_alarms_where_it_is_estimated() -> None:
-    """The t form is needed: with four degrees of freedom odds for known noise are above 20 in more than one of 20 silent sets."""
+    """With estimated noise and four degrees of freedom, odds for known noise exceed 20 in more than one of 20 sets without an effect."""
     rng = np.random.default_rng(18)
     columns = large(rng, 40, 6)
     groups = [[k] for k in range(6)]
@@ -184,7 +184,7 @@ def test_block_is_one_effect() -> None:
     assert effects[0].posterior[0] > 0.9
 
 
-def test_wide_form_is_paid_for() -> None:
+def test_a_wider_form_is_not_preferred_for_noise() -> None:
     """Noise in eight further columns does not make the wider of two nested forms the likelier one."""
     rng = np.random.default_rng(10)
     columns = large(rng, 60, 9)
@@ -203,7 +203,7 @@ def test_two_orthogonal_effects_are_two() -> None:
     assert all(effect.posterior.max() > 0.99 for effect in effects[:2])
 
 
-def test_better_start_counts() -> None:
+def test_the_better_start_is_kept() -> None:
     """A column that resembles the sum of two effects enters first and stays, unless the iteration starts from the two as well."""
     rng = np.random.default_rng(12)
     columns = np.linalg.qr(rng.standard_normal((80, 6)))[0] * 1000.0
@@ -231,7 +231,7 @@ def test_units_of_columns_do_not_matter() -> None:
 
 
 def test_size_beyond_plausible_counts_against_a_form() -> None:
-    """Of two alike columns, that which would have to be fifty times as large as plausible is not the cause."""
+    """Between two parallel columns, the one that would need fifty times its plausible size is not the cause."""
     rng = np.random.default_rng(14)
     columns = large(rng, 60, 3)
     columns[:, 2] = columns[:, 1] / 100.0
@@ -244,7 +244,7 @@ def test_size_beyond_plausible_counts_against_a_form() -> None:
 
 
 def test_known_size_is_used() -> None:
-    """A form that is so altogether or not at all is believed at its size and not at half of it."""
+    """A form that is either present or absent is accepted at its size and not at half of it."""
     rng = np.random.default_rng(15)
     columns = large(rng, 60, 2)
     gram = columns.T @ columns

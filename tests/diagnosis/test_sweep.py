@@ -114,7 +114,7 @@ def test_what_is_left_beside_set_up_and_doubt(searched: tuple[Problem, Searcher]
 
 
 def test_a_doubt_too_small_to_show_is_not_lost(dmu50: Machine, searched: tuple[Problem, Searcher]) -> None:
-    """Its direction has the prior; it is no reason to hold nothing out."""
+    """A direction determined by the prior alone does not prevent holding readings out."""
     problem, _ = searched
     doubted = _doubted(Calibration.default(dmu50))
     assert doubted.joint is not None
@@ -190,7 +190,7 @@ def test_every_form_is_what_its_effects_do(searched: tuple[Problem, Searcher]) -
 
 @pytest.mark.slow
 def test_the_price_of_the_search_from_some_of_the_points(dmu50: Machine, tmp_path: Path) -> None:
-    """Where there are more points than it is taken from, it is what it would be on other data of that kind."""
+    """For more points than it was estimated from, it is as on other data of that kind."""
     levels = []
     for poses in (SAMPLED // 6 - 120, SAMPLED // 3):
         data = measured(dmu50, tmp_path, poses)
