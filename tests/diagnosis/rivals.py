@@ -74,7 +74,7 @@ class Block:
 
     Attributes:
         key: whose it is.
-        directions: (3n, w) orthonormal basis of what the data see of its columns beside the set-up.
+        directions: (3n, w) orthonormal basis of its columns with the set-up projected out.
     """
 
     key: Key

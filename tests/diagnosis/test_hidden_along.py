@@ -68,7 +68,7 @@ def test_a_constant_reversal_is_no_curve(tmp_path: Path) -> None:
 
 
 def test_a_random_reversal_is_a_constant_one_and_a_remainder(tmp_path: Path) -> None:
-    """It varies randomly from position to position: the mean is named, and the error between the positions stays unknown."""
+    """The reversal varies randomly with position: the mean is named, and the error between the positions stays unknown."""
     rough = np.array([-9.0, 5.0, -7.0, 8.0, -6.0, 7.0, -8.0, 6.0, -5.0]) - 20.0
     result = stage(tmp_path, rough)
     (cause,) = result.causes

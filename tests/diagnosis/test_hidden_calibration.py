@@ -1,8 +1,8 @@
 """Mistakes in a calibration: `twin diagnose` must name them in the terms of its author.
 
 Made as the thesis makes them (listing 3.1 to 3.3): polynomials of degree 8 through eleven stops, without a constant; exchanged
-curves; errors placed before the chain instead of at their joints. The truth machine (`tests.truth.hidden`) has the curves of the default
-calibration, of degree 5 at most but for E_ZX.
+curves; errors placed before the chain instead of at their joints. The truth machine (`tests.truth.hidden`) has the curves of the
+default calibration, of degree 5 at most but for E_ZX.
 """
 
 from __future__ import annotations

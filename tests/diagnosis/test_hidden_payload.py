@@ -227,7 +227,7 @@ def test_a_corrected_own_weight_bounds_the_payload(tmp_path: Path) -> None:
 
 
 def test_a_joint_that_its_own_weight_does_not_load_asks_for_no_payload(tmp_path: Path) -> None:
-    """Its compliance is confounded with the payload: J1 is vertical, J6 turns about its own centre of mass."""
+    """The compliance is confounded with the payload: J1 is vertical, J6 turns about its own centre of mass."""
     for masses, loaded in ((True, {"J2", "J3", "J4", "J5"}), (False, set[str]())):
         machine, rng = Machine.load(str(write_arm(tmp_path, masses))), np.random.default_rng(2)
         q = np.round(rng.uniform(-HIGH, HIGH, (40, 6)), 3)

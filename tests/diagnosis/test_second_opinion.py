@@ -104,7 +104,7 @@ def test_odds_are_a_ratio_of_densities(dof: float) -> None:
 
 
 def test_bayes_factors_for_known_noise_raise_alarms_where_it_is_estimated() -> None:
-    """With estimated noise and four degrees of freedom, odds for known noise exceed 20 in more than one of 20 sets without an effect."""
+    """With noise estimated from four degrees of freedom, odds for known noise exceed 20 in more than one of 20 sets without effect."""
     rng = np.random.default_rng(18)
     columns = large(rng, 40, 6)
     groups = [[k] for k in range(6)]

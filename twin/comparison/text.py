@@ -58,7 +58,7 @@ def _at_tool(found: Changes) -> list[str]:
     lines = [
         f"at the tool, length {tool.tool_length_mm:g} mm, {tool.poses} poses over the volume, µm",
         f"  {'':<44}{'RMS':>8}{'limit':>9}{'largest':>9}{'U there':>9}   where",
-        _row(f"{every}, as measured", tool.everything),
+        _row(f"{every}, not aligned", tool.everything),
         _row(f"{every}, aligned", tool.everything_aligned, star=not found.unjudged),
     ]
     if tool.judged is not None:

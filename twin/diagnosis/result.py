@@ -302,7 +302,7 @@ class DiagnosisResult:
         ranking: (effect, where, χ² explained, p-value) of the causes tested one by one, best first.
         tried: number of causes tested.
         noise_source: source of the measurement noise, in words.
-        calibration, extended: the given calibration and the one extended by what was found.
+        calibration, extended: the given and the extended calibration.
         data: the readings used; it lists the rows set aside.
         residual_um, after_um: (n, 3) residuals without and with the causes; NaN where no coordinate was measured.
         directions: (n, 3, 3) a row per coordinate: its direction in the machine's base; zero where not measured.

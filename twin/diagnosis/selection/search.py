@@ -39,7 +39,7 @@ FEWEST: Final = 25.0
 ROUGHLY: Final = 0.2
 """Deviation from one allowed for the parameter of an effect that is either completely present or absent."""
 LEAST: Final = 0.01
-"""Smallest share of a pliable effect in what all causes explain: beside a much larger cause it would only fit that cause's residual."""
+"""Smallest share of a pliable effect in the χ² explained by all causes: a smaller one only fits the residual of a larger cause."""
 LIKELY: Final = 12
 """Number of forms whose inner products with all others are evaluated together."""
 

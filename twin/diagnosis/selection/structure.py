@@ -36,7 +36,7 @@ BETTER: Final = 0.1
 MOSTLY: Final = 0.9
 """Share of the explained χ² from which on causes are kept, whatever the patterns explain in addition."""
 PART: Final = 1.0
-"""Smallest ratio of what a cause explains to what patterns that can imitate it explain in addition."""
+"""Smallest ratio of the χ² explained by a cause to that explained in addition by patterns that can imitate it."""
 HOPEFUL: Final = 0.3
 """Share of its price that a cause must explain at the present variances of the patterns to be evaluated in full."""
 FEWER: Final = 3

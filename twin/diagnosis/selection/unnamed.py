@@ -119,7 +119,7 @@ class _Scores:
 
     Args:
         problem: the data.
-        beside: (3n, k) basis of what is projected out, from `_projected_out`.
+        beside: (3n, k) basis of set-up and causes, from `_projected_out`.
         left: (3n,) residual, from `_projected_out`.
     """
 

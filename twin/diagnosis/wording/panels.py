@@ -28,7 +28,7 @@ FEWEST: Final = 2
 ALIKE: Final = 0.9
 """Rank correlation of two columns above which only one of them is plotted."""
 SHOWN: Final = 0.2
-"""Columns that explain less than this share of what the clearest one explains are not plotted."""
+"""Columns whose χ² is below this share of that of the clearest column are not plotted."""
 SIDES: Final = ((-1.0, "from −"), (0.0, "unknown"), (1.0, "from +"))
 """Names of the approach directions."""
 MOST: Final = 3
