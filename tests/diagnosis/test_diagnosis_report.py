@@ -233,7 +233,7 @@ def test_a_reversal_is_plotted_as_two_lines(found: Mapping[str, Diagnosis]) -> N
             abs(mean - side * REVERSAL_UM)
             < 3.0 * 1e3 * SIGMA_MM / np.sqrt(len(series.y)) + 3.0 * one.causes[0].parameters[0].u
         )
-        np.testing.assert_array_equal(np.sign(series.says), np.sign(side))
+        np.testing.assert_array_equal(np.sign(series.predicted), np.sign(side))
 
 
 def test_shifts_are_plotted_in_the_directions_of_the_machine(found: Mapping[str, Diagnosis]) -> None:

@@ -237,7 +237,7 @@ def loud(look: Callable[..., Diagnosis]) -> Callable[[Hidden, str], Diagnosis]:
 
 
 def louder(truth: Hidden, noise: str) -> Hidden:
-    """Return the effect four times as large for a tracker (13 µm noise across the beam at 2 m); refraction three times (limit 20 ppm)."""
+    """Return the effect four times as large for a tracker (13 µm noise across the beam at 2 m); refraction three times (20 ppm)."""
     size = (3.0 if truth.effect == "refraction_scale" else 4.0) if noise.startswith("tracker") else 1.0
     same = ("order", "period", "phase", "time_constant")
     return replace(truth, numbers={k: v if k in same else size * v for k, v in truth.numbers.items()})

@@ -38,6 +38,16 @@ measurements, such as the scale error of the same instrument or the same tempera
 from twin.comparison.compare import compare
 from twin.comparison.result import Changes, Culprits, ErrorChange
 from twin.comparison.text import text_of
-from twin.comparison.tool import Displaced, Moved, Remaining, ToolChange
+from twin.comparison.tool import DisplacementSize, Remaining, ToolChange, ToolDisplacement
 
-__all__ = ["Changes", "Culprits", "Displaced", "ErrorChange", "Moved", "Remaining", "ToolChange", "compare", "text_of"]
+__all__ = [
+    "Changes",
+    "Culprits",
+    "DisplacementSize",
+    "ErrorChange",
+    "Remaining",
+    "ToolChange",
+    "ToolDisplacement",
+    "compare",
+    "text_of",
+]

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.comparison.result import Changes, ErrorChange
 from twin.comparison.significance import FALSE_ALARMS
-from twin.comparison.tool import Moved
+from twin.comparison.tool import ToolDisplacement
 from twin.comparison.words import number, place, with_sign
 from twin.display import readable
 from twin.uncertainty.at_tool import DEFINITION
@@ -102,7 +102,7 @@ def _errors(found: Changes) -> list[str]:
     return lines
 
 
-def _row(name: str, row: Moved, *, star: bool = False) -> str:
+def _row(name: str, row: ToolDisplacement, *, star: bool = False) -> str:
     beyond = "  *" if star and np.isfinite(row.limit_um) and row.rms_um > row.limit_um else ""
     return (
         f"  {name:<44}{number(row.rms_um):>8}{_value(row.limit_um):>9}{number(row.max_um):>9}{_value(row.u_max_um):>9}   "

@@ -38,7 +38,7 @@ SEED: Final = 16907
 
 @final
 @dataclass(frozen=True)
-class Moved:
+class ToolDisplacement:
     """The displacement of the tool point over the volume.
 
     Attributes:
@@ -59,14 +59,14 @@ class Moved:
 
 @final
 @dataclass(frozen=True)
-class Displaced:
+class DisplacementSize:
     """RMS and maximum of the displacement of the tool point over the poses."""
 
     rms_um: float
     max_um: float
 
     @classmethod
-    def of(cls, displacement: np.ndarray) -> Displaced:
+    def of(cls, displacement: np.ndarray) -> DisplacementSize:
         """Return RMS and maximum of (n, 3) displacements, µm."""
         distance = np.linalg.norm(displacement, axis=1)
         return cls(float(np.sqrt(np.mean(distance**2))), float(distance.max()))
@@ -90,7 +90,7 @@ class Remaining:
     rms_um: float
     max_um: float
     where: Mapping[str, float]
-    as_it_is: Displaced
+    as_it_is: DisplacementSize
     u_max_um: float
     surely_um: float
     at_least_um: float
@@ -128,12 +128,12 @@ class ToolChange:
 
     tool_length_mm: float
     poses: int
-    everything: Moved
-    everything_aligned: Moved
-    judged: Moved | None
-    by_class: Mapping[str, Moved]
-    by_cause: Mapping[str, Moved]
-    by_error: Mapping[str, Displaced]
+    everything: ToolDisplacement
+    everything_aligned: ToolDisplacement
+    judged: ToolDisplacement | None
+    by_class: Mapping[str, ToolDisplacement]
+    by_cause: Mapping[str, ToolDisplacement]
+    by_error: Mapping[str, DisplacementSize]
     left: Remaining
 
 
@@ -181,7 +181,7 @@ class _CommonPoses:
             self.first.machine, calibration, tool_length_mm=self.tool_length_mm, conditions=self.conditions
         )
 
-    def moved_um(self, keep: Callable[[str], bool] = lambda name: True) -> np.ndarray:
+    def displacement_um(self, keep: Callable[[str], bool] = lambda name: True) -> np.ndarray:
         """Return the (n, 3) displacement, second less first, of the errors selected by ``keep``."""
         points = [
             self.kinematics(side.where(keep)).forward(self.q, self.sides).point_mm for side in (self.first, self.second)
@@ -198,7 +198,7 @@ class _CommonPoses:
         """The (n, 3, 6·frames) derivatives of the tool point by the error frames, m per m and rad, equal to µm per µm and µrad."""
         return self.kinematics(self.first).sensitivities(self.q, self.sides).error[:, :3]
 
-    def made_by(self, frame: Frame, components: Mapping[int, Any]) -> np.ndarray:
+    def displacement_of(self, frame: Frame, components: Mapping[int, Any]) -> np.ndarray:
         """Return the (n, 3) displacement of the tool point in µm due to components of one error frame, to first order."""
         frames = [(one.axis, one.role) for one in self.first.machine.frames]
         start = 6 * frames.index((frame.axis, frame.role))
@@ -207,12 +207,12 @@ class _CommonPoses:
             found += self.rates[:, :, start + component] * np.broadcast_to(value, len(self.q))[:, None]
         return found
 
-    def moved_by(self) -> dict[str, np.ndarray]:
+    def displacement_by_error(self) -> dict[str, np.ndarray]:
         """Return the (n, 3) displacement of the tool point in µm due to the change of each error, by name, to first order."""
         found: dict[str, np.ndarray] = {}
         for sign, side in ((-1.0, self.first), (1.0, self.second)):
             for effect in side.effects:
-                own = sign * self.made_by(effect.frame, effect.components(self.state))
+                own = sign * self.displacement_of(effect.frame, effect.components(self.state))
                 found[effect.name] = found.get(effect.name, 0.0) + own
         return found
 
@@ -270,27 +270,32 @@ def at_tool(
     meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q)
     scene = _CommonPoses(first, second, tool_length_mm, at, q, drawn_sides(q), meant, Alignment(meant.point_mm))
     progress("at the tool", 0.1)
-    whole = scene.moved_um()
+    whole = scene.displacement_um()
     judged, drawn = known.classes, known.drawn
     classes = [name for name in dict.fromkeys(judged.values()) if any(judged[e] == name for e in drawn)]
     chance = {} if not drawn else _simulate_unchanged(scene, judged, drawn, classes, progress)
     complete = known.whole_model and all(effect.name in judged for side in (first, second) for effect in side.effects)
     whole_chance = chance if complete else {}
-    moved_by, level = scene.moved_by(), known.share / (1 + len(classes))
+    displacement_by_error, level = scene.displacement_by_error(), known.share / (1 + len(classes))
     removed = scene.alignment.removed
-    by_class = {name: np.sum([moved_by[e] for e in judged if judged[e] == name], axis=0) for name in classes}
-    by_cause = {name: scene.made_by(frame, parts(scene.state)) for name, (frame, parts) in known.causes.items()}
+    by_class = {
+        name: np.sum([displacement_by_error[e] for e in judged if judged[e] == name], axis=0) for name in classes
+    }
+    by_cause = {name: scene.displacement_of(frame, parts(scene.state)) for name, (frame, parts) in known.causes.items()}
     aligned = removed(whole)
-    of_judged = aligned if complete else removed(scene.moved_um(lambda name: name in judged))
+    of_judged = aligned if complete else removed(scene.displacement_um(lambda name: name in judged))
     return ToolChange(
         tool_length_mm=scene.kinematics(first).tool_length_mm,
         poses=len(q),
-        everything=_moved(scene, whole, whole_chance.get("raw", _UNKNOWN), level),
-        everything_aligned=_moved(scene, aligned, whole_chance.get("all", _UNKNOWN), level),
-        judged=_moved(scene, of_judged, chance["all"], level) if drawn else None,
-        by_class={name: _moved(scene, removed(d), chance.get(name, _UNKNOWN), level) for name, d in by_class.items()},
-        by_cause={name: _moved(scene, removed(d), _UNKNOWN, level) for name, d in by_cause.items()},
-        by_error={name: Displaced.of(removed(moved_by[name])) for name in drawn},
+        everything=_tool_displacement(scene, whole, whole_chance.get("raw", _UNKNOWN), level),
+        everything_aligned=_tool_displacement(scene, aligned, whole_chance.get("all", _UNKNOWN), level),
+        judged=_tool_displacement(scene, of_judged, chance["all"], level) if drawn else None,
+        by_class={
+            name: _tool_displacement(scene, removed(d), chance.get(name, _UNKNOWN), level)
+            for name, d in by_class.items()
+        },
+        by_cause={name: _tool_displacement(scene, removed(d), _UNKNOWN, level) for name, d in by_cause.items()},
+        by_error={name: DisplacementSize.of(removed(displacement_by_error[name])) for name in drawn},
         left=_remaining(scene, whole_chance.get("all", _UNKNOWN)),
     )
 
@@ -378,12 +383,14 @@ def _point_rates(tool: ToolUncertainty, q: np.ndarray, sides: np.ndarray) -> np.
     return found.reshape(3 * len(q), -1)
 
 
-def _moved(scene: _CommonPoses, displacement: np.ndarray, chance: _Simulated, share: float) -> Moved:
+def _tool_displacement(
+    scene: _CommonPoses, displacement: np.ndarray, chance: _Simulated, share: float
+) -> ToolDisplacement:
     distance = np.linalg.norm(displacement, axis=1)
     row = int(np.argmax(distance))
     rms = float(np.sqrt(np.mean(distance**2)))
     known = len(chance.rms_um) > 0
-    return Moved(
+    return ToolDisplacement(
         rms,
         float(distance[row]),
         scene.place(row),
@@ -406,9 +413,9 @@ def _remaining(scene: _CommonPoses, chance: _Simulated) -> Remaining:
         off = (reached - scene.meant.point_mm[keep]) * 1e3
     else:
         # Without an inverse, to first order: the remaining error is the change.
-        off = scene.moved_um()
+        off = scene.displacement_um()
     if not np.any(keep):
-        return Remaining(np.nan, np.nan, {}, Displaced(np.nan, np.nan), np.nan, np.nan, np.nan, 0, len(scene.q))
+        return Remaining(np.nan, np.nan, {}, DisplacementSize(np.nan, np.nan), np.nan, np.nan, np.nan, 0, len(scene.q))
     aligned = np.linalg.norm(Alignment(scene.meant.point_mm[keep]).removed(off), axis=1)
     row = int(np.argmax(aligned))
     known = len(chance.u_um) > 0
@@ -417,7 +424,7 @@ def _remaining(scene: _CommonPoses, chance: _Simulated) -> Remaining:
         rms_um=float(np.sqrt(np.mean(aligned**2))),
         max_um=float(aligned[row]),
         where=scene.place(int(np.flatnonzero(keep)[row])),
-        as_it_is=Displaced.of(off),
+        as_it_is=DisplacementSize.of(off),
         u_max_um=float(u[row]),
         surely_um=float(np.max(aligned + chance.factor * u)),
         at_least_um=float(np.max(aligned - chance.factor * u)),

@@ -19,7 +19,7 @@ from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import LARGEST
 from twin.diagnosis.diagnosis import Diagnosis
 from twin.diagnosis.judgement.causes import ReportedCauses
-from twin.diagnosis.judgement.extend import Extended, extend
+from twin.diagnosis.judgement.extend import EmpiricalExtension, extend
 from twin.diagnosis.judgement.gain import gain, residuals_as_written
 from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.noise import Scatter
@@ -52,10 +52,10 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
     problem, network = found.problem, found.problem.network
     misfit = residual_statistics(sized)
     left = misfit.left
-    unnamed = extend(sized, calibration) if empirical and left is not None else None
-    if left is not None and unnamed is not None:
-        left = replace(left, extension=unnamed.extension)
-    extended = _extended(reported, calibration, unnamed)
+    empirical_extension = extend(sized, calibration) if empirical and left is not None else None
+    if left is not None and empirical_extension is not None:
+        left = replace(left, extension=empirical_extension.extension)
+    extended = _extended(reported, calibration, empirical_extension)
     changed = bool(sized.forms or extended is not calibration)
     instrument = sized.estimate.signature[:, [not own for own in sized.estimate.effects]].sum(axis=1)
     residual = unwhitened(problem, problem.residual)
@@ -79,7 +79,7 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
         trends=misfit.trends,
         ranking=_ranking(found.pool),
         # Evaluated last: it resets the pool.
-        gain=gain(sized, (residual, after), left, unnamed) if changed else None,
+        gain=gain(sized, (residual, after), left, empirical_extension) if changed else None,
         tried=len(found.posed.known.candidates),
         noise_source=found.posed.scatter.source,
         calibration=calibration,
@@ -92,14 +92,16 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
     )
 
 
-def _extended(reported: ReportedCauses, calibration: Calibration, unnamed: Extended | None) -> Calibration:
+def _extended(
+    reported: ReportedCauses, calibration: Calibration, empirical_extension: EmpiricalExtension | None
+) -> Calibration:
     """Return the calibration extended by the promised causes and by the empirical effects, if any."""
     effects: list[Effect] = reported.sized.effects
     covariance = reported.sized.covariance
-    if unnamed is not None:
-        effects = [*effects, *unnamed.effects]
+    if empirical_extension is not None:
+        effects = [*effects, *empirical_extension.effects]
         # As independent blocks: the covariance of the causes already contains the influence of the patterns.
-        covariance = Covariance.of_blocks([covariance, unnamed.covariance])
+        covariance = Covariance.of_blocks([covariance, empirical_extension.covariance])
     if not effects:
         return calibration
     data = reported.sized.found.problem.network.data

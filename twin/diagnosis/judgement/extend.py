@@ -32,7 +32,7 @@ DIRECTIONS: Final = 3
 
 @final
 @dataclass(frozen=True, eq=False)
-class Extended:
+class EmpiricalExtension:
     """Empirical effects fitted to the unexplained patterns.
 
     Attributes:
@@ -50,7 +50,7 @@ class Extended:
     left_um: float
 
 
-def extend(sized: SizedCauses, calibration: Calibration) -> Extended:
+def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
     """Fit an empirical effect to each pattern, and test on held-out readings whether the effects reduce the residuals.
 
     Args:
@@ -91,11 +91,13 @@ def extend(sized: SizedCauses, calibration: Calibration) -> Extended:
         return _not_extended(extension)
     names = tuple(parameter.name for effect in effects for parameter in effect.parameters)
     matrix = locked(covariance[np.ix_(kept, kept)])
-    return Extended(extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, stays))
+    return EmpiricalExtension(
+        extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, stays)
+    )
 
 
-def _not_extended(extension: Extension) -> Extended:
-    return Extended(extension, (), Covariance.none(), (), 0.0)
+def _not_extended(extension: Extension) -> EmpiricalExtension:
+    return EmpiricalExtension(extension, (), Covariance.none(), (), 0.0)
 
 
 def _rms(problem: Problem, made: np.ndarray) -> float:

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from twin.diagnosis.judgement.extend import Extended
+from twin.diagnosis.judgement.extend import EmpiricalExtension
 from twin.diagnosis.judgement.held_out import held_out
 from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.problem import Problem, rms, unwhitened
@@ -28,7 +28,10 @@ DEFAULT_TOOL_MM: Final = 100.0
 
 
 def gain(
-    sized: SizedCauses, residuals: tuple[np.ndarray, np.ndarray], left: Unexplained | None, unnamed: Extended | None
+    sized: SizedCauses,
+    residuals: tuple[np.ndarray, np.ndarray],
+    left: Unexplained | None,
+    empirical_extension: EmpiricalExtension | None,
 ) -> Gain:
     """Return the gain of the extended calibration.
 
@@ -36,10 +39,10 @@ def gain(
         sized: the causes with their sizes.
         residuals: (n, 3) µm with the given and with the extended calibration.
         left: the unexplained residuals.
-        unnamed: the empirical effects fitted to them; None if not requested.
+        empirical_extension: the empirical effects fitted to them; None if not requested.
     """
     network, problem = sized.found.problem.network, sized.found.problem
-    held = held_out(sized, () if unnamed is None else unnamed.written)
+    held = held_out(sized, () if empirical_extension is None else empirical_extension.written)
     effects, covariance = sized.effects, sized.covariance
     # Errors that are not in the file remain: causes that are not promised, and unexplained residuals.
     stays = [
@@ -49,11 +52,16 @@ def gain(
     ]
     size = 0.0 if left is None or not left.depends_on else left.size_um
     unseen = 0.0
-    if unnamed is not None and unnamed.effects:
-        effects = [*effects, *unnamed.effects]
-        covariance, size = Covariance.of_blocks([covariance, unnamed.covariance]), unnamed.left_um
+    if empirical_extension is not None and empirical_extension.effects:
+        effects = [*effects, *empirical_extension.effects]
+        covariance, size = (
+            Covariance.of_blocks([covariance, empirical_extension.covariance]),
+            empirical_extension.left_um,
+        )
         # The true pattern is larger than the most likely one by its uncertainty, so that is part of the machine's error too.
-        unseen = error_at_tool(network.data, network.machine, unnamed.effects, unnamed.covariance)[1]
+        unseen = error_at_tool(
+            network.data, network.machine, empirical_extension.effects, empirical_extension.covariance
+        )[1]
     moved, doubt = error_at_tool(network.data, network.machine, effects, covariance)
     rest = sum(stays) + 3.0 * size**2
     before, after = residuals

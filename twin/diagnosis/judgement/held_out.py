@@ -10,7 +10,7 @@ from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.pool import Form, Pool
 from twin.diagnosis.result import HeldOut
 from twin.diagnosis.selection.left_out import (
-    Folds,
+    HeldOutFolds,
     choose_folds,
     folds_at_positions,
     folds_in_time,
@@ -82,7 +82,9 @@ def held_out_patterns(found: Findings, forms: Sequence[Form], written: Collectio
     return _held_out(pool, split, predict)
 
 
-def _held_out(pool: Pool, split: Folds, predict: Callable[[Pool], tuple[np.ndarray, np.ndarray]]) -> HeldOut | None:
+def _held_out(
+    pool: Pool, split: HeldOutFolds, predict: Callable[[Pool], tuple[np.ndarray, np.ndarray]]
+) -> HeldOut | None:
     table = held_out_squares(pool, split, predict)
     if table is None:
         return None

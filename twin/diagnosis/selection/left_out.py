@@ -101,7 +101,7 @@ def predicts_held_out(pool: Pool, form: Form, forms: Sequence[Form]) -> bool:
 
 
 def gain_at_held_out_positions(
-    pool: Pool, form: Form, others: Sequence[Form], split: Folds
+    pool: Pool, form: Form, others: Sequence[Form], split: HeldOutFolds
 ) -> tuple[float, float] | None:
     """Return the 95 % interval of the gain of one cause at held-out positions, all others kept; None if there is no interval.
 
@@ -119,7 +119,9 @@ def gain_at_held_out_positions(
     return None if table is None else jackknife_interval(table)
 
 
-def held_out_squares(pool: Pool, split: Folds, predict: Callable[[Pool], Sequence[np.ndarray]]) -> np.ndarray | None:
+def held_out_squares(
+    pool: Pool, split: HeldOutFolds, predict: Callable[[Pool], Sequence[np.ndarray]]
+) -> np.ndarray | None:
     """Return (groups, models + 1): sums of squared held-out residuals of each model, µm², and the number of values.
 
     Args:
@@ -156,7 +158,7 @@ HeldOutOf = Literal["rounds", "positions", "poses", "blocks"]
 
 @final
 @dataclass(frozen=True)
-class Folds:
+class HeldOutFolds:
     """Folds of a cross-validation.
 
     Attributes:
@@ -170,7 +172,7 @@ class Folds:
     fold: np.ndarray
 
 
-def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> Folds | None:
+def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> HeldOutFolds | None:
     """Return the folds suited to the causes; None if nothing can be held out.
 
     Args:
@@ -188,7 +190,7 @@ def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidat
     return folds_in_time(data)
 
 
-def folds_in_time(data: Measurements) -> Folds | None:
+def folds_in_time(data: Measurements) -> HeldOutFolds | None:
     """Return folds of rounds, or of blocks of time for a single round; None for too few readings.
 
     Args:
@@ -202,10 +204,10 @@ def folds_in_time(data: Measurements) -> Folds | None:
     order = np.argsort(data.time_s, kind="stable") if np.all(np.isfinite(data.time_s)) else np.arange(len(data))
     group = np.empty(len(data), dtype=int)
     group[order] = np.arange(len(data)) * BLOCKS // len(data)
-    return Folds("blocks", group, group)
+    return HeldOutFolds("blocks", group, group)
 
 
-def folds_at_positions(data: Measurements, axes: Sequence[int]) -> Folds | None:
+def folds_at_positions(data: Measurements, axes: Sequence[int]) -> HeldOutFolds | None:
     """Return folds of positions of one axis, or of poses of several; None if there is only one.
 
     Args:
@@ -217,9 +219,9 @@ def folds_at_positions(data: Measurements, axes: Sequence[int]) -> Folds | None:
     return _drawn("positions" if len(axes) == 1 else "poses", group) if group.max() > 0 else None
 
 
-def _drawn(of: HeldOutOf, group: np.ndarray) -> Folds:
+def _drawn(of: HeldOutOf, group: np.ndarray) -> HeldOutFolds:
     count = int(group.max()) + 1
-    return Folds(of, group, (np.random.default_rng(SEED).permutation(count) % min(count, FOLDS))[group])
+    return HeldOutFolds(of, group, (np.random.default_rng(SEED).permutation(count) % min(count, FOLDS))[group])
 
 
 PLENTY: Final = 20

@@ -51,7 +51,7 @@ class Model:
         values: (columns,) coefficients of the causes, in the order of `together`.
         random: coefficients of the patterns' rotated columns, µm.
         covariance: (columns, columns) of the causes' coefficients at these variances, in units of the noise variance.
-        followed: effective degrees of freedom of the patterns.
+        effective_dof: effective degrees of freedom of the patterns.
     """
 
     twice_log_ratio: float
@@ -61,7 +61,7 @@ class Model:
     values: np.ndarray
     random: np.ndarray
     covariance: np.ndarray
-    followed: float
+    effective_dof: float
 
 
 @final

@@ -92,7 +92,7 @@ class Structure:
         model = self.likelihood.fit(forms, self.model)
         pattern = self.likelihood.pattern(forms, model)
         size = max(float(pattern @ pattern), 1e-300)
-        return np.asarray(pattern * np.sqrt(1.0 + model.variance_factor * model.followed / size))
+        return np.asarray(pattern * np.sqrt(1.0 + model.variance_factor * model.effective_dof / size))
 
 
 @final

@@ -68,7 +68,7 @@ class Series:
         name: in the legend.
         x, y: (k,).
         weight: (k,) of each reading in a mean.
-        says: (k,) prediction of the cause; None for residuals.
+        predicted: (k,) prediction of the cause; None for residuals.
         smooth: whether the prediction depends on x alone, so that it is drawn as a line and not averaged.
     """
 
@@ -76,7 +76,7 @@ class Series:
     x: np.ndarray
     y: np.ndarray
     weight: np.ndarray
-    says: np.ndarray | None = None
+    predicted: np.ndarray | None = None
     smooth: bool = False
 
 
@@ -176,9 +176,11 @@ def cause_panels(found: DiagnosisResult, cause: Cause) -> list[Panel]:
     title = plain(cause.effect, cause.where)
     if not drawing_of(cause).by_state:
         return [_against_prediction(title, cause.pattern_um[rows], found.after_um[rows], found.precision[rows])]
-    says, left = directed(found, cause.pattern_um), directed(found, found.after_um)
+    predicted, left = directed(found, cause.pattern_um), directed(found, found.after_um)
     x = _scales_of_cause(found, cause)[0]
-    series = tuple(_series(name, x.values[rows], (part + left[name])[rows], part[rows]) for name, part in says.items())
+    series = tuple(
+        _series(name, x.values[rows], (part + left[name])[rows], part[rows]) for name, part in predicted.items()
+    )
     return [Panel(title, x.label, "shift of the targets [µm]", series, x.ticks)]
 
 
@@ -193,10 +195,10 @@ def _affected(found: DiagnosisResult, cause: Cause) -> np.ndarray:
     return np.isin(names, names[rows])
 
 
-def _against_prediction(title: str, says: np.ndarray, left: np.ndarray, precision: np.ndarray) -> Panel:
+def _against_prediction(title: str, predicted: np.ndarray, left: np.ndarray, precision: np.ndarray) -> Panel:
     """Return all measured coordinates against the prediction of the cause."""
-    read = np.isfinite(says) & np.isfinite(left)
-    x, y = says[read], (says + left)[read]
+    read = np.isfinite(predicted) & np.isfinite(left)
+    x, y = predicted[read], (predicted + left)[read]
     some = np.abs(x) > SMALL * np.abs(x).max(initial=0.0)
     weight = np.einsum("nii->ni", precision)[read][some]
     one = Series("", x[some], y[some], weight, x[some], smooth=True)
@@ -232,9 +234,11 @@ def scales_of(found: DiagnosisResult) -> dict[str, Scale]:
     return scales
 
 
-def _series(name: str, x: np.ndarray, y: np.ndarray, says: np.ndarray | None = None) -> Series:
+def _series(name: str, x: np.ndarray, y: np.ndarray, predicted: np.ndarray | None = None) -> Series:
     keep = np.isfinite(y)
-    return Series(name, x[keep], y[keep], np.ones(np.count_nonzero(keep)), None if says is None else says[keep])
+    return Series(
+        name, x[keep], y[keep], np.ones(np.count_nonzero(keep)), None if predicted is None else predicted[keep]
+    )
 
 
 def directed(found: DiagnosisResult, values_um: np.ndarray) -> dict[str, np.ndarray]:

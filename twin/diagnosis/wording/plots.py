@@ -173,7 +173,7 @@ def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
 def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
     """Draw the k-th series of a panel and return its entries in the legend; the cause has an entry only if the series is single."""
     one, count = panel.series[k], len(panel.series)
-    lone = count == 1 and one.says is not None
+    lone = count == 1 and one.predicted is not None
     colour, marker, style = STYLES[DIRECTIONS.index(one.name) if one.name in DIRECTIONS else k % len(STYLES)]
     groups = groups_of(one.x)
     centre, mean, half = means(one.x, one.y, one.weight, groups)
@@ -181,14 +181,16 @@ def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
     offset = 0.0 if lone else 0.008 * (float(np.ptp(one.x)) or 1.0) * (k - 0.5 * (count - 1))
     looks: dict[str, Any] = {"marker": marker, "markersize": 4.0, "linewidth": 0.0, "elinewidth": 1.0}
     dots = plot.errorbar(centre + offset, mean, half, color=BOTH if lone else colour, **looks)
-    if one.says is None:
+    if one.predicted is None:
         if not panel.ticks:
             plot.plot(centre + offset, mean, color=colour, linestyle=style, linewidth=0.8, alpha=0.6)
         return [(dots, one.name)]
     order = np.argsort(one.x)
-    x, says = (one.x[order], one.says[order]) if one.smooth else means(one.x, one.says, one.weight, groups)[:2]
+    x, predicted = (
+        (one.x[order], one.predicted[order]) if one.smooth else means(one.x, one.predicted, one.weight, groups)[:2]
+    )
     colour, style = (BACKWARD, "-") if lone else (colour, style)
-    (line,) = plot.plot(x, says, color=colour, linestyle=style, linewidth=2.0, alpha=0.75)
+    (line,) = plot.plot(x, predicted, color=colour, linestyle=style, linewidth=2.0, alpha=0.75)
     return [(dots, "measured"), (line, "fitted cause")] if lone else [(dots, one.name)]
 
 

@@ -174,7 +174,7 @@ def noisier_than_stated(diagnosis: DiagnosisResult) -> bool:
     return bool(ratio > NOISY and ratio**2 - 1.0 > 5.0 * np.sqrt(2.0 / max(diagnosis.dof, 1)))
 
 
-def either_side(causes: Iterable[Cause]) -> bool:
+def machine_or_instrument(causes: Iterable[Cause]) -> bool:
     """Return whether an error of the machine is confounded with one of the instrument."""
     return any(
         (kind(effect) == "instrument") != (one.origin == "instrument") for one in causes for effect, _ in one.equivalent
@@ -265,7 +265,7 @@ def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
         )
     elif wanted:
         found.append(("What to do", " ".join(dict.fromkeys(one.verdict for one in wanted))))
-    if either_side(causes):
+    if machine_or_instrument(causes):
         what = "The undecided part" if certain else "The error"
         found.append(
             ("Note", f"{what} may be the instrument's, not the machine's; an instrument error must not be compensated.")
