@@ -52,9 +52,9 @@ def diagnose(
     with threadpool_limits(limits=1, user_api="blas"):
         report("placing the stations", 0.0)
         placed = readings(data, machine, errors, instrument)
-        report("searching", 0.2)
+        report("searching for causes", 0.2)
         problem = exclude_outliers(placed)
         found = select_causes(problem)
-        report("weighing", 0.7)
+        report("estimating their sizes", 0.7)
         causes = report_causes(estimate_sizes(found), errors)
         return conclude(causes, errors, empirical=empirical)
