@@ -21,8 +21,8 @@ from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin.diagnosis import diagnose
 from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.selection.rows import diagnosis_task
-from twin.diagnosis.selection.searcher import selected
+from twin.diagnosis.selection.rows import exclude_outliers
+from twin.diagnosis.selection.searcher import select_causes
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements, load
@@ -60,7 +60,7 @@ def time_taken(machine: Machine) -> None:
     print("from readings to names, processor time in s:")
     for points in POINTS:
         data = measured(machine, points)
-        names = timed(lambda data=data: selected(diagnosis_task(readings(data, machine, calibration))), REPEATS)  # type: ignore[misc]
+        names = timed(lambda data=data: select_causes(exclude_outliers(readings(data, machine, calibration))), REPEATS)  # type: ignore[misc]
         whole = timed(lambda data=data: diagnose(data, machine), REPEATS)  # type: ignore[misc]
         other = timed(lambda data=data: by_bic(data), REPEATS)  # type: ignore[misc]
         print(f"  {len(data):,} points: {names.best:.2f} to the names, {whole.best:.2f} to the complete answer")

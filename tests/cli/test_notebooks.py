@@ -72,7 +72,7 @@ def diagnosed(notebook: nbformat.NotebookNode) -> None:
     """The story as it is written: open between two at first, distinguished by further readings, the parts right."""
     text = told(notebook)
     assert text.index("<small>ambiguous</small>") < text.index("<small>explained</small>")
-    first, second = (part.split("<b>")[1] for part in text.split("could as well be</td>")[1:])
+    first, second = (part.split("<b>")[1] for part in text.split("alternatives</td>")[1:])
     both = {"Tilt of X about x changes with Z", "Tilt of Y about x changes with Z"}
     assert {name for name in both if name in first} == both
     assert second.startswith("Tilt of X about x changes with Z")

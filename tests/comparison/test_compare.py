@@ -1,4 +1,4 @@
-"""Two calibrations compared: what changed, how sure that is, and what it is at the tool."""
+"""Comparison of two calibrations: changes, their significance, and their effect at the tool."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 
 import twin
 from twin.cli.commands import app
-from twin.comparison.pairs import joint_spread, paired
-from twin.comparison.significance import FALSE_ALARMS, SHARE, fewest, holm, simultaneous_factor, whiten
+from twin.comparison.pairs import joint_covariance, pair_errors
+from twin.comparison.significance import FALSE_ALARMS, SHARE, holm_adjusted, simultaneous_factor, smallest_set, whiten
 from twin.machine.control import ControlSection, TableEntry
 from twin.machine.effects.entries import effect_named
 from twin.numerics.covariance import Covariance
@@ -43,7 +43,7 @@ def made(
     u: float | None = 0.5,
     mixing: int | None = None,
 ) -> twin.Calibration:
-    """A calibration, every number with standard uncertainty u, correlated at random if a seed is given."""
+    """Return a calibration with standard uncertainty u of every number, correlated at random if a seed is given."""
     found = twin.Calibration(
         MACHINE,
         "by hand",
@@ -69,7 +69,7 @@ def made(
 
 
 def drawn(truth: twin.Calibration, rng: np.random.Generator) -> twin.Calibration:
-    """What one measurement of a machine gives: its numbers off by a draw from their covariance."""
+    """Return a simulated calibration: the true numbers plus a draw from their covariance."""
     covariance = truth.covariance
     off = dict(
         zip(
@@ -92,28 +92,28 @@ def drawn(truth: twin.Calibration, rng: np.random.Generator) -> twin.Calibration
     )
 
 
-def looks(first: twin.Calibration, second: twin.Calibration) -> tuple[bool, bool, tuple[str, ...]]:
-    """The three looks that need no tool: all together, error by error, the fewest."""
-    pairs, _ = paired(first, second)
+def significance_without_tool(first: twin.Calibration, second: twin.Calibration) -> tuple[bool, bool, tuple[str, ...]]:
+    """Return the three tests without the tool: all together, error by error, smallest set."""
+    pairs, _ = pair_errors(first, second)
     white = whiten(
-        np.concatenate([pair.change for pair in pairs]), joint_spread(pairs, (first.covariance, second.covariance))
+        np.concatenate([pair.change for pair in pairs]), joint_covariance(pairs, (first.covariance, second.covariance))
     )
-    own = holm([whiten(pair.change, pair.spread).p_value for pair in pairs])
-    found = fewest(pairs, white, [MACHINE.by_name[pair.axis].linear for pair in pairs])
+    own = holm_adjusted([whiten(pair.change, pair.covariance).p_value for pair in pairs])
+    found = smallest_set(pairs, white, [MACHINE.by_name[pair.axis].linear for pair in pairs])
     return white.p_value <= SHARE, min(own) <= SHARE, tuple(pairs[one.pair].name for one in found.culprits)
 
 
-def test_squareness_alone_is_named_and_is_what_geometry_says_at_the_tool() -> None:
+def test_a_squareness_alone_is_named_with_its_geometric_effect_at_the_tool() -> None:
     older, newer = made(), made(squareness={**SQUARENESS, "E_C0Y": 34.0})
     newer = replace(newer, joint=Covariance(newer.joint.names, newer.joint.matrix * 1.21)) if newer.joint else newer
     found = twin.compare(older, newer, tool_length_mm=120.0, poses=60)
     assert found.verdict == "changed"
     (one,) = found.culprits.errors
     assert one.name == "E_C0Y" and one.largest == pytest.approx(12.0, abs=1e-9)
-    # All other errors agree: nothing that is correlated with it, so u is the root of both variances.
+    # All other errors agree and are uncorrelated with it, so u is the root of both variances.
     assert one.u == pytest.approx(0.5 * np.sqrt(2.21), rel=1e-9)
-    # E_XY −= y·E_C0Y: the tool goes astray by 12 µrad of Y's position, whatever the other axes do (contract §1); the errors beside
-    # it turn that by some 1e-5.
+    # E_XY −= y·E_C0Y: the tool is displaced by 12 µrad times Y's position, whatever the other axes do (contract §1); other errors
+    # rotate that by about 1e-5.
     y = np.abs(volume(MACHINE, 60)[:, 1])
     assert found.tool.everything.max_um == pytest.approx(12e-3 * y.max(), rel=1e-4)
     assert found.tool.everything.rms_um == pytest.approx(12e-3 * np.sqrt(np.mean(y**2)), rel=1e-4)
@@ -125,7 +125,7 @@ def test_squareness_alone_is_named_and_is_what_geometry_says_at_the_tool() -> No
     assert back.tool.everything.max_um == pytest.approx(found.tool.everything.max_um, rel=1e-9)
 
 
-def test_alignment_takes_out_a_shift_and_a_turn_and_nothing_else() -> None:
+def test_alignment_removes_a_shift_and_a_rotation_only() -> None:
     from twin.comparison.tool import Alignment
 
     rng = np.random.default_rng(3)
@@ -135,7 +135,7 @@ def test_alignment_takes_out_a_shift_and_a_turn_and_nothing_else() -> None:
     assert np.abs(alignment.removed(shift + np.cross(turn, points))).max() < 1e-12
     noise = rng.standard_normal((50, 3))
     left = alignment.removed(noise)
-    # What is left is of no rigid motion any more: both equations of a least-squares fit hold.
+    # The residual contains no rigid motion: both normal equations of the least-squares fit hold.
     assert np.abs(left.sum(axis=0)).max() < 1e-12
     assert np.abs(np.cross(points, left).sum(axis=0)).max() < 1e-9
 
@@ -146,7 +146,7 @@ def test_alignment_takes_out_a_shift_and_a_turn_and_nothing_else() -> None:
     low=st.floats(0.0, 200.0),
     high=st.floats(300.0, 500.0),
 )
-def test_the_same_curve_written_otherwise_has_not_changed(coefficients: list[float], low: float, high: float) -> None:
+def test_the_same_curve_in_another_basis_has_not_changed(coefficients: list[float], low: float, high: float) -> None:
     """Bernstein for power, and the same polynomial over a part of the range (numpy's own change of variable)."""
     whole = twin.Curve("E_XX", "um", (0.0, 500.0), "power", tuple(coefficients), np.eye(len(coefficients)))
     part = np.polynomial.Polynomial(coefficients, domain=[0.0, 500.0]).convert(domain=[low, high])
@@ -155,7 +155,7 @@ def test_the_same_curve_written_otherwise_has_not_changed(coefficients: list[flo
     one = replace(base, curves=MappingProxyType({"E_XX": whole}))
     for curve in (whole.written("bernstein", len(coefficients) + 1), small):
         (pair,) = (
-            p for p in paired(one, replace(one, curves=MappingProxyType({"E_XX": curve})))[0] if p.name == "E_XX"
+            p for p in pair_errors(one, replace(one, curves=MappingProxyType({"E_XX": curve})))[0] if p.name == "E_XX"
         )
         # Rounding of the conversions, of numbers up to 70.
         assert np.abs(pair.values).max() < 1e-10
@@ -166,8 +166,8 @@ def test_the_same_curve_written_otherwise_has_not_changed(coefficients: list[flo
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**31))
-def test_change_and_its_uncertainty_are_the_functions_own(seed: int) -> None:
-    """Against the two curves evaluated one by one, other degrees included, and u by propagating each by itself."""
+def test_change_and_uncertainty_are_those_of_the_functions(seed: int) -> None:
+    """Against the two curves evaluated separately, with different degrees, and u propagated separately."""
     rng = np.random.default_rng(seed)
     curves = []
     for count in (4, 6):
@@ -177,14 +177,14 @@ def test_change_and_its_uncertainty_are_the_functions_own(seed: int) -> None:
         )
     base = made(u=None)
     one, two = (replace(base, curves=MappingProxyType({"E_XX": curve})) for curve in curves)
-    pair = paired(one, two)[0][0]
+    pair = pair_errors(one, two)[0][0]
     q = pair.positions
     assert pair.values == pytest.approx(curves[1](q) - curves[0](q), abs=1e-11)
     u = np.polynomial.polynomial.polyvander((q - 250.0) / 250.0, 5)
     expected = sum(
         np.einsum("gi,ij,gj->g", u[:, :n], c.covariance, u[:, :n]) for n, c in zip((4, 6), curves, strict=True)
     )
-    assert np.einsum("gi,ij,gj->g", pair.shape, pair.spread, pair.shape) == pytest.approx(expected, rel=1e-9)
+    assert np.einsum("gi,ij,gj->g", pair.shape, pair.covariance, pair.shape) == pytest.approx(expected, rel=1e-9)
     assert float(pair.change @ pair.change) == pytest.approx(float(np.mean(pair.values**2)), rel=1e-9)
 
 
@@ -203,53 +203,53 @@ def test_a_band_holds_the_whole_curve_in_nineteen_of_twenty_cases() -> None:
     assert simultaneous_factor(np.ones((7, 1)), np.eye(1)) == pytest.approx(1.96, rel=0.04)
 
 
-def test_an_unlimited_axis_is_compared_round_the_turn_wherever_the_domains_begin() -> None:
+def test_an_unlimited_axis_is_compared_over_the_turn_for_any_domain() -> None:
     one = made(curves={"E_ZC": ((0.0, 360.0), "fourier", (0.0, 3.0, 1.0))}, squareness={}, location={})
     two = made(curves={"E_ZC": ((-180.0, 180.0), "fourier", (0.0, 3.0, 1.0, 2.0, 0.0))}, squareness={}, location={})
-    pair = paired(one, two)[0][0]
+    pair = pair_errors(one, two)[0][0]
     assert pair.values == pytest.approx(2.0 * np.cos(2.0 * np.deg2rad(pair.positions)), abs=1e-12)
 
 
 def false_alarms(draws: int, mixings: tuple[int | None, ...]) -> int:
-    """Of so many comparisons a way of mixing, over all errors and the three looks that need no tool."""
+    """Return the number of false alarms in a number of comparisons per seed of correlation, over the three tests without the tool."""
     alarms = 0
     for mixing in mixings:
         truth = made(mixing=mixing)
         rng = np.random.default_rng(100 + (mixing or 0))
         for _ in range(draws):
-            together, own, named = looks(drawn(truth, rng), drawn(truth, rng))
+            together, own, named = significance_without_tool(drawn(truth, rng), drawn(truth, rng))
             alarms += together or own or bool(named)
     return alarms
 
 
 def test_unchanged_machines_raise_a_false_alarm_in_at_most_one_comparison_of_twenty() -> None:
-    # Three quarters of 5 % are 7.5 of 200, standard deviation 2.7: three of these above; and it is no test that never alarms.
+    # Three quarters of 5 % are 7.5 of 200, standard deviation 2.7; limit three of these above, and at least one alarm.
     assert 1 <= false_alarms(100, (None, 1)) <= 200 * FALSE_ALARMS * 0.75 + 3.0 * 2.7
 
 
-def test_a_small_change_is_seen_where_the_uncertainty_allows_it() -> None:
-    """5 µrad of squareness, u = 0.5 µrad each: seven standard uncertainties, named and alone in nine of ten."""
+def test_a_small_change_is_detected_if_the_uncertainty_allows_it() -> None:
+    """5 µrad of squareness, u = 0.5 µrad each: seven standard uncertainties, named as the only error in nine of ten cases."""
     truth = made(mixing=4)
     changed = replace(truth, squareness=MappingProxyType({**SQUARENESS, "E_B0Z": 23.0}))
     rng = np.random.default_rng(7)
-    named = [looks(drawn(truth, rng), drawn(changed, rng))[2] for _ in range(40)]
+    named = [significance_without_tool(drawn(truth, rng), drawn(changed, rng))[2] for _ in range(40)]
     assert sum("E_B0Z" in names for names in named) >= 38
     assert sum(names == ("E_B0Z",) for names in named) >= 36
 
 
-def test_what_shows_alone_is_seen_in_nineteen_of_twenty() -> None:
+def test_a_change_at_the_detection_limit_is_found_in_nineteen_of_twenty() -> None:
     truth = made(mixing=5)
     found = twin.compare(truth, drawn(truth, np.random.default_rng(2)), poses=20)
     size = {name: size for name, size, _ in found.culprits.shows_from}["E_A0Z"]
     changed = replace(truth, squareness=MappingProxyType({**SQUARENESS, "E_A0Z": SQUARENESS["E_A0Z"] + size}))
     rng = np.random.default_rng(11)
-    seen = sum(bool(looks(drawn(truth, rng), drawn(changed, rng))[2]) for _ in range(60))
-    # 57 expected, standard deviation 1.7; other errors may take it up in its place, which only adds.
+    seen = sum(bool(significance_without_tool(drawn(truth, rng), drawn(changed, rng))[2]) for _ in range(60))
+    # 57 expected, standard deviation 1.7; other errors named in its place only add to it.
     assert seen >= 52
 
 
-def test_conventions_without_variance_are_left_out_and_told() -> None:
-    """A constant that neither gives an uncertainty for is neither significant nor zero."""
+def test_directions_without_variance_are_reported_and_not_tested() -> None:
+    """A constant without an uncertainty in both is neither significant nor zero."""
     matrix = np.diag([0.0, 0.2, 0.3])
     one = twin.Curve("E_XX", "um", (0.0, 500.0), "power", (0.0, 5.0, 1.0), matrix)
     base = replace(made(u=None), squareness=MappingProxyType({}), location=MappingProxyType({}))
@@ -259,13 +259,13 @@ def test_conventions_without_variance_are_left_out_and_told() -> None:
     ]
     found = twin.compare(*sides, poses=20)
     (error,) = found.errors
-    assert error.fixed == pytest.approx(10.0, rel=1e-3) and error.significant is False
+    assert error.without_variance == pytest.approx(10.0, rel=1e-3) and error.significant is False
     assert found.verdict == "unchanged" and found.unjudged == ("E_XX",)
     white = whiten(np.array([10.0, 0.1, 0.0]), 2.0 * matrix)
     assert white.rank == 2 and white.chi2 == pytest.approx(0.1**2 / 0.4)
 
 
-def test_nothing_is_significant_where_nobody_says_how_uncertain_it_is() -> None:
+def test_nothing_is_significant_without_uncertainties() -> None:
     older, newer = made(u=None), made(squareness={**SQUARENESS, "E_C0Y": 500.0})
     found = twin.compare(older, newer, poses=20)
     assert found.verdict == "unknown" and not found.seen_by
@@ -275,14 +275,14 @@ def test_nothing_is_significant_where_nobody_says_how_uncertain_it_is() -> None:
     assert set(found.unjudged) == {error.name for error in found.errors}
 
 
-def test_an_error_only_one_gives_is_listed_and_not_taken_as_zero() -> None:
+def test_an_error_in_only_one_calibration_is_listed_and_not_taken_as_zero() -> None:
     older = made()
     newer = replace(
         made(location={name: v for name, v in LOCATIONS.items() if name != "E_X0C"}),
         extra=(effect_named("reversal", "Y", {"size": 4.0}, MACHINE),),
     )
     found = twin.compare(older, newer, poses=20)
-    assert {one.name: one.given_by for one in found.apart} == {"E_X0C": "first", "reversal:Y": "second"}
+    assert {one.name: one.given_by for one in found.not_compared} == {"E_X0C": "first", "reversal:Y": "second"}
     assert found.unjudged == ("E_X0C", "reversal:Y")
     assert "E_X0C" not in {error.name for error in found.errors}
 
@@ -302,16 +302,16 @@ def test_effects_are_compared_by_their_numbers_a_wave_by_its_shape() -> None:
     assert abs(wave.largest) < 1e-12 and wave.significant is False
     assert reversal.largest == pytest.approx(4.0) and reversal.significant is True
     assert [error.name for error in found.culprits.errors] == ["reversal:Y"]
-    # The sides are drawn: half of 4 µm either way, at every pose.
+    # Approach directions are random: plus or minus half of 4 µm at every pose.
     assert found.tool.everything.rms_um == pytest.approx(2.0, rel=1e-6)
 
 
-def test_the_same_constant_under_another_name_is_no_change_of_the_machine() -> None:
-    """X's zero off by 10 µm, or B's line off by −10 µm with all it carries: no measurement of the tool against the work can tell."""
+def test_the_same_constant_as_another_error_is_no_change_of_the_machine() -> None:
+    """X's zero off by 10 µm, or B's line with all it carries by −10 µm: the same for any measurement of the tool against the work."""
     curves = dict(CURVES)
     curves["E_XX"] = ((0.0, 500.0), "power", (10.0, 11.4, 2.0, -1.0))
     found = twin.compare(made(curves=curves), made(location={**LOCATIONS, "E_X0B": -10.0}), poses=40)
-    # In one datum both are the same numbers.
+    # In one datum both have identical numbers.
     assert found.tool.everything.max_um < 1e-3
     assert found.verdict == "unchanged"
     assert {error.name: error.largest for error in found.errors}["E_X0B"] == pytest.approx(0.0, abs=1e-3)
@@ -348,14 +348,14 @@ def test_words_follow_what_the_changes_have_in_common() -> None:
             made(), made(curves=knocked, squareness={**SQUARENESS, "E_A0Z": -22.0, "E_B0Z": 4.0}), poses=20
         ).meaning
     )
-    assert "Everything that changed is at one axis, Z" in text
+    assert "All changes are at one axis, Z" in text
     found = twin.compare(made(), drawn(made(), np.random.default_rng(1)), poses=20, tolerance_mm=1.0)
-    assert found.verdict == "unchanged" and "the older one stands" in found.meaning[0]
+    assert found.verdict == "unchanged" and "the older one remains valid" in found.meaning[0]
     assert found.good_enough is True and found.tool.left.enough(0.1) is not True
 
 
-def test_what_is_left_is_what_the_newer_machine_does_with_the_older_ones_commands() -> None:
-    """Against commands solved and executed pose by pose."""
+def test_the_remaining_error_is_that_of_the_older_commands_on_the_newer_machine() -> None:
+    """Compared with commands solved and executed pose by pose."""
     older, newer = made(), made(squareness={**SQUARENESS, "E_A0Z": 20.0})
     found = twin.compare(older, newer, tool_length_mm=120.0, poses=30)
     q = volume(MACHINE, 30)
@@ -368,19 +368,19 @@ def test_what_is_left_is_what_the_newer_machine_does_with_the_older_ones_command
     assert found.tool.left.poses == np.count_nonzero(good)
 
 
-def test_calibrations_under_other_control_tables_are_not_taken_as_alike(tmp_path: Path) -> None:
+def test_calibrations_under_different_control_tables_are_refused(tmp_path: Path) -> None:
     table = TableEntry(tmp_path / "a", "siemens", ("L-POS",), "0" * 64)
     under = ControlSection("remaining", (table,))
     other = ControlSection("remaining", (replace(table, sha256="1" * 64),))
     with pytest.raises(twin.InputError, match="tables"):
         twin.compare(made(), replace(made(), control=under))
-    with pytest.raises(twin.InputError, match="other tables"):
+    with pytest.raises(twin.InputError, match="different tables"):
         twin.compare(replace(made(), control=under), replace(made(), control=other))
     found = twin.compare(replace(made(), control=under), replace(made(), control=under), poses=20)
     assert found.verdict == "same" and "same tables" in found.notices[0]
 
 
-def test_command_says_and_writes_it(tmp_path: Path) -> None:
+def test_the_command_prints_and_writes_the_comparison(tmp_path: Path) -> None:
     older, newer, report = tmp_path / "a.yaml", tmp_path / "b.yaml", tmp_path / "r.json"
     made().save(older)
     made(squareness={**SQUARENESS, "E_C0Y": 34.0}).save(newer)
@@ -396,13 +396,13 @@ def test_command_says_and_writes_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_false_alarms_more_sharply() -> None:
+def test_false_alarms_of_many_comparisons() -> None:
     # 33.75 of 900, standard deviation 5.7: two of these above.
     assert 5 <= false_alarms(300, (None, 1, 2)) <= 33.75 + 2.0 * 5.7
 
 
 @pytest.mark.slow
-def test_all_four_looks_together_keep_to_one_false_alarm_in_twenty() -> None:
+def test_all_four_tests_together_raise_at_most_one_false_alarm_in_twenty() -> None:
     truth = made(mixing=6)
     rng = np.random.default_rng(21)
     alarms = sum(
@@ -412,7 +412,7 @@ def test_all_four_looks_together_keep_to_one_false_alarm_in_twenty() -> None:
     assert alarms <= 10 + 3 * 3.1
 
 
-def test_an_effect_whose_temperature_nobody_gave_leaves_no_verdict_on_the_tool() -> None:
+def test_an_effect_without_its_temperature_leaves_no_verdict_on_the_tool() -> None:
     def warm(coefficient: float) -> twin.Calibration:
         base = made()
         extra = (effect_named("thermal_expansion", "X", {"coefficient": coefficient}, MACHINE),)

@@ -3,7 +3,7 @@
 It tests the search: effects are the package's own signatures, which are linear, put into a residual that is already whitened. For files
 in and `diagnosis.json` out, on truth machines that share no code with the package and are not linear, see `tests.benchmark`.
 
-One data set of the truth machine (`tests.truth.hidden`) gives poses, set-up and scatter; into its whitened residual go new noise and
+One data set of the truth machine (`tests.truth.hidden`) gives poses, set-up and noise; into its whitened residual go new noise and
 new effects, scaled to a noncentrality λ after everything the set-up absorbs is projected out. Run one row of the table by
 
     python -m tests.diagnosis.battery ROW [--draws 200] [--noise isotropic|repeats|tracker|tracker-repeats] [--poses 390] [--seed 1]
@@ -64,29 +64,29 @@ Truth = tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]
 
 
 UNHIDDEN = ("misplaced", "error_motion")
-"""Families that are not of the contract's table: what is wrong with the calibration itself has tests of its own."""
+"""Families that are not of the contract's table: mistakes in the calibration have separate tests."""
 
 
 class Told:
-    """What was hidden in one draw, and what was named."""
+    """The hidden effects of one draw, and the causes named."""
 
     truth: tuple[Key, ...]
     named: tuple[Key, ...]
 
     @property
     def right(self) -> bool:
-        """Every hidden effect is named."""
+        """Return whether every hidden effect is named."""
         return set(self.truth) <= set(self.named)
 
     @property
     def too_many(self) -> bool:
-        """More causes than effects."""
+        """Return whether there are more causes than effects."""
         return len(self.named) > len(self.truth)
 
 
 @dataclass(frozen=True)
 class Answer(Told):
-    """What was hidden in one draw, and what was said; ``alone`` if nothing could be mistaken for it even without scatter."""
+    """The hidden effects of one draw, and the diagnosis; ``alone`` if the effect is not confounded even without noise."""
 
     truth: tuple[Key, ...]
     columns: tuple[str, ...]
@@ -100,7 +100,7 @@ class Answer(Told):
 
     @property
     def in_group(self) -> bool:
-        """Every hidden effect is named, or equivalent to a cause that is: each cause stands for one."""
+        """Return whether every hidden effect is named, or equivalent to a named cause; each cause counts for one effect."""
         left = [{name, *others} for name, others in zip(self.named, self.equivalent, strict=True)]
         return matched(list(self.truth), left)
 
@@ -110,7 +110,7 @@ class Answer(Told):
 
 
 def matched(truth: list[Key], groups: list[set[Key]]) -> bool:
-    """Whether every hidden effect has a group of its own that it is in."""
+    """Return whether every hidden effect belongs to a different group."""
     if not truth:
         return True
     return any(truth[0] in group and matched(truth[1:], groups[:i] + groups[i + 1 :]) for i, group in enumerate(groups))
@@ -145,7 +145,7 @@ def measured(
 
 
 def _doubted(calibration: Calibration) -> Calibration:
-    """With a covariance: 0.7 µm and 4 µrad a coefficient, as an identification leaves them."""
+    """Return the calibration with a covariance of 0.7 µm and 4 µrad per coefficient, typical of an identification."""
     names = [p.name for effect in calibration.effects for p in effect.parameters]
     units = [p.unit for effect in calibration.effects for p in effect.parameters]
     u = np.array([0.7 if unit == "um" else 4.0 for unit in units])
@@ -153,7 +153,7 @@ def _doubted(calibration: Calibration) -> Calibration:
 
 
 def noise_of(rng: np.random.Generator, problem: Problem, root: np.ndarray) -> np.ndarray:
-    """(3n,) new scatter, and a new error of the calibration where its covariance is given."""
+    """Return (3n,) new noise, with a new error of the calibration if it has a covariance."""
     found = np.einsum("nij,nj->ni", root, rng.standard_normal((len(root), 3))).reshape(-1)
     return found + problem.basis @ (
         problem.calibration_directions @ rng.standard_normal(problem.calibration_directions.shape[1])
@@ -242,13 +242,13 @@ def outside(rng: np.random.Generator, problem: Problem, size: float) -> tuple[tu
 
 @dataclass(frozen=True)
 class Case:
-    """What the draws of a row of the table have in common.
+    """The parameters of a row of the table.
 
     Attributes:
-        row: of the table.
-        seed: of all of them.
+        row: name of the row.
+        seed: random seed of all draws.
         noise: ``isotropic``, ``tracker``, and the same from ``repeats``.
-        poses: of a data set.
+        poses: number of poses of a data set.
         uncertain: whether the calibration has a covariance.
         every: for `tests.diagnosis.rivals`.
     """
@@ -263,7 +263,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Draw:
-    """What was hidden in a data set: the causes, the columns of a pattern outside the catalogue, and the whole (3n,) residual."""
+    """The hidden causes of a data set, the columns of a pattern outside the catalogue, and the (3n,) residual."""
 
     truth: tuple[Truth, ...]
     columns: tuple[str, ...]
@@ -271,13 +271,13 @@ class Draw:
 
 
 class DataSet:
-    """A data set with nothing in it, and draws of what is hidden in it: one task, with a seed of its own (`twin.compute.parallel`).
+    """A data set without errors, and draws of hidden effects for it: one task, with its own seed (`twin.compute.parallel`).
 
-    The first has the seed itself, so that its draws are those of a battery of one data set.
+    The first data set uses the seed itself, so that its draws are those of a battery of one data set.
 
     Args:
-        case: what all data sets share.
-        number: which of them this is.
+        case: parameters common to all data sets.
+        number: number of this data set.
     """
 
     def __init__(self, case: Case, number: int) -> None:
@@ -331,7 +331,7 @@ def answers(
 
 
 def answers_of(case: Case, task: tuple[int, int]) -> list[Answer]:
-    """Of one data set."""
+    """Return the answers of one data set."""
     number, draws = task
     data = DataSet(case, number)
     problem, searcher = data.problem, data.searcher
@@ -361,7 +361,7 @@ def _answer(
     for form in named:
         others = [one for one in named if one is not form]
         groups.append(equivalent(found, form, others))
-    unnamed = tuple(name for trace in found.structure.traces for name in trace.pattern.names)
+    unnamed = tuple(name for pattern_test in found.structure.pattern_tests for name in pattern_test.pattern.names)
     pulls = () if unnamed else _pulls(found.problem, found.structure.forms, truth)
     return Answer(
         truth=tuple(one[0] for one in truth),
@@ -377,9 +377,9 @@ def _answer(
 
 
 def alone(searcher: Searcher, key: Key, signature: np.ndarray) -> bool:
-    """Whether nothing could be mistaken for a cause even without scatter, by the measure of ``equivalent``."""
+    """Return whether a cause has no equivalent even without noise."""
     problem, candidates = searcher.problem, searcher.candidates
-    problem.set_residual(signature)
+    problem.set_problem(signature)
     candidates.set_problem(problem)
     explained, dof = candidates.scan([])
     form = max(

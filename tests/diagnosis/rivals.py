@@ -1,4 +1,4 @@
-"""Two plain methods on the draws of `tests.diagnosis.battery`: stepwise regression by BIC, and the LASSO.
+"""Two standard methods on the draws of `tests.diagnosis.battery`: stepwise regression by BIC, and the LASSO.
 
 Both get what `twin diagnose` gets: the whitened residual, and the columns of every form of every named candidate, with the set-up
 projected out of both (x − QQᵀx; for a calibration without covariance, where that is a projection). Neither has an answer of its own for
@@ -8,8 +8,8 @@ projected out of both (x − QQᵀx; for a calibration without covariance, where
     [--every]
                                [--workers N] [--scheduler tcp://…]
 
-Whose names count as "in group" is decided by geometry, for `twin` as for its rivals (`Design.likeness`, `ALIKE`), and not by what
-`twin` lists as equivalent.
+Names count as "in group" by geometry, for `twin` as for its rivals (`Design.likeness`, `ALIKE`), and not by the causes that `twin`
+lists as equivalent.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.selection.searcher import Searcher
 
 ALIKE = 0.95
-"""Cosine of the angle between a hidden signature and a candidate's from which on the candidate is as good a name."""
+"""Cosine of the angle between a hidden signature and a candidate's from which on the candidate counts as equivalent."""
 SHORTLIST = 10
 """Forms a step that are fitted by statsmodels, the best by inner products."""
 APART = 1e-6
@@ -46,14 +46,14 @@ STEPS = 500
 
 @dataclass(frozen=True)
 class Said(Told):
-    """What one method said of one draw.
+    """The result of one method for one draw.
 
     Attributes:
-        truth: what was hidden.
-        named: what was named.
-        alike: for each named cause the hidden ones it is as good a name for (`ALIKE`), besides itself.
-        unnamed: columns of what was left without a name.
-        seconds: of processor time.
+        truth: the hidden causes.
+        named: the causes named.
+        alike: for each named cause the hidden ones that it is equivalent to (`ALIKE`), besides itself.
+        unnamed: columns of the unexplained pattern.
+        seconds: processor time.
     """
 
     truth: tuple[Key, ...]
@@ -74,7 +74,7 @@ class Block:
 
     Attributes:
         key: whose it is.
-        directions: (3n, w) orthonormal basis of what the data see of its columns beside the set-up.
+        directions: (3n, w) orthonormal basis of its columns with the set-up projected out.
     """
 
     key: Key
@@ -84,8 +84,8 @@ class Block:
 class Design:
     """The regressors of one data set, prepared once for all its draws.
 
-    Directions that stay within the data's noise (noncentrality below `LEAST_NONCENTRALITY`) at the largest plausible size are no
-    regressors: of what the set-up absorbs only rounding errors are left, and a regression would scale those up.
+    Directions that stay within the data's noise (below `LEAST_NONCENTRALITY`) at the largest plausible size are no
+    regressors: directions absorbed by the set-up consist of rounding errors only, which a regression would scale up.
 
     Args:
         problem: the data.
@@ -149,7 +149,7 @@ class Design:
         return explained, dof
 
     def likeness(self, projected: np.ndarray) -> dict[Key, float]:
-        """How well each candidate could stand for a signature: the cosine of the angle between it and the candidate's columns.
+        """Return the similarity of each candidate to a signature: cosine of the angle between it and the candidate's columns.
 
         Both with the set-up projected out; of the candidate's forms the one that comes closest, which is kind to whoever names it.
 
@@ -192,8 +192,8 @@ def stepwise_bic(
     """Forward and backward selection by BIC.
 
     A candidate comes in with one of its forms, all columns of it in one block. Each step adds the form, or gives a candidate that is
-    in the other form, with which the BIC of an ordinary regression (`statsmodels.api.OLS`, scatter estimated, number of readings for n,
-    parameters that can be told apart) is lowest; then forms are taken out again while that lowers it. It ends when the BIC does not
+    in the other form, with which the BIC of an ordinary regression (`statsmodels.api.OLS`, noise estimated, n the number of readings,
+    k the number of identifiable parameters) is lowest; then forms are removed while that lowers it. It ends when the BIC does not
     fall. Which forms of a step are fitted is settled by inner products: these give each form's residual sum of squares, hence the same
     order.
 
@@ -231,7 +231,7 @@ def stepwise_bic(
     while True:
         trials: list[tuple[float, list[Block]]] = []
         inside = {block.key for block in chosen}
-        # Whose form may be chosen, beside what: any newcomer beside all, another form of one that is in beside the others.
+        # Candidate forms and the forms kept with them: a new candidate with all, another form of a selected one with the others.
         for leaver in (None, *chosen):
             others = [block for block in chosen if block is not leaver]
             explained, dof = own.gains(residual, others)
@@ -264,7 +264,7 @@ def stepwise_bic(
 def lasso(problem: Problem, candidates: Sequence[Candidate], *, design: Design | None = None) -> tuple[Key, ...]:
     """The LASSO (`sklearn.linear_model.LassoLarsIC`) at the step of its path with the lowest BIC.
 
-    All columns of all forms are offered at once, each scaled to length 1 after the projection; the scatter is given as it is (1, the
+    All columns of all forms are offered at once, each scaled to length 1 after the projection; the noise is given (1, the
     residual is whitened) instead of estimated. Left out are columns that are another candidate's by name (`_datum`): the LASSO, which
     knows no forms, would have to toss a coin between a squareness and an angular error's constant. A candidate is named if any of its
     columns is used. This is the LASSO's best showing among what was tried on other draws: with one form a candidate (the best alone)
@@ -287,7 +287,7 @@ def lasso(problem: Problem, candidates: Sequence[Candidate], *, design: Design |
         criterion="bic", fit_intercept=False, precompute=gram, max_iter=STEPS, noise_variance=1.0, copy_X=False
     )
     with warnings.catch_warnings():
-        # Of columns that are the same the path takes one, and says so.
+        # For identical columns the path takes one, with a warning.
         warnings.simplefilter("ignore", ConvergenceWarning)
         model.fit(columns, problem.projected)
     size = np.abs(model.coef_)
@@ -327,7 +327,7 @@ def compared(
 
 
 def said_of(case: Case, task: tuple[int, int]) -> dict[str, list[Said]]:
-    """Of one data set, by method."""
+    """Return the results for one data set, by method."""
     number, draws = task
     data = DataSet(case, number)
     problem, searcher = data.problem, data.searcher
@@ -349,12 +349,12 @@ def said_of(case: Case, task: tuple[int, int]) -> dict[str, list[Said]]:
 def _methods(
     problem: Problem, searcher: Searcher, known: Sequence[Candidate], design: Design
 ) -> dict[str, Callable[[], tuple[tuple[Key, ...], tuple[str, ...]]]]:
-    """By name, what gives the names, and the columns of what stays unnamed."""
+    """Return the methods by name: functions that return the causes named and the columns of unexplained patterns."""
 
     def own() -> tuple[tuple[Key, ...], tuple[str, ...]]:
         searcher.candidates.set_problem(problem)
         found = searcher.run().structure
-        unnamed = (name for trace in found.traces for name in trace.pattern.names)
+        unnamed = (name for pattern_test in found.pattern_tests for name in pattern_test.pattern.names)
         return tuple(form.key for form in found.forms), tuple(unnamed)
 
     return {

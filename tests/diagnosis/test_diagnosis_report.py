@@ -1,4 +1,4 @@
-"""What `twin diagnose` shows: the page, its pictures, the text.
+"""The output of `twin diagnose`: page, pictures and text.
 
 Shapes are checked against the truth machine (`tests.truth.hidden`), which shares no code with `twin`; the page by a parser and a
 browser.
@@ -26,34 +26,34 @@ from twin.diagnosis import Diagnosis, diagnose
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
 from twin.diagnosis.result import Unexplained
 from twin.diagnosis.wording.panels import cause_panels, residual_panels
-from twin.diagnosis.wording.plots import plot_cause, plot_left, plot_ranking, plot_residuals
+from twin.diagnosis.wording.plots import plot_cause, plot_ranking, plot_residuals, plot_unexplained
 from twin.diagnosis.wording.report import diagnosis_html
 from twin.diagnosis.wording.text import WIDTH
-from twin.diagnosis.wording.words import chance, contests, listed, measured, odds, plain
+from twin.diagnosis.wording.words import chance, listed, measured, odds, plain, separating_points
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.table import load
 
 SIGMA_MM = 3e-3
-LOST_UM = 12.0
+REVERSAL_UM = 12.0
 SHIFT = {"shift_x": 9.0, "shift_y": -7.0, "shift_z": 4.0, "turn_x": 0.0, "turn_y": 0.0, "turn_z": 0.0}
-# Contract §5; `following_error` stands in its place under `read_back`, the last two are ours.
+# Contract §5; `following_error` is listed there under `read_back`, the last two are additions.
 EFFECTS = """reversal pitch_error squareness axis_location angular_error_motion straightness positioning harmonic thermal_expansion
 thermal_growth thermal_drift cross_axis table_load frame_shift gravity_compliance zero_offset read_back refraction_scale affine_scale
 station_drift reversal_curve time_skew target_shift following_error error_motion misplaced""".split()
 HEADINGS = [
-    "What was expected",
-    "What was seen",
-    "What was tried, and how it ranked",
-    "Why this one",
-    "What it could be mistaken for",
-    "What changes when it is modelled",
+    "Expected residuals",
+    "Residuals",
+    "Causes tested",
+    "Evidence for the cause",
+    "Alternatives",
+    "Gain with the causes in the model",
     "What to measure next",
-    "Small print",
+    "Notes",
 ]
 HIDDEN = {
-    "lost motion": [Hidden("reversal", "Y", {"size": LOST_UM})],
+    "reversal": [Hidden("reversal", "Y", {"size": REVERSAL_UM})],
     "two alike": [Hidden("cross_axis", "E_ZY by X", {"coefficient": 90.0})],
     "nothing": [],
     "re-aligned": [Hidden("frame_shift", "round 2", SHIFT)],
@@ -74,8 +74,8 @@ def found(dmu50: Machine, calibration: Calibration, folder: Path) -> Mapping[str
         read = hidden.noisy(hidden.points(plan, effects), rng, "isotropic", SIGMA_MM)
         path = hidden.write(folder / f"{name}.csv", plan, read, u_mm=SIGMA_MM)
         results[name] = diagnose(load(path, dmu50), dmu50, calibration)
-    left = Unexplained(0.3, ("X_mm", "Z_mm"), "tool", "a pattern that fits nothing", 2.0)
-    results["part of it"] = replace(results["lost motion"], verdict="unexplained", unexplained=left)
+    left = Unexplained(0.3, ("X_mm", "Z_mm"), "tool", "a pattern of no known effect", 2.0)
+    results["part of it"] = replace(results["reversal"], verdict="unexplained", unexplained=left)
     return results
 
 
@@ -85,7 +85,7 @@ def pages(found: Mapping[str, Diagnosis]) -> Mapping[str, str]:
 
 
 class Reader(HTMLParser):
-    """Tags with their attributes, and the words of the first screen and of the headings."""
+    """Parser of a page: tags with their attributes, text of the first screen, and headings."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -95,12 +95,12 @@ class Reader(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        told = dict(attrs)
-        self.tags.append((tag, told))
+        attributes = dict(attrs)
+        self.tags.append((tag, attributes))
         if tag == "div":
-            self._depth = self._depth + 1 if self._depth or told.get("class") == "verdict" else 0
+            self._depth = self._depth + 1 if self._depth or attributes.get("class") == "verdict" else 0
         self._heading = tag == "h2"
-        self._symbol = tag == "span" and told.get("class") == "symbol"
+        self._symbol = tag == "span" and attributes.get("class") == "symbol"
 
     def handle_endtag(self, tag: str) -> None:
         if tag == "div" and self._depth:
@@ -123,62 +123,67 @@ def test_the_page_is_one_file(pages: Mapping[str, str]) -> None:
         read = Reader(page)
         names = {tag for tag, _ in read.tags}
         assert not names & {"script", "link", "iframe", "object", "embed"}
-        sources = [value for _, told in read.tags for name, value in told.items() if name in ("src", "href", "srcset")]
+        sources = [
+            value
+            for _, attributes in read.tags
+            for name, value in attributes.items()
+            if name in ("src", "href", "srcset")
+        ]
         assert sources and all(str(value).startswith("data:image/svg+xml;base64,") for value in sources)
         plain_part = re.sub(r"base64,[A-Za-z0-9+/=]*", "", page)
         assert "http" not in plain_part and "url(" not in plain_part and "@import" not in plain_part
-        assert all(told.get("alt") for tag, told in read.tags if tag == "img")
+        assert all(attributes.get("alt") for tag, attributes in read.tags if tag == "img")
 
 
-def test_the_argument_has_its_order(pages: Mapping[str, str]) -> None:
-    assert Reader(pages["lost motion"]).headings[:-1] == HEADINGS
+def test_the_sections_are_in_order(pages: Mapping[str, str]) -> None:
+    assert Reader(pages["reversal"]).headings[:-1] == HEADINGS
     left = Reader(pages["part of it"]).headings[:-1]
-    assert left[:5] == HEADINGS[:5] and left[5] == "What is left unexplained"
+    assert left[:5] == HEADINGS[:5] and left[5] == "Unexplained residuals"
 
 
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("lost motion", ["The machine has an error", "Backlash of Y", "µm", "At the tool", "Service", "Beware"]),
-        ("two alike", ["leave open which", "changes with", "Or else", "either will do", "Order no repair"]),
-        ("nothing", ["Nothing is wrong that these readings could show", "as it is", "What they cannot"]),
+        ("reversal", ["The machine has an error", "Lost motion of Y", "µm", "At the tool", "Service", "Caution"]),
+        ("two alike", ["cannot decide which", "changes with", "Or instead", "Either can be used", "Order no repair"]),
+        ("nothing", ["no error found", "present calibration", "that these readings can show"]),
         (
             "re-aligned",
             ["The measurement was disturbed", "re-aligned from round 2", "Do not compensate or repair the machine"],
         ),
-        ("part of it", ["does not explain all", "30 %", "X and Z", "is not enough"]),
+        ("part of it", ["do not explain all", "30 %", "X and Z", "is not enough"]),
     ],
 )
-def test_a_machinist_understands_the_first_screen(pages: Mapping[str, str], name: str, words: list[str]) -> None:
+def test_the_first_screen_has_no_jargon(pages: Mapping[str, str], name: str, words: list[str]) -> None:
     screen = Reader(pages[name]).screen.replace("\u00a0", " ")
     assert [word for word in words if word not in screen] == []
-    # No symbol but beside its word, no jargon.
+    # No symbols without words, no jargon.
     assert re.findall(r"E_[A-Z0]|standard uncertaint|chi²|\bp =|_[a-z]", screen) == []
     assert len(screen.split()) < 160
 
 
 def test_nothing_is_to_be_compensated_where_it_is_the_instrument(pages: Mapping[str, str]) -> None:
     assert "--extended" not in re.sub(r"<h2>What to measure.*", "", pages["re-aligned"], flags=re.S)
-    assert "--extended better.yaml" in pages["lost motion"]
+    assert "--extended better.yaml" in pages["reversal"]
     assert "--extended better.yaml" not in pages["part of it"]
 
 
-def test_drawn_data_say_so(
+def test_simulated_data_are_marked(
     found: Mapping[str, Diagnosis], pages: Mapping[str, str], folder: Path, dmu50: Machine
 ) -> None:
     assert "ILLUSTRATIVE" in pages["nothing"] and "SIMULATED" not in pages["nothing"]
     text = (folder / "nothing.csv").read_text()
-    (folder / "told.csv").write_text("# simulated by somebody, seed 3\n" + text)
-    data = load(folder / "told.csv", dmu50)
-    assert data.notices == ("the file says: simulated by somebody, seed 3",)
+    (folder / "marked.csv").write_text("# simulated by a program, seed 3\n" + text)
+    data = load(folder / "marked.csv", dmu50)
+    assert data.notices == ("the file says: simulated by a program, seed 3",)
     assert "SIMULATED READINGS" in diagnosis_html(replace(found["nothing"], data=data))
 
 
-def test_what_simulated_readings_extend_is_simulated(
+def test_a_calibration_extended_from_simulated_readings_is_marked(
     found: Mapping[str, Diagnosis], folder: Path, dmu50: Machine, calibration: Calibration
 ) -> None:
     """The calibration that `--extended` writes keeps the warning of its readings; the diagnosis says it in text and JSON."""
-    (folder / "lost.csv").write_text("# simulated by somebody\n" + (folder / "lost motion.csv").read_text())
+    (folder / "lost.csv").write_text("# simulated by a program\n" + (folder / "reversal.csv").read_text())
     drawn = diagnose(load(folder / "lost.csv", dmu50), dmu50, calibration)
     drawn.extended.save(folder / "extended.yaml")
     assert SIMULATED in Calibration.load(folder / "extended.yaml", dmu50).warnings
@@ -186,8 +191,8 @@ def test_what_simulated_readings_extend_is_simulated(
     assert [one["name"] for one in drawn.to_dict()["warnings"]] == [
         one.name for one in (ILLUSTRATIVE, SIMULATED, UNKNOWN)
     ]
-    # The mark is all that differs from the same readings without it.
-    measured = found["lost motion"]
+    # The marked readings differ from the unmarked ones by the mark only.
+    measured = found["reversal"]
     assert not measured.extended.simulated and SIMULATED.title not in measured.to_text()
     assert [one.to_dict() for one in drawn.causes] == [one.to_dict() for one in measured.causes]
 
@@ -203,7 +208,7 @@ def test_names_are_escaped(found: Mapping[str, Diagnosis]) -> None:
 
 
 def test_every_axis_has_its_unit(found: Mapping[str, Diagnosis]) -> None:
-    figures = [plot_left(found["part of it"])]
+    figures = [plot_unexplained(found["part of it"])]
     for one in found.values():
         figures += [plot_residuals(one), plot_residuals(one, after=True), plot_ranking(one)]
         figures += [plot_cause(one, k) for k in range(len(one.causes))]
@@ -217,22 +222,22 @@ def test_every_axis_has_its_unit(found: Mapping[str, Diagnosis]) -> None:
                 assert " / " not in label and "_deg" not in label and "_mm" not in label
 
 
-def test_lost_motion_is_seen_as_two_lines(found: Mapping[str, Diagnosis]) -> None:
-    """Half of it either way, to three standard errors of some 80 readings' mean from one side."""
-    one = found["lost motion"]
+def test_a_reversal_is_plotted_as_two_lines(found: Mapping[str, Diagnosis]) -> None:
+    """Plus and minus half the reversal, to three standard errors of the mean of about 80 readings from one direction."""
+    one = found["reversal"]
     (panel,) = cause_panels(one, one.causes[0])
     assert panel.y.endswith("[µm]") and [series.name for series in panel.series] == ["from +", "from −"]
     for series, side in zip(panel.series, (0.5, -0.5), strict=True):
         mean = np.average(series.y, weights=series.weight)
         assert (
-            abs(mean - side * LOST_UM)
+            abs(mean - side * REVERSAL_UM)
             < 3.0 * 1e3 * SIGMA_MM / np.sqrt(len(series.y)) + 3.0 * one.causes[0].parameters[0].u
         )
-        np.testing.assert_array_equal(np.sign(series.says), np.sign(side))
+        np.testing.assert_array_equal(np.sign(series.predicted), np.sign(side))
 
 
-def test_shifts_are_drawn_in_the_directions_of_the_machine(found: Mapping[str, Diagnosis]) -> None:
-    """The instrument's frame is turned by 1.6 rad about z in the truth machine; what it shifts is drawn in the machine's x, y, z."""
+def test_shifts_are_plotted_in_the_directions_of_the_machine(found: Mapping[str, Diagnosis]) -> None:
+    """The instrument's frame is turned by 1.6 rad about z in the truth machine; its shifts are plotted in the machine's x, y, z."""
     one = found["re-aligned"]
     (panel,) = cause_panels(one, one.causes[0])
     angle = hidden.STATIONS["1"][1][2]
@@ -244,42 +249,40 @@ def test_shifts_are_drawn_in_the_directions_of_the_machine(found: Mapping[str, D
     }
     assert {series.name for series in panel.series} == set(truth)
     for series in panel.series:
-        # 220 readings a round at 3 µm, and a turn's lever that is not known: half a µm is 2.5 standard errors of the mean alone.
+        # 220 readings per round at 3 µm, and an unknown rotation: half a µm is 2.5 standard errors of the mean alone.
         assert np.mean(series.y[series.x == 1.0]) == pytest.approx(truth[series.name], abs=1.0)
         assert np.mean(series.y[series.x == 0.0]) == pytest.approx(0.0, abs=1.0)
 
 
-def test_the_misfit_is_drawn_where_it_is(found: Mapping[str, Diagnosis]) -> None:
-    one = found["lost motion"]
+def test_the_residuals_are_plotted_against_the_column_that_shows_them(found: Mapping[str, Diagnosis]) -> None:
+    one = found["reversal"]
     first = residual_panels(one)[0]
-    assert first.x.startswith("side Y came from") and "tool side" in first.title
+    assert first.x.startswith("approach direction of Y") and "tool side" in first.title
     by_name = {series.name: series for series in first.series}
     gap = {
         name: abs(np.mean(series.y[series.x > 0]) - np.mean(series.y[series.x < 0])) for name, series in by_name.items()
     }
-    assert gap["in y"] > 0.5 * LOST_UM and max(gap["in x"], gap["in z"]) < 0.1 * LOST_UM
+    assert gap["in y"] > 0.5 * REVERSAL_UM and max(gap["in x"], gap["in z"]) < 0.1 * REVERSAL_UM
     after = residual_panels(one, after=True)[0]
     assert after.limit == first.limit
     assert np.abs(np.mean(after.series[1].y[after.series[1].x > 0])) < 0.5
 
 
-def test_a_tracker_counts_by_what_it_sees_along_its_beam(
-    dmu50: Machine, calibration: Calibration, folder: Path
-) -> None:
-    """Across the beam it scatters by 13 µm, along by half a µm: a picture that took both alike would be twenty times as rough."""
+def test_tracker_readings_are_weighted_by_direction(dmu50: Machine, calibration: Calibration, folder: Path) -> None:
+    """Noise is 13 µm across the beam and half a µm along it: a plot with equal weights would be twenty times as noisy."""
     rng = np.random.default_rng(2)
     plan = hidden.rounded(hidden.plan(rng, poses=30, stops=5, rounds=2))
-    read = hidden.noisy(hidden.points(plan, HIDDEN["lost motion"]), rng, "tracker")
+    read = hidden.noisy(hidden.points(plan, HIDDEN["reversal"]), rng, "tracker")
     data = load(hidden.write(folder / "tracker.csv", plan, read, u_mm=None), dmu50)
     one = diagnose(data, dmu50, calibration, instrument=LaserTracker())
     (panel,) = cause_panels(one, one.causes[0])
     for series, side in zip(panel.series, (0.5, -0.5), strict=True):
-        assert abs(np.average(series.y, weights=series.weight) - side * LOST_UM) < 0.3
+        assert abs(np.average(series.y, weights=series.weight) - side * REVERSAL_UM) < 0.3
 
 
-def test_why_this_one(found: Mapping[str, Diagnosis]) -> None:
-    """What comes next explains less, and is far less likely; what cannot be told from it is no rival."""
-    (cause,) = found["lost motion"].causes
+def test_rivals_are_less_likely_than_the_cause(found: Mapping[str, Diagnosis]) -> None:
+    """Rivals explain less and are far less likely; a confounded cause is not a rival."""
+    (cause,) = found["reversal"].causes
     assert cause.rivals and all(rival.share < cause.share and rival.log_odds > np.log(100.0) for rival in cause.rivals)
     (alike,) = found["two alike"].causes
     assert alike.equivalent and not {(rival.effect, rival.where) for rival in alike.rivals} & set(alike.equivalent)
@@ -287,7 +290,7 @@ def test_why_this_one(found: Mapping[str, Diagnosis]) -> None:
 
 def test_no_such_cause(found: Mapping[str, Diagnosis]) -> None:
     with pytest.raises(InputError, match="no such cause"):
-        plot_cause(found["lost motion"], 1)
+        plot_cause(found["reversal"], 1)
 
 
 @pytest.mark.parametrize("name", [*HIDDEN, "part of it"])
@@ -302,7 +305,7 @@ def test_text_is_wrapped_and_short(found: Mapping[str, Diagnosis], name: str) ->
     assert "and 13 more" in text and text.count("E_XB") < 30
     assert not re.search(r"\d\n\s+(µm|%)", text)
     if one.causes:
-        # Words, then the symbol.
+        # The name in words, then the symbol.
         assert (
             f"{plain(one.causes[0].effect, one.causes[0].where)} ({one.causes[0].effect} {one.causes[0].where}" in text
         )
@@ -315,14 +318,14 @@ def test_a_notebook_shows_verdict_and_causes(found: Mapping[str, Diagnosis]) -> 
 
 
 def test_the_json_is_the_contracts(found: Mapping[str, Diagnosis]) -> None:
-    """Contract §4; pictures' needs stay out of it."""
-    told = json.loads(json.dumps(found["lost motion"].to_dict()))
+    """Contract §4, without the arrays for the pictures."""
+    result = json.loads(json.dumps(found["reversal"].to_dict()))
     contract = "schema verdict residual causes unexplained unidentifiable gain next_measurement".split()
     ours = "not_evaluated trends scatter set_aside notices warnings".split()
-    assert set(told) == {*contract, *ours}
+    assert set(result) == {*contract, *ours}
     keys = "effect where origin parameters p_value share equivalent evidence probability bounded".split()
-    assert set(told["causes"][0]) == {*keys, "promised", "credible"}
-    assert set(told["gain"]["held_out"]) == {"of", "groups", "rms_before_um", "rms_after_um", "ci95_um"}
+    assert set(result["causes"][0]) == {*keys, "promised", "credible"}
+    assert set(result["gain"]["held_out"]) == {"of", "groups", "rms_before_um", "rms_after_um", "ci95_um"}
 
 
 def test_every_cause_has_words(dmu50: Machine, calibration: Calibration, found: Mapping[str, Diagnosis]) -> None:
@@ -349,8 +352,8 @@ def test_numbers_carry_as_many_digits_as_are_known() -> None:
     assert listed([str(i) for i in range(20)]) == "0, 1, 2, 3, 4, 5, 6 and 13 more"
 
 
-def test_points_are_told_by_what_they_decide() -> None:
-    """Two causes 10 µm apart where a reading scatters by 4 µm: chi² 6.25 a reading, four for 25."""
+def test_points_are_grouped_by_the_causes_they_separate() -> None:
+    """Two predictions 10 µm apart with 4 µm noise: χ² 6.25 per reading, four readings for 25."""
     point = {
         "separates": ["reversal Y", "pitch_error X"],
         "pose": {"X": 1.5, "B": 20.0},
@@ -359,16 +362,18 @@ def test_points_are_told_by_what_they_decide() -> None:
         "station": "1",
         "expected_chi2": 6.25,
     }
-    (one,) = contests([point], 4.0)
-    assert one.rows == (("X1.5 B20", "X+ B−", "K", "1", "10 µm"),) and "some 4 readings" in one.verdict
-    (none,) = contests([{**point, "expected_chi2": 1e-8}], 4.0)
-    assert none.rows == () and "0.0004 µm" in none.verdict and "either will do" in none.verdict
-    (instrument,) = contests([{"separates": ["reversal Y", "frame_shift round 2"], "text": "to tell: repeat it"}], 4.0)
+    (one,) = separating_points([point], 4.0)
+    assert one.rows == (("X1.5 B20", "X+ B−", "K", "1", "10 µm"),) and "about 4 readings" in one.verdict
+    (none,) = separating_points([{**point, "expected_chi2": 1e-8}], 4.0)
+    assert none.rows == () and "0.0004 µm" in none.verdict and "Either can be used" in none.verdict
+    (instrument,) = separating_points(
+        [{"separates": ["reversal Y", "frame_shift round 2"], "text": "to separate: repeat it"}], 4.0
+    )
     assert instrument.verdict == "Repeat it."
 
 
-def test_no_screen_is_too_narrow(pages: Mapping[str, str], folder: Path) -> None:
-    """A browser lays the page out in 420 pixels: nothing sticks out."""
+def test_the_page_fits_a_narrow_screen(pages: Mapping[str, str], folder: Path) -> None:
+    """In a browser window of 420 pixels the page does not overflow."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("no Chromium here to look at the page with (Debian: apt install chromium)")
@@ -382,6 +387,6 @@ def test_no_screen_is_too_narrow(pages: Mapping[str, str], folder: Path) -> None
         timeout=120,
         check=False,
     )
-    told = re.search(r"<title>(\d+) of (\d+)</title>", done.stdout)
-    assert told is not None, done.stderr[-500:]
-    assert int(told[1]) <= int(told[2])
+    widths = re.search(r"<title>(\d+) of (\d+)</title>", done.stdout)
+    assert widths is not None, done.stderr[-500:]
+    assert int(widths[1]) <= int(widths[2])

@@ -1,4 +1,4 @@
-"""The effect without a known cause: its functions, where it acts, its entry in a calibration file, and its range.
+"""The empirical effect: its functions, frames, entry in a calibration file, and range.
 
 What a shift does to measured points comes from `tests.truth.hidden`, which shares no code with `twin`.
 """
@@ -91,7 +91,7 @@ def test_an_axis_without_limits_is_wrapped_into_its_range() -> None:
 
 
 def test_patterns_and_the_effect_are_the_same_functions(dmu50: Machine, tmp_path: Path) -> None:
-    """Every pattern of a table, at the rows of the table: as the diagnosis has it, and as an effect of the same columns."""
+    """Every pattern of a table at its rows: as in the diagnosis, and as an effect of the same columns."""
     of = hidden.rounded(hidden.plan(np.random.default_rng(3), poses=8))
     data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=3e-3), dmu50)
     state = {name: of.at(name) for name in AXES} | {f"approach_{a}": of.approach[:, i] for i, a in enumerate(AXES)}
@@ -114,7 +114,7 @@ def test_patterns_and_the_effect_are_the_same_functions(dmu50: Machine, tmp_path
 
 @pytest.mark.parametrize(("side", "along"), [("tool", "base"), ("tool", "tool"), ("work", "base"), ("work", "work")])
 def test_points_shift_by_it_along_its_axes(dmu50: Machine, side: str, along: str) -> None:
-    """Along the base's axes however the table stands, or along those of what carries the targets: to the last digit."""
+    """Along the base's axes at any table position, or along those of the side that carries the targets: exact to the last digit."""
     of = hidden.plan(np.random.default_rng(5), poses=20)
     effect = empirical(dmu50, side, along, [X, B])
     shift = np.zeros((len(of.q), 3))
@@ -397,8 +397,8 @@ def test_a_volume_ends_where_the_range_does(narrow: Calibration) -> None:
     assert not narrow.outside(at)[:, 1:].any()
 
 
-def test_lost_motion_that_depends_on_the_position_follows_the_program(dmu50: Machine, tmp_path: Path) -> None:
-    """The direction Y comes from is read off the program; at a turn the correction changes at once, by an extra move."""
+def test_a_reversal_that_depends_on_the_position_follows_the_program(dmu50: Machine, tmp_path: Path) -> None:
+    """The approach direction of Y follows from the program; at a reversal the correction changes at once, by an extra move."""
     along_z = Waves("Z_mm", "half_waves", 1, (-400.0, 0.0))
     effect = empirical(dmu50, "tool", "base", [SIDE_Y, along_z], {"x[1,0]": 4.0, "x[1,1]": 3.0})
     calibration = extended(Calibration.zero(dmu50), effect)

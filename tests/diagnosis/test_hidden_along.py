@@ -63,12 +63,12 @@ def test_a_reversal_that_grows_along_the_travel_is_found(tmp_path: Path) -> None
 def test_a_constant_reversal_is_no_curve(tmp_path: Path) -> None:
     (cause,) = stage(tmp_path, np.full(9, -10.0)).causes
     assert (cause.effect, cause.where, cause.equivalent) == ("reversal", "X", ())
-    # The second opinion counts a curve without significant change as the same cause.
+    # The second method counts a constant reversal curve as the same cause.
     assert cause.probability is not None and cause.probability > 0.95
 
 
-def test_a_random_reversal_is_reported_as_its_mean_and_a_rest(tmp_path: Path) -> None:
-    """The reversal differs from place to place at random: the mean is named, without a claim between the places."""
+def test_a_random_reversal_is_a_constant_one_and_a_remainder(tmp_path: Path) -> None:
+    """The reversal varies randomly with position: the mean is named, and the error between the positions stays unknown."""
     rough = np.array([-9.0, 5.0, -7.0, 8.0, -6.0, 7.0, -8.0, 6.0, -5.0]) - 20.0
     result = stage(tmp_path, rough)
     (cause,) = result.causes

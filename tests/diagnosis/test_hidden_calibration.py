@@ -1,8 +1,8 @@
-"""Mistakes in making a calibration: `twin diagnose` must name them.
+"""Mistakes in a calibration: `twin diagnose` must name them in the terms of its author.
 
-Made as in the thesis (listing 3.1 to 3.3): polynomials of degree 8 through eleven stops, without a constant; curves read for
-others; errors applied before the chain, not at their joints. The truth machine (`tests.truth.hidden`) has the curves of the default
-calibration, of degree 5 at most but for E_ZX.
+Made as the thesis makes them (listing 3.1 to 3.3): polynomials of degree 8 through eleven stops, without a constant; exchanged
+curves; errors placed before the chain instead of at their joints. The truth machine (`tests.truth.hidden`) has the curves of the
+default calibration, of degree 5 at most but for E_ZX.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def test_a_curve_under_another_name(look, calibration: Calibration) -> None:
     cause = only(result)
     assert (cause.effect, cause.where) == ("misplaced", "E_AB and E_CB exchanged")
     assert abs(cause.parameters[0].value - 1.0) < 3.0 * cause.parameters[0].u
-    # Corrected with the cause found, E_AB equals its true curve within the uncertainty of the share.
+    # Corrected by the cause found, E_AB has its true values, within the uncertainty of the share.
     q = np.linspace(0.0, 180.0, 91)
     for name in ("E_AB", "E_CB"):
         right, found = calibration.curves[name](q), result.extended.curves[name](q)
@@ -121,11 +121,11 @@ def test_a_curve_under_another_name(look, calibration: Calibration) -> None:
         np.testing.assert_allclose(found, right, atol=3.0 * cause.parameters[0].u * size)
 
 
-@pytest.mark.parametrize(("axis", "where", "told"), [("C", "B", "C at B"), ("C", "base", "C at the base")])
-def test_errors_at_the_wrong_joint(look, calibration: Calibration, axis: str, where: str, told: str) -> None:
+@pytest.mark.parametrize(("axis", "where", "name"), [("C", "B", "C at B"), ("C", "base", "C at the base")])
+def test_errors_at_the_wrong_joint(look, calibration: Calibration, axis: str, where: str, name: str) -> None:
     result = look(calibration, elsewhere={axis: where})
     cause = only(result)
-    assert (cause.effect, cause.where) == ("misplaced", told)
+    assert (cause.effect, cause.where) == ("misplaced", name)
     assert abs(cause.parameters[0].value - 1.0) < 3.0 * cause.parameters[0].u
     assert "instead of C's own joint" in cause.evidence
     assert result.gain is not None and result.gain.held_out is not None

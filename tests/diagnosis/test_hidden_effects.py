@@ -122,7 +122,7 @@ def pulls(cause: Cause, truth: Hidden) -> dict[str, float]:
 
 
 def distance(result: Diagnosis, of: Plan, truth: Sequence[Hidden], noise: str = "isotropic") -> float:
-    """Return χ² of the difference between the signatures of the causes found and of the hidden effects, set-up projected out."""
+    """Return χ² of the difference between the causes found and the hidden effects, the set-up free, whatever the names."""
     rows = result.data.lines - 2
     found = np.zeros((len(of.q), 3))
     found[rows] = np.nansum([cause.pattern_um for cause in result.causes], axis=0) * 1e-3
@@ -133,9 +133,9 @@ def distance(result: Diagnosis, of: Plan, truth: Sequence[Hidden], noise: str = 
 
 
 def numbers(causes: Sequence[Cause]) -> int:
-    """Return the number of parameters fitted for some causes, or of their longest form.
+    """Return the number of parameters fitted for some causes, or that could have been fitted.
 
-    Of nested curves that contain the truth the longest is the furthest from it; the others are its projections.
+    Among nested curves that contain the truth, the longest is the furthest from it: the others are its projections.
     """
     return sum(CURVES.get(c.effect, sum(q.u > 0.0 for q in c.parameters)) for c in causes)
 
@@ -169,10 +169,10 @@ def check(result: Diagnosis, of: Plan, truth: Hidden, noise: str = "isotropic", 
 
 
 def check_held_out(result: Diagnosis, truth: Hidden, instrument: LaserTracker | None) -> None:
-    """Check that held-out rounds improve, unless the other rounds do not separate the cause from another one.
+    """Check that the cause reduces held-out residuals, unless it is confounded with another one in the other rounds.
 
-    The bed is warmest in the first round and cools during the other two: from these alone a drift in time is as likely, and it
-    predicts another first round. The effect of a warm-up on the first round cannot be predicted from the others.
+    The bed is warmest in the first round and cools during the other two: from these alone a drift in time is equally likely, and its
+    prediction of the first round differs. The effect of a warm-up on the first round is not predicted by the others at all.
     """
     assert result.gain is not None and result.gain.held_out is not None
     held = result.gain.held_out
@@ -189,7 +189,7 @@ def check_held_out(result: Diagnosis, truth: Hidden, instrument: LaserTracker | 
 
 @pytest.fixture(scope="module")
 def found(look: Callable[..., Diagnosis]) -> Callable[[Hidden], Diagnosis]:
-    """Return the diagnosis of data with one effect of `EVERY`."""
+    """Return a function: effect of `EVERY` → diagnosis."""
     of = cache(lambda index: look([EVERY[index]], seed=100 + index))
     return lambda truth: of(EVERY.index(truth))
 
@@ -213,9 +213,9 @@ def test_uncertainties_are_neither_too_small_nor_too_large(found: Callable[[Hidd
 
 
 def pulls_of(pairs: Sequence[tuple[Diagnosis, Hidden]]) -> list[float]:
-    """Return the pulls of all parameters with the truth's name; of curves, only of those as long as the hidden one.
+    """Return the pulls of all parameters of the right causes; of curves, only those as long as the hidden one.
 
-    A longer curve is selected where the noise along its further terms happens to be large, which biases their pulls.
+    A longer curve is selected if the noise along its further terms is large, so their pulls are biased.
     """
     found: list[float] = []
     for result, truth in pairs:
@@ -231,13 +231,13 @@ NOISES = ("isotropic", "repeats", "tracker", "tracker-repeats")
 
 @pytest.fixture(scope="module")
 def loud(look: Callable[..., Diagnosis]) -> Callable[[Hidden, str], Diagnosis]:
-    """Return the diagnosis of data with one effect of `EVERY`, scaled by `louder` for a tracker."""
+    """Return a function: effect of `EVERY` and noise → diagnosis; for a tracker the effect is `louder`."""
     of = cache(lambda index, noise: look([louder(EVERY[index], noise)], seed=200 + index, noise=noise))
     return lambda truth, noise: of(EVERY.index(truth), noise)
 
 
 def louder(truth: Hidden, noise: str) -> Hidden:
-    """Return the effect four times as large for a tracker, whose noise at 2 m is 13 µm across the beam; ppm only three times."""
+    """Return the effect four times as large for a tracker (13 µm noise across the beam at 2 m); refraction three times (20 ppm)."""
     size = (3.0 if truth.effect == "refraction_scale" else 4.0) if noise.startswith("tracker") else 1.0
     same = ("order", "period", "phase", "time_constant")
     return replace(truth, numbers={k: v if k in same else size * v for k, v in truth.numbers.items()})
@@ -266,8 +266,8 @@ def test_uncertainties_with_every_noise(loud: Callable[[Hidden, str], Diagnosis]
     assert np.abs(found).max() < stats.norm.isf((1.0 - 0.99 ** (1.0 / len(found))) / 2.0)
 
 
-def test_a_round_unlike_the_others_cannot_be_predicted(look: Callable[..., Diagnosis]) -> None:
-    """A warm-up that ends within the first round: the other rounds do not show it and cannot predict that round.
+def test_a_round_unlike_the_others_is_not_predicted(look: Callable[..., Diagnosis]) -> None:
+    """A warm-up that ends within the first round: the others contain nothing of it, and do not predict that round.
 
     Three rounds are too few for an interval.
     """
@@ -394,14 +394,14 @@ def test_effects_confounded_with_a_small_effect(
     group: tuple[str, ...],
     outside: str,
 ) -> None:
-    """Without noise, at noncentrality λ: exactly the effects with λ (1 − ρ²) below 2 ln 100, with ρ from the truth machine."""
+    """Equivalent are, without noise, exactly the causes that lose less than 2 ln 100 of λ: λ (1 − ρ²), ρ by the truth machine."""
     of, _ = planned(31)
     named = [Hidden(*name.split(" ", 1)) for name in (*group, outside) if "drift" not in name]
     units = [replace(other, numbers={UNIT[other.effect]: 1.0}) for other in (truth, *named)]
     seen = hidden.left_over(of, np.stack([hidden.points(of, [other]) - hidden.points(of) for other in units], axis=2))
     whole = seen / np.linalg.norm(seen, axis=0)
     lost = size * (1.0 - (whole[:, 0] @ whole[:, 1:]) ** 2)
-    # Separated at odds of 100:1; the correction for a larger family adds a few tenths.
+    # Separated at odds of 100:1; the larger correction for a larger family is a few tenths.
     assert np.all(lost[:-1] < 2.0 * np.log(100.0) - 1.0) and lost[-1] > 2.0 * np.log(100.0) + 1.0
     amount = float(np.sqrt(size) / np.linalg.norm(seen[:, 0]))
     read = hidden.points(of, [replace(truth, numbers={UNIT[truth.effect]: amount})])
@@ -411,7 +411,7 @@ def test_effects_confounded_with_a_small_effect(
     assert names == {f"{truth.effect} {truth.where}", *group}
     if (cause.effect, cause.where) == truth.key:
         (number,) = cause.parameters
-        # Linear but for the rotations by the calibration's own errors; u of a single parameter is its size over √λ.
+        # Linear up to rotations by the calibration's errors; u of a single parameter is its size over √λ.
         assert number.value == pytest.approx(amount, rel=1e-3)
         assert number.u == pytest.approx(amount / np.sqrt(size), rel=1e-3)
 
@@ -469,15 +469,15 @@ def test_which_of_command_and_report_the_measurement_follows(look: Callable[...,
     (cause,) = result.causes
     if follows == "command":
         assert (cause.effect, cause.where, cause.origin) == ("read_back", "Y", "instrument")
-        assert "the measurement follows the commands" in cause.evidence
+        assert "the readings follow the commands" in cause.evidence
         assert result.extended is result.calibration and result.gain is None
     else:
         assert (cause.effect, cause.where) == ("following_error", "Y")
         assert abs(cause.parameters[0].value - 1.0) < 3.0 * cause.parameters[0].u
 
 
-def test_a_reversal_of_reported_positions_is_marked_doubtful(look: Callable[..., Diagnosis]) -> None:
-    """The table has only positions reported before Y had settled: an apparent reversal error may not exist."""
+def test_a_reversal_of_reported_positions_is_ambiguous(look: Callable[..., Diagnosis]) -> None:
+    """Only reported positions are in the table, taken before Y had settled: the apparent reversal may not exist."""
     rng = np.random.default_rng(8)
     plan = hidden.rounded(hidden.plan(rng, poses=POSES))
     lag = np.zeros(plan.q.shape)
@@ -490,7 +490,7 @@ def test_a_reversal_of_reported_positions_is_marked_doubtful(look: Callable[...,
     (cause,) = result.causes
     assert (cause.effect, cause.where) in {("reversal", "Y"), ("reversal_curve", "Y")}
     assert ("read_back", "Y") in cause.equivalent and "readback_Y_mm" in cause.evidence
-    # Commanded positions are multiples of the least increment, and a reversal is reported without doubt.
+    # Commanded positions are whole increments: the reversal is certain.
     plainly = look([one("reversal", "Y", size=16.0)], plan=plan)
     assert plainly.verdict == "explained" and plainly.causes[0].equivalent == ()
 
@@ -500,7 +500,7 @@ def test_what_the_set_up_absorbs_is_unidentifiable(look: Callable[..., Diagnosis
     found = look([])
     hidden = {("zero_offset", "X"), ("zero_offset", "Y"), ("zero_offset", "Z"), ("gravity_compliance", "C")}
     assert hidden <= set(found.unidentifiable) == set(found.looks_like)
-    assert found.looks_like["gravity_compliance", "C"] == "nothing that was moved shows it"
+    assert found.looks_like["gravity_compliance", "C"] == "no motion in the measurement shows it"
     for k in range(3):
         said = found.looks_like["zero_offset", "XYZ"[k]]
         assert f" {'xyz'[k]} " in said and ("station" in said or "target" in said)
@@ -509,7 +509,7 @@ def test_what_the_set_up_absorbs_is_unidentifiable(look: Callable[..., Diagnosis
 
 
 def test_the_battery_in_small() -> None:
-    """A small version of `test_the_battery`, which uses 200 draws a row; one miss is allowed, a factor of two in u is not."""
+    """A sample of `test_the_battery` with 200 draws per row: one miss is allowed, a factor of two in u is excluded."""
     alone = battery.summary("one60", battery.answers("one60", 16, 21, poses=60))
     assert alone["right or in group"] >= 0.92 and alone["right"] >= 0.7
     assert alone["intervals"] >= 26.0 and 0.7 < alone["rms of pulls"] < 1.3
@@ -552,23 +552,23 @@ def test_the_battery(row: str, noise: str) -> None:
 
 @pytest.mark.parametrize("noise", ["isotropic", "tracker"])
 @pytest.mark.parametrize("hides", [True, False])
-def test_readings_without_stated_noise_or_repeats(
+def test_readings_without_uncertainties_and_repeats(
     dmu50: Machine, calibration: Calibration, tmp_path: Path, noise: str, hides: bool
 ) -> None:
-    """One round, no uncertainties, no instrument: noise is estimated from the residuals of a fit of every cause."""
+    """One round, no uncertainties, no instrument: the noise is estimated from the residuals that no simple form of a cause explains."""
     rng = np.random.default_rng(5)
     plan = hidden.rounded(hidden.plan(rng, rounds=1, poses=POSES))
     truth = one("reversal", "Y", size=5.0)
     read = hidden.noisy(hidden.points(plan, [truth] if hides else []), rng, noise, SIGMA_MM)
     result = diagnose(load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=None), dmu50), dmu50, calibration)
-    assert result.scatter.startswith("the residuals of a fit of every cause")
+    assert result.noise_source.startswith("what no unwhiten form of any cause accounts for")
     assert [(c.effect, c.where) for c in result.causes] == ([truth.key] if hides else [])
     assert result.unexplained is None
 
 
 @pytest.mark.parametrize("axis", ["Y", "B"])
 def test_runs_of_one_axis_alone(dmu50: Machine, calibration: Calibration, tmp_path: Path, axis: str) -> None:
-    """The rotation of the station about the only line of motion is not identifiable, and is not needed."""
+    """The rotation of the station about the only line of motion is not identifiable, and not needed."""
     rng = np.random.default_rng(5)
     plan = hidden.rounded(hidden.plan(rng, poses=POSES))
     still = [i for i, name in enumerate(hidden.AXES) if name != axis]

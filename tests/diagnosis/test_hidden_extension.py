@@ -1,4 +1,4 @@
-"""What has no name is hidden in the data: it extends the model with ``--empirical``, and programs compensated with that are cut better.
+"""A hidden pattern without a known cause extends the model with ``--empirical``, and programs compensated with it are cut better.
 
 The truth machine (`tests.truth.hidden`, `tests.truth.machine`) shares no code with `twin`.
 """
@@ -48,7 +48,7 @@ def lost_motion(q: np.ndarray, side: np.ndarray) -> np.ndarray:
 
 
 class Odd(TruthMachine):
-    """The truth machine whose tool side shifts by what no catalogue has."""
+    """The truth machine with a shift of the tool side that is in no catalogue."""
 
     def __init__(self, shape: Shape) -> None:
         super().__init__(hidden.CALIBRATION, LENGTH)
@@ -61,7 +61,7 @@ class Odd(TruthMachine):
         return found
 
     def off(self, commands: np.ndarray, meant: np.ndarray) -> np.ndarray:
-        """(n,) µm from where the tool was meant to be, each axis from the side its last command came from."""
+        """Return (n,) the deviation of the tool in µm, with approach directions from the previous commands."""
         found, self.side, last = [], np.zeros(5), commands[0]
         for q, wanted in zip(commands, meant, strict=True):
             step = np.where(np.abs(q - last) > 5e-3, np.sign(q - last), 0.0)
@@ -71,7 +71,7 @@ class Odd(TruthMachine):
 
 
 def measured(path: Path, shape: Shape | None, seed: int = 21) -> tuple[Plan, Path]:
-    """A plan, and its table with what is hidden."""
+    """Return a plan and its table with the hidden pattern."""
     of = hidden.rounded(hidden.plan(np.random.default_rng(seed), poses=140))
 
     def moved(plan: Plan) -> np.ndarray:
@@ -88,7 +88,7 @@ def measured(path: Path, shape: Shape | None, seed: int = 21) -> tuple[Plan, Pat
 
 @dataclass(frozen=True)
 class Told:
-    """What the command wrote and said."""
+    """The files and the text that the command wrote."""
 
     json: dict
     calibration: Calibration
@@ -102,7 +102,7 @@ class Told:
 
 
 def told(table: Path, machine: Machine, *more: str) -> Told:
-    """Run `twin diagnose` and read everything it wrote, beside the table."""
+    """Run `twin diagnose` and read all its outputs, written next to the table."""
     yaml, report, page = (table.with_suffix(suffix) for suffix in (".yaml", ".json", ".html"))
     words = ["diagnose", table, "--extended", yaml, "--json", report, "--html", page, *more]
     said = io.StringIO()
@@ -114,14 +114,14 @@ def told(table: Path, machine: Machine, *more: str) -> Told:
 
 
 def program(seed: int) -> str:
-    """Sixty blocks of all axes inside the range, Y there and back."""
+    """Return a program of sixty blocks of all axes within the range, Y in both directions."""
     q = np.random.default_rng(seed).uniform([20, 20, -380, 10, 20], [480, 430, -20, 170, 340], (60, 5)).round(3)
     lines = ["G1 " + " ".join(f"{a}{v:.3f}" for a, v in zip(AXES, row, strict=True)) + " F500" for row in q]
     return "G21 G90\nG0 X100 Y100 Z-100 B30 C10\n" + "\n".join(lines) + "\nM30\n"
 
 
 def cut(text: str, calibration: Calibration, truth: Odd) -> np.ndarray:
-    """(blocks,) µm off at the end of each block of the compensated program, run on the truth machine."""
+    """Return (blocks,) the deviation in µm at the end of each block of the compensated program on the truth machine."""
     dialect = dialect_for(Path("p.nc"))
     options = Options(tool_length_mm=LENGTH)
     done = Compensator(calibration.machine, calibration, options).compensate(
@@ -159,14 +159,14 @@ def test_short_waves_extend_the_model_and_parts_are_cut_better(short: Told, cali
     assert made["held_out"]["groups"] > 100
     assert found.effect.along == "base" and found.calibration.simulated is False
 
-    # At places that were not measured: what is written against what is hidden, and against what is said to be unknown of it.
+    # At positions that were not measured: the effect written against the hidden pattern, and against its stated uncertainty.
     rng = np.random.default_rng(3)
     fresh = np.stack([rng.uniform(0.0, 500.0, 400), rng.uniform(0.0, 450.0, 400)], axis=1)
     state = {"X": fresh[:, 0], "Y": fresh[:, 1]}
     hidden_um = waves(fresh, fresh)[:, None] * WAY
     apart = found.effect.shift(state) - hidden_um
     apart -= apart.mean(axis=0)  # where the targets sit takes up a constant
-    # Two positions for each function: a half of it at most is left, and as much as is stated.
+    # Two positions for each function: at most half of the pattern remains, and as much as stated.
     assert rms(apart) < 0.5 * rms(hidden_um - hidden_um.mean(axis=0))
     rates = found.effect.derivatives(state)
     names = [parameter.name for parameter in found.effect.parameters]
@@ -176,7 +176,7 @@ def test_short_waves_extend_the_model_and_parts_are_cut_better(short: Told, cali
     )
     assert 0.5 < rms(apart / u) < 1.5
 
-    # At the cutting points, against the calibration without it; and as much as was promised.
+    # At the cutting points, compared with the calibration without it and with the stated gain.
     truth = Odd(waves)
     before, after = rms(cut(program(2), calibration, truth)), rms(cut(program(2), found.calibration, truth))
     said = found.json["gain"]["tool_point"]
@@ -184,8 +184,8 @@ def test_short_waves_extend_the_model_and_parts_are_cut_better(short: Told, cali
     assert 0.6 < before / said["before_um"] < 1.4 and 0.6 < after / said["after_um"] < 1.4
 
 
-def test_its_gain_is_that_of_the_file(short: Told, table: Path, dmu50: Machine) -> None:
-    """The readings judged anew with the file that was written: the residual that was said, and nothing left to find."""
+def test_the_gain_is_that_of_the_file_written(short: Told, table: Path, dmu50: Machine) -> None:
+    """A diagnosis with the file written has the stated residual and finds nothing more."""
     found = short
     gain = found.json["gain"]
     again = diagnose(load(table, dmu50), dmu50, found.calibration)
@@ -196,15 +196,15 @@ def test_its_gain_is_that_of_the_file(short: Told, table: Path, dmu50: Machine) 
     assert gain["rms_after_um"] < held["rms_after_um"] < 0.8 * held["rms_before_um"] and held["ci95_um"][0] > 0.0
 
 
-def test_it_is_said_plainly(short: Told, table: Path) -> None:
+def test_the_text_states_the_limits_of_the_extension(short: Told, table: Path) -> None:
     for text in (short.text, " ".join(short.html.replace("&nbsp;", " ").split())):
-        assert "without a known cause" in text and "says nothing outside" in text
-        assert "inside X_mm 0 to 500 and Y_mm 0 to 450" in text and "held out" in text
+        assert "without a known cause" in text and "outside them compensation is refused" in text
+        assert "within X_mm 0 to 500 and Y_mm 0 to 450" in text and "held-out" in text
     written = " ".join(table.with_suffix(".yaml").read_text().split())
     assert "cause: unknown" in written and "says nothing outside" in written
 
 
-def test_without_the_option_nothing_is_made_of_it(
+def test_without_the_option_the_calibration_is_not_extended(
     short: Told, table: Path, dmu50: Machine, calibration: Calibration, tmp_path: Path
 ) -> None:
     own = tmp_path / "m.csv"
@@ -225,7 +225,7 @@ def test_the_option_needs_a_file_to_write(table: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.slow
 def test_a_reversal_that_depends_on_the_position(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
-    """Programs do not say where Y comes from; it follows from where it went."""
+    """The approach direction of Y follows from the previous commands of the program."""
     _, own = measured(tmp_path / "m.csv", lost_motion)
     found = told(own, dmu50, "--empirical")
     made = found.json["unexplained"]["extension"]
@@ -236,19 +236,19 @@ def test_a_reversal_that_depends_on_the_position(dmu50: Machine, calibration: Ca
 
 
 def refused(found: Diagnosis, calibration: Calibration) -> str:
-    """Why nothing was written; the calibration has nothing of it."""
+    """Check that no empirical effect was written, and return the reason."""
     left = found.unexplained
     assert left is not None and left.extension is not None and not left.extension.written
     assert found.extended.empirical == () and calibration.empirical == ()
     reason = str(left.extension.reason)
-    assert left.extension.to_dict()["reason"] == reason and f"is not written: {reason}" in " ".join(
+    assert left.extension.to_dict()["reason"] == reason and f"is not in the extended calibration: {reason}" in " ".join(
         found.to_text().split()
     )
     return reason
 
 
-def test_what_goes_with_time_only_is_not_written(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
-    """A program that is run next year knows nothing of it."""
+def test_a_pattern_of_time_is_not_written(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
+    """A later program does not know the time of the measurement."""
     of = hidden.rounded(hidden.plan(np.random.default_rng(5), poses=60))
 
     def moved(plan: Plan) -> np.ndarray:
@@ -264,8 +264,8 @@ def test_what_goes_with_time_only_is_not_written(dmu50: Machine, calibration: Ca
 
 
 @pytest.mark.parametrize(("places", "why"), [(5, "too few to confirm"), (9, "do not confirm it")])
-def test_what_held_out_places_refute_is_not_written(tmp_path: Path, places: int, why: str) -> None:
-    """A reversal at each place as chance had it repeats there, and says nothing of any other place."""
+def test_a_pattern_refuted_by_held_out_positions_is_not_written(tmp_path: Path, places: int, why: str) -> None:
+    """A random reversal at each position repeats there, but does not predict other positions."""
     machine = Machine.load(write_stage(tmp_path))
     calibration = Calibration.zero(machine)
     positions = np.linspace(0.0, 500.0, places)
@@ -279,14 +279,14 @@ def test_what_held_out_places_refute_is_not_written(tmp_path: Path, places: int,
     assert why in refused(found, calibration)
 
 
-def test_nothing_hidden_extends_nothing(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
+def test_data_without_an_error_extend_nothing(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     _, table = measured(tmp_path / "m.csv", None)
     found = diagnose(load(table, dmu50), dmu50, calibration, empirical=True)
     assert found.verdict == "consistent" and found.unexplained is None and found.extended is calibration
 
 
-def test_a_real_plate_gains_where_it_was_not_looked_at() -> None:
-    """A drilled plate of 2003: beside its named causes a fifth of the excess goes with X and Y."""
+def test_a_real_plate_gains_at_held_out_poses() -> None:
+    """A drilled plate of 2003: besides its named causes, a fifth of the excess depends on X and Y."""
     machine = Machine.load(beside("data", "real", "plate-2003", "drill.yaml"))
     data = load(beside("data", "real", "plate-2003", "plate.csv"), machine)
     plain, found = (diagnose(data, machine, Calibration.default(machine), empirical=own) for own in (False, True))

@@ -1,4 +1,4 @@
-"""What modelling a cause gains, executed on the truth: each model's commands run by the machine that hides the effect.
+"""The gain of modelling a cause, evaluated on the truth machine: commands of each model run on the machine with the hidden effect.
 
 The truth machine (`tests.truth.hidden`) shares no code with `twin`. Its error at the tool is the way from a point of the work to the
 tip that was meant to be there.
@@ -40,7 +40,7 @@ DEFAULT = ("reversal", "thermal_expansion", "cross_axis")
 
 
 def errors_um(machine: Machine, calibration: Calibration, truth: Hidden, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
-    """(n,) at the tool, of commands by a calibration, on the truth."""
+    """Return the (n,) error at the tool, on the truth machine, of commands compensated with a calibration."""
     rng = np.random.default_rng(12)
     margin = 0.05 * (hidden.HIGH - hidden.LOW)
     start = rng.uniform(hidden.LOW + margin, hidden.HIGH - margin, (POSES, 5))
@@ -83,14 +83,14 @@ def test_compensating_with_what_was_found_is_better_on_the_truth(
     assert result.gain is not None
     before = errors_um(dmu50, calibration, truth, monkeypatch)
     extended = result.extended
-    # Read back as `compensate` reads it.
+    # Loaded as `compensate` loads it.
     extended.save(tmp_path / "better.yaml")
     extended = Calibration.load(tmp_path / "better.yaml", dmu50)
     after = errors_um(dmu50, extended, truth, monkeypatch)
     rms_before, rms_after = (float(np.sqrt(np.mean(e**2))) for e in (before, after))
     assert rms_after < 0.35 * rms_before
-    # As foretold by the report: within three times its standard uncertainty (and a tenth of a µm for second order and rounding).
+    # As stated in the report: within three standard uncertainties (and a tenth of a µm for second order and rounding).
     assert rms_after < 3.0 * result.gain.tool_after_um + 0.1
-    # The report's volume and states are others than these poses': the same size, not the same number.
+    # The report uses another volume and other states than these poses: the size is similar, not equal.
     assert 0.4 * result.gain.tool_before_um < rms_before < 2.5 * result.gain.tool_before_um
     assert list(AXES) == list(dmu50.names)

@@ -139,7 +139,7 @@ def test_an_instrument_is_affine(dmu50: Machine, tmp_path: Path, where: str) -> 
 def test_the_size_of_an_affine_error_allows_for_its_centre(
     dmu50: Machine, calibration: Calibration, tmp_path: Path
 ) -> None:
-    """Weak errors about the centre of the readings: the likelier of two forms is often wrong, and u must account for that."""
+    """Weak errors about the centre of the readings: the likelier of the two forms is often the wrong one, and u must include that."""
     rng = np.random.default_rng(53)
     of = hidden.rounded(hidden.plan(rng, poses=POSES))
     data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)

@@ -1,4 +1,4 @@
-"""Rows that are too far off: a cause that moved them is named, a beam that was lost is set aside and listed."""
+"""Outliers: a cause that moved rows is named, rows of a lost beam are set aside and listed."""
 
 from __future__ import annotations
 

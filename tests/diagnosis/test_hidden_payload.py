@@ -1,4 +1,4 @@
-"""An arm that gives way under its own weight and under a load that its URDF does not have: found, sized, written and read back.
+"""An arm that deflects under its own weight and under a payload not in its URDF: found, estimated, written and loaded.
 
 The truth is a chain of plain matrices; the torques are differences of its potential.
 """
@@ -125,7 +125,7 @@ def write_arm(folder: Path, masses: bool = True) -> Path:
 
 
 def table(path: Path, q: np.ndarray, at_flange: tuple[np.ndarray, np.ndarray], rng: np.random.Generator) -> Path:
-    """What a tracker reads of the reflectors, at commands (n, 6) and orientation and place of the last link."""
+    """Return the table of a tracker's readings of the reflectors, from commands (n, 6) and pose of the last link."""
     turn, place = at_flange
     rows: list[dict[str, object]] = []
     for name, at in REFLECTORS_MM.items():
@@ -149,7 +149,7 @@ def table(path: Path, q: np.ndarray, at_flange: tuple[np.ndarray, np.ndarray], r
 def measured(
     folder: Path, compliance: dict[str, float], carried: Carried | None, seed: int = 1
 ) -> tuple[Diagnosis, Machine]:
-    """What is said of an arm that was measured by a tracker."""
+    """Return the diagnosis of an arm measured by a tracker."""
     rng = np.random.default_rng(seed)
     q = np.round(rng.uniform(-HIGH, HIGH, (POSES, 6)), 3)
     machine = Machine.load(str(write_arm(folder)))
@@ -168,7 +168,7 @@ def check(cause: Cause, name: str, value: float, times: float = 3.0) -> None:
     assert number.u < 0.2 * abs(value), number
 
 
-def test_a_payload_that_nobody_stated_is_found_with_the_joints_that_give_way(tmp_path: Path) -> None:
+def test_an_unknown_payload_is_found_with_the_deflecting_joints(tmp_path: Path) -> None:
     carried = Carried(2.4, (35.0, -20.0, 60.0))
     found, machine = measured(tmp_path, COMPLIANCE, carried)
     causes = by_name(found)
@@ -183,7 +183,7 @@ def test_a_payload_that_nobody_stated_is_found_with_the_joints_that_give_way(tmp
     assert found.gain is not None and found.gain.held_out is not None
     assert found.gain.rms_after_um == pytest.approx(1e3 * SIGMA_MM, rel=0.05)
     assert found.gain.held_out.after_um == pytest.approx(1e3 * SIGMA_MM, rel=0.1)
-    # The file that is written does what the arm does at other poses.
+    # The file written predicts the arm at other poses.
     path = tmp_path / "arm-extended.yaml"
     found.extended.save(path)
     again = Calibration.load(path, machine)
@@ -212,8 +212,8 @@ def test_nothing_hidden_nothing_found(tmp_path: Path) -> None:
     assert found.verdict == "consistent" and not found.causes
 
 
-def test_own_weight_that_does_not_show_is_said(tmp_path: Path) -> None:
-    """A control that corrects the arm's own sag: only products of mass and compliance are known, and the mass is at its bound."""
+def test_a_corrected_own_weight_bounds_the_payload(tmp_path: Path) -> None:
+    """If the control corrects the arm's own sag, only products of mass and compliance are known, and the mass is at its bound."""
     corrected = {name: 1e-3 * value for name, value in COMPLIANCE.items()}
     found, _ = measured(tmp_path, corrected, Carried(2.4e3, (35.0, -20.0, 60.0)))
     causes = by_name(found)
@@ -227,7 +227,7 @@ def test_own_weight_that_does_not_show_is_said(tmp_path: Path) -> None:
 
 
 def test_a_joint_that_its_own_weight_does_not_load_asks_for_no_payload(tmp_path: Path) -> None:
-    """Nothing tells its compliance and the payload apart: J1 stands upright, J6 turns about its own centre of mass."""
+    """The compliance is confounded with the payload: J1 is vertical, J6 turns about its own centre of mass."""
     for masses, loaded in ((True, {"J2", "J3", "J4", "J5"}), (False, set[str]())):
         machine, rng = Machine.load(str(write_arm(tmp_path, masses))), np.random.default_rng(2)
         q = np.round(rng.uniform(-HIGH, HIGH, (40, 6)), 3)

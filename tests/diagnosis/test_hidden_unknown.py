@@ -1,4 +1,4 @@
-"""What is hidden is in no catalogue, or has another form than its name: what `twin diagnose` must call unexplained, and what not.
+"""Hidden patterns that are in no catalogue, or deviate from the form of their effect: what `twin diagnose` must call unexplained.
 
 The truth machine (`tests.truth.hidden`, and for one axis the few lines here) shares no code with `twin`.
 """
@@ -26,7 +26,7 @@ NONCENTRALITY = 300.0
 
 
 def unit(of: Plan, axis: str) -> np.ndarray:
-    """(n,) an axis's positions, 0 to 1 over their range."""
+    """Return (n,) positions of an axis, scaled to 0 to 1 over their range."""
     q = of.at(axis)
     return np.asarray((q - q.min()) / np.ptp(q))
 
@@ -50,7 +50,7 @@ def bump(of: Plan) -> np.ndarray:
 
 UNKNOWN = {
     "short waves": (waves, "tool", {"X_mm", "Y_mm"}),
-    "lost motion along Z": (lost_motion, "tool", {"approach_Y", "Z_mm"}),
+    "reversal along Z": (lost_motion, "tool", {"approach_Y", "Z_mm"}),
     "a jump of B": (jump, "tool", {"B_deg"}),
     "a bump": (bump, "tool", {"X_mm", "Z_mm"}),
     "short waves on the table": (waves, "work", {"X_mm", "Y_mm"}),
@@ -58,7 +58,7 @@ UNKNOWN = {
 
 
 def scaled(of: Plan, shape: np.ndarray, side: str, noncentrality: float) -> np.ndarray:
-    """(n, 3) a shift of one side's targets in mm whose noncentrality beside the set-up is as wanted."""
+    """Return (n, 3) a shift of one side's targets, mm, scaled to a noncentrality after projecting out the set-up."""
     moved = (shape * (of.carrier == side))[:, None] * np.array([0.5, -0.6, 0.62])
     read = (hidden.points(of, outside=lambda _: 1e-3 * moved) - hidden.points(of))[:, :, None]
     size = float(np.sum(hidden.left_over(of, read, "isotropic", SIGMA_MM) ** 2))
@@ -90,9 +90,7 @@ def planned(seed: int) -> Plan:
         for what in UNKNOWN
     ],
 )
-def test_what_is_in_no_catalogue_is_unexplained_and_nothing_else(
-    what: str, calibration: Calibration, tmp_path: Path
-) -> None:
+def test_a_pattern_in_no_catalogue_is_unexplained(what: str, calibration: Calibration, tmp_path: Path) -> None:
     shape, side, columns = UNKNOWN[what]
     of = planned(21)
     moved = scaled(of, shape(of), side, NONCENTRALITY)
@@ -100,13 +98,13 @@ def test_what_is_in_no_catalogue_is_unexplained_and_nothing_else(
     assert result.verdict == "unexplained" and result.causes == ()
     left = result.unexplained
     assert left is not None and set(left.depends_on) == columns and left.carrier == side
-    # As large as it is beside the set-up, RMS a coordinate: λ to within three of its standard deviations, 2 √λ.
+    # The size after projecting out the set-up, RMS per coordinate: λ within three of its standard deviations, 2 √λ.
     size = 1e3 * SIGMA_MM * np.sqrt(NONCENTRALITY / (3 * len(of.q)))
     assert left.size_um == pytest.approx(size, rel=0.2)
 
 
-def test_an_effect_of_another_column_stays_beside_the_unknown(calibration: Calibration, tmp_path: Path) -> None:
-    """Short waves over X and Y on the tool's side do not touch what B does."""
+def test_an_effect_of_another_column_is_found_with_an_unknown_pattern(calibration: Calibration, tmp_path: Path) -> None:
+    """Short waves over X and Y on the tool side do not affect the effect of B."""
     of = planned(22)
     moved = scaled(of, waves(of), "tool", NONCENTRALITY)
     result = look(tmp_path, calibration, of, moved, Hidden("reversal", "B", {"size": 40.0}))
@@ -126,11 +124,11 @@ def growth(form: Callable[[np.ndarray], np.ndarray]) -> Callable[[Plan], np.ndar
     return moved
 
 
-def test_a_good_name_with_an_imperfect_form_stays_a_name(calibration: Calibration, tmp_path: Path) -> None:
-    """30 µm/K and a curvature beside it that nobody could call scatter: the growth is named, the rest has its size."""
+def test_a_cause_of_imperfect_form_is_named(calibration: Calibration, tmp_path: Path) -> None:
+    """30 µm/K with a curvature far above the noise: the growth is named, the size of the remainder is given."""
     of = planned(23)
     moved = growth(lambda warm: 30.0 * warm + 2.5 * warm**2)(of)
-    # With other sensors and time in the table a few of them together imitate the curvature.
+    # Other sensors and time in the table can together imitate the curvature.
     result = look(tmp_path, calibration, of, moved, without=("time_s", "T_X_degC", "T_Y_degC", "T_Z_degC"))
     assert [(cause.effect, cause.where) for cause in result.causes] == [("thermal_growth", "Z by bed")]
     (number,) = result.causes[0].parameters
@@ -156,8 +154,8 @@ def stage_table(path: Path, positions: np.ndarray, curve_um: np.ndarray, reversa
     return path
 
 
-def test_nothing_is_promised_between_positions_that_no_curve_foretells(tmp_path: Path) -> None:
-    """What repeats at six places, up and down as chance had it, is named; it enters no calibration, and no figure of gain."""
+def test_a_curve_that_does_not_predict_held_out_positions_is_not_promised(tmp_path: Path) -> None:
+    """Random errors that repeat at six positions are named, but enter no calibration and no figure of gain."""
     machine = Machine.load(write_stage(tmp_path))
     positions = np.linspace(0.0, 500.0, 6)
     rough = np.array([-12.0, 21.0, 2.0, -17.0, 15.0, -9.0])
@@ -166,7 +164,7 @@ def test_nothing_is_promised_between_positions_that_no_curve_foretells(tmp_path:
     by_name = {(cause.effect, cause.where): cause for cause in found.causes}
     assert set(by_name) == {("positioning", "E_XX"), ("reversal", "X")}
     curve = by_name["positioning", "E_XX"]
-    assert not curve.promised and curve.effects == () and "left out" in curve.evidence
+    assert not curve.promised and curve.effects == () and "held-out" in curve.evidence
     assert "E_XX" not in {name for name in found.extended.curves}
     (size,) = by_name["reversal", "X"].parameters
     assert abs(size.value + 4.0) < 3.0 * size.u
@@ -175,8 +173,8 @@ def test_nothing_is_promised_between_positions_that_no_curve_foretells(tmp_path:
     assert gain.held_out is not None and gain.held_out.of == "positions"
 
 
-def test_a_curve_that_foretells_positions_left_out_is_promised(tmp_path: Path) -> None:
-    """A bow through eleven places."""
+def test_a_curve_that_predicts_held_out_positions_is_promised(tmp_path: Path) -> None:
+    """A parabola through eleven positions."""
     machine = Machine.load(write_stage(tmp_path))
     positions = np.linspace(0.0, 500.0, 11)
     bow = 20.0 * ((positions - 250.0) / 250.0) ** 2
@@ -193,7 +191,7 @@ def test_a_curve_that_foretells_positions_left_out_is_promised(tmp_path: Path) -
     assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["causes"][0]["promised"] is True
 
 
-def test_a_period_that_evenly_spaced_positions_cannot_tell_is_not_promised(tmp_path: Path) -> None:
+def test_a_period_with_an_alias_is_not_promised(tmp_path: Path) -> None:
     """At every 25 mm, a period of 62.5 mm is one of 41.7 mm: 1/25 − 1/62.5."""
     machine = Machine.load(write_stage(tmp_path))
     found, uneven = [], np.random.default_rng(3).uniform(0.0, 500.0, 31).round(2)
@@ -204,12 +202,12 @@ def test_a_period_that_evenly_spaced_positions_cannot_tell_is_not_promised(tmp_p
         assert (cause.effect, cause.where) == ("pitch_error", "X")
         found.append(cause)
     even, apart = found
-    assert not even.promised and even.effects == () and "fits as well at these positions" in even.evidence
+    assert not even.promised and even.effects == () and "fit equally well at these positions" in even.evidence
     period = next(q for q in apart.parameters if q.name == "period")
     assert apart.promised and abs(period.value - 62.5) < 3.0 * period.u
 
 
-def test_what_physics_forbids_is_no_cause(tmp_path: Path) -> None:
+def test_a_cause_beyond_its_physical_limit_is_not_named(tmp_path: Path) -> None:
     """A length error of 200 ppm is no refractive index: 20 ppm would be air 20 K off."""
     machine = Machine.load(write_stage(tmp_path))
     positions = np.linspace(0.0, 500.0, 11)

@@ -1,4 +1,4 @@
-"""The plain methods that `twin diagnose` is compared with: what is plain to see they must see too."""
+"""The standard methods that `twin diagnose` is compared with: they must find clear effects."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FEW = (
 
 @pytest.fixture(scope="module")
 def data(dmu50: Machine) -> tuple[Problem, list[Candidate]]:
-    """A data set with nothing in it, and a few candidates: two that are the same, one that the set-up absorbs."""
+    """A data set without errors, and a few candidates: two identical ones, one that the set-up absorbs."""
     rng = np.random.default_rng(31)
     problem, searcher, root = battery.measured(rng, dmu50, "isotropic", 40, False)
     problem.set_residual(battery.noise_of(rng, problem, root))
@@ -91,7 +91,7 @@ def test_gains_are_those_of_a_regression(data: tuple[Problem, list[Candidate]], 
 
 
 def test_likeness_is_the_cosine_of_an_angle(data: tuple[Problem, list[Candidate]], design: rivals.Design) -> None:
-    """One error in Z that grows with X and with Y has two names; what the set-up absorbs has none."""
+    """An error in Z that grows with X and Y matches two candidates; one absorbed by the set-up matches none."""
     problem, _ = data
     quiet = problem.residual
     try:

@@ -1,4 +1,4 @@
-"""Second opinion: its Bayes factors, its posterior against exact enumeration, and how it is compared with the search."""
+"""Sum of single effects: Bayes factors, posterior against exact enumeration, and comparison with the search."""
 
 from __future__ import annotations
 
@@ -11,7 +11,14 @@ import pytest
 from scipy import stats
 
 from tests.diagnosis.battery import Case, DataSet
-from twin.diagnosis.judgement.second_opinion import CREDIBLE, Key, SecondOpinion, SingleEffect, compared, second_opinion
+from twin.diagnosis.judgement.second_opinion import (
+    CREDIBLE,
+    Key,
+    SecondOpinion,
+    SingleEffect,
+    compare_with_search,
+    second_opinion,
+)
 from twin.diagnosis.judgement.single_effects import ODDS, SIZE_PRIOR, SIZES, Alternatives, Fit, SingleEffects
 
 DRAWS = 2000
@@ -73,7 +80,7 @@ def drawn(
 
 @pytest.mark.parametrize("dof", [float("inf"), 12.0])
 def test_odds_are_a_ratio_of_densities(dof: float) -> None:
-    """Alarms are rarer than one in 20, and the mean Bayes factor of silent data is one.
+    """False alarms are rarer than one in 20, and the mean Bayes factor of data without an effect is one.
 
     The mean itself has too heavy a tail to be drawn. Equivalent, and bounded: below any limit, the mean of the odds on silent data is
     the share of data with an effect from the prior. Four standard errors.
@@ -97,7 +104,7 @@ def test_odds_are_a_ratio_of_densities(dof: float) -> None:
 
 
 def test_bayes_factors_for_known_noise_raise_alarms_where_it_is_estimated() -> None:
-    """The t form is needed: with four degrees of freedom odds for known noise are above 20 in more than one of 20 silent sets."""
+    """With noise estimated from four degrees of freedom, odds for known noise exceed 20 in more than one of 20 sets without effect."""
     rng = np.random.default_rng(18)
     columns = large(rng, 40, 6)
     groups = [[k] for k in range(6)]
@@ -177,7 +184,7 @@ def test_block_is_one_effect() -> None:
     assert effects[0].posterior[0] > 0.9
 
 
-def test_wide_form_is_paid_for() -> None:
+def test_a_wider_form_is_not_preferred_for_noise() -> None:
     """Noise in eight further columns does not make the wider of two nested forms the likelier one."""
     rng = np.random.default_rng(10)
     columns = large(rng, 60, 9)
@@ -196,7 +203,7 @@ def test_two_orthogonal_effects_are_two() -> None:
     assert all(effect.posterior.max() > 0.99 for effect in effects[:2])
 
 
-def test_better_start_counts() -> None:
+def test_the_better_start_is_kept() -> None:
     """A column that resembles the sum of two effects enters first and stays, unless the iteration starts from the two as well."""
     rng = np.random.default_rng(12)
     columns = np.linalg.qr(rng.standard_normal((80, 6)))[0] * 1000.0
@@ -224,7 +231,7 @@ def test_units_of_columns_do_not_matter() -> None:
 
 
 def test_size_beyond_plausible_counts_against_a_form() -> None:
-    """Of two alike columns, that which would have to be fifty times as large as plausible is not the cause."""
+    """Between two parallel columns, the one that would need fifty times its plausible size is not the cause."""
     rng = np.random.default_rng(14)
     columns = large(rng, 60, 3)
     columns[:, 2] = columns[:, 1] / 100.0
@@ -237,7 +244,7 @@ def test_size_beyond_plausible_counts_against_a_form() -> None:
 
 
 def test_known_size_is_used() -> None:
-    """A form that is so altogether or not at all is believed at its size and not at half of it."""
+    """A form that is either present or absent is accepted at its size and not at half of it."""
     rng = np.random.default_rng(15)
     columns = large(rng, 60, 2)
     gram = columns.T @ columns
@@ -298,7 +305,7 @@ def test_comparison_with_the_search(
     instead: list[tuple[Key, ...]],
     further: int,
 ) -> None:
-    found = compared(opinion(*effects), groups)
+    found = compare_with_search(opinion(*effects), groups)
     assert [cause.instead for cause in found.causes] == instead
     assert len(found.further) == further
     assert found.disagree == (any(instead) or further > 0)
@@ -321,7 +328,7 @@ def test_cause_is_named_on_the_truth_machine(data_set: DataSet) -> None:
         assert [effect.found for effect in found.effects] == [True, False]
         assert key in found.effects[0].credible
         assert sum(found.effects[0].posterior.values()) == pytest.approx(1.0)
-        comparison = compared(found, [[key]])
+        comparison = compare_with_search(found, [[key]])
         assert not comparison.disagree
         assert comparison.causes[0].probability == pytest.approx(found.probability([key]))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from twin.diagnosis.problem.sweep import PointBlock, Signatures
 
 from tests.diagnosis.battery import _doubted
 from tests.truth import hidden
@@ -20,8 +21,7 @@ from twin.diagnosis.problem.forms import FALSE_ALARM_RATE, SAMPLED_POINTS
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.problem.signature_products import PointBlock, Signatures
-from twin.diagnosis.selection.left_out import parts as parts_of
+from twin.diagnosis.selection.left_out import choose_folds
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -39,10 +39,10 @@ def measured(machine: Machine, folder: Path, poses: int, seed: int = 3) -> Measu
 
 
 def split(problem: Problem) -> np.ndarray:
-    """Return the part (n,) that each reading belongs to."""
-    found = parts_of(problem.network.data, problem.network.machine, ())
+    """(n,) the part each reading is held out with."""
+    found = choose_folds(problem.network.data, problem.network.machine, ())
     assert found is not None
-    return found.part
+    return found.fold
 
 
 @pytest.fixture(scope="module")
@@ -115,8 +115,8 @@ def test_projection_of_set_up_and_calibration(searched: tuple[Problem, Searcher]
         assert part.chi2 == pytest.approx(residual @ residual - np.sum((basis.T @ residual) ** 2), rel=1e-9)
 
 
-def test_negligible_calibration_uncertainty(dmu50: Machine, searched: tuple[Problem, Searcher]) -> None:
-    """A direction with negligible uncertainty is kept by its prior; points can still be held out."""
+def test_a_doubt_too_small_to_show_is_not_lost(dmu50: Machine, searched: tuple[Problem, Searcher]) -> None:
+    """A direction determined by the prior alone does not prevent holding readings out."""
     problem, _ = searched
     doubted = _doubted(Calibration.default(dmu50))
     assert doubted.joint is not None
@@ -191,8 +191,8 @@ def test_columns_equal_the_derivatives_of_their_effects(searched: tuple[Problem,
 
 
 @pytest.mark.slow
-def test_significance_level_from_a_sample_of_the_points(dmu50: Machine, tmp_path: Path) -> None:
-    """The level from a sample of many points agrees with that of other data of the same kind."""
+def test_the_price_of_the_search_from_some_of_the_points(dmu50: Machine, tmp_path: Path) -> None:
+    """For more points than it was estimated from, it is as on other data of that kind."""
     levels = []
     for poses in (SAMPLED_POINTS // 6 - 120, SAMPLED_POINTS // 3):
         data = measured(dmu50, tmp_path, poses)

@@ -1,4 +1,4 @@
-"""Patterns without a name: functions, chance of a score, likelihood of causes beside them; against plain numpy."""
+"""Unnamed patterns: functions, p-value of a score, likelihood together with causes; against plain numpy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.selection.likelihood import Likelihood
 from twin.diagnosis.selection.patterns import Pattern, patterns
 from twin.diagnosis.selection.searcher import Searcher
-from twin.diagnosis.selection.unnamed import log_tail, scan
+from twin.diagnosis.selection.unnamed import log_tail, scan_patterns
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import load
@@ -26,7 +26,7 @@ SIGMA_MM = 3e-3
 
 @pytest.fixture(scope="module")
 def searched(dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.TempPathFactory) -> Searcher:
-    """A small data set with a reversal of Y in it."""
+    """A small data set with a reversal of Y."""
     rng = np.random.default_rng(41)
     plan = hidden.rounded(hidden.plan(rng, rounds=2, stops=7, poses=60))
     exact = hidden.points(plan, [Hidden("reversal", "Y", {"size": 6.0})])
@@ -38,14 +38,14 @@ def searched(dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.
 
 
 def beside(problem: Problem, columns: np.ndarray) -> np.ndarray:
-    """Columns without what the set-up can do of them, by least squares."""
+    """Return columns with the set-up projected out, by least squares."""
     setup = problem.nuisance
     return columns - setup @ np.linalg.lstsq(setup, columns, rcond=1e-12)[0]
 
 
 @pytest.mark.parametrize("weights", [[1.0], [3.0, 1.0, 0.2], [0.9] * 40 + [0.1] * 60, [5.0, *[0.05] * 30]])
 def test_the_tail_of_a_sum_of_chi2_by_simulation(weights: list[float]) -> None:
-    """Down to one in a thousand, to 15 % of the chance (its own scatter there is 3 %)."""
+    """Down to a probability of one in a thousand, to 15 % of it (standard deviation of the simulation 3 %)."""
     w, rng = np.array(weights), np.random.default_rng(1)
     drawn = np.sort(sum(weight * rng.standard_normal(10**6) ** 2 for weight in w))
     for chance in (0.1, 0.01, 0.001):
@@ -53,8 +53,8 @@ def test_the_tail_of_a_sum_of_chi2_by_simulation(weights: list[float]) -> None:
         assert np.exp(log_tail(w, float(value))) == pytest.approx(chance, rel=0.15)
 
 
-def test_the_tail_of_one_weight_is_that_of_chi2_and_f_however_small() -> None:
-    """Equal weights are χ²; with an estimated scatter it is F. To a ninth of the chance, as close as the saddlepoint is known to be."""
+def test_the_tail_of_one_weight_is_that_of_chi2_and_f() -> None:
+    """Equal weights give χ², with estimated noise F; to a ninth of the probability, the known accuracy of the saddlepoint."""
     for count in (1, 4, 80):
         for chance in (1e-3, 1e-10):
             value = stats.chi2.isf(chance, count)
@@ -81,12 +81,12 @@ def test_the_functions_of_a_pattern_are_products_of_half_waves_and_turns(searche
 
 
 def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) -> None:
-    """Statistic and weights of every direction from dense matrices, the set-up and a cause taken out by least squares."""
+    """Statistic and weights of every direction from dense matrices, set-up and a cause projected out by least squares."""
     problem, candidates = searched.problem, searched.candidates
     form = next(one for one in candidates.forms if one.key == ("reversal", "Y"))
     pattern = next(p for p in searched.patterns if p.names == ("Y_mm", "Z_mm") and p.side == "tool")
-    (trace,) = scan(problem, [pattern], [form], np.inf)
-    columns = [problem.signature(pattern.columns(trace.level, [i])) for i in trace.directions]
+    (pattern_test,) = scan_patterns(problem, [pattern], [form], np.inf)
+    columns = [problem.signature(pattern.columns(pattern_test.level, [i])) for i in pattern_test.directions]
     free = np.concatenate([problem.nuisance, problem.signature(form.variant.columns)], axis=1)
     phi = np.concatenate(columns, axis=1)
     phi = phi - free @ np.linalg.lstsq(free, phi, rcond=1e-12)[0]
@@ -101,37 +101,37 @@ def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) ->
     weights = np.linalg.eigvalsh(gram @ np.linalg.inv(gram + np.eye(len(gram))))
     slope = phi.T @ problem.residual
     score = slope @ np.linalg.solve(gram + np.eye(len(gram)), slope)
-    assert trace.log_p == pytest.approx(log_tail(np.sort(weights.real), float(score)), abs=1e-3)
+    assert pattern_test.log_p == pytest.approx(log_tail(np.sort(weights.real), float(score)), abs=1e-3)
 
 
 @pytest.mark.parametrize(("draws", "allowed"), [(24, 1), pytest.param(200, 5, marks=pytest.mark.slow)])
-def test_without_anything_left_patterns_are_seldom_found(searched: Searcher, draws: int, allowed: int) -> None:
-    """One in a hundred of data sets, as promised; by the union bound less. More than allowed: 1 in 42 and 1 in 62 at the promise."""
+def test_false_alarms_of_patterns_are_rare(searched: Searcher, draws: int, allowed: int) -> None:
+    """At most one in a hundred data sets, by the union bound fewer; the limit is exceeded by chance in 1 of 42 and 1 of 62 runs."""
     problem, rng = searched.problem, np.random.default_rng(5)
     before, found = problem.residual, 0
     try:
         for _ in range(draws):
-            problem.set_residual(rng.standard_normal(len(before)))
-            found += scan(problem, searched.patterns, (), np.inf)[0].found
+            problem.set_problem(rng.standard_normal(len(before)))
+            found += scan_patterns(problem, searched.patterns, (), np.inf)[0].found
     finally:
         problem.set_residual(before)
     assert found <= allowed
 
 
 def found_pattern(searched: Searcher, pattern: Pattern, size: float) -> Likelihood:
-    """A drawn function of a pattern in the readings beside scatter, and the likelihood beside it."""
+    """Return readings with noise and a random function of a pattern, and their likelihood."""
     problem, rng = searched.problem, np.random.default_rng(6)
     columns = pattern.columns(2, [0])
     made = problem.signature(columns) @ rng.standard_normal(len(columns))
-    problem.set_residual(made * size + rng.standard_normal(len(made)) * problem.network.read.reshape(-1))
+    problem.set_problem(made * size + rng.standard_normal(len(made)) * problem.network.read.reshape(-1))
     searched.candidates.set_problem(problem)
-    (trace,) = scan(problem, [pattern], (), np.inf)
-    assert trace.found
-    return Likelihood(searched.candidates, [trace])
+    (pattern_test,) = scan_patterns(problem, [pattern], (), np.inf)
+    assert pattern_test.found
+    return Likelihood(searched.candidates, [pattern_test])
 
 
 def test_the_likelihood_beside_a_pattern_is_that_of_the_dense_covariance(searched: Searcher) -> None:
-    """−log|V| − rᵀV⁻¹r with the set-up projected out, V = s²(1 + ΦDΦᵀ), at the variances that were found; no others are likelier."""
+    """−log|V| − rᵀV⁻¹r with the set-up projected out, V = s²(1 + ΦDΦᵀ), at the estimated variances; no others are likelier."""
     problem, candidates = searched.problem, searched.candidates
     before = problem.residual
     try:
@@ -157,16 +157,16 @@ def test_the_likelihood_beside_a_pattern_is_that_of_the_dense_covariance(searche
             log_det = np.linalg.slogdet(np.eye(len(d)) + np.sqrt(np.outer(d, d)) * (phi.T @ phi))[1]
             return float(r @ r - chi2 / more - problem.dof * np.log(more) - log_det)
 
-        assert model.twice == pytest.approx(twice(model.variances), abs=0.05)
+        assert model.twice_log_ratio == pytest.approx(twice(model.variances), abs=0.05)
         for factor in (0.7, 1.4):
-            assert twice(model.variances * factor) < model.twice + 0.02
+            assert twice(model.variances * factor) < model.twice_log_ratio + 0.02
     finally:
         problem.set_residual(before)
         candidates.set_problem(problem)
 
 
-def test_what_a_pattern_most_likely_is_follows_from_the_dense_covariance(searched: Searcher) -> None:
-    """s²(ΦᵀMΦ + D⁻¹)⁻¹ and its product with Φᵀr: Bayesian linear regression, also along what no reading shows."""
+def test_the_most_likely_pattern_follows_from_the_dense_covariance(searched: Searcher) -> None:
+    """s²(ΦᵀMΦ + D⁻¹)⁻¹ and its product with Φᵀr: Bayesian linear regression, also in directions that are not measured."""
     problem, candidates = searched.problem, searched.candidates
     before = problem.residual
     try:
@@ -177,7 +177,7 @@ def test_what_a_pattern_most_likely_is_follows_from_the_dense_covariance(searche
         phi = beside(problem, problem.signature([likelihood.columns[i] for i in which]))
         inner = phi.T @ phi + np.diag(1.0 / model.variances[likelihood.group[which]])
         expected = np.linalg.inv(inner)
-        np.testing.assert_allclose(covariance, model.scatter * expected, atol=1e-5 * model.variances.max())
+        np.testing.assert_allclose(covariance, model.variance_factor * expected, atol=1e-5 * model.variances.max())
         np.testing.assert_allclose(values, expected @ (phi.T @ problem.residual), atol=1e-3 * np.abs(values).max())
         alone = likelihood.slope_beside([])
         np.testing.assert_allclose(likelihood.slope_with(problem.residual), alone, atol=1e-6 * np.abs(alone).max())
@@ -187,7 +187,7 @@ def test_what_a_pattern_most_likely_is_follows_from_the_dense_covariance(searche
 
 
 def test_columns_along_the_base_are_the_patterns_own(searched: Searcher) -> None:
-    """µm a unit of a function, along an axis of the base frame."""
+    """µm per unit of a function, along an axis of the base frame."""
     pattern = next(p for p in searched.patterns if p.names == ("X_mm",) and p.side == "tool" and p.field == "base")
     (first, *_) = pattern.columns(2, [1])
     same = base_column(1, first.terms[0].functions, first.terms[0].index)

@@ -261,7 +261,9 @@ def test_a_mirrored_plane_is_noticed(dmu50: Machine, wrong: str) -> None:
     else:
         data = replace(data, positions=locked(np.abs(q - [500.0, 0.0, 0.0, 0.0, 0.0])))
     (notice,) = prepared(dmu50, data, None)[1].notices
-    assert notice.startswith("station 1 reads x_mm and y_mm only, and its readings fit a station on the machine's -z side")
+    assert notice.startswith(
+        "station 1 reads x_mm and y_mm only, and its readings fit a station on the machine's -z side"
+    )
     assert "wrong sign (mirrored axis)" in notice
 
 

@@ -1,4 +1,4 @@
-"""Two calibrations of one machine, compared."""
+"""Comparison of two calibrations of one machine."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from scipy.linalg import block_diag
 
 from twin._common.errors import InputError
 from twin._common.provenance import merged
-from twin.comparison.pairs import Apart, Pair, joint_spread, paired
+from twin.comparison.pairs import NotCompared, Pair, joint_covariance, pair_errors
 from twin.comparison.result import Changes, Culprits, ErrorChange
-from twin.comparison.significance import SHARE, fewest, holm, simultaneous_factor, whiten
+from twin.comparison.significance import SHARE, holm_adjusted, simultaneous_factor, smallest_set, whiten
 from twin.comparison.tool import POSES, Cause, JudgedErrors, at_tool
 from twin.comparison.words import meaning_of
 from twin.display.numbers import COVERAGE_FACTOR
@@ -24,7 +24,7 @@ from twin.machine.effects import Effect, split_name
 from twin.uncertainty.budget import known_at
 
 MOSTLY: Final = 0.9
-"""Share of a change's mean square that a straight line, a bow or one wave a turn must make to be called that."""
+"""Share of the mean square of a change that a line, a parabola or one wave per turn must explain to name the shape."""
 
 
 def compare(
@@ -37,36 +37,36 @@ def compare(
     poses: int = POSES,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> Changes:
-    """What changed from one calibration of a machine to the next, and what of it is more than their uncertainty.
+    """Return the changes from one calibration of a machine to another, with their significance and effect at the tool.
 
-    Both are converted to mean lines first (`twin.machine.datum`). The two are taken as independent of each other, but for errors
-    that have the very same numbers in both. An error only one of them gives is not compared: saying nothing is not the same as zero.
+    Both are converted to mean lines first (`twin.machine.datum`). The two are taken as independent of each other, except for errors
+    with identical numbers. An error that only one of them contains is not compared: a missing error is not a zero error.
 
     Args:
-        first: the older.
-        second: the newer.
-        tool_length_mm: for what it means at the tool; None for the machine file's own.
+        first: the older calibration.
+        second: the newer calibration.
+        tool_length_mm: tool length for the effect at the tool; None for the machine file's.
         conditions: temperatures and time, for effects that need them.
-        tolerance_mm: what compensating with the older may leave on the machine of the newer.
-        poses: over which the tool is looked at.
-        progress: called with a stage and the fraction done.
+        tolerance_mm: largest error at the tool that the older calibration may leave on the machine described by the newer.
+        poses: number of poses at which the tool point is evaluated.
+        progress: called with the stage and the fraction done.
 
     Raises:
-        InputError: calibrations of two machines; one measured under control tables and one without; conditions of nothing either knows;
-            a tolerance that is not positive.
+        InputError: calibrations of different machines; one measured under control tables and the other without; conditions that
+            neither calibration uses; a tolerance that is not positive.
     """
     machine = first.machine
-    notices, named = _same_control(first, second), (_called(first, "the first"), _called(second, "the second"))
+    notices, named = _check_tables(first, second), (_label(first, "the first"), _label(second, "the second"))
     first, second = (side.with_control(None) if side.corrections else side for side in (first, second))
-    at = _checked(conditions, first, second, tolerance_mm)
+    at = _checked_conditions(conditions, first, second, tolerance_mm)
     progress("comparing", 0.0)
     first, second, datum, moved = _in_one_datum(first, second)
-    pairs, alone = paired(first, second)
-    apart = tuple(one for one in alone if one.name not in moved)
+    pairs, alone = pair_errors(first, second)
+    not_compared = tuple(one for one in alone if one.name not in moved)
     progress("comparing", 0.05)
-    errors, whole = _judged(pairs, first, second)
-    sides, left_out = _given(at, first, second)
-    known = _known(pairs, errors, whole, {name for name, _ in left_out})
+    errors, whole = _error_changes(pairs, first, second)
+    sides, left_out = _without_missing_channels(at, first, second)
+    known = _errors_at_tool(pairs, errors, whole, {name for name, _ in left_out})
     tool = at_tool(
         sides[0], sides[1], known, tool_length_mm=tool_length_mm, conditions=at, poses=poses, progress=progress
     )
@@ -76,24 +76,24 @@ def compare(
         first=named[0],
         second=named[1],
         errors=errors,
-        apart=apart,
+        not_compared=not_compared,
         joint_p_value=whole.p_value,
         joint_dof=whole.dof,
         culprits=whole.culprits,
         tool=tool,
         tolerance_mm=tolerance_mm,
         left_out=left_out,
-        notices=(*notices, datum, *_notices(first, second, pairs, apart)),
+        notices=(*notices, datum, *_notices(first, second, pairs, not_compared)),
     )
     progress("comparing", 1.0)
     return replace(found, meaning=meaning_of(found))
 
 
-def _known(
-    pairs: Sequence[Pair], errors: Sequence[ErrorChange], whole: _Together, absent: Collection[str]
+def _errors_at_tool(
+    pairs: Sequence[Pair], errors: Sequence[ErrorChange], whole: _JointChange, absent: Collection[str]
 ) -> JudgedErrors:
-    """What of the errors counts at the tool, without those of which a channel is not given."""
-    doubtful = {*absent, *(error.name for error in errors if error.fixed > 0.0)}
+    """Return the errors that can be tested at the tool, without those that lack a channel."""
+    doubtful = {*absent, *(error.name for error in errors if error.without_variance > 0.0)}
     return JudgedErrors(
         classes={p.name: p.iso_class for p in pairs if p.status != "unknown" and p.name not in doubtful},
         drawn=[p.name for p in pairs if p.status == "known" and p.name not in doubtful],
@@ -103,23 +103,30 @@ def _known(
     )
 
 
-def _judged(
+def _error_changes(
     pairs: Sequence[Pair], first: Calibration, second: Calibration
-) -> tuple[tuple[ErrorChange, ...], _Together]:
-    """The change of every error by itself, p-values adjusted for their number, and of all known ones together."""
-    errors = [_change(pair, pair.change, pair.spread) for pair in pairs]
+) -> tuple[tuple[ErrorChange, ...], _JointChange]:
+    """Return the change of each error, with p-values corrected for multiple testing, and the joint change of all known ones."""
+    errors = [_change(pair, pair.change, pair.covariance) for pair in pairs]
     known = [i for i, pair in enumerate(pairs) if pair.status == "known"]
-    p_values = [whiten(pairs[i].change, pairs[i].spread, pairs[i].exact).p_value for i in known]
-    whole = _together([pairs[i] for i in known], first, second)
-    for i, p, adjusted, fixed in zip(known, p_values, holm(p_values), whole.fixed, strict=True):
-        errors[i] = replace(errors[i], p_value=p, p_adjusted=adjusted, fixed=max(errors[i].fixed, fixed))
+    p_values = [whiten(pairs[i].change, pairs[i].covariance, pairs[i].exact).p_value for i in known]
+    whole = _joint_change([pairs[i] for i in known], first, second)
+    for i, p, adjusted, without_variance in zip(
+        known, p_values, holm_adjusted(p_values), whole.without_variance, strict=True
+    ):
+        errors[i] = replace(
+            errors[i],
+            p_value=p,
+            p_adjusted=adjusted,
+            without_variance=max(errors[i].without_variance, without_variance),
+        )
     return tuple(errors), whole
 
 
-def _given(
+def _without_missing_channels(
     at: Conditions, first: Calibration, second: Calibration
 ) -> tuple[list[Calibration], tuple[tuple[str, str], ...]]:
-    """Both calibrations without the effects whose channels nobody gave, and those effects with what they need."""
+    """Return both calibrations without the effects whose channels are not given, and those effects with the options they need."""
     limited = [known_at(at, side) for side in (first, second)]
     needs = [(name, options_of([channel])) for _, gone in limited for channel, by in gone.items() for name in by]
     absent = {name for name, _ in needs}
@@ -127,13 +134,13 @@ def _given(
 
 
 def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration, Calibration, str, set[str]]:
-    """Both calibrations in mean lines; as they are where one cannot be converted.
+    """Return both calibrations converted to mean lines, or unchanged if one cannot be converted.
 
-    Where neither is in mean lines, only errors that one of them names may change: what only another one could take over stays in the
-    curves, in both alike.
+    If neither is in mean lines, only errors that one of them contains may change: constants and slopes that only another error could
+    take over stay in the curves of both.
 
     Returns:
-        The two, the sentence that says so, and names of errors that neither named before.
+        The two calibrations, a sentence about the conversion, and names of errors that neither contained before.
     """
     given = first.datum, second.datum
     named = {name for side in (first, second) for name in (*side.curves, *side.squareness, *side.location)}
@@ -141,11 +148,11 @@ def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration,
     try:
         one, two = (side.in_datum(MEAN_LINES, may_change) for side in (first, second))
     except InputError as error:
-        text = f"not converted to mean lines, compared in the datum of each file: {error.what} (twin doc datum)"
+        text = f"not converted to mean lines; each file is compared in its own datum: {error.what} (twin doc datum)"
         return first, second, text, set()
     converted = [
         f"{name} from {datum}"
-        for name, datum in zip((_called(first, "the first"), _called(second, "the second")), given, strict=True)
+        for name, datum in zip((_label(first, "the first"), _label(second, "the second")), given, strict=True)
         if datum != MEAN_LINES
     ]
     if not converted:
@@ -154,23 +161,23 @@ def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration,
     moved = {name: None for side in (one, two) for name in (*side.curves, *side.squareness, *side.location)}
     only = [name for name in moved if name not in named]
     if only:
-        text += f"; not compared error by error, since neither file names it: {', '.join(only)}"
+        text += f"; not compared error by error, because neither file contains it: {', '.join(only)}"
     return one, two, text, set(only)
 
 
-def _same_control(first: Calibration, second: Calibration) -> list[str]:
-    """What is to be said of the control's own tables, if the two are about the same thing.
+def _check_tables(first: Calibration, second: Calibration) -> list[str]:
+    """Return notices on the control's compensation tables.
 
     Raises:
-        InputError: they are not.
+        InputError: the calibrations are not comparable, because the tables are not in both or differ.
     """
     one, two = first.control, second.control
     kinds = ["remaining" if c is not None and c.errors_are == "remaining" else "uncorrected" for c in (one, two)]
     if kinds[0] != kinds[1]:
         raise InputError(
-            "one calibration gives the machine's own errors, the other what the control's tables leave of them: they differ by the "
-            "tables, whatever the machine did",
-            expected="two measured alike: both `errors_are: uncorrected` or both `remaining` under the same tables",
+            "one calibration gives the machine's own errors, the other those remaining under the control's tables; they differ by the "
+            "tables even if the machine did not change",
+            expected="both `errors_are: uncorrected`, or both `remaining` under the same tables",
             file=second.path,
             value=f"{kinds[0]} and {kinds[1]}",
         )
@@ -178,79 +185,88 @@ def _same_control(first: Calibration, second: Calibration) -> list[str]:
     if kinds[0] == "remaining":
         if tables[0] != tables[1]:
             raise InputError(
-                "both calibrations give what the control's tables leave, but of other tables: they differ by these, whatever the "
-                "machine did",
-                expected="two measured under the same tables",
+                "the calibrations give the errors remaining under different tables of the control; they differ by the tables even if "
+                "the machine did not change",
+                expected="two calibrations measured under the same tables",
                 file=second.path,
-                value="other tables",
+                value="different tables",
             )
         return [
-            "both are what the same tables of the control leave: compared is what they leave, not the machine's own errors"
+            "both give the errors remaining under the same tables of the control; the machine's own errors are not compared"
         ]
     if tables[0] or tables[1]:
         return [
-            "compared are the machine's own errors; the tables of the control, which take part of them out, are not in it"
-            + ("" if tables[0] == tables[1] else ", and are not the same in both")
+            "the machine's own errors are compared, without the tables of the control, which correct part of them"
+            + ("" if tables[0] == tables[1] else "; the tables differ between the two")
         ]
     return []
 
 
-def _checked(
+def _checked_conditions(
     conditions: Conditions | None, first: Calibration, second: Calibration, tolerance_mm: float | None
 ) -> Conditions:
-    """The conditions, of which one of the two has to know each temperature; calibrations of one machine, a tolerance that can be."""
+    """Return the conditions; raise `InputError` for different machines, a tolerance that is not positive, or unused conditions."""
     at = Conditions() if conditions is None else conditions
     machine = first.machine
     if second.machine.name != machine.name or second.machine.names != machine.names:
-        raise InputError("calibrations of two machines", expected=f"two of {machine.name}", value=second.machine.name)
+        raise InputError(
+            "calibrations of different machines", expected=f"both of {machine.name}", value=second.machine.name
+        )
     if tolerance_mm is not None and not 0.0 < tolerance_mm < np.inf:
-        raise InputError("--tolerance is out of place", expected="a positive number of mm", value=tolerance_mm)
+        raise InputError("tolerance must be positive", expected="a positive number of mm", value=tolerance_mm)
     extra = {effect.name: effect for side in (first, second) for effect in side.extra}
     at.check(replace(first, extra=tuple(extra.values())))
     return at
 
 
-def _called(calibration: Calibration, otherwise: str) -> str:
+def _label(calibration: Calibration, otherwise: str) -> str:
     return otherwise if calibration.path is None else str(calibration.path)
 
 
 @final
 @dataclass(frozen=True)
-class _Together:
-    """All known changes together.
+class _JointChange:
+    """The joint change of all known errors.
 
     Attributes:
-        p_value, dof: of their χ²; NaN and 0 if there is none.
-        culprits: the fewest errors that account for them.
-        fixed: of every change, how much lies along no variance at all.
-        causes: the changes of those fewest, as something that acts.
+        p_value, dof: of its χ²; NaN and 0 without known errors.
+        culprits: the smallest set of errors that explains it.
+        without_variance: for each error, the largest change in directions without variance.
+        causes: changes of the errors of that set, as functions of the state of the machine.
     """
 
     p_value: float
     dof: int
     culprits: Culprits
-    fixed: tuple[float, ...]
+    without_variance: tuple[float, ...]
     causes: Mapping[str, Cause]
 
 
-def _together(pairs: Sequence[Pair], first: Calibration, second: Calibration) -> _Together:
+def _joint_change(pairs: Sequence[Pair], first: Calibration, second: Calibration) -> _JointChange:
     if not pairs:
-        return _Together(float("nan"), 0, Culprits((), (), (), float("nan")), (), {})
+        return _JointChange(float("nan"), 0, Culprits((), (), (), float("nan")), (), {})
     change = np.concatenate([pair.change for pair in pairs])
     exact = block_diag(*(pair.exact for pair in pairs))
-    white = whiten(change, joint_spread(pairs, (first.covariance, second.covariance)), exact)
+    white = whiten(change, joint_covariance(pairs, (first.covariance, second.covariance)), exact)
     axes = first.machine.by_name
-    found = fewest(pairs, white, [axes[pair.axis].linear for pair in pairs])
+    found = smallest_set(pairs, white, [axes[pair.axis].linear for pair in pairs])
     errors = []
     for one in found.culprits:
         p = min(one.p_value * found.tried, 1.0)
         errors.append(
-            replace(_change(pairs[one.pair], one.change, one.covariance), p_value=one.p_value, p_adjusted=p, fixed=0.0)
+            replace(
+                _change(pairs[one.pair], one.change, one.covariance),
+                p_value=one.p_value,
+                p_adjusted=p,
+                without_variance=0.0,
+            )
         )
     culprits = Culprits(
         tuple(errors),
         tuple(tuple(pairs[i].name for i in one.alternatives) for one in found.culprits),
-        tuple(_trend(pairs[one.pair], one.change, linear=axes[pairs[one.pair].axis].linear) for one in found.culprits),
+        tuple(
+            _shape_of(pairs[one.pair], one.change, linear=axes[pairs[one.pair].axis].linear) for one in found.culprits
+        ),
         found.left_p_value,
         tuple(
             (pair.name, size, pair.unit)
@@ -260,19 +276,19 @@ def _together(pairs: Sequence[Pair], first: Calibration, second: Calibration) ->
     )
     starts = np.concatenate([[0], np.cumsum([len(pair.change) for pair in pairs])])
     still = [
-        float(np.abs(pair.shape @ white.fixed[start : start + len(pair.change)]).max(initial=0.0))
+        float(np.abs(pair.shape @ white.without_variance[start : start + len(pair.change)]).max(initial=0.0))
         for pair, start in zip(pairs, starts, strict=False)
     ]
     effects = {effect.name: effect for effect in second.effects}
     causes = {
-        pairs[one.pair].name: _acting(pairs[one.pair], one.change, effects[pairs[one.pair].name])
+        pairs[one.pair].name: _as_effect(pairs[one.pair], one.change, effects[pairs[one.pair].name])
         for one in found.culprits
     }
-    return _Together(white.p_value, white.rank, culprits, tuple(still), causes)
+    return _JointChange(white.p_value, white.rank, culprits, tuple(still), causes)
 
 
-def _acting(pair: Pair, change: np.ndarray, effect: Effect) -> Cause:
-    """A change of one error as an effect: a curve as it is drawn, other numbers by their derivatives."""
+def _as_effect(pair: Pair, change: np.ndarray, effect: Effect) -> Cause:
+    """Return the change of one error as frame and components: a curve by interpolation, other numbers by their derivatives."""
 
     def components(state: Mapping[str, Any]) -> Mapping[int, Any]:
         if pair.kind == "curve":
@@ -290,7 +306,7 @@ def _acting(pair: Pair, change: np.ndarray, effect: Effect) -> Cause:
 
 
 def _change(pair: Pair, change: np.ndarray, covariance: np.ndarray) -> ErrorChange:
-    """One error's change, with its uncertainty where it is known."""
+    """Return the change of one error, with its uncertainty if known."""
     values = pair.shape @ change
     known, curve = pair.status == "known", pair.kind == "curve"
     u = np.full(len(values), np.nan)
@@ -319,13 +335,13 @@ def _change(pair: Pair, change: np.ndarray, covariance: np.ndarray) -> ErrorChan
         band=float(factor * u[row]),
         p_value=1.0 if pair.status == "same" else float("nan"),
         p_adjusted=1.0 if pair.status == "same" else float("nan"),
-        fixed=0.0 if white is None else float(np.abs(pair.shape @ white.fixed).max(initial=0.0)),
+        without_variance=0.0 if white is None else float(np.abs(pair.shape @ white.without_variance).max(initial=0.0)),
         notes=pair.notes,
     )
 
 
-def _trend(pair: Pair, change: np.ndarray, *, linear: bool) -> str:
-    """How a change goes along its axis, if it is plain."""
+def _shape_of(pair: Pair, change: np.ndarray, *, linear: bool) -> str:
+    """Return the shape of a change along its axis (`Culprits.trends`), or an empty string."""
     if pair.kind != "curve":
         return ""
     values, q = pair.shape @ change, pair.positions
@@ -347,22 +363,25 @@ def _trend(pair: Pair, change: np.ndarray, *, linear: bool) -> str:
     return ""
 
 
-def _notices(first: Calibration, second: Calibration, pairs: Sequence[Pair], apart: Sequence[Apart]) -> list[str]:
+def _notices(
+    first: Calibration, second: Calibration, pairs: Sequence[Pair], not_compared: Sequence[NotCompared]
+) -> list[str]:
     found = []
     drawn = [name for side in (first, second) for name, curve in side.curves.items() if curve.illustrative]
     if drawn:
         found.append(
-            f"illustrative, drawn and not measured, in one or both: {', '.join(dict.fromkeys(drawn))}. No machine changed by this"
+            f"illustrative curves, not measured, in one or both: {', '.join(dict.fromkeys(drawn))}. Their change is not of a "
+            "real machine"
         )
     same = [pair.name for pair in pairs if pair.status == "same"]
-    if same and len(same) < len(pairs) + len(apart):
+    if same and len(same) < len(pairs) + len(not_compared):
         found.append(
-            f"the very same numbers in both, taken as one estimate and not as two: {', '.join(same)}. If one file was made from the "
-            "other, what else it has in common is taken as independent, and the uncertainty of its change is too large"
+            f"identical numbers in both, taken as one estimate: {', '.join(same)}. If one file was made from the other, their "
+            "remaining common parts are still taken as independent, and the uncertainty of the change is too large"
         )
     if any(pair.status == "known" for pair in pairs):
         found.append(
-            "the two calibrations are taken as independent measurements, and as uncertain as they say: a misfit that `twin identify` "
-            "complained of is in no covariance"
+            "the calibrations are taken as independent and their uncertainties as stated: a misfit reported by `twin identify` is in "
+            "no covariance"
         )
     return found

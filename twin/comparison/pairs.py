@@ -1,8 +1,8 @@
-"""Two calibrations error by error: the same functions, the same numbers, one change.
+"""Pairing of the errors of two calibrations, and the change of each with its covariance.
 
-A curve is compared as a function over what both domains have in common, whatever basis and degree each was written in: both are
-written in functions that are orthonormal there (mean square one), so that the length of a change is its RMS. A squareness or
-location is a number, and so is every parameter of an effect.
+A curve is compared as a function over the common part of both domains, whatever its basis and degree: both curves are expressed in
+functions that are orthonormal there (mean square one), so that the norm of a change is its RMS. A squareness or location is a number,
+and so is every parameter of an effect.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from twin.numerics.covariance import Covariance
 from twin.uncertainty.budget import CURVE_POINTS
 
 ROUNDING: Final = 1e-10
-"""Functions that make no more than this of the largest are none, relative."""
+"""Relative singular value up to which a function is linearly dependent on the others."""
 NOTHING: Final = 1e-7
-"""A standard uncertainty below this part of the largest of the same error is what rounding leaves of none."""
+"""Ratio of a standard uncertainty to the largest of the same error up to which it is a rounding error of zero."""
 
 Status = Literal["same", "known", "unknown"]
 
@@ -33,43 +33,43 @@ Status = Literal["same", "known", "unknown"]
 @final
 @dataclass(frozen=True)
 class Side:
-    """What one of the calibrations gives for an error.
+    """The parameters of one error in one of the calibrations.
 
     Attributes:
-        numbers: names of its parameters.
+        numbers: names of the parameters.
         values: (k,) in the units of the file.
-        into: (m, k) what makes the common coordinates of them.
-        covariance: (k, k), or None where any of the numbers has none.
+        transform: (m, k) transformation of the parameters to coordinates common to both calibrations.
+        covariance: (k, k), or None if any parameter has no uncertainty.
     """
 
     numbers: tuple[str, ...]
     values: np.ndarray
-    into: np.ndarray
+    transform: np.ndarray
     covariance: np.ndarray | None
 
     @property
-    def spread(self) -> np.ndarray | None:
-        """(m, m) covariance of the common coordinates; None if unknown."""
-        return None if self.covariance is None else np.asarray(self.into @ self.covariance @ self.into.T)
+    def common_covariance(self) -> np.ndarray | None:
+        """Return the (m, m) covariance of the common coordinates; None if unknown."""
+        return None if self.covariance is None else np.asarray(self.transform @ self.covariance @ self.transform.T)
 
 
 @final
 @dataclass(frozen=True)
 class Pair:
-    """One error that both calibrations have.
+    """One error that both calibrations contain.
 
     Attributes:
         name: ISO 230-1 name, or the effect's own.
-        kind: a curve; a number (squareness, location); an effect beside them.
+        kind: ``curve``; ``number`` (squareness, location); ``effect``.
         unit: ``um`` or ``urad``; empty for an effect of several numbers.
         axis: the axis it belongs to.
         iso_class: class of ISO/TR 16907.
         first, second: the two sides.
         change: (m,) second less first, in common coordinates.
-        positions: (g,) of the axis, mm or degrees; empty unless a curve.
-        shape: (g, m) values at these positions of a unit of each coordinate; the identity unless a curve.
+        positions: (g,) positions of the axis, mm or degrees; empty unless a curve.
+        shape: (g, m) value at these positions of a unit of each coordinate; the identity unless a curve.
         labels: name and unit of every coordinate of an effect.
-        notes: what was assumed.
+        notes: assumptions made.
     """
 
     name: str
@@ -87,7 +87,7 @@ class Pair:
 
     @property
     def status(self) -> Status:
-        """``same``: the very same numbers on both sides, one estimate. ``unknown``: a side does not say how uncertain it is."""
+        """Return ``same`` for identical numbers (one estimate), ``unknown`` if a side has no uncertainty, else ``known``."""
         one, two = self.first, self.second
         if (
             not np.any(self.change)
@@ -96,48 +96,48 @@ class Pair:
         ):
             return "same"
         for side in (one, two):
-            if side.spread is None or not np.any(np.diag(side.spread) > 0.0):
+            if side.common_covariance is None or not np.any(np.diag(side.common_covariance) > 0.0):
                 return "unknown"
         return "known"
 
     @property
-    def spread(self) -> np.ndarray:
-        """(m, m) covariance of the change, the two sides independent; zero for the same numbers, NaN where unknown."""
+    def covariance(self) -> np.ndarray:
+        """Return the (m, m) covariance of the change, the sides independent; zero for identical numbers, NaN if unknown."""
         size = len(self.change)
         if self.status == "same":
             return np.zeros((size, size))
-        parts = [side.spread for side in (self.first, self.second)]
+        parts = [side.common_covariance for side in (self.first, self.second)]
         if parts[0] is None or parts[1] is None or self.status == "unknown":
             return np.full((size, size), np.nan)
         return without_rounding(parts[0] + parts[1], alike=self.kind == "curve")
 
     @property
     def exact(self) -> np.ndarray:
-        """(m, e) what a unit of each number without variance, on either side, adds."""
+        """Return (m, e) columns of the parameters without variance, on either side, in common coordinates."""
         found = []
         for side in (self.first, self.second):
             if side.covariance is not None:
                 variance = np.diag(side.covariance)
-                found.append(side.into[:, variance <= NOTHING**2 * variance.max(initial=0.0)])
+                found.append(side.transform[:, variance <= NOTHING**2 * variance.max(initial=0.0)])
         return np.concatenate([np.zeros((len(self.change), 0)), *found], axis=1)
 
     @property
     def values(self) -> np.ndarray:
-        """(g,) the change at ``positions``, or of every number."""
+        """Return the (g,) change at ``positions``, or of every number."""
         return np.asarray(self.shape @ self.change)
 
 
 @final
 @dataclass(frozen=True)
-class Apart:
+class NotCompared:
     """One error that could not be compared.
 
     Attributes:
         name: its name.
-        given_by: ``first`` or ``second`` if only one has it, else ``both``.
-        why: in words.
-        peak: its largest amount where it is given; NaN if both give it.
-        unit: of it.
+        given_by: ``first`` or ``second`` if only one contains it, else ``both``.
+        why: the reason, in words.
+        peak: its largest absolute value; NaN if both contain it.
+        unit: of the peak.
     """
 
     name: str
@@ -147,22 +147,22 @@ class Apart:
     unit: str
 
 
-def paired(first: Calibration, second: Calibration) -> tuple[tuple[Pair, ...], tuple[Apart, ...]]:
-    """What two calibrations of one machine have in common, error by error, and what they have not.
+def pair_errors(first: Calibration, second: Calibration) -> tuple[tuple[Pair, ...], tuple[NotCompared, ...]]:
+    """Return the errors that two calibrations of one machine have in common, and those that cannot be compared.
 
     Args:
-        first: the older.
-        second: the newer.
+        first: the older calibration.
+        second: the newer calibration.
     """
     one, two = ({effect.name: effect for effect in side.effects} for side in (first, second))
     covariances = first.covariance, second.covariance
     pairs: list[Pair] = []
-    apart: list[Apart] = []
+    not_compared: list[NotCompared] = []
     for name in dict.fromkeys((*one, *two)):
         if name not in one or name not in two:
             given: Literal["first", "second"] = "first" if name in one else "second"
             owner = first if name in one else second
-            apart.append(_alone(name, given, owner))
+            not_compared.append(_alone(name, given, owner))
             continue
         axis = first.machine.by_name[one[name].frame.axis]
         found = (
@@ -173,16 +173,16 @@ def paired(first: Calibration, second: Calibration) -> tuple[tuple[Pair, ...], t
         if isinstance(found, Pair):
             pairs.append(replace(found, iso_class=iso_class(acts_as(one[name], first.machine), first.machine)))
         else:
-            apart.append(found)
-    return tuple(pairs), tuple(apart)
+            not_compared.append(found)
+    return tuple(pairs), tuple(not_compared)
 
 
 def without_rounding(covariance: np.ndarray, *, alike: bool) -> np.ndarray:
-    """A covariance with zero where a variance is no more than rounding of the others.
+    """Return a covariance with variances that are rounding errors set to zero.
 
     Args:
         covariance: (m, m).
-        alike: whether all have one unit, so that the largest says what rounding is.
+        alike: whether all have the same unit, so that the largest variance gives the size of rounding errors.
     """
     variance = np.diag(covariance)
     least = NOTHING**2 * variance.max(initial=0.0) if alike else 0.0
@@ -194,7 +194,7 @@ def _equal(one: np.ndarray | None, two: np.ndarray | None) -> bool:
     return np.array_equal(one, two) if one is not None and two is not None else one is two
 
 
-def _alone(name: str, given: Literal["first", "second"], owner: Calibration) -> Apart:
+def _alone(name: str, given: Literal["first", "second"], owner: Calibration) -> NotCompared:
     other = "second" if given == "first" else "first"
     if name in owner.curves:
         curve = owner.curves[name]
@@ -203,12 +203,14 @@ def _alone(name: str, given: Literal["first", "second"], owner: Calibration) -> 
         peak, unit = abs(float({**owner.squareness, **owner.location}[name])), unit_of(name)
     else:
         peak, unit = float("nan"), ""
-    return Apart(name, given, f"the {other} calibration says nothing of it, which is not the same as zero", peak, unit)
+    return NotCompared(
+        name, given, f"the {other} calibration does not contain it, which does not mean zero", peak, unit
+    )
 
 
 def _curve(
     name: str, axis: Axis, first: Calibration, second: Calibration, covariances: tuple[Covariance, Covariance]
-) -> Pair | Apart:
+) -> Pair | NotCompared:
     curves = first.curves[name], second.curves[name]
     effects = [next(effect for effect in side.effects if effect.name == name) for side in (first, second)]
     notes: list[str] = []
@@ -218,26 +220,27 @@ def _curve(
         lo, hi = (max(c.domain[0] for c in curves), min(c.domain[1] for c in curves))
         if not lo < hi:
             spans = " and ".join(f"{c.domain[0]:g} to {c.domain[1]:g}" for c in curves)
-            return Apart(
-                name, "both", f"its domains have nothing in common: {spans} {axis.unit}", np.nan, unit_of(name)
-            )
+            return NotCompared(name, "both", f"its domains do not overlap: {spans} {axis.unit}", np.nan, unit_of(name))
         if (lo, hi) != curves[0].domain or (lo, hi) != curves[1].domain:
-            notes.append(f"compared from {lo:g} to {hi:g} {axis.unit}, which both cover")
+            notes.append(f"compared from {lo:g} to {hi:g} {axis.unit}, the common domain")
     positions = np.linspace(lo, hi, CURVE_POINTS)
     functions = [_functions(effect, axis.name, positions) for effect in effects]
     counts = [f.shape[1] for f in functions]
     families = curves[0].family, curves[1].family
     if families[0] == families[1] and families[0].nested and counts[0] != counts[1]:
         fewer = "first" if counts[0] < counts[1] else "second"
-        notes.append(f"the {fewer} has {min(counts)} coefficients, the other {max(counts)}: those it has not are zero")
-    # Both in one orthonormal basis of all functions that either is made of.
+        notes.append(
+            f"the {fewer} has {min(counts)} coefficients, the other {max(counts)}: missing ones are taken as zero"
+        )
+    # Both in one orthonormal basis of the functions of both curves.
     left, size, _ = np.linalg.svd(np.concatenate(functions, axis=1) / np.sqrt(CURVE_POINTS), full_matrices=False)
     left = left[:, size > ROUNDING * size[0]]
-    into = [left.T @ f / np.sqrt(CURVE_POINTS) for f in functions]
+    transform = [left.T @ f / np.sqrt(CURVE_POINTS) for f in functions]
     sides = [
-        _side(effect, matrix, covariance) for effect, matrix, covariance in zip(effects, into, covariances, strict=True)
+        _side(effect, matrix, covariance)
+        for effect, matrix, covariance in zip(effects, transform, covariances, strict=True)
     ]
-    change = sides[1].into @ sides[1].values - sides[0].into @ sides[0].values
+    change = sides[1].transform @ sides[1].values - sides[0].transform @ sides[0].values
     if families[0] == families[1] and curves[0].coefficients == curves[1].coefficients:
         change = np.zeros_like(change) if curves[0].domain == curves[1].domain else change
     return Pair(
@@ -256,20 +259,20 @@ def _curve(
 
 
 def _functions(effect: Effect, axis: str, positions: np.ndarray) -> np.ndarray:
-    """(g, k) derivative of a curve by each of its coefficients."""
+    """Return the (g, k) derivatives of a curve by its coefficients."""
     rates = effect.derivatives({axis: positions})
     return np.stack([np.broadcast_to(next(iter(rate.values())), len(positions)) for rate in rates], axis=1)
 
 
 def _numbers(one: Effect, two: Effect, axis: str, covariances: tuple[Covariance, Covariance]) -> Pair:
-    """Squareness, location, and effects: number by number."""
+    """Pair the numbers of a squareness, a location or an effect."""
     named = one.name.startswith("E_")
-    turns = [_upright(effect) for effect in (one, two)]
+    turns = [_positive_amplitude(effect) for effect in (one, two)]
     sides = [
         _side(effect, np.diag(sign), covariance)
         for effect, (sign, _), covariance in zip((one, two), turns, covariances, strict=True)
     ]
-    change = (sides[1].into @ sides[1].values + turns[1][1]) - (sides[0].into @ sides[0].values + turns[0][1])
+    change = (sides[1].transform @ sides[1].values + turns[1][1]) - (sides[0].transform @ sides[0].values + turns[0][1])
     labels = tuple((number.name.rpartition(".")[2], number.unit) for number in one.parameters)
     for i, (label, _) in enumerate(labels):
         if label == "phase":
@@ -289,8 +292,8 @@ def _numbers(one: Effect, two: Effect, axis: str, covariances: tuple[Covariance,
     )
 
 
-def _upright(effect: Effect) -> tuple[np.ndarray, np.ndarray]:
-    """Signs and shifts that give a wave a positive amplitude: −A sin φ is A sin(φ + π)."""
+def _positive_amplitude(effect: Effect) -> tuple[np.ndarray, np.ndarray]:
+    """Return signs and shifts of the parameters that make the amplitude of a wave positive: −A sin φ = A sin(φ + π)."""
     names = [number.name.rpartition(".")[2] for number in effect.parameters]
     sign, shift = np.ones(len(names)), np.zeros(len(names))
     if "phase" in names and "amplitude" in names and effect.parameters[names.index("amplitude")].value < 0.0:
@@ -299,36 +302,36 @@ def _upright(effect: Effect) -> tuple[np.ndarray, np.ndarray]:
     return sign, shift
 
 
-def _side(effect: Effect, into: np.ndarray, covariance: Covariance) -> Side:
+def _side(effect: Effect, transform: np.ndarray, covariance: Covariance) -> Side:
     names = tuple(number.name for number in effect.parameters)
     known = set(names) <= set(covariance.names)
     return Side(
         names,
         locked(np.array([float(number.value) for number in effect.parameters])),
-        locked(np.asarray(into)),
+        locked(np.asarray(transform)),
         covariance.of(names).matrix if known else None,
     )
 
 
-def joint_spread(pairs: Sequence[Pair], covariances: tuple[Covariance, Covariance]) -> np.ndarray:
-    """(Σm, Σm) covariance of all their changes together, correlations between errors included.
+def joint_covariance(pairs: Sequence[Pair], covariances: tuple[Covariance, Covariance]) -> np.ndarray:
+    """Return the (Σm, Σm) joint covariance of all changes, with the correlations between errors.
 
     Args:
-        pairs: all of status ``known``.
+        pairs: errors of status ``known``.
         covariances: of the first and of the second calibration, taken as independent of each other.
     """
     starts = np.concatenate([[0], np.cumsum([len(pair.change) for pair in pairs])])
     total = np.zeros((int(starts[-1]), int(starts[-1])))
     for covariance, which in zip(covariances, ("first", "second"), strict=True):
         index: Mapping[str, Any] = {name: i for i, name in enumerate(covariance.names)}
-        into = np.zeros((starts[-1], len(covariance.names)))
+        transform = np.zeros((starts[-1], len(covariance.names)))
         for pair, start in zip(pairs, starts, strict=False):
             side: Side = getattr(pair, which)
-            into[start : start + len(pair.change), [index[name] for name in side.numbers]] = side.into
-        total += into @ covariance.matrix @ into.T
+            transform[start : start + len(pair.change), [index[name] for name in side.numbers]] = side.transform
+        total += transform @ covariance.matrix @ transform.T
     for pair, start in zip(pairs, starts, strict=False):
         rows = slice(start, start + len(pair.change))
-        gone = np.flatnonzero(np.diag(pair.spread) == 0.0) + rows.start
+        gone = np.flatnonzero(np.diag(pair.covariance) == 0.0) + rows.start
         total[gone] = 0.0
         total[:, gone] = 0.0
     return (total + total.T) / 2.0

@@ -1,4 +1,4 @@
-"""What a comparison of two calibrations found, as one immutable value."""
+"""The result of a comparison of two calibrations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from twin._common.json_form import json_form
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, to_json
-from twin.comparison.pairs import Apart, Status
+from twin.comparison.pairs import NotCompared, Status
 from twin.comparison.significance import FALSE_ALARMS, SHARE
 from twin.comparison.tool import ToolChange
 from twin.display import card, finite, first_rows, measured, note, pairs, readable, table
@@ -27,9 +27,9 @@ AT_TOOL: Final = MappingProxyType(
         "by_error": "by_error_aligned",
     }
 )
-"""Names in JSON of what is looked at after the workpiece has been aligned."""
+"""Keys in JSON of results after aligning the workpiece."""
 CANCELLED: Final = 0.05
-"""Changes that leave no more than this part of their own sizes at the tool take each other away there."""
+"""Ratio of the joint effect of changes at the tool to their single effects below which they cancel."""
 
 
 @final
@@ -42,18 +42,18 @@ class ErrorChange:
         kind: ``curve``, ``number`` (squareness, location) or ``effect``.
         iso_class: class of ISO/TR 16907.
         axis: the axis it belongs to.
-        unit: ``um`` or ``urad``; of an effect, of the number ``label``.
-        status: ``known``; ``same``: the very same numbers; ``unknown``: how uncertain it is is not known on both sides.
-        label: of an effect, which of its numbers ``largest`` is of: the one that is most standard uncertainties off.
-        rms: of a curve over what both cover; else the amount of ``largest``.
+        unit: ``um`` or ``urad``; for an effect, the unit of the number ``label``.
+        status: ``known``; ``same``: identical numbers; ``unknown``: a calibration does not state its uncertainty.
+        label: for an effect, the number that ``largest`` belongs to: the one with the largest change in standard uncertainties.
+        rms: of a curve, over the common part of both domains; else the absolute value of ``largest``.
         largest: the largest change of a curve with its sign, or the change of the number.
-        at: position of the axis at which it is, mm or degrees; NaN unless a curve.
+        at: position of the axis of the largest change, mm or degrees; NaN unless a curve.
         u: standard uncertainty (k = 1) of ``largest``; NaN if unknown.
-        band: half width at ``at`` of the band that holds the whole curve with 95 % probability; of a number 1.96 u; NaN if unknown.
-        p_value: of a change that large or larger in χ² if it has not changed; NaN if unknown.
-        p_adjusted: the same, for as many errors as were judged (Holm).
-        fixed: largest change along what neither calibration gives an uncertainty for, in ``unit``: zero if none.
-        notes: what was assumed.
+        band: half width at ``at`` of the simultaneous 95 % band of the whole curve; for a number 1.96 u; NaN if unknown.
+        p_value: of the χ² of the change; NaN if unknown.
+        p_adjusted: p-value corrected for the number of errors tested (Holm).
+        without_variance: largest change in directions without an uncertainty on both sides, in ``unit``; zero if none.
+        notes: assumptions made.
     """
 
     name: str
@@ -70,24 +70,24 @@ class ErrorChange:
     band: float
     p_value: float
     p_adjusted: float
-    fixed: float
+    without_variance: float
     notes: tuple[str, ...]
 
     @property
     def significant(self) -> bool | None:
-        """Whether it changed, as seen by itself, false alarms counted over all errors; None if it cannot be told."""
+        """Return whether the change is significant by itself, corrected for the number of errors; None if unknown."""
         if self.status == "same":
             return False
         return None if self.status == "unknown" else self.p_adjusted <= SHARE
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON; null where it is unknown."""
+        """Return the entry of the JSON; null for unknown values."""
         renamed = {"name": "error", "iso_class": "class", "label": "number", "band": "band95"}
-        found = json_form(self, rename=renamed, leave_out=("fixed", "notes"))
+        found = json_form(self, rename=renamed, leave_out=("without_variance", "notes"))
         return found | {
             "number": self.label or None,
             "significant": self.significant,
-            "without_uncertainty": self.fixed,
+            "without_uncertainty": self.without_variance,
             "notes": list(self.notes),
         }
 
@@ -95,14 +95,14 @@ class ErrorChange:
 @final
 @dataclass(frozen=True)
 class Culprits:
-    """The fewest errors that account for the change, all others taken as unchanged.
+    """The smallest set of errors that explains the change, all others taken as unchanged.
 
     Attributes:
-        errors: strongest first, their change estimated so; ``p_adjusted`` counts all that was tried.
-        alternatives: of each, the errors that would do as well in its place.
-        trends: of each, how it goes along its axis: ``constant``, ``line``, ``bow``, ``turn`` (once round), or empty.
-        left_p_value: of what they leave; NaN if nothing could be judged.
-        shows_from: of squareness and locations, with their unit: from which size on a change of it alone, all else unchanged, is seen
+        errors: the changes estimated on this assumption, strongest first; ``p_adjusted`` is corrected for all sets tried.
+        alternatives: for each, the errors that would explain the change equally well in its place.
+        trends: for each, its shape along the axis: ``constant``, ``line``, ``bow``, ``turn`` (one wave per turn), or empty.
+        left_p_value: p-value of the change they do not explain; NaN if nothing could be tested.
+        shows_from: detection limits (name, size, unit) of squareness and locations: a change of it alone, all else unchanged, is found
             in 19 of 20 comparisons.
     """
 
@@ -116,28 +116,28 @@ class Culprits:
 @final
 @dataclass(frozen=True)
 class Changes:
-    """What changed between two calibrations of one machine.
+    """The changes between two calibrations of one machine.
 
     Attributes:
         machine: the machine.
-        first, second: what the two are called (their files).
-        errors: change of each error that both have, seen by itself.
-        apart: errors that could not be compared, with the reason.
-        joint_p_value, joint_dof: χ² of all known changes together; NaN and 0 if none is known.
-        culprits: the fewest errors that account for it.
+        first, second: names of the two (their files).
+        errors: change of each error that both contain, tested by itself.
+        not_compared: errors that could not be compared, with the reason.
+        joint_p_value, joint_dof: of the χ² of all known changes together; NaN and 0 if none is known.
+        culprits: the smallest set of errors that explains the change.
         tool: the change at the tool.
-        tolerance_mm: what the older calibration may leave; None if nobody said.
-        left_out: effects the comparison at the tool leaves out, with the channels they need.
-        notices: what holds for all of it.
-        meaning: what it means, in sentences.
-        warnings: of where the numbers of either come from.
+        tolerance_mm: largest error at the tool that the older calibration may leave; None if not given.
+        left_out: effects not included in the comparison at the tool, with the channels they need.
+        notices: assumptions and limits of the whole comparison.
+        meaning: the meaning of the result, in sentences.
+        warnings: on the origin of the numbers of either.
     """
 
     machine: Machine
     first: str
     second: str
     errors: tuple[ErrorChange, ...]
-    apart: tuple[Apart, ...]
+    not_compared: tuple[NotCompared, ...]
     joint_p_value: float
     joint_dof: int
     culprits: Culprits
@@ -150,12 +150,12 @@ class Changes:
 
     @property
     def illustrative(self) -> bool:
-        """Whether either has curves that are drawn, not measured."""
+        """Return whether either has illustrative curves, not measured ones."""
         return ILLUSTRATIVE in self.warnings
 
     @cached_property
     def seen_by(self) -> tuple[str, ...]:
-        """Which of the four looks see a change: ``all together``, ``error by error``, ``fewest errors``, ``tool``."""
+        """Return which of the four tests detect a change: ``all together``, ``error by error``, ``fewest errors``, ``tool``."""
         found = []
         if self.joint_p_value <= SHARE:
             found.append("all together")
@@ -171,14 +171,15 @@ class Changes:
 
     @property
     def verdict(self) -> Verdict:
-        """``changed`` if any look sees it; ``unchanged``; ``unknown`` if nothing could be judged; ``same``: the very same numbers.
+        """Return the verdict.
 
-        ``reworded``: the numbers changed and the tool did not; one error takes away what another adds, as where a constant stands
-        under another name.
+        ``changed`` if any of the four tests is significant; ``unchanged``; ``unknown`` if nothing could be tested; ``same`` for
+        identical numbers; ``reworded`` if the numbers changed but their effects cancel at the tool, for example if a constant is
+        attributed to a different error.
         """
         if self.seen_by:
             return "reworded" if self._cancelled else "changed"
-        if not self.apart and all(error.status == "same" for error in self.errors):
+        if not self.not_compared and all(error.status == "same" for error in self.errors):
             return "same"
         return "unchanged" if any(error.status == "known" for error in self.errors) else "unknown"
 
@@ -193,20 +194,20 @@ class Changes:
 
     @property
     def unjudged(self) -> tuple[str, ...]:
-        """Errors whose change could not be compared or judged: exit status 3 on the command line."""
+        """Return the names of errors that could not be compared or tested (exit status 3 on the command line)."""
         return (
-            *(one.name for one in self.apart),
-            *(error.name for error in self.errors if error.status == "unknown" or error.fixed > 0.0),
+            *(one.name for one in self.not_compared),
+            *(error.name for error in self.errors if error.status == "unknown" or error.without_variance > 0.0),
             *(name for name, _ in self.left_out),
         )
 
     @property
     def good_enough(self) -> bool | None:
-        """Whether the older calibration leaves no more than the tolerance on the machine of the newer; None if it cannot be told."""
+        """Return whether the older calibration leaves less than the tolerance on the machine of the newer; None if undecided."""
         return None if self.tolerance_mm is None else self.tool.left.enough(self.tolerance_mm * 1e3)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON (``schema: twin.comparison/1``); null where something is unknown."""
+        """Return the JSON (``schema: twin.comparison/1``); null for unknown values."""
         culprits = self.culprits
         return {
             "schema": SCHEMA,
@@ -231,7 +232,7 @@ class Changes:
                 "left_p_value": finite(culprits.left_p_value),
                 "shows_from": [{"error": name, "size": size, "unit": unit} for name, size, unit in culprits.shows_from],
             },
-            "not_compared": [json_form(one, rename={"name": "error"}) for one in self.apart],
+            "not_compared": [json_form(one, rename={"name": "error"}) for one in self.not_compared],
             "left_out_at_tool": [{"effect": name, "needs": needs} for name, needs in self.left_out],
             "tool": json_form(self.tool, rename=AT_TOOL, leave_out=("left",)),
             "first_compensating_second": {
@@ -248,14 +249,14 @@ class Changes:
         other.sort(key=lambda error: (not error.significant, -self._alone_um(error)))
         shown, more = first_rows(len(other), lambda i: self._cells(other[i]))
         whole = self.tool.everything_aligned
-        headers = ("error", "class", "largest change", "beyond chance", "at the tool, µm RMS")
+        headers = ("error", "class", "largest change", "significant", "at the tool, µm RMS")
         return card(
             self.verdict.upper(),
             *(note(sentence) for sentence in self.meaning),
             pairs(
                 [
-                    ("at the tool, aligned anew", f"{whole.rms_um:.3g} µm RMS, {whole.max_um:.3g} µm largest"),
-                    ("could not be compared or judged", ", ".join(self.unjudged)),
+                    ("at the tool, workpiece aligned", f"{whole.rms_um:.3g} µm RMS, {whole.max_um:.3g} µm largest"),
+                    ("could not be compared or tested", ", ".join(self.unjudged)),
                 ]
             ),
             table(headers, shown, right=(4,)),
@@ -275,6 +276,6 @@ class Changes:
         )
 
     def _alone_um(self, error: ErrorChange) -> float:
-        """RMS at the tool of an error alone, as far as it was judged."""
+        """Return the RMS at the tool of one error alone; zero if it was not tested."""
         found = self.tool.by_error.get(error.name)
         return 0.0 if found is None else found.rms_um

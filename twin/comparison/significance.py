@@ -1,16 +1,16 @@
-"""What of a change is more than the two measurements' uncertainty.
+"""Significance of the changes between two calibrations.
 
-Four looks are taken at the same change, and an unchanged machine is to raise a false alarm in at most one comparison of twenty over all
-of them together: each look has a quarter of that (Bonferroni).
+The same change is tested in four ways. An unchanged machine raises a false alarm in at most one comparison of twenty over all of them,
+so each test has a quarter of that (Bonferroni):
 
 - all numbers at once: χ² of the whole change;
-- each error by itself, nothing assumed of the others (Holm 1979 over the errors);
-- the fewest errors that account for everything, the others taken as unchanged. Errors that a measurement tells apart only badly have
-  large uncertainties each and a small one together; where few errors changed this sees what the other two do not;
-- the tool over the volume (`twin.comparison.tool`).
+- each error by itself, with the others free (Holm 1979 over the errors);
+- the smallest set of errors that explains the whole change, the others taken as unchanged. Strongly correlated errors have large
+  uncertainties by themselves and a small one together; if few errors changed, this test is more sensitive than the first two;
+- the tool point over the volume (`twin.comparison.tool`).
 
-A covariance may have directions without variance: what a convention of `identify` rules out (no curve has a constant). They are
-left out of every χ²; a change along one of them is told, and is neither significant nor zero.
+A covariance may have directions without variance, fixed by a convention of `identify` (no curve has a constant). They are left
+out of every χ²; a change in such a direction is reported, and is neither significant nor zero.
 """
 
 from __future__ import annotations
@@ -26,63 +26,63 @@ from twin._common.distributions import chi2_log_sf, chi2_sf, normal_isf
 from twin.comparison.pairs import Pair
 
 FALSE_ALARMS: Final = 0.05
-LOOKS: Final = 4
-SHARE: Final = FALSE_ALARMS / LOOKS
-"""Of false alarms for each look."""
+TESTS: Final = 4
+SHARE: Final = FALSE_ALARMS / TESTS
+"""Probability of a false alarm of each test."""
 WEAK: Final = 1e-8
-"""Eigenvalues of a correlation matrix at or below this are zero. Of what `identify` writes in powers of degree 12, rounding leaves
-1e-10 where a convention holds; the smallest others are 1e-4."""
+"""Eigenvalues of a correlation matrix up to this are zero. In files of `identify` with powers of degree 12, rounding leaves 1e-10 for
+directions fixed by a convention; the smallest others are 1e-4."""
 FIXED: Final = 1e-3
-"""A change along a direction without variance that is no more than this part of the standard uncertainties around it is rounding."""
+"""Changes in directions without variance up to this multiple of the standard uncertainties are rounding errors."""
 DRAWS: Final = 4000
 SEED: Final = 230
-"""Of the draws for simultaneous bands."""
+"""Random seed of the draws for simultaneous bands."""
 ODDS: Final = 2.0 * float(np.log(100.0))
-"""χ² by which one explanation must beat another: odds of 100:1."""
+"""χ² by which one explanation must be better than another: odds of 100:1."""
 DEPENDENT: Final = 1e-6
-"""Relative size below which a direction is already explained by those chosen."""
+"""Relative singular value up to which a direction is linearly dependent on those selected."""
 
 
 @final
 @dataclass(frozen=True)
 class Whitened:
-    """A change in uncorrelated coordinates of variance one.
+    """A whitened change: uncorrelated coordinates of variance one.
 
     Attributes:
-        into: (r, m) what makes them of the change.
-        value: (r,) of this change.
-        span: (m, r) orthonormal after dividing by ``scale``: the directions that have a variance.
-        fixed: (m,) part of the change along directions without variance, rounding put to zero.
+        transform: (r, m) whitening transformation.
+        value: (r,) the whitened change.
+        span: (m, r) the directions with a variance, orthonormal after division by the standard uncertainties.
+        without_variance: (m,) part of the change in directions without variance; rounding errors are set to zero.
     """
 
-    into: np.ndarray
+    transform: np.ndarray
     value: np.ndarray
     span: np.ndarray
-    fixed: np.ndarray
+    without_variance: np.ndarray
 
     @property
     def rank(self) -> int:
-        """Degrees of freedom."""
+        """Return the degrees of freedom."""
         return len(self.value)
 
     @property
     def chi2(self) -> float:
-        """Of the change."""
+        """Return the χ² of the change."""
         return float(self.value @ self.value)
 
     @property
     def p_value(self) -> float:
-        """Of a χ² that large or larger if nothing changed; one if there is nothing to judge."""
+        """Return the p-value of the χ²; one without degrees of freedom."""
         return float(chi2_sf(self.chi2, self.rank)) if self.rank else 1.0
 
 
 def whiten(change: np.ndarray, covariance: np.ndarray, exact: np.ndarray | None = None) -> Whitened:
-    """Rank-aware, by way of the correlations so that µm beside µrad loses nothing.
+    """Whiten a change, for a singular covariance too; eigenvalues are those of the correlation matrix, so that units do not matter.
 
     Args:
         change: (m,).
-        covariance: (m, m) of it, zero where nothing varies.
-        exact: (m, e) what numbers without uncertainty add to it: where it goes along no variance, that is taken to be of these.
+        covariance: (m, m) of the change; zero for numbers without variance.
+        exact: (m, e) columns of numbers without uncertainty; a change in directions without variance is attributed to these.
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     typical = float(scale.max(initial=0.0)) or 1.0
@@ -92,22 +92,25 @@ def whiten(change: np.ndarray, covariance: np.ndarray, exact: np.ndarray | None 
     scaled = change / safe
     none = vectors[:, ~keep]
     still = none @ (none.T @ scaled)
-    fixed = np.zeros_like(change)
+    without_variance = np.zeros_like(change)
     if np.linalg.norm(still) > FIXED:
-        fixed = still * safe
+        without_variance = still * safe
         if exact is not None and exact.shape[1]:
             columns = exact / safe[:, None]
             found = columns @ np.linalg.lstsq(none.T @ columns, none.T @ scaled, rcond=None)[0]
-            # What is left over is of no number alone: the shortest way back to what varies.
-            fixed = (found + none @ (none.T @ (scaled - found))) * safe
-    into = (vectors[:, keep] / np.sqrt(values[keep])).T / safe
+            # The remainder belongs to no single number: orthogonal projection onto the directions without variance.
+            without_variance = (found + none @ (none.T @ (scaled - found))) * safe
+    transform = (vectors[:, keep] / np.sqrt(values[keep])).T / safe
     return Whitened(
-        locked(into), locked(into @ (change - fixed)), locked(safe[:, None] * vectors[:, keep]), locked(fixed)
+        locked(transform),
+        locked(transform @ (change - without_variance)),
+        locked(safe[:, None] * vectors[:, keep]),
+        locked(without_variance),
     )
 
 
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Adjusted for their number (Holm 1979): significant at a level if no larger than it."""
+def holm_adjusted(p_values: Sequence[float]) -> list[float]:
+    """Return p-values corrected for multiple testing (Holm 1979)."""
     order = np.argsort(p_values, kind="stable")
     found = [1.0] * len(p_values)
     largest = 0.0
@@ -118,16 +121,16 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def simultaneous_factor(shape: np.ndarray, covariance: np.ndarray) -> float:
-    """How many standard uncertainties to both sides hold a whole curve in 95 % of cases, by draws with a seed.
+    """Return the coverage factor of a simultaneous 95 % band of a whole curve, by Monte Carlo with a fixed seed.
 
     Args:
-        shape: (g, m) values of a unit of each coordinate.
-        covariance: (m, m).
+        shape: (g, m) value of a unit of each coordinate.
+        covariance: (m, m) of the coordinates.
     """
     white = whiten(np.zeros(len(covariance)), covariance)
     if not white.rank:
         return 1.959964
-    factor = shape @ np.linalg.pinv(white.into)
+    factor = shape @ np.linalg.pinv(white.transform)
     size = np.linalg.norm(factor, axis=1)
     seen = size > 1e-9 * size.max()
     drawn = np.random.default_rng(SEED).standard_normal((white.rank, DRAWS))
@@ -137,13 +140,13 @@ def simultaneous_factor(shape: np.ndarray, covariance: np.ndarray) -> float:
 @final
 @dataclass(frozen=True)
 class ChangeCandidate:
-    """One way in which one error may have changed.
+    """One form in which one error may have changed.
 
     Attributes:
-        pair: its index.
-        whole: whether any change of it, or only a straight line or bow over a linear axis.
-        directions: (m, k) of the pair's own coordinates.
-        columns: (r, k) orthonormal, of the whitened change of all.
+        pair: index of the error.
+        whole: whether any change of the error, or only a line or parabola over a linear axis.
+        directions: (m, k) in the coordinates of the pair.
+        columns: (r, k) orthonormal, in the whitened coordinates of all errors.
     """
 
     pair: int
@@ -155,14 +158,14 @@ class ChangeCandidate:
 @final
 @dataclass(frozen=True)
 class Culprit:
-    """One error of the fewest that account for the change.
+    """One error of the smallest set that explains the change.
 
     Attributes:
-        pair: its index among those given.
-        change: (m,) estimate, all errors but the culprits taken as unchanged.
-        covariance: (m, m) of it.
-        p_value: of it beside the other culprits, not adjusted.
-        alternatives: indices of the pairs that would do as well in its place, within odds of 100:1.
+        pair: index of the error.
+        change: (m,) estimate, all errors outside the set taken as unchanged.
+        covariance: (m, m) of the estimate.
+        p_value: given the others of the set, not corrected for multiple testing.
+        alternatives: indices of the errors that would explain the change in its place, within odds of 100:1.
     """
 
     pair: int
@@ -174,14 +177,14 @@ class Culprit:
 
 @final
 @dataclass(frozen=True)
-class Fewest:
-    """The fewest errors that account for a change.
+class SmallestSet:
+    """The smallest set of errors that explains a change.
 
     Attributes:
-        culprits: strongest first; none if nothing stands out.
-        left_p_value: of what they leave.
-        tried: how many ways were tried, which every p-value has to pay for.
-        shows_from: of every pair that is one number, the change of it alone that would be seen in 19 of 20 comparisons; NaN of others.
+        culprits: strongest first; empty if no error is significant.
+        left_p_value: p-value of the change they do not explain.
+        tried: number of candidates, for which every p-value is corrected.
+        shows_from: for each error that is one number, its detection limit (19 of 20 comparisons, all else unchanged); NaN for others.
     """
 
     culprits: tuple[Culprit, ...]
@@ -190,17 +193,17 @@ class Fewest:
     shows_from: tuple[float, ...]
 
 
-def fewest(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) -> Fewest:
-    """Forward, what is no longer needed taken out again, each exchanged where another does better.
+def smallest_set(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) -> SmallestSet:
+    """Select the smallest set of errors that explains a change: stepwise, forward with removal and exchange.
 
     Args:
-        pairs: all known.
-        white: of their changes together.
-        linear: of every pair, whether its axis is a linear one.
+        pairs: errors of status ``known``.
+        white: their joint change, whitened.
+        linear: for each error, whether its axis is linear.
     """
     candidates = _candidates(pairs, white, linear)
     if not candidates:
-        return Fewest((), white.p_value, 0, (float("nan"),) * len(pairs))
+        return SmallestSet((), white.p_value, 0, (float("nan"),) * len(pairs))
     level = SHARE / len(candidates)
     search = _Search(candidates, white.value)
     search.run(float(np.log(level)))
@@ -214,7 +217,7 @@ def fewest(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) -> Fe
             u = float(np.abs(one.directions[0, 0]))
             shows[one.pair] = u * (normal_isf(level / 2.0) + normal_isf(0.05))
     left_p = float(chi2_sf(left, freedom)) if freedom else 1.0
-    return Fewest(tuple(map(search.culprit, order)), left_p, len(candidates), tuple(shows.tolist()))
+    return SmallestSet(tuple(map(search.culprit, order)), left_p, len(candidates), tuple(shows.tolist()))
 
 
 def _candidates(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) -> list[ChangeCandidate]:
@@ -223,17 +226,17 @@ def _candidates(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) 
     for i, (pair, straight) in enumerate(zip(pairs, linear, strict=True)):
         rows = slice(start, start + len(pair.change))
         start = rows.stop
-        own = whiten(pair.change, pair.spread)
+        own = whiten(pair.change, pair.covariance)
         ways = [(True, own.span)]
         if pair.kind == "curve" and straight and own.rank > 2:
             u = np.linspace(-1.0, 1.0, len(pair.positions))
             low = pair.shape.T @ np.stack([np.ones_like(u), u, u**2], axis=1) / len(u)
-            # What a convention rules out is no part of it.
+            # Without directions fixed by a convention.
             allowed = own.span @ (np.linalg.pinv(own.span) @ low)
             left, size, _ = np.linalg.svd(allowed, full_matrices=False)
             ways.append((False, left[:, size > 1e-3 * size.max(initial=1e-300)]))
         for whole, directions in ways:
-            columns = white.into[:, rows] @ directions
+            columns = white.transform[:, rows] @ directions
             left, size, right = np.linalg.svd(columns, full_matrices=False)
             keep = size > DEPENDENT * size.max(initial=0.0) if size.size else np.zeros(0, dtype=bool)
             if np.any(keep):
@@ -248,7 +251,7 @@ class _Search:
     """Stepwise selection among candidates.
 
     Attributes:
-        candidates: the ways in which single errors may have changed.
+        candidates: the forms in which single errors may have changed.
         value: (r,) the whitened change.
         chosen: indices of the candidates selected.
     """
@@ -277,7 +280,7 @@ class _Search:
                 self.chosen.remove(weakest)
 
     def basis(self, without: int | None = None) -> np.ndarray:
-        """(r, k) orthonormal, of what those chosen span together, but for one of them."""
+        """Return an orthonormal (r, k) basis of the selected candidates, optionally without one of them."""
         columns = [self.candidates[i].columns for i in self.chosen if i != without]
         if not columns:
             return np.zeros((len(self.value), 0))
@@ -285,11 +288,11 @@ class _Search:
         return np.asarray(left[:, size > DEPENDENT])
 
     def beside_others(self, which: int) -> tuple[float, float, int]:
-        """Gain of one of those chosen beside the others; see `_gain`."""
+        """Return the gain of one selected candidate given the others; see `_gain`."""
         return self._gain(self.candidates[which], self.basis(without=which))
 
     def culprit(self, which: int) -> Culprit:
-        """One of those chosen, estimated beside the others, and what would do as well in its place."""
+        """Return one selected error, estimated jointly with the others, with its alternatives."""
         own = self.candidates[which]
         stacked = np.concatenate([self.candidates[i].columns for i in self.chosen], axis=1)
         inverse = np.linalg.pinv(stacked, rcond=DEPENDENT)
@@ -309,7 +312,7 @@ class _Search:
         return Culprit(own.pair, locked(estimate), locked(covariance), float(np.exp(gains[which][0])), tuple(rivals))
 
     def _exchange(self) -> None:
-        """Exchange each of those chosen for a better one, if there is one."""
+        """Exchange each selected candidate for a better one, if there is one."""
         for place, which in enumerate(list(self.chosen)):
             taken = {self.candidates[i].pair for i in self.chosen if i != which}
             gains = self._gains(self.basis(without=which))
@@ -322,7 +325,7 @@ class _Search:
         return [self._gain(one, basis) for one in self.candidates]
 
     def _gain(self, one: ChangeCandidate, basis: np.ndarray) -> tuple[float, float, int]:
-        """Logarithm of the p-value, gain of χ² and degrees of freedom of one candidate beside a basis."""
+        """Return log p-value, χ² gain and degrees of freedom of one candidate given a basis."""
         columns = one.columns
         if basis.shape[1]:
             left, size, _ = np.linalg.svd(columns - basis @ (basis.T @ columns), full_matrices=False)

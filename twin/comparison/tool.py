@@ -1,11 +1,12 @@
-"""What a change of the calibration is at the tool: over the volume, as it is and after the workpiece has been aligned anew.
+"""The effect of a change of the calibration at the tool, over the volume, before and after aligning the workpiece.
 
-Where the work frame lies on the machine is found by touching off, before every part: a shift and a turn of everything together (six
-numbers, fitted to the change over all poses by least squares) cost nothing. They also take up what no measurement of the tool against
-the work can tell, so that two calibrations that say the same in different words come out alike.
+The position of the work frame on the machine is found by touching off before every part. A common shift and rotation (six numbers,
+fitted to the change over all poses by least squares) therefore has no effect on parts. It also absorbs what no measurement of the tool
+against the work can identify, so that two calibrations that differ only by convention have the same effect.
 
-What the uncertainties alone would show is drawn: both calibrations' numbers from their covariances, independently, through the first
-derivatives of the tool point by them (JCGM 101:2008; the chain itself is as good as linear in errors of this size).
+The change expected from the uncertainties alone is simulated: the numbers of both calibrations are drawn from their covariances,
+independently, and propagated by the first derivatives of the tool point (JCGM 101:2008; for errors of this size the kinematic chain is
+practically linear).
 """
 
 from __future__ import annotations
@@ -28,25 +29,24 @@ from twin.uncertainty.budget import drawn_sides, state_at, volume, within
 
 POSES: Final = 400
 Cause = tuple[Frame, Callable[[Mapping[str, Any]], Mapping[int, Any]]]
-"""Where a change acts, and its components by what effects are functions of: as of `twin.machine.effects.Effect`."""
+"""Error frame in which a change acts, and its components as a function of the state, as in `twin.machine.effects.Effect`."""
 DRAWS: Final = 8000
 DRAWS_A_STEP: Final = 500
-"""Held at once: 500 draws of 400 points are 5 MB."""
+"""Draws held in memory at once: 500 draws of 400 points are 5 MB."""
 SEED: Final = 16907
 
 
 @final
 @dataclass(frozen=True)
-class Moved:
-    """How far the tool point has moved over the volume.
+class ToolDisplacement:
+    """The displacement of the tool point over the volume.
 
     Attributes:
-        rms_um, max_um: of the distance over the poses.
-        where: position of the largest, by axis.
+        rms_um, max_um: RMS and maximum over the poses.
+        where: axis positions of the maximum.
         u_max_um: U there (`twin.uncertainty.at_tool.DEFINITION`); NaN if unknown.
-        limit_um: what the RMS stays below where nothing has changed but for the uncertainties, in all but the share of false alarms
-            that this look has; NaN if unknown.
-        p_value: of an RMS that large or larger if nothing has changed; NaN if unknown.
+        limit_um: upper limit of the RMS for an unchanged machine, at the false alarm rate of this test; NaN if unknown.
+        p_value: of the RMS for an unchanged machine; NaN if unknown.
     """
 
     rms_um: float
@@ -59,15 +59,15 @@ class Moved:
 
 @final
 @dataclass(frozen=True)
-class Displaced:
-    """Distances of the tool point over the poses: RMS and largest."""
+class DisplacementSize:
+    """RMS and maximum of the displacement of the tool point over the poses."""
 
     rms_um: float
     max_um: float
 
     @classmethod
-    def of(cls, displacement: np.ndarray) -> Displaced:
-        """Of (n, 3) displacements, µm."""
+    def of(cls, displacement: np.ndarray) -> DisplacementSize:
+        """Return RMS and maximum of (n, 3) displacements, µm."""
         distance = np.linalg.norm(displacement, axis=1)
         return cls(float(np.sqrt(np.mean(distance**2))), float(distance.max()))
 
@@ -75,22 +75,22 @@ class Displaced:
 @final
 @dataclass(frozen=True)
 class Remaining:
-    """What remains where the older calibration compensates the machine that the newer one describes.
+    """The error that remains if the older calibration compensates the machine described by the newer one.
 
     Attributes:
-        rms_um, max_um, where: of the tool point against where it was meant to be, after aligning the workpiece anew.
-        as_it_is: before that.
+        rms_um, max_um, where: deviation of the tool point from its nominal position, after aligning the workpiece.
+        as_it_is: the same before aligning.
         u_max_um: U at ``where``; NaN if unknown.
-        surely_um: with 95 % probability no more than this at any of the poses; NaN if unknown.
-        at_least_um: with 95 % probability more than this at one of them; NaN if unknown.
-        poses: at how many poses.
-        out_of_reach: poses left out, because compensating them leaves a range or a curve's domain.
+        surely_um: upper 95 % limit of the largest deviation over all poses; NaN if unknown.
+        at_least_um: lower 95 % limit of the largest deviation over all poses; NaN if unknown.
+        poses: number of poses.
+        out_of_reach: poses not included, because their compensation leaves a travel range or a curve's domain.
     """
 
     rms_um: float
     max_um: float
     where: Mapping[str, float]
-    as_it_is: Displaced
+    as_it_is: DisplacementSize
     u_max_um: float
     surely_um: float
     at_least_um: float
@@ -98,9 +98,9 @@ class Remaining:
     out_of_reach: int
 
     def enough(self, tolerance_um: float) -> bool | None:
-        """Whether the older calibration is still good enough; None if it cannot be told.
+        """Return whether the older calibration is still good enough; None if undecided.
 
-        The rule of ISO 14253-1: what is uncertain counts for neither answer.
+        Decision rule of ISO 14253-1: within the uncertainty neither conformance nor non-conformance is stated.
         """
         if not np.isfinite(self.surely_um):
             return None
@@ -115,31 +115,31 @@ class ToolChange:
     """The change at the tool.
 
     Attributes:
-        tool_length_mm: it holds for.
-        poses: over how many.
-        everything: all errors of both calibrations, those that only one has included; nothing removed.
-        everything_aligned: the same after aligning the workpiece anew.
-        judged: the errors that could be judged, alone; after aligning. None if there are none.
-        by_class: of the judged ones, by class of ISO/TR 16907; after aligning.
-        by_cause: what those of `causes` make alone; after aligning. Without U.
-        by_error: what each judged error's change makes alone; after aligning.
-        left: what the older calibration leaves.
+        tool_length_mm: tool length.
+        poses: number of poses.
+        everything: all errors of both calibrations, including those that only one contains, before aligning.
+        everything_aligned: the same after aligning the workpiece.
+        judged: the errors that could be tested, after aligning; None if there are none.
+        by_class: the tested errors by class of ISO/TR 16907, after aligning.
+        by_cause: each change of `JudgedErrors.causes` by itself, after aligning, without U.
+        by_error: each tested error's change by itself, after aligning.
+        left: the error that remains with the older calibration.
     """
 
     tool_length_mm: float
     poses: int
-    everything: Moved
-    everything_aligned: Moved
-    judged: Moved | None
-    by_class: Mapping[str, Moved]
-    by_cause: Mapping[str, Moved]
-    by_error: Mapping[str, Displaced]
+    everything: ToolDisplacement
+    everything_aligned: ToolDisplacement
+    judged: ToolDisplacement | None
+    by_class: Mapping[str, ToolDisplacement]
+    by_cause: Mapping[str, ToolDisplacement]
+    by_error: Mapping[str, DisplacementSize]
     left: Remaining
 
 
 @final
 class Alignment:
-    """A shift and a turn of the work frame, fitted to displacements of the tool point.
+    """A shift and rotation of the work frame, fitted to displacements of the tool point by least squares.
 
     Args:
         point_mm: (n, 3) the points, in the work frame.
@@ -157,15 +157,15 @@ class Alignment:
         self._basis = left[:, size > 1e-9 * size[0]]
 
     def removed(self, displacement: np.ndarray) -> np.ndarray:
-        """(n, 3, …) displacements without it."""
+        """Return the (n, 3, …) displacements without the fitted shift and rotation."""
         flat = displacement.reshape(len(self._basis), -1)
         return np.asarray((flat - self._basis @ (self._basis.T @ flat)).reshape(displacement.shape))
 
 
 @final
 @dataclass(frozen=True)
-class _Scene:
-    """Two calibrations at the same poses."""
+class _CommonPoses:
+    """Two calibrations evaluated at the same poses."""
 
     first: Calibration
     second: Calibration
@@ -181,8 +181,8 @@ class _Scene:
             self.first.machine, calibration, tool_length_mm=self.tool_length_mm, conditions=self.conditions
         )
 
-    def moved_um(self, keep: Callable[[str], bool] = lambda name: True) -> np.ndarray:
-        """(n, 3) second less first, of some of the errors."""
+    def displacement_um(self, keep: Callable[[str], bool] = lambda name: True) -> np.ndarray:
+        """Return the (n, 3) displacement, second less first, of the errors selected by ``keep``."""
         points = [
             self.kinematics(side.where(keep)).forward(self.q, self.sides).point_mm for side in (self.first, self.second)
         ]
@@ -190,16 +190,16 @@ class _Scene:
 
     @cached_property
     def state(self) -> dict[str, Any]:
-        """What effects are functions of."""
+        """The state of the machine that effects depend on."""
         return state_at(self.first.machine, self.q, self.sides, self.conditions)
 
     @cached_property
     def rates(self) -> np.ndarray:
-        """(n, 3, 6·frames) of the tool point by the error frames: metres a metre and a radian, which are µm a µm and a µrad."""
+        """The (n, 3, 6·frames) derivatives of the tool point by the error frames, m per m and rad, equal to µm per µm and µrad."""
         return self.kinematics(self.first).sensitivities(self.q, self.sides).error[:, :3]
 
-    def made_by(self, frame: Frame, components: Mapping[int, Any]) -> np.ndarray:
-        """(n, 3) µm that components of one error frame make at the tool point, to first order."""
+    def displacement_of(self, frame: Frame, components: Mapping[int, Any]) -> np.ndarray:
+        """Return the (n, 3) displacement of the tool point in µm due to components of one error frame, to first order."""
         frames = [(one.axis, one.role) for one in self.first.machine.frames]
         start = 6 * frames.index((frame.axis, frame.role))
         found = np.zeros((len(self.q), 3))
@@ -207,12 +207,12 @@ class _Scene:
             found += self.rates[:, :, start + component] * np.broadcast_to(value, len(self.q))[:, None]
         return found
 
-    def moved_by(self) -> dict[str, np.ndarray]:
-        """(n, 3) what the change of every error alone does to the tool point, µm, by its name: to first order."""
+    def displacement_by_error(self) -> dict[str, np.ndarray]:
+        """Return the (n, 3) displacement of the tool point in µm due to the change of each error, by name, to first order."""
         found: dict[str, np.ndarray] = {}
         for sign, side in ((-1.0, self.first), (1.0, self.second)):
             for effect in side.effects:
-                own = sign * self.made_by(effect.frame, effect.components(self.state))
+                own = sign * self.displacement_of(effect.frame, effect.components(self.state))
                 found[effect.name] = found.get(effect.name, 0.0) + own
         return found
 
@@ -223,14 +223,14 @@ class _Scene:
 @final
 @dataclass(frozen=True)
 class JudgedErrors:
-    """What of a change is known with its uncertainty.
+    """The errors whose change can be tested.
 
     Attributes:
-        classes: class of ISO/TR 16907 by the name of each such error.
-        drawn: those of them whose numbers are not the very same in both.
-        share: of false alarms, for all rows that are judged together.
-        causes: changes of which it is to be known what each makes alone, by the error's name.
-        whole_model: whether the two calibrations have all their effects; if some were left out, U of everything is unknown.
+        classes: class of ISO/TR 16907 by name of the error.
+        drawn: names of those whose numbers differ between the two.
+        share: probability of a false alarm, for all rows together.
+        causes: changes to be evaluated each by itself, by name of the error.
+        whole_model: whether the two calibrations have all their effects; if not, U of everything is unknown.
     """
 
     classes: Mapping[str, str]
@@ -250,60 +250,65 @@ def at_tool(
     poses: int = POSES,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> ToolChange:
-    """The change over the volume, as far as all curves of both are defined.
+    """Return the change at the tool over the part of the volume in which all curves of both calibrations are defined.
 
     Args:
-        first: the older calibration; no effect in it may need a channel that the conditions do not give.
-        second: the newer.
-        known: what of the change can be judged.
-        tool_length_mm: None for the machine file's own.
+        first: the older calibration; no effect in it may need a channel that the conditions lack.
+        second: the newer calibration, likewise.
+        known: the errors whose change can be tested.
+        tool_length_mm: tool length; None for the machine file's.
         conditions: temperatures and time.
-        poses: spread evenly over the ranges.
-        progress: called with a stage and the fraction done.
+        poses: number of poses, spread evenly over the ranges.
+        progress: called with the stage and the fraction done.
 
     Raises:
-        InputError: no pose lies within all curves.
+        InputError: no pose is within the domain of all curves.
     """
     machine = first.machine
     q = within(volume(machine, poses), first, second)
     at = Conditions() if conditions is None else conditions
     meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q)
-    scene = _Scene(first, second, tool_length_mm, at, q, drawn_sides(q), meant, Alignment(meant.point_mm))
+    scene = _CommonPoses(first, second, tool_length_mm, at, q, drawn_sides(q), meant, Alignment(meant.point_mm))
     progress("at the tool", 0.1)
-    whole = scene.moved_um()
+    whole = scene.displacement_um()
     judged, drawn = known.classes, known.drawn
     classes = [name for name in dict.fromkeys(judged.values()) if any(judged[e] == name for e in drawn)]
-    chance = {} if not drawn else _chance(scene, judged, drawn, classes, progress)
+    chance = {} if not drawn else _simulate_unchanged(scene, judged, drawn, classes, progress)
     complete = known.whole_model and all(effect.name in judged for side in (first, second) for effect in side.effects)
     whole_chance = chance if complete else {}
-    moved_by, level = scene.moved_by(), known.share / (1 + len(classes))
+    displacement_by_error, level = scene.displacement_by_error(), known.share / (1 + len(classes))
     removed = scene.alignment.removed
-    by_class = {name: np.sum([moved_by[e] for e in judged if judged[e] == name], axis=0) for name in classes}
-    by_cause = {name: scene.made_by(frame, parts(scene.state)) for name, (frame, parts) in known.causes.items()}
+    by_class = {
+        name: np.sum([displacement_by_error[e] for e in judged if judged[e] == name], axis=0) for name in classes
+    }
+    by_cause = {name: scene.displacement_of(frame, parts(scene.state)) for name, (frame, parts) in known.causes.items()}
     aligned = removed(whole)
-    of_judged = aligned if complete else removed(scene.moved_um(lambda name: name in judged))
+    of_judged = aligned if complete else removed(scene.displacement_um(lambda name: name in judged))
     return ToolChange(
         tool_length_mm=scene.kinematics(first).tool_length_mm,
         poses=len(q),
-        everything=_moved(scene, whole, whole_chance.get("raw", _NOTHING), level),
-        everything_aligned=_moved(scene, aligned, whole_chance.get("all", _NOTHING), level),
-        judged=_moved(scene, of_judged, chance["all"], level) if drawn else None,
-        by_class={name: _moved(scene, removed(d), chance.get(name, _NOTHING), level) for name, d in by_class.items()},
-        by_cause={name: _moved(scene, removed(d), _NOTHING, level) for name, d in by_cause.items()},
-        by_error={name: Displaced.of(removed(moved_by[name])) for name in drawn},
-        left=_left(scene, whole_chance.get("all", _NOTHING)),
+        everything=_tool_displacement(scene, whole, whole_chance.get("raw", _UNKNOWN), level),
+        everything_aligned=_tool_displacement(scene, aligned, whole_chance.get("all", _UNKNOWN), level),
+        judged=_tool_displacement(scene, of_judged, chance["all"], level) if drawn else None,
+        by_class={
+            name: _tool_displacement(scene, removed(d), chance.get(name, _UNKNOWN), level)
+            for name, d in by_class.items()
+        },
+        by_cause={name: _tool_displacement(scene, removed(d), _UNKNOWN, level) for name, d in by_cause.items()},
+        by_error={name: DisplacementSize.of(removed(displacement_by_error[name])) for name in drawn},
+        left=_remaining(scene, whole_chance.get("all", _UNKNOWN)),
     )
 
 
 @final
 @dataclass(frozen=True)
-class _Part:
-    """What chance makes of one quantity.
+class _Simulated:
+    """The simulated distribution of a displacement for an unchanged machine.
 
     Attributes:
-        rms_um: (draws,) over the poses; empty if unknown.
+        rms_um: (draws,) RMS over the poses; empty if unknown.
         u_um: (n,) U at every pose; empty if unknown.
-        factor: how many U hold all poses at once in 95 % of the draws; NaN if unknown.
+        factor: multiple of U that covers all poses at once in 95 % of the draws; NaN if unknown.
     """
 
     rms_um: np.ndarray
@@ -311,17 +316,17 @@ class _Part:
     factor: float = float("nan")
 
 
-_NOTHING: Final = _Part(np.zeros(0), np.zeros(0))
+_UNKNOWN: Final = _Simulated(np.zeros(0), np.zeros(0))
 
 
-def _chance(
-    scene: _Scene,
+def _simulate_unchanged(
+    scene: _CommonPoses,
     judged: Mapping[str, str],
     drawn: Collection[str],
     classes: list[str],
     progress: Callable[[str, float], None],
-) -> dict[str, _Part]:
-    """By draws of both calibrations' numbers."""
+) -> dict[str, _Simulated]:
+    """Simulate the displacements of an unchanged machine by draws of both calibrations' numbers."""
     owner = {
         number.name: effect.name
         for side in (scene.first, scene.second)
@@ -350,7 +355,7 @@ def _chance(
         for name, rows in groups.items():
             moved = sum(
                 rate[:, own] @ one[own] for rate, one, own in zip(rates, off, rows, strict=True)
-            )  # independent: the sign does not matter
+            )  # independent draws, so the sign is arbitrary
             shaped = np.asarray(moved).reshape(count, 3, DRAWS_A_STEP)
             found = {name: scene.alignment.removed(shaped)}
             if name == "all":
@@ -363,25 +368,29 @@ def _chance(
     u_um = {name: radius_95(squares[name] / DRAWS) for name in rms}
     moved_at_all = u_um["all"] > 1e-9 * u_um["all"].max()
     factor = float(np.quantile((distance[moved_at_all] / u_um["all"][moved_at_all, None]).max(axis=0), COVERAGE))
-    return {name: _Part(np.concatenate(rms[name]), u_um[name], factor if name == "all" else np.nan) for name in rms}
+    return {
+        name: _Simulated(np.concatenate(rms[name]), u_um[name], factor if name == "all" else np.nan) for name in rms
+    }
 
 
 def _point_rates(tool: ToolUncertainty, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """(3n, p) derivatives of the tool point by the uncertain numbers, µm a unit of each."""
+    """Return the (3n, p) derivatives of the tool point by the uncertain numbers, µm per unit of each."""
     error = tool.kinematics.sensitivities(q, sides).error[:, :3]
     found = np.zeros((len(q), 3, len(tool.parameters)))
     for component, columns, shape in tool.rates(q, sides):
-        # Metres a metre and a radian are µm a µm and a µrad.
+        # m per m and rad equal µm per µm and µrad.
         found[:, :, columns] += error[:, :, component, None] * shape[:, None, :]
     return found.reshape(3 * len(q), -1)
 
 
-def _moved(scene: _Scene, displacement: np.ndarray, chance: _Part, share: float) -> Moved:
+def _tool_displacement(
+    scene: _CommonPoses, displacement: np.ndarray, chance: _Simulated, share: float
+) -> ToolDisplacement:
     distance = np.linalg.norm(displacement, axis=1)
     row = int(np.argmax(distance))
     rms = float(np.sqrt(np.mean(distance**2)))
     known = len(chance.rms_um) > 0
-    return Moved(
+    return ToolDisplacement(
         rms,
         float(distance[row]),
         scene.place(row),
@@ -391,8 +400,8 @@ def _moved(scene: _Scene, displacement: np.ndarray, chance: _Part, share: float)
     )
 
 
-def _left(scene: _Scene, chance: _Part) -> Remaining:
-    """Commands that the older calibration makes, on the machine that the newer describes."""
+def _remaining(scene: _CommonPoses, chance: _Simulated) -> Remaining:
+    """Return the error of commands compensated with the older calibration on the machine described by the newer."""
     machine = scene.first.machine
     older, newer = (scene.kinematics(side) for side in (scene.first, scene.second))
     keep = np.ones(len(scene.q), dtype=bool)
@@ -403,10 +412,10 @@ def _left(scene: _Scene, chance: _Part) -> Remaining:
         reached = newer.forward(commands, scene.sides[keep]).point_mm
         off = (reached - scene.meant.point_mm[keep]) * 1e3
     else:
-        # Where there is no inverse, to first order: what one calibration takes away is what the other adds.
-        off = scene.moved_um()
+        # Without an inverse, to first order: the remaining error is the change.
+        off = scene.displacement_um()
     if not np.any(keep):
-        return Remaining(np.nan, np.nan, {}, Displaced(np.nan, np.nan), np.nan, np.nan, np.nan, 0, len(scene.q))
+        return Remaining(np.nan, np.nan, {}, DisplacementSize(np.nan, np.nan), np.nan, np.nan, np.nan, 0, len(scene.q))
     aligned = np.linalg.norm(Alignment(scene.meant.point_mm[keep]).removed(off), axis=1)
     row = int(np.argmax(aligned))
     known = len(chance.u_um) > 0
@@ -415,7 +424,7 @@ def _left(scene: _Scene, chance: _Part) -> Remaining:
         rms_um=float(np.sqrt(np.mean(aligned**2))),
         max_um=float(aligned[row]),
         where=scene.place(int(np.flatnonzero(keep)[row])),
-        as_it_is=Displaced.of(off),
+        as_it_is=DisplacementSize.of(off),
         u_max_um=float(u[row]),
         surely_um=float(np.max(aligned + chance.factor * u)),
         at_least_um=float(np.max(aligned - chance.factor * u)),

@@ -223,7 +223,12 @@ def compensate_files(
             tasks = _ProgramTasks(files, travel=own.scheduler is not None)
             say("programs", 0.0)
             answers = finished(
-                ProgramCompensator.compensate, worker, tasks, own, name=lambda task: str(task.program), return_errors=True
+                ProgramCompensator.compensate,
+                worker,
+                tasks,
+                own,
+                name=lambda task: str(task.program),
+                return_errors=True,
             )
             with closing(answers):
                 for count, (index, found) in enumerate(answers, 1):

@@ -1,4 +1,4 @@
-"""Given measured data: is there anything beyond noise, what is it, what could it be mistaken for."""
+"""The stages of a diagnosis: from measured data to errors beyond noise, their causes, and what these are confounded with."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Callable
 from threadpoolctl import threadpool_limits
 
 from twin.diagnosis.diagnosis import Diagnosis
-from twin.diagnosis.judgement.answer import answer
-from twin.diagnosis.judgement.causes import judged
-from twin.diagnosis.judgement.sizes import sized
+from twin.diagnosis.judgement.answer import conclude
+from twin.diagnosis.judgement.causes import report_causes
+from twin.diagnosis.judgement.sizes import estimate_sizes
 from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.selection.rows import diagnosis_task
-from twin.diagnosis.selection.searcher import selected
+from twin.diagnosis.selection.rows import exclude_outliers
+from twin.diagnosis.selection.searcher import select_causes
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
@@ -30,32 +30,31 @@ def diagnose(
     empirical: bool = False,
     say: Say | None = None,
 ) -> Diagnosis:
-    """Show what the model gets wrong about measured data, and name the cause.
+    """Find the errors that measured data show beyond the model, and their causes.
 
-    One stage after the other, each from one value to the next: the readings with their stations placed; what is to be solved, of the
-    rows that count, with the causes to try; the causes and patterns that were selected; their sizes; the causes as they are reported;
-    the answer.
+    The stages: place the stations, set outliers aside, select causes and unnamed patterns, estimate the sizes of the causes, add
+    alternatives and probabilities, and conclude.
 
     Args:
         data: the measurements.
         machine: the machine.
-        calibration: the model to be judged; the machine file's own if None.
-        instrument: what read the data; None where the table's uncertainties or the repeats say how it scatters.
-        empirical: whether what is left unexplained and belongs to the machine extends the calibration too, without a known cause
+        calibration: the model to be tested; the machine file's default if None.
+        instrument: the instrument whose noise model is used; None to take the table's uncertainties or the spread of repeats.
+        empirical: whether unexplained patterns of the machine extend the calibration too, without a known cause
             (`twin.diagnosis.judgement.extend`).
-        say: told what is being done and how far it is.
+        say: called with the present stage and the fraction done.
 
     Raises:
         InputError: data that cannot be a measurement of this machine.
     """
-    tell = say or (lambda stage, part: None)
+    report = say or (lambda stage, part: None)
     errors = Calibration.default(machine) if calibration is None else calibration
     with threadpool_limits(limits=1, user_api="blas"):
-        tell("placing the stations", 0.0)
+        report("placing the stations", 0.0)
         placed = readings(data, machine, errors, instrument)
-        tell("searching", 0.2)
-        question = diagnosis_task(placed)
-        found = selected(question)
-        tell("weighing", 0.7)
-        causes = judged(sized(found), errors)
-        return answer(causes, errors, empirical=empirical)
+        report("searching for causes", 0.2)
+        problem = exclude_outliers(placed)
+        found = select_causes(problem)
+        report("estimating their sizes", 0.7)
+        causes = report_causes(estimate_sizes(found), errors)
+        return conclude(causes, errors, empirical=empirical)

@@ -1,21 +1,21 @@
-"""The answer, in words as well."""
+"""The result of a diagnosis, with its text."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import final
 
-from twin.diagnosis.result import Answer
+from twin.diagnosis.result import DiagnosisResult
 from twin.diagnosis.wording.text import diagnosis_brief, diagnosis_text
 
 
 @final
 @dataclass(frozen=True)
-class Diagnosis(Answer):
-    """What the simulation gets wrong about measured data, and why; see `Answer` for the numbers."""
+class Diagnosis(DiagnosisResult):
+    """The errors that measured data show beyond the model, and their causes; see `DiagnosisResult` for the numbers."""
 
     def to_text(self) -> str:
-        """For people, in lines of at most 100 characters."""
+        """Return the diagnosis in words, in lines of at most 100 characters."""
         return diagnosis_text(self)
 
     def _repr_html_(self) -> str:

@@ -1,4 +1,4 @@
-"""What a diagnosis says, in values, words and JSON (contract §4)."""
+"""The result of a diagnosis as values and JSON (contract §4)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from twin.measurement.table import Measurements
 
 SCHEMA: Final = "twin.diagnosis/1"
 Next = Mapping[str, Any]
-"""A point worth measuring next, as the JSON has it."""
+"""A point to measure next, as in the JSON."""
 Verdict = Literal["consistent", "explained", "ambiguous", "unexplained"]
 
 
 @final
 @dataclass(frozen=True)
 class Quantity:
-    """One number found: value and standard uncertainty in a unit."""
+    """An estimated parameter: value, unit and standard uncertainty."""
 
     name: str
     value: float
@@ -33,12 +33,12 @@ class Quantity:
 @final
 @dataclass(frozen=True)
 class Rival:
-    """The best of what was tried in a cause's place, the other causes kept, and is ruled out.
+    """An alternative to a cause that the readings rule out, tested in its place with the other causes kept.
 
     Attributes:
         effect, where: contract §5.
-        share: of the excess residual sum of squares that it would explain there.
-        log_odds: natural log of how many times less likely it is, the price of both searches paid.
+        share: of the excess residual sum of squares that it would explain.
+        log_odds: natural log of how many times less likely it is, both corrected for the number of tests.
     """
 
     effect: str
@@ -55,17 +55,18 @@ class Cause:
     Attributes:
         effect, where, origin: contract §5.
         parameters: with standard uncertainties.
-        p_value: of what it explains given the other causes, the search paid for.
-        share: of the excess residual sum of squares.
-        equivalent: (effect, where) of what these data cannot tell from it.
-        evidence: one sentence a machinist can read.
-        pattern_um: (n, 3) what it does to each reading.
-        effects: what extends the model; empty for an instrument's.
-        promised: whether it is in the extended calibration; not what repeats at the positions measured, but foretells none left out.
-        bounded: whether a parameter stands at a physical bound, or a time constant at the length of the measurement.
-        rivals: what came next in its place and is ruled out, best first.
-        probability: that it or one of ``equivalent`` exists, by `twin.diagnosis.judgement.second_opinion`; None beside patterns
-        without a name. credible: 95 % credible set of the effect that corresponds to it there, or that was found in its place.
+        p_value: of the χ² it explains given the other causes, corrected for the number of tests.
+        share: of the excess residual sum of squares (over measurement noise) that it explains.
+        equivalent: (effect, where) of the causes it is confounded with in these data.
+        evidence: one sentence a machine operator can read.
+        pattern_um: (n, 3) its effect on each reading.
+        effects: the effects that extend the model; empty for an error of the instrument.
+        promised: whether it is in the extended calibration; false if the measured positions do not predict held-out ones.
+        bounded: whether a parameter is at a physical bound, or a time constant at the length of the measurement.
+        rivals: alternatives that are ruled out, best first.
+        probability: that it or one of ``equivalent`` exists, by `twin.diagnosis.judgement.second_opinion`; None if there are unnamed
+            patterns, or the cause is not ``promised``.
+        credible: 95 % credible set of the corresponding effect of that method, or of the effect found in its place.
     """
 
     effect: str
@@ -85,7 +86,7 @@ class Cause:
     credible: tuple[tuple[str, str], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """As in the JSON."""
+        """Return the entry of the JSON."""
         return {
             "effect": self.effect,
             "where": self.where,
@@ -105,13 +106,13 @@ class Cause:
 @final
 @dataclass(frozen=True)
 class HeldOut:
-    """Residuals of readings that the fit has not seen; the causes are those found on all readings that are worth it on the others.
+    """Residuals of held-out readings; of the causes found on all readings, those that are significant on the others are fitted.
 
     Attributes:
         of: what was held out: ``rounds``, ``positions``, ``poses`` or ``blocks`` of time.
-        groups: how many of these there are.
-        before_um, after_um: RMS a coordinate, without and with the causes chosen from the others.
-        ci95_um: 95 % interval of the difference, by group; None for fewer than six.
+        groups: number of independent groups.
+        before_um, after_um: RMS per coordinate, without and with the causes fitted to the other readings.
+        ci95_um: 95 % confidence interval of the difference, from the groups; None for fewer than six.
     """
 
     of: str
@@ -121,7 +122,7 @@ class HeldOut:
     ci95_um: tuple[float, float] | None
 
     def to_dict(self) -> dict[str, Any]:
-        """As in the JSON."""
+        """Return the entry of the JSON."""
         return {
             "of": self.of,
             "groups": self.groups,
@@ -137,12 +138,12 @@ class Term:
     """One pattern without a known cause, as an effect of the calibration.
 
     Attributes:
-        where: its place: ``tool by X_mm, Y_mm``.
-        along: axes of which frame it shifts along: ``base``, ``tool`` or ``work``.
-        columns: of the table.
-        ranges: lowest and highest value measured, by column; columns whose functions need no range are left out.
-        rms_um: what it does to the readings, RMS a coordinate.
-        reason: why no effect can be made of it; None where it can.
+        where: side and columns: ``tool by X_mm, Y_mm``.
+        along: frame along whose axes it shifts the targets: ``base``, ``tool`` or ``work``.
+        columns: columns of the table that it depends on.
+        ranges: lowest and highest measured value by column; periodic columns and approach directions have none.
+        rms_um: its effect on the readings, RMS per coordinate.
+        reason: why it cannot become an effect of the calibration; None if it can.
     """
 
     where: str
@@ -153,7 +154,7 @@ class Term:
     reason: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """As in the JSON."""
+        """Return the entry of the JSON."""
         return {
             "where": self.where,
             "along": self.along,
@@ -167,15 +168,15 @@ class Term:
 @final
 @dataclass(frozen=True)
 class Extension:
-    """Effects made of what is left unexplained (``effect: empirical``): without a known cause.
+    """Empirical effects (``effect: empirical``) fitted to the unexplained patterns, without a known cause.
 
     Attributes:
-        terms: one a pattern.
-        rms_um: what those that an effect can be made of do to the readings together, RMS a coordinate.
-        held_out: residuals of readings held out, with the named causes alone and with these effects beside them; None where no effect
-            can be made, or nothing can be held out.
-        written: whether they are in the extended calibration: only where held-out readings show that they gain.
-        reason: why they are not; None where they are.
+        terms: one per pattern.
+        rms_um: effect of the usable terms together on the readings, RMS per coordinate.
+        held_out: residuals of held-out readings, with the named causes alone and with these effects added; None without a usable term,
+            or if nothing can be held out.
+        written: whether they are in the extended calibration: only if they reduce the residuals of held-out readings.
+        reason: why they are not written; None if they are.
     """
 
     terms: tuple[Term, ...]
@@ -186,16 +187,16 @@ class Extension:
 
     @property
     def made(self) -> tuple[Term, ...]:
-        """The terms that an effect can be made of."""
+        """Return the terms that can become effects of a calibration."""
         return tuple(term for term in self.terms if term.reason is None)
 
     @property
     def ranges(self) -> Mapping[str, tuple[float, float]]:
-        """Of all columns together."""
+        """Return the measured ranges of all columns of the usable terms."""
         return {column: own for term in self.made for column, own in term.ranges.items()}
 
     def to_dict(self) -> dict[str, Any]:
-        """As in the JSON: all terms together first."""
+        """Return the entry of the JSON: all terms together first."""
         return {
             "where": "; ".join(term.where for term in self.made) or None,
             "columns": list(dict.fromkeys(column for term in self.made for column in term.columns)),
@@ -211,15 +212,15 @@ class Extension:
 @final
 @dataclass(frozen=True)
 class Unexplained:
-    """Structure no known effect accounts for.
+    """A pattern in the residuals that no known effect explains.
 
     Attributes:
         share: of the excess residual sum of squares.
-        depends_on: columns of the table; none if it is scatter.
+        depends_on: columns of the table; empty for excess noise without a pattern.
         carrier: ``tool``, ``work`` or ``both``.
         evidence: one sentence.
-        size_um: RMS a coordinate.
-        extension: effects made of it; None where they were not asked for.
+        size_um: RMS per coordinate.
+        extension: empirical effects fitted to it; None if not requested.
     """
 
     share: float
@@ -230,7 +231,7 @@ class Unexplained:
     extension: Extension | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """As in the JSON."""
+        """Return the entry of the JSON."""
         return {
             "share": self.share,
             "depends_on": list(self.depends_on),
@@ -244,13 +245,13 @@ class Unexplained:
 @final
 @dataclass(frozen=True)
 class Trend:
-    """How much of the misfit goes smoothly with a column, whatever the cause.
+    """A smooth dependence of the residuals on one column, before any cause is fitted.
 
     Attributes:
         column: of the table.
         carrier: ``tool`` or ``work``.
-        explains: chi² of a few smooth functions of the column.
-        p_value: chance of as much in any column of either side without any cause.
+        explains: χ² explained by a few smooth functions of the column.
+        p_value: corrected for the number of columns and sides tested.
     """
 
     column: str
@@ -262,15 +263,15 @@ class Trend:
 @final
 @dataclass(frozen=True)
 class Gain:
-    """What modelling the causes changes.
+    """The gain of modelling the causes.
 
     Attributes:
-        rms_before_um, rms_after_um: of the residuals a coordinate, all readings, with the calibration before and with the one that is
-            written; what was found of the instrument is taken out of the readings.
-        held_out: None where nothing can be held out.
-        tool_before_um, tool_after_um: RMS error at the tool tip over the volume after compensating with each model, the extended one
-            taken as the machine; what is found but not in the file stays in both.
-        tool_length_mm: of the tool that is for: the machine file's, or a usual one.
+        rms_before_um, rms_after_um: RMS residual per coordinate of all readings, with the given and with the extended calibration;
+            for the latter, instrument errors found are subtracted from the readings.
+        held_out: residuals of held-out readings; None if nothing can be held out.
+        tool_before_um, tool_after_um: RMS error at the tool tip over the volume after compensating with each calibration, on a machine
+            as the extended one describes it; errors found that are not in the file remain in both.
+        tool_length_mm: tool length assumed: the machine file's, or a typical one.
     """
 
     rms_before_um: float
@@ -282,30 +283,30 @@ class Gain:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """The answer in numbers (`twin.diagnosis.diagnosis.Diagnosis` says it in words as well).
+class DiagnosisResult:
+    """The result of a diagnosis in numbers (`twin.diagnosis.diagnosis.Diagnosis` adds words).
 
     Attributes:
         verdict: ``consistent``, ``explained``, ``ambiguous`` or ``unexplained``.
-        rms_um, expected_rms_um: of the residuals a coordinate, as read and as the readings' scatter lets expect.
-        absorbed_rms_um: of what is left once the uncertainty that the calibration states has taken up what it can.
-        points, dof, p_value: how many, and the chance of as large a misfit without any cause.
+        rms_um, expected_rms_um: RMS residual per coordinate, actual and expected from measurement noise.
+        absorbed_rms_um: RMS residual per coordinate after allowing for the uncertainty stated in the calibration.
+        points, dof, p_value: number of readings, degrees of freedom, and p-value of the residuals without any cause.
         causes: strongest first.
-        unexplained: structure that is left, or None.
-        unidentifiable: (effect, where) that these data could not show, however large.
-        looks_like: what looks the same as each of them, in words.
-        not_evaluated: (effect, where, column that is missing).
-        gain: None where nothing was found, named or written without a name.
-        next_measurement: points worth measuring next, with what they would tell.
-        trends: where the misfit is, by column and side, clearest first; what could be chance is left out.
-        ranking: (effect, where, what it explains, p-value) of the causes tried alone, best first.
-        tried: how many causes were tried.
-        scatter: whose scatter the readings are judged by.
-        calibration, extended: before and after.
-        data: what was used; set-aside rows are listed there.
-        residual_um, after_um: (n, 3) residuals a coordinate before and after; NaN where nothing was read.
-        directions: (n, 3, 3) a row a coordinate: direction in the machine's base along which it counts; zero where nothing was read.
-        precision: (n, 3, 3) inverse covariance of each reading, µm⁻²; zero where nothing was read.
+        unexplained: pattern or excess noise that no cause explains, or None.
+        unidentifiable: (effect, where) of the causes that these data cannot show, whatever their size.
+        looks_like: what each of them is confounded with, in words.
+        not_evaluated: (effect, where, missing column).
+        gain: None if the model does not change.
+        next_measurement: points to measure next, with the causes they separate.
+        trends: significant dependence of the residuals on single columns, by column and side, clearest first.
+        ranking: (effect, where, χ² explained, p-value) of the causes tested one by one, best first.
+        tried: number of causes tested.
+        noise_source: source of the measurement noise, in words.
+        calibration, extended: the given and the extended calibration.
+        data: the readings used; it lists the rows set aside.
+        residual_um, after_um: (n, 3) residuals without and with the causes; NaN where no coordinate was measured.
+        directions: (n, 3, 3) a row per coordinate: its direction in the machine's base; zero where not measured.
+        precision: (n, 3, 3) inverse covariance of each reading, µm⁻²; zero where not measured.
     """
 
     verdict: Verdict
@@ -325,7 +326,7 @@ class Answer:
     trends: tuple[Trend, ...]
     ranking: tuple[tuple[str, str, float, float], ...]
     tried: int
-    scatter: str
+    noise_source: str
     calibration: Calibration
     extended: Calibration
     data: Measurements
@@ -336,11 +337,11 @@ class Answer:
 
     @property
     def warnings(self) -> tuple[SourceWarning, ...]:
-        """Warnings of where the readings and the calibration come from."""
+        """Return the warnings on the origin of the readings and of the calibration."""
         return merged(self.calibration.warnings, (SIMULATED,) if self.data.simulated else ())
 
     def to_dict(self) -> dict[str, Any]:
-        """``schema: twin.diagnosis/1``."""
+        """Return the JSON (``schema: twin.diagnosis/1``)."""
         gain = self.gain
         return {
             "schema": SCHEMA,
@@ -377,7 +378,7 @@ class Answer:
                 {"column": t.column, "carrier": t.carrier, "explains": t.explains, "p_value": t.p_value}
                 for t in self.trends
             ],
-            "scatter": self.scatter,
+            "scatter": self.noise_source,
             "set_aside": [{"line": note.line, "reason": note.text} for note in self.data.set_aside],
             "notices": list(self.data.notices),
             "warnings": to_json(self.warnings),
@@ -385,5 +386,5 @@ class Answer:
 
 
 def readable_unit(unit: str) -> str:
-    """A unit as people write it: ``um/(m.K)`` → µm/(m·K)."""
+    """Return a unit in typographic form: ``um/(m.K)`` → µm/(m·K)."""
     return unit.replace("urad", "µrad").replace("um", "µm").replace("m2", "m²").replace(".", "·")

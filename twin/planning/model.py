@@ -119,7 +119,11 @@ class PlanModel:
         offsets: list[str] | None = None
         while True:
             model = cls._with_constants(machine, plan, setting, instrument, expected, known, offsets)
-            unseen = offset_unseen(model.unknowns, model.determinability.remaining_variance) if model.unknowns.offsets else None
+            unseen = (
+                offset_unseen(model.unknowns, model.determinability.remaining_variance)
+                if model.unknowns.offsets
+                else None
+            )
             if unseen is None:
                 return model
             offsets = [name for name in model.unknowns.offsets if name != unseen]

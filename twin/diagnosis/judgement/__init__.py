@@ -1,1 +1,1 @@
-"""What follows from the causes that stand: doubts, gains, what could as well be, what to measure next."""
+"""Conclusions from the selected causes: sizes, alternatives, probabilities, gain, and what to measure next."""

@@ -1,7 +1,7 @@
-"""From the causes to the answer: what is left, the extended calibration, what it gains, and what these data could not show.
+"""From the causes to the result: unexplained residuals, the extended calibration, its gain, and the causes that are not identifiable.
 
-What the causes leave is either patterns without a name or more scatter than stated. A cause that data could not show, however large,
-looks like something of the set-up or of the calibration's own uncertainty: which, is said.
+Residuals that the causes do not explain are either unnamed patterns or excess noise. A cause that is not identifiable is confounded
+with the set-up or with the uncertainty of the calibration; the result says with which.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from twin._common.distributions import chi2_sf, f_sf
 from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import LARGEST
 from twin.diagnosis.diagnosis import Diagnosis
-from twin.diagnosis.judgement.causes import Judged
-from twin.diagnosis.judgement.extend import Extended, extend
-from twin.diagnosis.judgement.gain import gain, of_file
-from twin.diagnosis.judgement.sizes import Sized
+from twin.diagnosis.judgement.causes import ReportedCauses
+from twin.diagnosis.judgement.extend import EmpiricalExtension, extend
+from twin.diagnosis.judgement.gain import gain, residuals_as_written
+from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.forms import LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.problem.noise import ReadingNoise
 from twin.diagnosis.problem.problem import Problem, rms, unwhiten, unwhitened_um
 from twin.diagnosis.result import Trend, Unexplained, Verdict
 from twin.diagnosis.selection.structure import Findings
-from twin.diagnosis.selection.unnamed import Trace, scan
+from twin.diagnosis.selection.unnamed import PatternTest, scan_patterns
 from twin.identification.solve import named_setup
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
@@ -35,55 +35,56 @@ from twin.numerics.covariance import Covariance
 from twin.numerics.observability import Unknown, determinability
 
 MOSTLY_EXPLAINED: Final = 0.1
-"""Share of the excess that causes may leave and still count as the explanation."""
+"""Share of the excess that may remain unexplained for the verdict ``explained``."""
 RANKED: Final = 12
+"""Largest number of causes in the ranking."""
 
 
-def answer(judged: Judged, calibration: Calibration, *, empirical: bool = False) -> Diagnosis:
-    """The whole answer.
+def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: bool = False) -> Diagnosis:
+    """Return the complete diagnosis.
 
     Args:
-        judged: the causes as they are reported.
-        calibration: the model that was judged.
-        empirical: whether what is left unexplained extends the calibration as well.
+        reported: the causes as they are reported.
+        calibration: the calibration tested.
+        empirical: whether unexplained patterns extend the calibration as well.
     """
-    sized, found = judged.sized, judged.sized.found
+    sized, found = reported.sized, reported.sized.found
     problem, network = found.problem, found.problem.network
-    misfit = misfit_of(sized)
+    misfit = residual_statistics(sized)
     left = misfit.left
-    unnamed = extend(sized, calibration) if empirical and left is not None else None
-    if left is not None and unnamed is not None:
-        left = replace(left, extension=unnamed.extension)
-    extended = _extended(judged, calibration, unnamed)
+    empirical_extension = extend(sized, calibration) if empirical and left is not None else None
+    if left is not None and empirical_extension is not None:
+        left = replace(left, extension=empirical_extension.extension)
+    extended = _extended(reported, calibration, empirical_extension)
     changed = bool(sized.forms or extended is not calibration)
     instrument = sized.estimate.signature[:, [not own for own in sized.estimate.effects]].sum(axis=1)
     residual = unwhitened_um(problem, problem.residual)
-    after = of_file(problem, extended, instrument) if changed else residual
+    after = residuals_as_written(problem, extended, instrument) if changed else residual
     hidden = _unidentifiable(found)
     weights = network.whitening
     return Diagnosis(
-        verdict=_verdict(judged, left),
+        verdict=_verdict(reported, left),
         rms_um=rms(residual, network.read),
         absorbed_rms_um=rms(unwhitened_um(problem, problem.projected), network.read),
         expected_rms_um=misfit.expected_um,
         points=len(network.data),
         dof=problem.dof,
-        p_value=min([misfit.p_value, *(cause.p_value for cause in judged.causes)]),
-        causes=judged.causes,
+        p_value=min([misfit.p_value, *(cause.p_value for cause in reported.causes)]),
+        causes=reported.causes,
         unexplained=left,
         unidentifiable=tuple(hidden),
         looks_like=MappingProxyType(hidden),
         not_evaluated=found.task.catalogue.not_evaluated,
-        next_measurement=judged.next_measurement,
+        next_measurement=reported.next_measurement,
         trends=misfit.trends,
         ranking=_ranking(found.candidates),
-        # Last: it puts the candidates back to what was tried.
-        gain=gain(sized, (residual, after), left, unnamed) if changed else None,
+        # Evaluated last: it resets the pool.
+        gain=gain(sized, (residual, after), left, empirical_extension) if changed else None,
         tried=len(found.task.catalogue.candidates),
-        scatter=found.task.noise.source,
+        noise_source=found.task.noise.source,
         calibration=calibration,
         extended=extended,
-        data=replace(network.data, notices=(*network.data.notices, *judged.notices)),
+        data=replace(network.data, notices=(*network.data.notices, *reported.notices)),
         residual_um=locked(residual),
         after_um=locked(after),
         directions=locked(unwhiten(problem, problem.view.by_base)),
@@ -91,31 +92,33 @@ def answer(judged: Judged, calibration: Calibration, *, empirical: bool = False)
     )
 
 
-def _extended(judged: Judged, calibration: Calibration, unnamed: Extended | None) -> Calibration:
-    """The calibration with the causes that are promised, and with what was made of the rest."""
-    effects: list[Effect] = judged.sized.effects
-    covariance = judged.sized.covariance
-    if unnamed is not None:
-        effects = [*effects, *unnamed.effects]
-        # Independent: the causes' covariance already holds what the patterns can do to them.
-        covariance = Covariance.of_blocks([covariance, unnamed.covariance])
+def _extended(
+    reported: ReportedCauses, calibration: Calibration, empirical_extension: EmpiricalExtension | None
+) -> Calibration:
+    """Return the calibration extended by the promised causes and by the empirical effects, if any."""
+    effects: list[Effect] = reported.sized.effects
+    covariance = reported.sized.covariance
+    if empirical_extension is not None:
+        effects = [*effects, *empirical_extension.effects]
+        # As independent blocks: the covariance of the causes already contains the influence of the patterns.
+        covariance = Covariance.of_blocks([covariance, empirical_extension.covariance])
     if not effects:
         return calibration
-    data = judged.sized.found.problem.network.data
+    data = reported.sized.found.problem.network.data
     source = "extended by twin diagnose from " + data.source
     return calibration.extended(effects, covariance, source, simulated=data.simulated)
 
 
-def _verdict(judged: Judged, left: Unexplained | None) -> Verdict:
+def _verdict(reported: ReportedCauses, left: Unexplained | None) -> Verdict:
     if left is not None and left.share > MOSTLY_EXPLAINED:
         return "unexplained"
-    if not judged.causes:
-        return "ambiguous" if judged.disagree else "consistent"
-    return "ambiguous" if judged.disagree or any(cause.equivalent for cause in judged.causes) else "explained"
+    if not reported.causes:
+        return "ambiguous" if reported.disagree else "consistent"
+    return "ambiguous" if reported.disagree or any(cause.equivalent for cause in reported.causes) else "explained"
 
 
 def _unidentifiable(found: Findings) -> dict[tuple[str, str], str]:
-    """Candidates that the data could not show, and what looks the same as each."""
+    """Return the candidates that the data cannot show, with what each is confounded with."""
     candidates = found.candidates
     seen: dict[tuple[str, str], bool] = {}
     for form, score in zip(candidates.forms, candidates.scores([], range(len(candidates.forms))), strict=True):
@@ -139,22 +142,23 @@ def _ranking(candidates: Candidates) -> tuple[tuple[str, str, float, float], ...
 
 
 SEEN_AT: Final = 0.05
-"""Chance below which a column is said to go with the misfit."""
+"""p-value below which a trend of the residuals with a column is reported."""
 LARGE: Final = 1e-4
+"""p-value of the residuals from which on they count as noise."""
 SMALL: Final = 0.01
-"""Share of the excess below which what is left beside causes is noted, and no finding: real machines have some everywhere."""
+"""Share of the excess below which unexplained residuals are not a finding: real machines always have some."""
 
 
 @final
 @dataclass(frozen=True)
-class WholeMisfit:
-    """The misfit of the readings.
+class ResidualStatistics:
+    """The residuals of all readings.
 
     Attributes:
-        p_value: chance of as large a one without any cause.
-        expected_um: RMS a coordinate that the scatter lets expect.
-        trends: columns it goes with, one by one, before any cause is taken out.
-        left: what the causes leave of it; None where that is no more than scatter.
+        p_value: of the residuals without any cause.
+        expected_um: RMS per coordinate expected from measurement noise.
+        trends: columns that the residuals depend on, one by one, before any cause is fitted.
+        left: unexplained residuals; None if they are compatible with noise.
     """
 
     p_value: float
@@ -163,31 +167,36 @@ class WholeMisfit:
     left: Unexplained | None
 
 
-def misfit_of(sized: Sized) -> WholeMisfit:
-    """The misfit, and what the causes leave of it.
+def residual_statistics(sized: SizedCauses) -> ResidualStatistics:
+    """Return the statistics of the residuals, and those the causes do not explain.
 
     Args:
-        sized: the causes, with their sizes.
+        sized: the causes with their sizes.
     """
     problem, found = sized.found.problem, sized.found
-    chances = [_p_value(problem, found.task.noise), *(float(np.exp(t.log_paid)) for t in found.structure.traces)]
-    return WholeMisfit(min(chances), _expected_um(problem), _trends(found), _unexplained(sized))
+    chances = [
+        _p_value(problem, found.task.noise),
+        *(float(np.exp(t.log_p_corrected)) for t in found.structure.pattern_tests),
+    ]
+    return ResidualStatistics(min(chances), _expected_um(problem), _trends(found), _unexplained(sized))
 
 
-def _unexplained(sized: Sized) -> Unexplained | None:
-    """What the causes leave: the patterns, or more scatter than stated."""
+def _unexplained(sized: SizedCauses) -> Unexplained | None:
+    """Return the unexplained residuals: unnamed patterns, or excess noise."""
     found, forms, excess = sized.found, sized.forms, sized.excess
     problem, structure = found.problem, found.structure
-    if structure.traces:
+    if structure.pattern_tests:
         patterns_um = unwhitened_um(problem, structure.pattern(forms))
         share = float(np.clip(structure.explained(forms) / excess, 0.0, 1.0))
-        columns = tuple(dict.fromkeys(name for trace in structure.traces for name in trace.pattern.names))
-        sides = {trace.pattern.side for trace in structure.traces}
+        columns = tuple(
+            dict.fromkeys(name for pattern_test in structure.pattern_tests for name in pattern_test.pattern.names)
+        )
+        sides = {pattern_test.pattern.side for pattern_test in structure.pattern_tests}
         carrier = sides.pop() if len(sides) == 1 else "both"
         size = float(np.sqrt(np.nansum(patterns_um**2) / max(np.count_nonzero(problem.network.read), 1)))
         text = (
-            f"a pattern that goes with {' and '.join(columns)} on the {carrier} side, {size:.2g} µm RMS a coordinate, "
-            f"{100 * share:.2g} % of the excess, fits no effect that is known here"
+            f"a pattern that depends on {' and '.join(columns)} on the {carrier} side, {size:.2g} µm RMS per coordinate, "
+            f"{100 * share:.2g} % of the excess, matches no known effect"
         )
         return Unexplained(share, columns, carrier, text, size)
     after = problem.chi2 - sized.estimate.explained
@@ -196,33 +205,35 @@ def _unexplained(sized: Sized) -> Unexplained | None:
     if more >= LARGE or (forms and share <= SMALL):
         return None
     size = float(np.sqrt(max(after / problem.dof - 1.0, 0.0))) * _expected_um(problem)
-    what = "more scatter than stated" + (" is left" if forms else "")
-    return Unexplained(share, (), "both", f"{what}, without any pattern in the columns given", size)
+    what = "the residuals exceed the stated noise" + (" even with the causes in the model" if forms else "")
+    return Unexplained(share, (), "both", f"{what}, without a pattern in any column of the table", size)
 
 
 def _trends(found: Findings) -> tuple[Trend, ...]:
-    """Columns the misfit goes with, one by one, before any cause is taken out."""
+    """Return the columns that the residuals depend on, one by one, before any cause is fitted."""
     single = [pattern for pattern in found.patterns if len(pattern.channels) == 1]
-    best: dict[tuple[str, str], Trace] = {}
-    for trace in scan(found.problem, [one for one in single if one.field == "base"], (), found.task.noise.dof):
-        best.setdefault((trace.pattern.side, trace.pattern.names[0]), trace)
+    best: dict[tuple[str, str], PatternTest] = {}
+    for pattern_test in scan_patterns(
+        found.problem, [one for one in single if one.field == "base"], (), found.task.noise.dof
+    ):
+        best.setdefault((pattern_test.pattern.side, pattern_test.pattern.names[0]), pattern_test)
     return tuple(
-        Trend(column, side, trace.explained, float(np.exp(trace.log_paid)))
-        for (side, column), trace in best.items()
-        if trace.log_paid < np.log(SEEN_AT)
+        Trend(column, side, pattern_test.explained, float(np.exp(pattern_test.log_p_corrected)))
+        for (side, column), pattern_test in best.items()
+        if pattern_test.log_p_corrected < np.log(SEEN_AT)
     )
 
 
-def _p_value(problem: Problem, scatter: ReadingNoise, chi2: float | None = None, fitted: int = 0) -> float:
-    """Chance of as large a misfit without any cause, or of a misfit once some numbers were fitted."""
+def _p_value(problem: Problem, noise: ReadingNoise, chi2: float | None = None, fitted: int = 0) -> float:
+    """Return the p-value of the residuals without any cause, or of a given χ² after fitting some parameters."""
     chi2, dof = problem.chi2 if chi2 is None else chi2, max(problem.dof - fitted, 1)
-    if np.isfinite(scatter.dof):
-        return float(f_sf(chi2 / dof, dof, scatter.dof))
+    if np.isfinite(noise.dof):
+        return float(f_sf(chi2 / dof, dof, noise.dof))
     return float(chi2_sf(chi2, dof))
 
 
 def _expected_um(problem: Problem) -> float:
-    """RMS a coordinate that the scatter lets expect, µm."""
+    """Return the RMS residual per coordinate expected from measurement noise, µm."""
     variances = np.einsum("nii->ni", problem.network.covariance)[problem.network.read]
     return float(np.sqrt(np.mean(variances) * problem.dof / problem.readings)) * 1e6
 
@@ -231,17 +242,17 @@ ITSELF: Final = "itself"
 
 
 def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str], str]:
-    """A sentence for every candidate that none of its forms shows.
+    """Return for each candidate that is not identifiable what it is confounded with, in words.
 
     Args:
         problem: the data.
-        forms: of those candidates, all of them.
+        forms: all forms of these candidates.
     """
     every = list(dict.fromkeys((form.key, column) for form in forms for column in form.variant.columns))
     if not every:
         return {}
     found = problem.products([column for _, column in every])
-    # Beside the set-up there is next to nothing of them; what there was before is what the basis has of it, too.
+    # Little of these columns remains after projecting out the set-up; the basis holds the part that was projected out.
     sizes_of = np.sqrt(np.maximum(np.diag(found.gram), 0.0) + np.sum(found.basis**2, axis=0))
     strongest: dict[tuple[str, str], tuple[float, int]] = {}
     for i, ((key, _), size) in enumerate(zip(every, sizes_of.tolist(), strict=True)):
@@ -250,7 +261,7 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
     own = [i for _, i in strongest.values()]
     setup = named_setup(problem.setup)
     count, doubt = len(setup), len(problem.prior)
-    # All of it in the directions of the basis, and what of the causes is beside them.
+    # The whole in the directions of the basis, and the part of the causes orthogonal to it.
     values, vectors = np.linalg.eigh(found.gram[np.ix_(own, own)])
     beside = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     whole = np.zeros((len(problem.nuisance_coordinates) + len(own), doubt + count + len(own)))
@@ -258,28 +269,28 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
         [problem.nuisance_coordinates[:, count:], problem.nuisance_coordinates[:, :count], found.basis[:, own]], axis=1
     )
     whole[len(problem.nuisance_coordinates) :, doubt + count :] = beside
-    # Triangular, the calibration's doubt first: below it stands what that doubt does not take up, and every choice among its columns
-    # is a factor of theirs.
+    # Triangular, the calibration's uncertainty first: the rows below it hold what that uncertainty does not absorb, and any choice of
+    # their columns is a factor of the corresponding part.
     left = np.asarray(np.linalg.qr(whole, mode="r"))[doubt:, doubt:]
-    # Columns are in plausible sizes; of the cause one is a millimetre or milliradian at its largest.
+    # Columns are in plausible sizes; a unit of the cause is at most one millimetre or milliradian.
     sizes = np.array([*(one.plausible * one.factor for one in setup), 1.0])
     unknowns = [*setup, Unknown(ITSELF, "", 1.0)]
     said = {}
     for k, (key, (size, _)) in enumerate(strongest.items()):
         if size**2 <= LEAST_NONCENTRALITY:
-            said[key] = "nothing that was moved shows it"
+            said[key] = "no motion in the measurement shows it"
             continue
         if float(np.linalg.norm(left[:, count + k])) ** 2 <= LEAST_NONCENTRALITY:
-            said[key] = "the calibration itself is not known well enough"
+            said[key] = "the uncertainty of the calibration hides it"
             continue
         columns = np.array([*range(count), count + k])
-        told = determinability(left[:, columns] / sizes, unknowns, tolerance=float(np.sqrt(LEAST_NONCENTRALITY)))
-        direction = told.null_direction_of(ITSELF)
+        observed = determinability(left[:, columns] / sizes, unknowns, tolerance=float(np.sqrt(LEAST_NONCENTRALITY)))
+        direction = observed.null_direction_of(ITSELF)
         if direction is None:
-            said[key] = "stations, targets and the calibration's own doubt together take it up"
+            said[key] = "confounded with the stations, the targets and the uncertainty of the calibration together"
             continue
         first, *others = direction.moves
-        # What makes up for it is the opposite of what it looks like.
+        # The compensating moves, with opposite sign, are what it looks like.
         same = ", ".join(f"{move.name} {-move.value / first.value:+.3g} {move.unit}" for move in others)
-        said[key] = f"{LARGEST * 1e-3:g} mm or mrad of it looks like {same}"
+        said[key] = f"{LARGEST * 1e-3:g} mm or mrad of it is equivalent to {same}"
     return said

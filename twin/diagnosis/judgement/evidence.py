@@ -1,4 +1,4 @@
-"""What speaks for a cause, in a sentence, and what was done wrong in making the calibration where that is plain."""
+"""Evidence for a cause in a sentence, and likely mistakes in the making of the calibration."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from twin.diagnosis.candidates.flaws import ITSELF, constant_dropped, flaw, time
 from twin.diagnosis.estimate.estimate import Estimate
 from twin.diagnosis.problem.forms import Candidates, Form
 from twin.diagnosis.result import readable_unit
-from twin.diagnosis.selection.left_out import foretells
+from twin.diagnosis.selection.left_out import predicts_held_out
 from twin.diagnosis.wording.words import listed
 from twin.machine.calibration import Calibration
 from twin.machine.effects.specification import Found
 from twin.numerics.waves import SHORTEST_PERIOD, sampling
 
 ALIKE: Final = 9.0
-"""Chi² (three standard deviations) by which a period must fit worse to be another than the best."""
+"""χ² (three standard deviations) by which a period must fit worse than the best to be ruled out."""
 
 
 def evidence(form: Form, found: Estimate, k: int) -> str:
-    """What the k-th cause does, and how far beyond its uncertainty that is."""
+    """Return the effect of the k-th cause in words, with its size in standard uncertainties."""
     specification = form.candidate.specification
     sizes = [q for q in found.quantities[k] if q.name not in {*specification.nonlinear, *form.variant.fixed}]
     size = max(sizes, key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
@@ -33,13 +33,13 @@ def evidence(form: Form, found: Estimate, k: int) -> str:
 
 
 def curve_flaw(candidates: Candidates, forms: Sequence[Form], form: Form, calibration: Calibration) -> str:
-    """What was done wrong in making the calibration's own curve, if that is plain."""
+    """Return the likely mistake in the calibration's curve, in words; empty if none is recognised."""
     space, curve = form.candidate.space, calibration.curves.get(form.candidate.where)
     if curve is not None:
         curve = curve.in_powers()
     if space is None or curve is None or curve.basis != space.basis.name or curve.domain != space.domain:
         return ""
-    # With as many functions as the calibration's curve has: what they all are is asked, not what need be corrected.
+    # With as many functions as the calibration's curve: all coefficients are needed, not only significant corrections.
     count = max(len(curve.coefficients), len(form.columns))
     wide = next(
         (
@@ -58,7 +58,7 @@ def curve_flaw(candidates: Candidates, forms: Sequence[Form], form: Form, calibr
         size = float(values[own[0]] * scale[0])
         text = times(1.0 + size) if form.variant.fixed["stops"] == ITSELF else constant_dropped(curve, size)
     else:
-        # Functions that the form leaves out it says nothing of: no correction, and none known.
+        # For functions not in the form the correction is zero and has no uncertainty.
         first = round(wide.variant.fixed.get("first", 0.0))
         correction = np.concatenate([np.zeros(first), values[own] * scale])
         covariance = np.zeros((len(correction), len(correction)))
@@ -68,7 +68,7 @@ def curve_flaw(candidates: Candidates, forms: Sequence[Form], form: Form, calibr
 
 
 def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form) -> str:
-    """Why a cause is not promised between the measured positions; empty if it is.
+    """Return why a cause is not valid between the measured positions; empty if it is.
 
     Args:
         candidates: the data.
@@ -78,14 +78,14 @@ def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form)
     periods = _other_periods(candidates, forms, form)
     if periods:
         other = listed([f"{one:.3g}" for one in periods])
-        return f"; with other periods, as {other}, it fits as well at these positions: nothing is promised between them"
-    if not foretells(candidates, form, forms):
-        return "; no curve through the positions measured foretells those left out: nothing is promised between them"
+        return f"; other periods ({other} mm) fit equally well at these positions, so the error between them is unknown"
+    if not predicts_held_out(candidates, form, forms):
+        return "; a curve through these positions does not predict held-out ones, so the error between them is unknown"
     return ""
 
 
 def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) -> list[float]:
-    """Periods, mm, at which a pitch error fits the readings as well (aliases)."""
+    """Return other periods, mm, at which a pitch error fits the readings equally well (aliases)."""
     if "period" not in form.variant.fixed:
         return []
     network = candidates.problem.network

@@ -1,7 +1,7 @@
-"""Effects without a known cause, made of the patterns that no named cause explains.
+"""Empirical effects, without a known cause, fitted to the patterns that no named cause explains.
 
-Their coefficients are what is most likely at the variances of the patterns, beside the causes as they are written. They enter a
-calibration only where readings held out confirm them, and hold only within the ranges that were measured.
+Their coefficients are the most likely ones at the variances of the patterns, with the causes fixed at their written sizes. They enter
+a calibration only if held-out readings confirm them, and are valid only within the measured ranges.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 from twin._common.arrays import locked
 from twin._common.errors import InputError
 from twin.diagnosis.judgement.held_out import held_out_patterns
-from twin.diagnosis.judgement.sizes import Sized
+from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.problem import Problem, rms, unwhitened_um
 from twin.diagnosis.result import Extension, HeldOut, Term
 from twin.diagnosis.selection.left_out import ENOUGH
 from twin.diagnosis.selection.likelihood import Likelihood
-from twin.diagnosis.selection.unnamed import Trace
+from twin.diagnosis.selection.unnamed import PatternTest
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Empirical
 from twin.machine.empirical_entry import acting_frame, usable, where_of
@@ -32,15 +32,15 @@ DIRECTIONS: Final = 3
 
 @final
 @dataclass(frozen=True, eq=False)
-class Extended:
-    """What is made of the patterns.
+class EmpiricalExtension:
+    """Empirical effects fitted to the unexplained patterns.
 
     Attributes:
-        extension: what is said of it.
-        effects: those that are written; none where held-out readings do not confirm them.
+        extension: their description in the result.
+        effects: those that are written; empty if held-out readings do not confirm them.
         covariance: of their parameters.
-        written: numbers of the patterns they are made of.
-        left_um: RMS a coordinate of the patterns that are not written beside these.
+        written: numbers of their patterns.
+        left_um: RMS per coordinate of the patterns that are not written.
     """
 
     extension: Extension
@@ -50,17 +50,17 @@ class Extended:
     left_um: float
 
 
-def extend(sized: Sized, calibration: Calibration) -> Extended:
-    """Make an effect of each pattern, and hold readings out to see whether they gain.
+def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
+    """Fit an empirical effect to each pattern, and test on held-out readings whether the effects reduce the residuals.
 
     Args:
-        sized: the causes that stand, with their sizes.
-        calibration: the model that was judged.
+        sized: the causes with their sizes.
+        calibration: the calibration tested.
     """
     found, forms = sized.found, sized.forms
     likelihood = found.structure.likelihood
-    if likelihood is None or not likelihood.traces:
-        return _nothing(Extension((), 0.0, None, False, "it goes with no column of the table"))
+    if likelihood is None or not likelihood.pattern_tests:
+        return _not_extended(Extension((), 0.0, None, False, "it depends on no column of the table"))
     machine, problem = found.problem.network.machine, found.problem
     model = likelihood.fit(forms, found.structure.model)
     left = problem.residual - sized.estimate.signature.sum(axis=1)
@@ -71,12 +71,12 @@ def extend(sized: Sized, calibration: Calibration) -> Extended:
     kept = np.zeros(len(which), dtype=bool)
     moved, stays = np.zeros((2, len(problem.residual)))
     taken = [effect.name for effect in calibration.extra]
-    for k, trace in enumerate(likelihood.traces):
+    for k, pattern_test in enumerate(likelihood.pattern_tests):
         own = likelihood.group[which] // DIRECTIONS == k
-        made = likelihood.made(which[own], values[own])
-        term = _term(trace, machine, _rms(problem, made), taken)
+        made = likelihood.effect_on_readings(which[own], values[own])
+        term = _term(pattern_test, machine, _rms(problem, made), taken)
         if term.reason is None:
-            effects.append(_effect(term, trace, machine, likelihood, k, which[own], values[own]))
+            effects.append(_effect(term, pattern_test, machine, likelihood, k, which[own], values[own]))
             taken.append(effects[-1].name)
             written.append(k)
             kept |= own
@@ -88,32 +88,34 @@ def extend(sized: Sized, calibration: Calibration) -> Extended:
     reason = _unproven(held) if effects else "; ".join(dict.fromkeys(str(term.reason) for term in terms))
     extension = Extension(tuple(terms), _rms(problem, moved), held, reason is None, reason)
     if reason is not None:
-        return _nothing(extension)
+        return _not_extended(extension)
     names = tuple(parameter.name for effect in effects for parameter in effect.parameters)
     matrix = locked(covariance[np.ix_(kept, kept)])
-    return Extended(extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, stays))
+    return EmpiricalExtension(
+        extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, stays)
+    )
 
 
-def _nothing(extension: Extension) -> Extended:
-    return Extended(extension, (), Covariance.none(), (), 0.0)
+def _not_extended(extension: Extension) -> EmpiricalExtension:
+    return EmpiricalExtension(extension, (), Covariance.none(), (), 0.0)
 
 
 def _rms(problem: Problem, made: np.ndarray) -> float:
-    """µm a coordinate of what (3n,) whitened shifts do to the readings, beside the set-up."""
+    """Return the RMS per coordinate, µm, of (3n,) whitened shifts after projecting out the set-up."""
     return rms(unwhitened_um(problem, problem.project(made)), problem.network.read)
 
 
-def _term(trace: Trace, machine: Machine, size: float, taken: Sequence[str]) -> Term:
-    """What an effect of a pattern would be, and why there can be none."""
-    pattern = trace.pattern
-    columns = pattern.waves(trace.level)
-    along = _along(trace)
+def _term(pattern_test: PatternTest, machine: Machine, size: float, taken: Sequence[str]) -> Term:
+    """Return the term of a pattern, with the reason if it cannot become an effect."""
+    pattern = pattern_test.pattern
+    columns = pattern.waves(pattern_test.level)
+    along = _along(pattern_test)
     reason = None
     unknown = [one.column for one in columns if not usable(one.column, machine)]
     if unknown:
-        reason = f"it goes with {' and '.join(unknown)}, which a later program does not know"
+        reason = f"it depends on {' and '.join(unknown)}, which a later program does not know"
     elif size == 0.0:
-        reason = "beside the causes nothing of it is left"
+        reason = "with the causes in the model its size is zero"
     else:
         try:
             acting_frame(pattern.side, along, machine)
@@ -123,44 +125,50 @@ def _term(trace: Trace, machine: Machine, size: float, taken: Sequence[str]) -> 
     return Term(where_of(pattern.side, columns, taken), along, pattern.names, ranges, size, reason)
 
 
-def _along(trace: Trace) -> Literal["base", "tool", "work"]:
-    if trace.pattern.field == "base":
+def _along(pattern_test: PatternTest) -> Literal["base", "tool", "work"]:
+    if pattern_test.pattern.field == "base":
         return "base"
-    return "tool" if trace.pattern.side == "tool" else "work"
+    return "tool" if pattern_test.pattern.side == "tool" else "work"
 
 
 def _effect(
-    term: Term, trace: Trace, machine: Machine, likelihood: Likelihood, k: int, which: np.ndarray, values: np.ndarray
+    term: Term,
+    pattern_test: PatternTest,
+    machine: Machine,
+    likelihood: Likelihood,
+    k: int,
+    which: np.ndarray,
+    values: np.ndarray,
 ) -> Empirical:
-    """The effect of one pattern.
+    """Return the empirical effect of one pattern.
 
     Args:
-        term: its place.
-        trace: the pattern.
+        term: side, columns and ranges of the effect.
+        pattern_test: the pattern.
         machine: the machine.
         likelihood: of all patterns.
-        k: number of this one.
-        which: numbers of its columns that are followed.
-        values: how much of each, µm.
+        k: number of this pattern.
+        which: numbers of its columns with a coefficient.
+        values: their coefficients, µm.
     """
-    columns = trace.pattern.waves(trace.level)
-    # Columns of a direction stand together, in the order of the functions.
+    columns = pattern_test.pattern.waves(pattern_test.level)
+    # Columns are sorted by direction, then by function.
     names = np.array(Empirical.names(columns)).ravel()
     own = np.flatnonzero(likelihood.group // DIRECTIONS == k)
     chosen = names[np.searchsorted(own, which)].tolist()
-    frame, turning = acting_frame(trace.pattern.side, _along(trace), machine)
+    frame, turning = acting_frame(pattern_test.pattern.side, _along(pattern_test), machine)
     numbers = dict(zip(chosen, values.tolist(), strict=True))
-    return Empirical(term.where, _along(trace), columns, numbers, frame, turning)
+    return Empirical(term.where, _along(pattern_test), columns, numbers, frame, turning)
 
 
 def _unproven(held: HeldOut | None) -> str | None:
-    """Why held-out readings do not show that the effects gain; None where they do."""
+    """Return why held-out readings do not confirm the effects; None if they do."""
     if held is None:
-        return "nothing could be held out to confirm it"
+        return "no readings could be held out to confirm it"
     if held.ci95_um is None:
         return f"fewer than {ENOUGH} {held.of} could be held out, too few to confirm it"
     if held.ci95_um[0] <= 0.0:
         return (
-            f"{held.of} held out do not confirm it ({held.before_um:.3g} µm without it, {held.after_um:.3g} µm with it)"
+            f"held-out {held.of} do not confirm it ({held.before_um:.3g} µm without it, {held.after_um:.3g} µm with it)"
         )
     return None

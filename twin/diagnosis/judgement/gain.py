@@ -1,4 +1,4 @@
-"""What modelling the causes gains: of the calibration that is written, on all readings, on readings held out, and at the tool."""
+"""The gain of the extended calibration as written: on all readings, on held-out readings, and at the tool."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from twin.diagnosis.judgement.extend import Extended
+from twin.diagnosis.judgement.extend import EmpiricalExtension
 from twin.diagnosis.judgement.held_out import held_out
-from twin.diagnosis.judgement.sizes import Sized
+from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.problem import Problem, rms, unwhitened_um
 from twin.diagnosis.result import Gain, Unexplained
 from twin.identification.network import Network
@@ -23,24 +23,28 @@ from twin.measurement.table import Measurements, state_of
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.budget import volume
 
-TOOL_MM: Final = 100.0
+DEFAULT_TOOL_MM: Final = 100.0
+"""Tool length assumed if the machine file has none."""
 
 
 def gain(
-    sized: Sized, residuals: tuple[np.ndarray, np.ndarray], left: Unexplained | None, unnamed: Extended | None
+    sized: SizedCauses,
+    residuals: tuple[np.ndarray, np.ndarray],
+    left: Unexplained | None,
+    empirical_extension: EmpiricalExtension | None,
 ) -> Gain:
-    """What the extended calibration changes.
+    """Return the gain of the extended calibration.
 
     Args:
-        sized: the causes, with their sizes.
-        residuals: (n, 3) µm of the readings with the calibration before and with the one that is written.
-        left: what the causes leave.
-        unnamed: what was made of it; None if nothing was asked for.
+        sized: the causes with their sizes.
+        residuals: (n, 3) µm with the given and with the extended calibration.
+        left: the unexplained residuals.
+        empirical_extension: the empirical effects fitted to them; None if not requested.
     """
     network, problem = sized.found.problem.network, sized.found.problem
-    held = held_out(sized, () if unnamed is None else unnamed.written)
+    held = held_out(sized, () if empirical_extension is None else empirical_extension.written)
     effects, covariance = sized.effects, sized.covariance
-    # What is not in the file stays: curves that are not promised, and what no effect in it explains.
+    # Errors that are not in the file remain: causes that are not promised, and unexplained residuals.
     stays = [
         float(np.nansum(unwhitened_um(problem, sized.estimate.signature[:, k]) ** 2) / len(network.data))
         for k, own in enumerate(sized.promised)
@@ -48,12 +52,17 @@ def gain(
     ]
     size = 0.0 if left is None or not left.depends_on else left.size_um
     unseen = 0.0
-    if unnamed is not None and unnamed.effects:
-        effects = [*effects, *unnamed.effects]
-        covariance, size = Covariance.of_blocks([covariance, unnamed.covariance]), unnamed.left_um
-        # As far as it is not known it is in the machine as well: what is most likely is smaller than what is.
-        unseen = at_tool(network.data, network.machine, unnamed.effects, unnamed.covariance)[1]
-    moved, doubt = at_tool(network.data, network.machine, effects, covariance)
+    if empirical_extension is not None and empirical_extension.effects:
+        effects = [*effects, *empirical_extension.effects]
+        covariance, size = (
+            Covariance.of_blocks([covariance, empirical_extension.covariance]),
+            empirical_extension.left_um,
+        )
+        # The true pattern is larger than the most likely one by its uncertainty, so that is part of the machine's error too.
+        unseen = error_at_tool(
+            network.data, network.machine, empirical_extension.effects, empirical_extension.covariance
+        )[1]
+    moved, doubt = error_at_tool(network.data, network.machine, effects, covariance)
     rest = sum(stays) + 3.0 * size**2
     before, after = residuals
     return Gain(
@@ -62,20 +71,20 @@ def gain(
         held,
         float(np.sqrt(moved**2 + unseen**2 + rest)),
         float(np.sqrt(doubt**2 + rest)),
-        tool_mm(network.machine),
+        tool_length_of(network.machine),
     )
 
 
-def of_file(problem: Problem, extended: Calibration, instrument: np.ndarray) -> np.ndarray:
-    """(n, 3) residual of the readings in µm with a calibration as it is written, the set-up fitted anew; NaN where nothing was read.
+def residuals_as_written(problem: Problem, extended: Calibration, instrument: np.ndarray) -> np.ndarray:
+    """Return the (n, 3) residuals in µm with a calibration as written, the set-up refitted; NaN where no coordinate was measured.
 
     Args:
         problem: the data.
         extended: the calibration.
-        instrument: (3n,) whitened, what was found of the instrument; taken out of the readings first.
+        instrument: (3n,) whitened effect of the instrument errors found, subtracted from the readings first.
     """
     network = problem.network
-    judged = Network(
+    as_written = Network(
         network.machine,
         network.data,
         network.instrument,
@@ -84,27 +93,27 @@ def of_file(problem: Problem, extended: Calibration, instrument: np.ndarray) -> 
         network.covariance,
         check=False,
     )
-    placed = Problem(judged, solve(judged, np.zeros(0), problem.setup, np.ones(len(network.data))).setup, None)
+    placed = Problem(as_written, solve(as_written, np.zeros(0), problem.setup, np.ones(len(network.data))).setup, None)
     return unwhitened_um(placed, placed.project(placed.residual - instrument))
 
 
-def tool_mm(machine: Machine) -> float:
-    """Of the machine file, or of a usual tool: at the spindle nose itself a turn about it would seem to do no harm."""
-    return machine.tool_length_mm or TOOL_MM
+def tool_length_of(machine: Machine) -> float:
+    """Return the machine file's tool length, or `DEFAULT_TOOL_MM`: with zero length a rotation about the spindle nose has no effect."""
+    return machine.tool_length_mm or DEFAULT_TOOL_MM
 
 
-def at_tool(
+def error_at_tool(
     data: Measurements, machine: Machine, effects: Sequence[Effect], covariance: Covariance
 ) -> tuple[float, float]:
-    """RMS at the tool over the volume after compensating, with the old model and with the extended one, executed on the extended one.
+    """Return the RMS error at the tool over the volume with the given and with the extended calibration, on the extended machine.
 
-    The old model's compensation leaves what the effects do there, to first order; the extended one's what they are uncertain by. The
-    volume ends where the range of an empirical effect does.
+    With the given calibration the effects themselves remain, to first order; with the extended one their uncertainty. The volume is
+    limited to the ranges of empirical effects.
 
     Args:
         data: the measurements, for their temperatures and times.
         machine: the machine.
-        effects: what was found of it.
+        effects: the effects found.
         covariance: of their parameters.
     """
     if not effects:
@@ -117,14 +126,14 @@ def at_tool(
     state: dict[str, Any] = {name: values[rows] for name, values in measured.items()}
     state |= {f"approach_{name}": own for name, own in zip(machine.names, sides, strict=True)}
     state |= {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
-    at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_mm(machine))
+    at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_of(machine))
     by_error = at_tip.sensitivities(positions).error[:, :3]
     index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(machine.frames)}
 
     def moved(effect: Effect, own: Mapping[int, Any]) -> np.ndarray:
         at, found = index[effect.frame.axis, effect.frame.role], np.zeros((len(positions), 3))
         for i, value in own.items():
-            # What depends on the readings before it was worked out of all of them, in their order.
+            # Effects that depend on earlier readings were evaluated on all readings in their order.
             values = np.asarray(value, dtype=float)[rows] if effect.history else np.asarray(value, dtype=float)
             found += by_error[:, :, at + i] * np.broadcast_to(values, len(positions))[:, None]
         return found
@@ -143,7 +152,7 @@ def at_tool(
 
 
 def _inside(positions: np.ndarray, machine: Machine, effects: Sequence[Effect]) -> np.ndarray:
-    """(n, axes) positions of the whole volume, brought into the ranges of the empirical effects among some."""
+    """Return (n, axes) positions of the volume, scaled into the ranges of the empirical effects."""
     found = np.array(positions)
     for i, axis in enumerate(machine.axes):
         ranges = [

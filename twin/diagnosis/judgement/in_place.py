@@ -1,7 +1,7 @@
-"""What could stand in a cause's place: what these data cannot tell from it, what they rule out, and what to measure next.
+"""Alternatives to a cause: those it is confounded with, those that are ruled out, and the points to measure next.
 
-To measure next: points at which two causes that these data cannot tell apart would differ most. Both are fitted to the data, each with
-its own set-up. Where their predictions then differ by d in readings of covariance V, one reading adds dᵀV⁻¹d to the discrimination
+The points to measure next are those at which the predictions of two confounded causes differ most. Both are fitted to the data, each
+with its own set-up. If their predictions then differ by d in readings of covariance V, one reading adds dᵀV⁻¹d to the discrimination
 between them (twice the expected log-likelihood ratio; Atkinson and Fedorov 1975, T-optimality).
 """
 
@@ -19,7 +19,7 @@ from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.problem.forms import DEVIANCE_RULED_OUT, Candidates, Form
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.result import Cause, Next, Rival
-from twin.diagnosis.selection.search import excessive
+from twin.diagnosis.selection.search import excess_ratio
 from twin.diagnosis.selection.structure import Findings
 from twin.identification.network import Network
 from twin.machine.effects import Effect, assemble
@@ -27,24 +27,24 @@ from twin.measurement.table import state_of
 from twin.uncertainty.budget import volume
 
 RIVALS: Final = 2
-"""Rivals of a cause for which points are suggested."""
+"""Number of alternatives of a cause for which points are suggested."""
 RUNNERS_UP: Final = 2
-"""Causes ruled out in a cause's place that are listed with it."""
+"""Number of alternatives that are ruled out and listed with a cause."""
 
 
 def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
-    """What could stand in a cause's place, the others kept, without the data objecting.
+    """Return the causes that a cause is confounded with, the other causes kept.
 
-    Beside patterns much fits that would leave the patterns more to do: what a cause carries more than another, all patterns aside, may
-    be no more than what the patterns are.
+    With unnamed patterns, an alternative may fit only because the patterns take over the difference. It is kept only if, without the
+    patterns, it explains less than the cause by no more than the patterns explain.
 
     Args:
-        found: causes and patterns.
+        found: the selected causes and patterns.
         form: the cause, of ``found.beside``.
         others: the other causes, likewise.
     """
     keys = _in_place(found.beside, form, others)
-    if not found.structure.traces or not keys:
+    if not found.structure.pattern_tests or not keys:
         return keys
     plain = found.candidates
     kept = [plain.forms[one.index] for one in others]
@@ -59,7 +59,7 @@ def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tup
 
 
 def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
-    """What explains as much in a cause's place, its price paid."""
+    """Return the causes that explain as much in place of a cause, corrected for multiple testing."""
     margin = _margin(candidates, form, others)
     used = {one.key for one in others} | {form.key}
     tried = [i for i, one in enumerate(candidates.forms) if one.key not in used]
@@ -76,12 +76,12 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
                 and more
                 and candidates.contains([*others, candidates.forms[i]], others, form)
             ):
-                continue  # the same thing, said with more
+                continue  # contains the cause, with more parameters
             if worth > margin - DEVIANCE_RULED_OUT and candidates.cancels(candidates.forms[i], others, form):
                 continue
             if (
                 worth > margin - DEVIANCE_RULED_OUT
-                and excessive(candidates, candidates.forms[i], [*others, candidates.forms[i]]) > 1.0
+                and excess_ratio(candidates, candidates.forms[i], [*others, candidates.forms[i]]) > 1.0
             ):
                 continue
             best[candidates.forms[i].key] = max(best.get(candidates.forms[i].key, -np.inf), worth)
@@ -90,9 +90,9 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
 
 
 def _several(candidates: Candidates, form: Form, others: Sequence[Form]) -> list[tuple[str, str]]:
-    """Causes of one effect that explain together, with no more numbers, what one cause of the other origin does.
+    """Return causes of one effect that together explain as much as one cause of the other origin, with no more parameters.
 
-    A station that drifts along three directions, and a tool side that does so along each.
+    Example: drift of a station in three directions, and drift of the tool side along each of them.
     """
     explained, _ = candidates.scan(others)
     used = {one.key for one in others} | {form.key}
@@ -120,13 +120,13 @@ def _several(candidates: Candidates, form: Form, others: Sequence[Form]) -> list
 
 
 def _margin(candidates: Candidates, form: Form, others: Sequence[Form]) -> float:
-    """What a cause explains beside others, its price paid."""
+    """Return the χ² that a cause explains given others, less its correction for multiple testing."""
     explained, dof = (float(values[form.index]) for values in candidates.scan(others))
     return explained - candidates.critical_value(form, dof)
 
 
 def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], excess: float) -> tuple[Rival, ...]:
-    """What came next in a cause's place and is ruled out."""
+    """Return the best alternatives to a cause that are ruled out."""
     margin = _margin(candidates, form, others)
     used = {one.key for one in others} | {form.key}
     tried = [one for one in candidates.forms if one.key not in used]
@@ -140,8 +140,8 @@ def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], excess
     return tuple(sorted(out, key=lambda rival: rival.log_odds)[:RUNNERS_UP])
 
 
-def measured_next(candidates: Candidates, named: Sequence[Form], causes: Sequence[Cause]) -> tuple[Next, ...]:
-    """Points that tell causes from what they could be mistaken for."""
+def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Sequence[Cause]) -> tuple[Next, ...]:
+    """Return the points to measure next, which separate the causes from their alternatives."""
     found: list[Next] = []
     for form, cause in zip(named, causes, strict=True):
         others = [one for one in named if one is not form]
@@ -158,21 +158,23 @@ def _best(candidates: Candidates, key: tuple[str, str], others: Sequence[Form]) 
 
 
 POSES: Final = 400
+"""Number of candidate poses."""
 SEED: Final = 1975
 WANTED: Final = 3
+"""Number of points suggested per pair of causes."""
 APART: Final = 0.15
-"""Share of the ranges two suggested poses are apart at least."""
+"""Smallest distance of two suggested poses, relative to the ranges of the axes."""
 
 
 def next_points(
     problem: Problem, form: Form, rivals: Sequence[Form], others: Sequence[Form]
 ) -> tuple[Mapping[str, Any], ...]:
-    """Points that tell a cause from its rivals.
+    """Return the points at which the predictions of a cause and its alternatives differ most.
 
     Args:
         problem: the data.
         form: the cause.
-        rivals: what could stand in its place.
+        rivals: the alternatives.
         others: the other causes.
     """
     network = problem.network
@@ -183,12 +185,12 @@ def next_points(
         theirs = _prediction(problem, [rival, *others], plan)
         name = f"{form.candidate.effect} {form.candidate.where}", f"{rival.candidate.effect} {rival.candidate.where}"
         if ours is None or theirs is None:
-            text = f"to tell {name[0]} from {name[1]}: repeat the first round without touching the instrument or the targets"
+            text = f"to separate {name[0]} from {name[1]}: repeat the first round without touching the instrument or the targets"
             found.append({"separates": list(name), "text": text})
             continue
         sigma = np.sqrt(np.einsum("nii->n", network.covariance).mean() / max(network.read.sum(axis=1).mean(), 1.0))
         gain = np.sum(((ours - theirs) / sigma) ** 2, axis=1)
-        for row in _apart(problem, plan.positions, gain):
+        for row in _well_separated(problem, plan.positions, gain):
             pose = {axis.name: round(float(plan.positions[row, i]), 1) for i, axis in enumerate(network.machine.axes)}
             approach = {
                 axis.name: int(plan.approach[row, i])
@@ -199,8 +201,8 @@ def next_points(
             sides = " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in approach.items())
             text = (
                 f"{where}, target {plan.target[row]}, station {plan.station[row]}"
-                + (f", arriving {sides}" if sides else "")
-                + f": tells {name[0]} from {name[1]} by {gain[row]:.2g} a point (25 is enough)"
+                + (f", approached from {sides}" if sides else "")
+                + f": separates {name[0]} from {name[1]} with χ² {gain[row]:.2g} per reading (25 in total is enough)"
             )
             found.append(
                 {
@@ -217,19 +219,19 @@ def next_points(
 
 
 def _possible(problem: Problem) -> Any:
-    """Poses over the whole volume, both directions, every target from every station that has seen it."""
+    """Return candidate poses over the volume, with both approach directions and the measured pairs of target and station."""
     data, machine = problem.network.data, problem.network.machine
     rng = np.random.default_rng(SEED)
     positions = volume(machine, POSES, SEED)
     rows = rng.integers(0, len(data), POSES)
     approach = np.where(np.any(data.approach != 0, axis=0), rng.choice([-1.0, 1.0], (POSES, len(machine.axes))), 0.0)
-    # Targets, time and temperatures as some measured point had them; the reading is only there to be replaced.
+    # Target, time and temperatures are those of a measured row; its reading is not used.
     some = data.select(rows)
     return replace(some, positions=locked(positions), approach=locked(approach))
 
 
 def _prediction(problem: Problem, forms: Sequence[Form], plan: Any) -> np.ndarray | None:
-    """(n, 3) metres: what the causes and the set-up fitted with them change at other points; None for an instrument's cause."""
+    """Return (n, 3) m, the change that causes and refitted set-up predict at other points; None for a cause of the instrument."""
     if any(form.candidate.build is None for form in forms):
         return None
     found = estimate(problem, forms)
@@ -250,7 +252,7 @@ def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan:
     return np.asarray(by_setup @ moved + np.einsum("nij,nj->ni", view.by_error, errors))
 
 
-def _apart(problem: Problem, positions: np.ndarray, gain: np.ndarray) -> list[int]:
+def _well_separated(problem: Problem, positions: np.ndarray, gain: np.ndarray) -> list[int]:
     span = np.maximum(np.ptp(positions, axis=0), MM)
     taken: list[int] = []
     for row in np.argsort(-gain):

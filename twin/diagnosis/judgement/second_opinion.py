@@ -1,7 +1,7 @@
-"""A second opinion beside the search: Bayesian probabilities of the causes, and credible sets that contain the cause with 95 %.
+"""A second, Bayesian method: probabilities of the causes, and 95 % credible sets.
 
-The search names one set of causes. The sum of single effects (`twin.diagnosis.judgement.single_effects`) on the same whitened,
-projected readings gives a probability to every cause, and does so by other means. Where the two disagree, neither is certain.
+The search selects one set of causes. The sum of single effects (`twin.diagnosis.judgement.single_effects`) on the same whitened,
+projected readings gives a probability to every cause independently. If the two methods disagree, neither result is certain.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from twin.diagnosis.problem.forms import Candidates, Form
 from twin.diagnosis.selection.search import ROUGHLY
 
 CREDIBLE: Final = 0.95
-"""Posterior probability that a credible set holds at least."""
+"""Smallest posterior probability of a credible set."""
 MOST: Final = 12
-"""Effects at most."""
+"""Largest number of effects."""
 Key = tuple[str, str]
-"""Effect and where."""
+"""Effect and place."""
 
 
 @final
 @dataclass(frozen=True)
 class SingleEffect:
-    """One effect that is one of many causes.
+    """One effect with the posterior distribution over its possible causes.
 
     Attributes:
-        log_odds: natural log of the odds that there is an effect, against none.
+        log_odds: natural log of the odds of an effect against none.
         posterior: probability of each cause given that there is an effect, all forms of the cause together; the likeliest first.
-        credible: the smallest set of causes that holds `CREDIBLE` of it, the likeliest first.
+        credible: the smallest set of causes that has `CREDIBLE` of the probability, the likeliest first.
     """
 
     log_odds: float
@@ -43,11 +43,11 @@ class SingleEffect:
 
     @property
     def found(self) -> bool:
-        """Whether the odds bound the rate of false alarms at one in 20."""
+        """Return whether the odds reach `ODDS`, which limits the rate of false alarms to one in 20."""
         return self.log_odds >= float(np.log(ODDS))
 
     def probability(self, keys: Collection[Key]) -> float:
-        """Posterior probability that the effect exists and is one of some causes."""
+        """Return the posterior probability that the effect exists and is one of the given causes."""
         share = sum(self.posterior.get(key, 0.0) for key in set(keys))
         return float(min(share, 1.0) / (1.0 + np.exp(-self.log_odds)))
 
@@ -58,30 +58,30 @@ class SecondOpinion:
     """Independent single effects.
 
     Attributes:
-        effects: those found, the strongest first, and last one that was not.
+        effects: those found, the strongest first, followed by one that was not.
     """
 
     effects: tuple[SingleEffect, ...]
 
     @property
     def found(self) -> tuple[SingleEffect, ...]:
-        """The effects whose odds bound the rate of false alarms."""
+        """Return the effects whose odds reach `ODDS`."""
         return tuple(effect for effect in self.effects if effect.found)
 
     def probability(self, keys: Collection[Key]) -> float:
-        """Posterior probability that at least one effect is one of some causes."""
+        """Return the posterior probability that at least one effect is one of the given causes."""
         return float(1.0 - np.prod([1.0 - effect.probability(keys) for effect in self.effects]))
 
 
 @final
 @dataclass(frozen=True)
-class Compared:
-    """What the second opinion says of one cause of the search.
+class ComparedCause:
+    """The result of the second method for one cause of the search.
 
     Attributes:
         probability: that the cause, or one that it is equivalent to, exists.
         credible: credible set of the effect that corresponds to it; empty if no effect does.
-        instead: credible set of the effect that is found in its place; empty where there is none.
+        instead: credible set of the effect found in its place; empty if there is none.
     """
 
     probability: float
@@ -92,35 +92,35 @@ class Compared:
 @final
 @dataclass(frozen=True)
 class Comparison:
-    """Search and second opinion side by side.
+    """Comparison of the search with the second method.
 
     Attributes:
         causes: in the order of the search's groups.
-        further: effects found that correspond to no cause of the search and stand in the place of none.
+        further: effects found that correspond to no cause of the search and replace none.
     """
 
-    causes: tuple[Compared, ...]
+    causes: tuple[ComparedCause, ...]
     further: tuple[SingleEffect, ...]
 
     @property
     def disagree(self) -> bool:
-        """Whether an effect was found that the search explains otherwise or not at all.
+        """Return whether an effect was found that the search explains differently or not at all.
 
-        A cause that only the search names is no disagreement: the second opinion finds fewer effects at the same rate of false alarms.
+        A cause that only the search finds is no disagreement: the second method finds fewer effects at the same rate of false alarms.
         """
         return bool(self.further) or any(cause.instead for cause in self.causes)
 
 
 def second_opinion(candidates: Candidates, start: Sequence[Form] = (), most: int = MOST) -> SecondOpinion:
-    """Posterior of the causes of the candidates.
+    """Return the posterior of the causes of a pool.
 
-    The prior of a form is its part of the search's price: effects share it as they share the rate of false alarms, the places of an
-    effect by their number of independent forms. A size known beforehand, or bounded by physics, is part of it.
+    The prior of a form follows the search's correction for multiple testing: effects share it as they share the rate of false alarms,
+    the places of an effect in proportion to their number of independent forms. A known or bounded size is part of the prior.
 
     Args:
-        candidates: the data and the forms; what was forbidden to the search is judged by its own prior here.
-        start: forms that the search chose: the iteration starts from them as well as from nothing.
-        most: effects at most.
+        candidates: the data and the forms; forms forbidden to the search are included with their own prior.
+        start: forms selected by the search; the iteration starts from them as well as from no effect.
+        most: largest number of effects.
     """
     effects = SingleEffects(_alternatives(candidates), candidates.slope, candidates.cross, candidates.dof)
     found = effects.fitted(most, [form.index for form in start])
@@ -129,16 +129,16 @@ def second_opinion(candidates: Candidates, start: Sequence[Form] = (), most: int
     return SecondOpinion(tuple(_by_key(effect, keys, candidates.key_of) for effect in ordered))
 
 
-def compared(opinion: SecondOpinion, groups: Sequence[Collection[Key]]) -> Comparison:
-    """Compare the causes of the search with the second opinion.
+def compare_with_search(opinion: SecondOpinion, groups: Sequence[Collection[Key]]) -> Comparison:
+    """Compare the causes of the search with the second method.
 
-    Each effect corresponds to at most one group, so that the posterior probability in common is largest. An effect found that is left
-    over disagrees with the search if no effect corresponds to one of the groups, in whose place it then stands, or if its credible set
-    has no key in common with any group. Two effects with the same likeliest cause are one cause in two forms.
+    Each effect is assigned to at most one group, maximising the joint posterior probability. An unassigned effect disagrees with the
+    search if a group has no effect, which it then replaces, or if its credible set has no cause in common with any group. Two effects
+    with the same likeliest cause count as one cause in two forms.
 
     Args:
-        opinion: of the same data.
-        groups: a cause and those equivalent to it, for each cause the search names.
+        opinion: result of the second method on the same data.
+        groups: for each cause of the search, the cause and those equivalent to it.
     """
     common = np.array([[effect.probability(group) for effect in opinion.effects] for group in groups])
     rows, columns = linear_sum_assignment(-common) if len(groups) else (np.zeros(0, int), np.zeros(0, int))
@@ -165,7 +165,7 @@ def compared(opinion: SecondOpinion, groups: Sequence[Collection[Key]]) -> Compa
         return () if index is None else opinion.effects[index].credible
 
     causes = tuple(
-        Compared(opinion.probability(group), credible(partner.get(g)), credible(instead.get(g)))
+        ComparedCause(opinion.probability(group), credible(partner.get(g)), credible(instead.get(g)))
         for g, group in enumerate(groups)
     )
     return Comparison(causes, tuple(further))
@@ -181,7 +181,7 @@ def _alternatives(candidates: Candidates) -> list[Alternatives]:
                 largest[i] = form.candidate.largest / np.array([column.scale for column in form.variant.columns])
             if form.candidate.specification.all_or_nothing:
                 centre[i], width[i] = 1.0 / form.variant.columns[0].scale, ROUGHLY
-        # A form's part of the price of the search, which counts independent forms.
+        # The form's share of the correction for multiple testing, which counts independent forms.
         prior = np.array(
             [np.exp(-form.log_tests) * form.candidate.tests / len(form.candidate.variants) for form in forms]
         )
@@ -190,7 +190,7 @@ def _alternatives(candidates: Candidates) -> list[Alternatives]:
 
 
 def _by_key(effect: Fit, keys: Sequence[Key], number: np.ndarray) -> SingleEffect:
-    """Sum over the forms of each cause."""
+    """Return the effect with the posterior summed over the forms of each cause."""
     total = np.bincount(number[: len(effect.posterior)], effect.posterior)
     names = dict(zip(number.tolist(), keys, strict=True))
     order = np.argsort(-total, kind="stable")

@@ -1,15 +1,15 @@
 """Sum of single effects: Bayesian selection of a few forms out of many, from inner products alone.
 
 The residual is the sum of a few effects, each of which is exactly one form (a block of columns) or none. Each effect in turn is
-compared with the residual less the expected contribution of the others, until nothing changes (iterative Bayesian stepwise
+fitted to the residual less the expected contribution of the others, until convergence (iterative Bayesian stepwise
 selection). G. Wang, A. Sarkar, P. Carbonetto, M. Stephens (2020), A simple new approach to variable selection in regression, with
 application to genetic fine mapping, J. R. Statist. Soc. B 82, 1273. From inner products: Y. Zou, P. Carbonetto, G. Wang, M. Stephens
 (2022), Fine-mapping from summary data with the sum of single effects model, PLoS Genetics 18, e1010299.
 
 Three things differ from the paper. An effect is a block of columns. The prior variance is averaged over a grid, not maximised: the
-mean Bayes factor with nothing hidden is one, so that by Markov's inequality odds of 20 or more arise in at most one of 20 such data
+mean Bayes factor without any effect is one, so that by Markov's inequality odds of 20 or more arise in at most one of 20 such data
 sets. With noise known from repeats only, the Bayes factor is that of Student's t. The iteration ends in a local optimum: it may
-start from forms chosen by other means as well, and the start with the larger evidence lower bound counts.
+also start from forms selected by other means, and the result with the larger evidence lower bound is kept.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ import numpy as np
 from twin.diagnosis.problem.forms import LEAST_NONCENTRALITY
 
 ODDS: Final = 20.0
-"""Odds of an effect against none from which on it counts as found."""
+"""Odds of an effect against none at which it counts as found."""
 SIZES: Final = 30.0 * 10.0 ** np.arange(9)
 """Expected noncentrality of an effect under its prior: the variance grid."""
 SIZE_PRIOR: Final = 1.0 / ((np.arange(len(SIZES)) + 1.0) * (np.arange(len(SIZES)) + 2.0))
 """Prior weight of each, before normalisation: half of it on effects that are just large enough to be found."""
 NEGLECTED: Final = 1e-2
-"""Standard deviations by which the forms left out of an expected contribution may change what remains."""
+"""Change of the residual, in standard deviations, by forms neglected in an expected contribution."""
 MOVED: Final = 0.1
 """Standard deviations of an expected contribution, from one sweep to the next, below which the iteration ends."""
 RARE: Final = 1e-6
-"""Posterior probability that is always left out of it."""
+"""Posterior probability below which forms are always neglected."""
 SETTLED: Final = 1e-3
-"""Change of any posterior probability, likewise."""
+"""Change of any posterior probability, from one sweep to the next, below which the iteration ends."""
 SWEEPS: Final = 100
 
 
@@ -46,8 +46,8 @@ class Alternatives:
 
     Attributes:
         forms: (n,) number of each form.
-        columns: (n, w) its columns.
-        inner: (n, w, w) their inner products.
+        columns: (n, w) column numbers of each form.
+        inner: (n, w, w) inner products of these columns.
         prior: (n,) prior probability, not normalised.
         largest: (n, w) coefficients of the largest size that is possible.
         centre: (n, w) prior mean of the coefficients; zero unless the size is known beforehand.
@@ -72,8 +72,8 @@ class Fit:
         log_odds: natural log of the odds of an effect of any form against none.
         posterior: (forms,) probability of each form, given that there is an effect.
         coefficients: (columns,) posterior mean.
-        slope: (columns,) what it contributes to the inner products with the residual.
-        along: product of the coefficients with the residual that the effect was compared with.
+        slope: (columns,) its contribution to the inner products with the residual.
+        along: product of the coefficients with the residual to which the effect was fitted.
     """
 
     log_odds: float
@@ -84,12 +84,12 @@ class Fit:
 
     @property
     def found(self) -> bool:
-        """Whether the odds reach `ODDS`."""
+        """Return whether the odds reach `ODDS`."""
         return self.log_odds >= float(np.log(ODDS))
 
     @property
     def probability(self) -> float:
-        """Posterior probability that the effect exists, at prior odds of one."""
+        """Return the posterior probability that the effect exists, at prior odds of one."""
         return float(1.0 / (1.0 + np.exp(-self.log_odds)))
 
 
@@ -120,11 +120,11 @@ class SingleEffects:
         self._log_prior = [np.log(kind.prior / total) for kind in self._kinds]
 
     def fitted(self, most: int, start: Sequence[int] = ()) -> tuple[Fit, ...]:
-        """Effects in the order in which they entered; the last one was not found, unless there are ``most``.
+        """Return the effects in the order of entry; the last one was not found, unless there are ``most``.
 
         Args:
-            most: effects at most.
-            start: forms to start from as well as from nothing.
+            most: largest number of effects.
+            start: forms to start from, in addition to a start without effects.
         """
         if not self._kinds:
             return ()
@@ -133,7 +133,7 @@ class SingleEffects:
         return other if self._evidence(other) > self._evidence(found) else found
 
     def _started(self, forms: Sequence[int]) -> list[Fit]:
-        """One effect a form, with joint least-squares coefficients."""
+        """Return one effect per form, with joint least-squares coefficients."""
         columns = {int(f): own for kind in self._kinds for f, own in zip(kind.forms, kind.columns, strict=True)}
         some = [form for form in dict.fromkeys(forms) if form in columns]
         every = np.unique(np.concatenate([np.zeros(0, dtype=int), *(columns[form] for form in some)]))
@@ -148,7 +148,7 @@ class SingleEffects:
         return found
 
     def _grown(self, effects: list[Fit], most: int) -> tuple[Fit, ...]:
-        """More and more effects while the newest is found."""
+        """Add effects while the newest is found."""
         effects = self._settled(effects)
         for _ in range(2 * most):
             newest = self._single(self._slope - _sum(effects))
@@ -158,7 +158,7 @@ class SingleEffects:
         return tuple(effects)
 
     def _settled(self, effects: list[Fit]) -> list[Fit]:
-        """Coordinate ascent; an effect that is no longer found beside the others leaves at once."""
+        """Iterate by coordinate ascent; an effect that is no longer found given the others is removed at once."""
         for _ in range(SWEEPS):
             changed = False
             for old in tuple(effects):
@@ -179,7 +179,7 @@ class SingleEffects:
         return effects
 
     def _single(self, slope: np.ndarray) -> Fit:
-        """One effect, compared with a residual."""
+        """Fit one effect to a residual."""
         log_bayes = [kind.log_bayes(slope) + prior for kind, prior in zip(self._kinds, self._log_prior, strict=True)]
         log_odds = float(np.logaddexp.reduce(np.concatenate(log_bayes)))
         posterior = np.zeros(self._forms)
@@ -188,8 +188,8 @@ class SingleEffects:
         return Fit(log_odds, posterior, np.zeros(len(slope)), slope)
 
     def _with_slope(self, effect: Fit) -> Fit:
-        """The effect with its expected contribution in the place of the residual's slope it was compared with."""
-        # A form's likelihood ratio is at least its posterior odds: what is left out moves the rest by its share of the root of that.
+        """Return the effect with its expected contribution as ``slope``, in place of the slope of the residual."""
+        # A form's likelihood ratio is at least its posterior odds: neglected forms change the residual by their share of its root.
         rare = max(RARE, NEGLECTED / float(np.sqrt(1.0 + 2.0 * max(effect.log_odds, 0.0))))
         order = np.argsort(effect.posterior)
         chosen = np.zeros(self._forms, dtype=bool)
@@ -206,9 +206,9 @@ class SingleEffects:
         return Fit(effect.log_odds, effect.posterior, coefficients, slope, float(coefficients @ effect.slope))
 
     def _evidence(self, effects: Sequence[Fit]) -> float:
-        """Evidence lower bound beside that of no effect; prior odds of each effect are one.
+        """Return the evidence lower bound relative to no effect; prior odds of each effect are one.
 
-        The Kullback-Leibler divergence of an effect follows from its marginal likelihood and the residual it was compared with.
+        The Kullback-Leibler divergence of an effect follows from its marginal likelihood and the residual to which it was fitted.
         """
         own = sum(float(np.logaddexp(0.0, effect.log_odds) - np.log(2.0)) - effect.along for effect in effects)
         coefficients, slopes = (
@@ -223,7 +223,7 @@ class _Kind:
     """Forms with the same number of columns, in coordinates in which the noise has unit variance and the prior is diagonal.
 
     The prior of a form's coefficients is isotropic (columns have plausible sizes), scaled so that the expected noncentrality is one
-    of `SIZES`, none of them beyond what the largest size makes. Forms and directions that the data do not show are left out.
+    of `SIZES`, up to that of the largest possible size. Forms and directions that the data do not show are omitted.
     """
 
     def __init__(self, own: Alternatives, dof: float) -> None:
@@ -247,11 +247,11 @@ class _Kind:
         self._occam = 0.5 * np.log1p(self._variance).sum(axis=2)
 
     def log_bayes(self, slope: np.ndarray) -> np.ndarray:
-        """(n,) log Bayes factor of each form against nothing, averaged over the sizes."""
+        """Return the (n,) log Bayes factor of each form against no effect, averaged over the sizes."""
         return np.asarray(np.logaddexp.reduce(self._by_size(self._along(slope, None), None), axis=1))
 
     def expected(self, slope: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """(chosen, w) posterior mean of the coefficients of some forms."""
+        """Return the (chosen, w) posterior mean of the coefficients of some forms."""
         along = self._along(slope, chosen)
         by_size = self._by_size(along, chosen)
         share = np.exp(by_size - np.logaddexp.reduce(by_size, axis=1)[:, None])
@@ -260,12 +260,12 @@ class _Kind:
         return np.einsum("nij,ns,nsj->ni", self._turn[chosen], share, mean)
 
     def _along(self, slope: np.ndarray, chosen: np.ndarray | None) -> np.ndarray:
-        """(n, w) least-squares coefficients in units of their standard deviation, along directions that are independent."""
+        """Return (n, w) least-squares coefficients in units of their standard deviation, in independent directions."""
         turn, columns = (self._turn, self.columns) if chosen is None else (self._turn[chosen], self.columns[chosen])
         return np.einsum("nij,ni->nj", turn, slope[columns])
 
     def _by_size(self, along: np.ndarray, chosen: np.ndarray | None) -> np.ndarray:
-        """(n, sizes) log of Bayes factor times prior weight of the size."""
+        """Return (n, sizes) log of Bayes factor times prior weight of the size."""
         every = slice(None) if chosen is None else chosen
         null = np.sum(along**2, axis=1)[:, None]
         off = (along - self._mean[every])[:, None, :]

@@ -1,4 +1,4 @@
-"""The causes that stand with their sizes, and without those that are not beyond what differs from group to group."""
+"""Sizes of the selected causes, without those that are not significant against the variation between groups of readings."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from twin.numerics.covariance import Covariance
 
 @final
 @dataclass(frozen=True, eq=False)
-class Sized:
-    """The causes that stand, with their sizes.
+class SizedCauses:
+    """The selected causes with their sizes.
 
     Attributes:
-        found: the causes that were selected, and the patterns beside them.
-        forms: the causes that stand.
-        beside: the same forms beside the patterns.
+        found: the selected causes and patterns.
+        forms: the causes that are significant.
+        beside: the same forms with the patterns projected out.
         estimate: their sizes, fitted without the patterns.
-        dropped: causes that are not beyond what differs from group to group.
-        doubts: of each cause, why it is not promised between the measured positions; empty where it is.
+        dropped: causes that are not significant against the variation between groups of readings.
+        doubts: for each cause, why it is not valid between the measured positions; empty if it is.
     """
 
     found: Findings
@@ -42,50 +42,50 @@ class Sized:
 
     @property
     def excess(self) -> float:
-        """Of the misfit over what scatter alone lets expect."""
+        """Return the excess of χ² over its expectation from noise."""
         problem = self.found.problem
         return max(problem.chi2 - problem.dof, self.estimate.explained, 1e-30)
 
     @property
     def promised(self) -> list[bool]:
-        """Whether each cause is in the extended calibration."""
+        """Return whether each cause is in the extended calibration."""
         return [not doubt for doubt in self.doubts]
 
     @property
     def effects(self) -> list[Effect]:
-        """Of the causes that are promised."""
+        """Return the effects of the promised causes."""
         return [
             one for own, promise in zip(self.estimate.effects, self.promised, strict=True) if promise for one in own
         ]
 
     @property
     def covariance(self) -> Covariance:
-        """Of the parameters of `effects`."""
+        """Return the covariance of the parameters of `effects`."""
         wanted = {parameter.name for effect in self.effects for parameter in effect.parameters}
         names, matrix = self.estimate.covariance.names, self.estimate.covariance.matrix
         at = [i for i, name in enumerate(names) if name in wanted]
         return Covariance(tuple(names[i] for i in at), locked(np.array(matrix[np.ix_(at, at)])))
 
     def others(self, form: Form) -> list[Form]:
-        """The causes beside one of `forms`."""
+        """Return all causes but one."""
         return [one for one in self.forms if one is not form]
 
     def log_p(self, form: Form) -> float:
-        """Log of a cause's chance, its price paid, where all that causes leave counts as scatter, be it a pattern or not."""
+        """Return the log p-value of a cause, corrected for multiple testing, with all unexplained residuals counted as noise."""
         return log_p_beside(self.found, self.estimate, self.forms, form)
 
 
-def sized(found: Findings) -> Sized:
-    """The causes with their sizes, one by one without those that groups of readings do not confirm.
+def estimate_sizes(found: Findings) -> SizedCauses:
+    """Estimate the sizes of the causes, and drop one by one those that groups of readings do not confirm.
 
     Args:
-        found: the causes that were selected, and the patterns beside them.
+        found: the selected causes and patterns.
     """
     forms = list(found.structure.forms)
     dropped: list[Form] = []
     while True:
         estimated = estimate(found.problem, forms, found.task.noise.dof, found.structure.beside)
-        if found.structure.traces:
+        if found.structure.pattern_tests:
             judged = [(log_p_beside(found, estimated, forms, form), form) for form in forms]
         else:
             judged = [
@@ -100,11 +100,11 @@ def sized(found: Findings) -> Sized:
         forms = [form for form in forms if form is not worst[1]]
     beside = tuple(found.beside.forms[form.index] for form in forms)
     doubts = tuple(between_positions(found.candidates, forms, form) for form in forms)
-    return Sized(found, tuple(forms), beside, estimated, tuple(dropped), doubts)
+    return SizedCauses(found, tuple(forms), beside, estimated, tuple(dropped), doubts)
 
 
 def log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
-    """As `Sized.log_p`."""
+    """Return `SizedCauses.log_p` for given causes."""
     explained, dof, _ = found.candidates.scores([one for one in forms if one is not form], [form.index])[0]
     left = max((found.problem.chi2 - estimated.explained) / max(found.problem.dof, 1), 1.0)
     chance = log_p_value(np.array(explained / left), max(float(dof), 1.0), found.candidates.dof)
@@ -112,7 +112,7 @@ def log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], fo
 
 
 def _log_p(against: tuple[float, int, float]) -> float:
-    """Of a cause that is not there, by its Wald statistic (F with the groups' degrees of freedom, Hotelling's T² with one cause)."""
+    """Return the log p-value of a cause by its Wald statistic (F with the groups' degrees of freedom; Hotelling's T² for one cause)."""
     statistic, width, count = against
     free = count - width
     return float(f_log_sf(statistic / width * free / (count - 1.0), width, free)) if free > 0 else 0.0

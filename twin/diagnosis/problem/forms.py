@@ -74,7 +74,9 @@ class Form:
     @property
     def nonlinear(self) -> dict[str, float]:
         """Non-linear parameters of which only a grid of values is tried."""
-        return {name: value for name, value in self.variant.fixed.items() if name in self.candidate.specification.nonlinear}
+        return {
+            name: value for name, value in self.variant.fixed.items() if name in self.candidate.specification.nonlinear
+        }
 
     @property
     def slot(self) -> tuple[str, str, float]:

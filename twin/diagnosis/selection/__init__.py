@@ -1,1 +1,1 @@
-"""Which causes and which patterns without a name account for the misfit."""
+"""Selection of the causes and the unnamed patterns that explain the residuals."""

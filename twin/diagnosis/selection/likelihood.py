@@ -1,9 +1,9 @@
-"""How likely causes are beside patterns without a name, whose variances the data decide.
+"""Likelihood of causes together with unnamed patterns, whose variances are estimated.
 
-r ~ N(Xβ, s²(1 + ΦDΦᵀ)) beside the set-up: causes X, the patterns' functions Φ, a variance in D for each direction of each pattern,
-and s ≥ 1 for scatter larger than stated, all by maximum likelihood (D by the fixed point of MacKay 1992, Neural Computation 4, 415).
-Two sets of causes are compared by this likelihood, the variances fitted anew for each: a cause that imitates a part of a pattern gains
-little over the pattern alone, and one beside which next to nothing is left gains much.
+After projecting out the set-up, r ~ N(Xβ, s²(1 + ΦDΦᵀ)) with causes X, functions Φ of the patterns, a variance in D for each direction
+of each pattern, and s ≥ 1 for noise larger than stated, all by maximum likelihood (D by the fixed point of MacKay 1992, Neural
+Computation 4, 415). Sets of causes are compared by this likelihood, with the variances re-estimated for each. A cause that imitates
+part of a pattern increases it little over the pattern alone; a cause that leaves almost nothing to the patterns increases it much.
 """
 
 from __future__ import annotations
@@ -18,78 +18,80 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
-from twin.diagnosis.selection.unnamed import Trace
+from twin.diagnosis.selection.unnamed import PatternTest
 
 STEPS: Final = 40
+"""Largest number of iterations."""
 STILL: Final = 0.02
-"""Change of a variance's logarithm below which it is settled."""
+"""Change of the logarithm of a variance below which the iteration has converged."""
 SMALL: Final = 1e-3
-"""Share of a variance that fits the misfit below which a pattern is no more followed along a direction."""
+"""Noncentrality of a pattern along a direction below which that direction is dropped."""
 LITTLE: Final = 1e-6
-"""Noncentrality below which a function of a pattern changes the likelihood by nothing that counts."""
+"""Noncentrality below which a function of a pattern has no effect on the likelihood."""
 UNREAD: Final = 1e-9
-"""Share of the best read direction below which a direction is not read."""
+"""Share of the best measured direction below which a direction counts as not measured."""
 FIRST: Final = 10.0
-"""Noncentrality a direction of a pattern begins with."""
+"""Initial noncentrality of a direction of a pattern."""
 TOGETHER: Final = 64
+"""Columns evaluated at once."""
 MOSTLY: Final = 0.5
-"""Share of what a cause does from which on a pattern is said to be able to imitate it."""
+"""Share of the effect of a cause that a pattern must reproduce to count as imitating it."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Causes with patterns beside them, at the most likely variances.
+    """Causes with patterns, at the most likely variances.
 
     Attributes:
-        twice: twice the log likelihood, from that of scatter as stated alone.
-        variances: of each group of the patterns' columns, relative to the scatter, µm².
-        scatter: s², at least one.
-        explained: of the misfit, by causes and patterns together.
-        values: (columns,) of the causes, in the order of `columns_of`.
-        random: of the patterns' rotated columns, µm.
-        covariance: (columns, columns) of the causes' values at these variances, in units of the scatter.
-        followed: degrees of freedom that the patterns follow the readings with.
+        twice_log_ratio: twice the log likelihood ratio wald noise as stated without causes and patterns.
+        variances: of each group of the patterns' columns, relative to the noise, µm².
+        variance_factor: s², the variance factor of the noise, at least one.
+        explained: χ² explained by causes and patterns together.
+        values: (columns,) coefficients of the causes, in the order of `together`.
+        random: coefficients of the patterns' rotated columns, µm.
+        covariance: (columns, columns) of the causes' coefficients at these variances, in units of the noise variance.
+        effective_dof: effective degrees of freedom of the patterns.
     """
 
-    twice: float
+    twice_log_ratio: float
     variances: np.ndarray
-    scatter: float
+    variance_factor: float
     explained: float
     values: np.ndarray
     random: np.ndarray
     covariance: np.ndarray
-    followed: float
+    effective_dof: float
 
 
 @final
 class Likelihood:
-    """Causes of the candidates beside some patterns.
+    """Likelihood of the causes of a pool together with some patterns.
 
     The columns of each variance are rotated so that they are orthogonal in the readings. The likelihood stays the same, and columns
-    without a reading drop out: for few readings, that is most of the columns.
+    that the readings do not determine drop out: for few readings, that is most of the columns.
 
     Args:
         candidates: the data and the causes.
-        traces: the patterns.
+        pattern_tests: the patterns.
     """
 
-    def __init__(self, candidates: Candidates, traces: Sequence[Trace]) -> None:
+    def __init__(self, candidates: Candidates, pattern_tests: Sequence[PatternTest]) -> None:
         self.candidates = candidates
-        self.traces = tuple(traces)
+        self.pattern_tests = tuple(pattern_tests)
         self._imitated: dict[int, np.ndarray] = {}
         self.columns: list[Column] = []
         group: list[int] = []
-        for k, trace in enumerate(traces):
-            # All directions, each with its own variance: a cause may imitate the pattern along another one than shows it best.
+        for k, pattern_test in enumerate(pattern_tests):
+            # All directions, each with its own variance: a cause may imitate the pattern along a direction other than the clearest.
             for i in range(3):
-                own = trace.pattern.columns(trace.level, [i])
+                own = pattern_test.pattern.columns(pattern_test.level, [i])
                 group += [3 * k + i] * len(own)
                 self.columns += own
         self.group = np.array(group, dtype=int)
         problem = candidates.problem
         found = problem.products(self.columns)
-        size = np.bincount(self.group, np.diag(found.gram), 3 * len(traces))
+        size = np.bincount(self.group, np.diag(found.gram), 3 * len(pattern_tests))
         self._size = np.where(size > UNREAD * size.max(initial=0.0), size, 0.0)
         self._rotation, self._own = _orthogonal(found.gram, self.group, self._size)
         self._gram = self._rotation.T @ found.gram @ self._rotation
@@ -98,34 +100,37 @@ class Likelihood:
         self._chi2, self._dof = problem.chi2, max(problem.dof, 1)
 
     def fit(self, forms: Sequence[Form], start: Model | None = None, without: int | None = None) -> Model:
-        """The most likely variances beside some causes.
+        """Return the model at the most likely variances, for some causes.
 
         Args:
             forms: the causes.
-            start: variances to begin with.
-            without: number of a pattern that is left out.
+            start: model whose variances are the initial ones.
+            without: number of a pattern to omit.
         """
         first = np.where(self._size > 0.0, FIRST / np.maximum(self._size, 1e-300), 0.0)
-        variances, scatter = first, 1.0
+        variances, variance_factor = first, 1.0
         if start is not None:
-            variances, scatter = np.maximum(start.variances, SMALL * first), start.scatter
+            variances, variance_factor = np.maximum(start.variances, SMALL * first), start.variance_factor
         if without is not None:
             variances = np.where(np.arange(len(variances)) // 3 == without, 0.0, variances)
         columns = columns_of(forms)
         fixed = self.candidates.gram(forms)
         for _ in range(STEPS):
-            model, moved = self._at(columns, fixed, variances, scatter)
+            model, moved = self._at(columns, fixed, variances, variance_factor)
             with np.errstate(divide="ignore", invalid="ignore"):
                 change = np.abs(np.log(moved / variances))
             followed = variances * self._size > SMALL
-            settled = not np.any(change[followed] > STILL) and abs(model.scatter / scatter - 1.0) < STILL * 0.1
-            variances, scatter = moved, model.scatter
+            settled = (
+                not np.any(change[followed] > STILL)
+                and abs(model.variance_factor / variance_factor - 1.0) < STILL * 0.1
+            )
+            variances, variance_factor = moved, model.variance_factor
             if settled:
                 break
-        return self._at(columns, fixed, variances, scatter)[0]
+        return self._at(columns, fixed, variances, variance_factor)[0]
 
     def _followed(self, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rotated columns whose variance is worth following, their deviations, and 1 + D^½ΦᵀMΦD^½ of them."""
+        """Return the rotated columns with a relevant variance, their standard deviations, and 1 + D^½ΦᵀMΦD^½ of them."""
         followed = (variances * self._size)[self._own] > SMALL
         used = np.flatnonzero(followed & (variances[self._own] * np.diag(self._gram) > LITTLE))
         deviation = np.sqrt(variances[self._own[used]])
@@ -134,9 +139,9 @@ class Likelihood:
         return used, deviation, inner
 
     def _at(
-        self, columns: np.ndarray, fixed: np.ndarray, variances: np.ndarray, scatter: float
+        self, columns: np.ndarray, fixed: np.ndarray, variances: np.ndarray, variance_factor: float
     ) -> tuple[Model, np.ndarray]:
-        """The likelihood at some variances, and better ones."""
+        """Return the model at given variances, and updated variances."""
         used, deviation, inner = self._followed(variances)
         cross = self._cross[np.ix_(used, columns)] * deviation[:, None]
         slope = self._slope[used] * deviation
@@ -148,48 +153,54 @@ class Likelihood:
         found = inverse @ (slope - cross @ values)
         explained = float(self.candidates.slope[columns] @ values + slope @ found)
         more = max((self._chi2 - explained) / self._dof, 1.0)
-        # From that of the stated scatter alone, which is −χ².
-        twice = self._chi2 - (self._chi2 - explained) / more - self._dof * float(np.log(more)) - log_det
+        # Relative to the stated noise alone, for which twice the log likelihood is −χ².
+        twice_log_ratio = self._chi2 - (self._chi2 - explained) / more - self._dof * float(np.log(more)) - log_det
         groups = len(variances)
         share = 1.0 - np.diag(inverse)
         known = np.bincount(self._own[used], share, groups)
         squares = np.bincount(self._own[used], found**2, groups)
-        moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / scatter, variances)
+        moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / variance_factor, variances)
         random = np.zeros(len(self._own))
         random[used] = found * deviation
-        return Model(twice, variances, more, explained, values, random, back, float(share.sum())), moved
+        return Model(twice_log_ratio, variances, more, explained, values, random, back, float(share.sum())), moved
 
-    def gained(self, forms: Sequence[Form], model: Model, form: Form) -> float:
-        """What one of the causes makes the readings more likely by at most: at variances that are not fitted anew without it."""
+    def gain_bound(self, forms: Sequence[Form], model: Model, form: Form) -> float:
+        """Return an upper bound of the gain in twice the log likelihood by one cause: variances are not re-estimated without it."""
         at = np.searchsorted(columns_of(forms), form.columns)
         values = model.values[at]
-        return float(values @ np.linalg.pinv(model.covariance[np.ix_(at, at)], hermitian=True) @ values) / model.scatter
+        return (
+            float(values @ np.linalg.pinv(model.covariance[np.ix_(at, at)], hermitian=True) @ values)
+            / model.variance_factor
+        )
 
     def scan(self, forms: Sequence[Form], model: Model) -> tuple[np.ndarray, np.ndarray]:
-        """What every form explains beside causes and patterns, in units of the scatter, and its degrees of freedom."""
+        """Return the χ² that every form explains given causes and patterns, in units of the noise, and its degrees of freedom."""
         used, deviation, inner = self._followed(model.variances)
         lower = np.linalg.cholesky(inner)
         cross = solve_triangular(lower, self._cross[used] * deviation[:, None], lower=True)
         slope = solve_triangular(lower, self._slope[used] * deviation, lower=True)
         explained, dof = self.candidates.scan_beside(forms, cross, slope)
-        return explained / model.scatter, dof
+        return explained / model.variance_factor, dof
 
-    def left(self, forms: Sequence[Form], model: Model) -> np.ndarray:
-        """(patterns,) what each pattern explains that causes and other patterns do not."""
+    def explained_by_patterns(self, forms: Sequence[Form], model: Model) -> np.ndarray:
+        """Return (patterns,) the χ² that each pattern explains and causes and other patterns do not."""
         return np.array(
-            [max(model.explained - self.fit(forms, model, without=k).explained, 0.0) for k in range(len(self.traces))]
+            [
+                max(model.explained - self.fit(forms, model, without=k).explained, 0.0)
+                for k in range(len(self.pattern_tests))
+            ]
         )
 
-    def imitated(self, form: Form) -> np.ndarray:
-        """(patterns,) share of what a cause does that each pattern could do as well: one where it is most of it, else zero."""
+    def can_imitate(self, form: Form) -> np.ndarray:
+        """Return (patterns,) one for each pattern that could reproduce most of the effect of a cause, else zero."""
         if form.index in self._imitated:
             return self._imitated[form.index]
         own = form.columns
         whole = self.candidates.gram([form])
         values = np.ones(len(own)) if len(own) == 1 else self.candidates.fitted([form])[1]
         size = float(values @ whole @ values)
-        found = np.zeros(len(self.traces))
-        for k in range(len(self.traces)):
+        found = np.zeros(len(self.pattern_tests))
+        for k in range(len(self.pattern_tests)):
             mine = np.flatnonzero(self._own // 3 == k)
             inner = self._gram[np.ix_(mine, mine)]
             along = self._cross[np.ix_(mine, own)] @ values
@@ -199,16 +210,16 @@ class Likelihood:
         return found
 
     def explained(self, forms: Sequence[Form], model: Model) -> float:
-        """What the patterns explain beside some causes, more than these alone."""
+        """Return the χ² that the patterns explain in addition to the causes."""
         return model.explained - self.candidates.explained_by(forms)
 
     def slope_beside(self, forms: Sequence[Form]) -> np.ndarray:
-        """Inner products of the patterns' rotated columns with what the causes leave, these fitted alone."""
+        """Return inner products of the patterns' rotated columns with the residual of the causes, fitted without patterns."""
         columns, values, _ = self.candidates.fitted(forms)
         return np.asarray(self._slope - self._cross[:, columns] @ values)
 
     def slope_with(self, residual: np.ndarray) -> np.ndarray:
-        """Inner products of the patterns' rotated columns with a (3n,) whitened residual, beside the set-up."""
+        """Return inner products of the patterns' rotated columns with a (3n,) whitened residual, the set-up projected out."""
         problem = self.candidates.problem
         left = problem.project(residual)
         found = [
@@ -218,33 +229,33 @@ class Likelihood:
         return np.asarray(self._rotation.T @ np.concatenate(found))
 
     def most_likely(self, model: Model, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What the patterns most likely are at some variances, beside causes that stay as they are.
+        """Return the most likely coefficients of the patterns at given variances, with the causes fixed.
 
         Args:
             model: the variances.
-            slope: what `slope_beside` or `slope_with` gives.
+            slope: result of `slope_beside` or `slope_with`.
 
         Returns:
-            Numbers of the k columns whose variance is followed; (k,) how much of each, µm; (k, k) its covariance, µm².
+            Numbers of the k columns with a relevant variance; (k,) their coefficients, µm; (k, k) the covariance, µm².
         """
         used, deviation, inner = self._followed(model.variances)
         inverse, _ = _inverse(inner)
         which = self._followed_columns(model)
         rotation = self._rotation[np.ix_(which, used)] * deviation
-        # What is not read is as uncertain as its variance.
+        # A direction that is not measured keeps its prior variance.
         covariance = np.diag(model.variances[self.group[which]]) + rotation @ (inverse - np.eye(len(used))) @ rotation.T
         values = rotation @ (inverse @ (slope[used] * deviation))
-        return which, values, model.scatter * (covariance + covariance.T) / 2.0
+        return which, values, model.variance_factor * (covariance + covariance.T) / 2.0
 
     def _followed_columns(self, model: Model) -> np.ndarray:
         return np.flatnonzero((model.variances * self._size)[self.group] > SMALL)
 
-    def made(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """(3n,) what some columns of the patterns do to the whitened readings, held out or not.
+    def effect_on_readings(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return the (3n,) effect of some columns of the patterns on the whitened readings, held out or not.
 
         Args:
-            which: (k,) their numbers.
-            values: (k,) how much of each, µm.
+            which: (k,) column numbers.
+            values: (k,) coefficients, µm.
         """
         problem = self.candidates.problem
         found = np.zeros(len(problem.residual))
@@ -254,9 +265,9 @@ class Likelihood:
         return found
 
     def pattern(self, forms: Sequence[Form], model: Model) -> np.ndarray:
-        """(3n,) what the patterns do to the whitened readings, most likely, beside set-up and causes: what those cannot do."""
+        """Return the (3n,) most likely effect of the patterns on the whitened readings, set-up and causes projected out."""
         problem = self.candidates.problem
-        found = self.made(np.arange(len(self.columns)), self._rotation @ model.random)
+        found = self.effect_on_readings(np.arange(len(self.columns)), self._rotation @ model.random)
         columns = columns_of(forms)
         if len(columns):
             back, _ = pseudo_inverse(self.candidates.gram(forms))
@@ -265,19 +276,19 @@ class Likelihood:
         return problem.project(found)
 
     def random(self, model: Model) -> list[tuple[Column, float]]:
-        """The patterns' columns with their standard deviations, µm."""
+        """Return the patterns' columns with their standard deviations, µm."""
         which = self._followed_columns(model)
-        sizes = np.sqrt(model.variances[self.group[which]] * model.scatter).tolist()
+        sizes = np.sqrt(model.variances[self.group[which]] * model.variance_factor).tolist()
         return [(self.columns[i], size) for i, size in zip(which.tolist(), sizes, strict=True)]
 
 
 def _orthogonal(gram: np.ndarray, group: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A rotation of the columns of each group after which they are orthogonal in the readings, without those that are not read.
+    """Return a rotation that makes the columns of each group orthogonal in the readings, without undetermined columns.
 
     Args:
-        gram: (columns, columns) their inner products.
-        group: (columns,) of each.
-        size: (groups,) the sum of the squares of each; zero for one that is not read.
+        gram: (columns, columns) inner products.
+        group: (columns,) group of each column.
+        size: (groups,) sum of squares of each group; zero for a group that is not measured.
 
     Returns:
         (columns, k) the rotation, and (k,) the group of each rotated column.
@@ -293,7 +304,7 @@ def _orthogonal(gram: np.ndarray, group: np.ndarray, size: np.ndarray) -> tuple[
 
 
 def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, float]:
-    """Of a positive definite matrix its inverse and the log of its determinant, by Cholesky: half the work of the general inverse."""
+    """Return inverse and log determinant of a positive definite matrix by Cholesky, in half the time of the general inverse."""
     if len(matrix) == 0:
         return matrix, 0.0
     lower, _ = dpotrf(matrix, lower=1)

@@ -1,8 +1,8 @@
-"""Patterns that have no name: functions of each column of the table and of each pair of columns, on each side of the machine.
+"""Unnamed patterns: functions of each column of the table and of each pair of columns, on each side of the machine.
 
 A pattern shifts the targets of one side along the axes of the base frame, or of the frame that carries them. Its functions are
-those of `twin.machine.effects.waves`: half waves over the range of a column, whole turns of a rotary axis that turned round, the
-direction an axis was approached from; of a pair, their products. They see what low polynomials do not: short waves, steps, and a
+those of `twin.machine.effects.waves`: half waves over the range of a column, harmonics of a rotary axis that made a whole turn, the
+approach direction of an axis; for a pair, their products. They can represent what low polynomials cannot: short waves, steps, and a
 reversal that depends on the position.
 """
 
@@ -24,15 +24,15 @@ from twin.measurement.table import CARRIERS, Measurements, state_of
 from twin.numerics.functions import Functions, Rows
 
 ALONE: Final = 16
-"""Highest order of a column by itself."""
+"""Highest order of a single column."""
 PAIRED: Final = 8
 """Highest order of an axis in a pair."""
 SLOW: Final = 4
-"""Highest order in a pair of what changes slowly: time, temperatures, rounds, other channels."""
+"""Highest order of a slowly changing column in a pair: time, temperatures, rounds, other channels."""
 LEVELS: Final = (2, 4, 8, 16)
-"""Orders up to which a pattern's functions are taken together."""
+"""Orders up to which the functions of a pattern are tested together."""
 TURNED: Final = 300.0
-"""Degrees from which on a rotary axis has turned round, and its functions are periodic."""
+"""Range of a rotary axis, degrees, from which on its functions are periodic."""
 
 
 @final
@@ -41,8 +41,8 @@ class Channel:
     """One column that patterns may depend on.
 
     Attributes:
-        waves: its functions.
-        values: (n, k) of them at the readings.
+        waves: functions of the column.
+        values: (n, k) their values at the readings.
         paired: highest order in a pair.
     """
 
@@ -52,26 +52,26 @@ class Channel:
 
     @property
     def name(self) -> str:
-        """In the table (``X_mm``, ``T_bed_degC``, ``approach_X``)."""
+        """Return the name in the table (``X_mm``, ``T_bed_degC``, ``approach_X``)."""
         return self.waves.column
 
     @property
     def direction(self) -> bool:
-        """Whether it is the direction of approach: a sign, no position."""
+        """Return whether it is an approach direction, a sign and no position."""
         return self.waves.kind == "direction"
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Functions of one column or two, on one side.
+    """Functions of one or two columns, on one side of the machine.
 
     Attributes:
         side: ``tool`` or ``work``.
-        field: ``base`` or ``place``: along the axes of the base frame, or of the frame the targets are fixed to.
+        field: ``base`` or ``place``: shifts along the axes of the base frame, or of the frame that carries the targets.
         channels: one or two.
-        own: (n,) which readings are of that side.
-        highest: order up to which functions are taken.
+        own: (n,) which readings belong to that side.
+        highest: highest order of the functions.
     """
 
     side: str
@@ -82,12 +82,12 @@ class Pattern:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Columns of the table."""
+        """Return the names of its columns of the table."""
         return tuple(channel.name for channel in self.channels)
 
     @cached_property
     def levels(self) -> tuple[int, ...]:
-        """Orders it can be taken up to: each adds functions to the one before."""
+        """Return the orders up to which it is tested; each adds functions to the previous one."""
         orders = self.order
         found: list[int] = []
         for level in LEVELS:
@@ -97,12 +97,12 @@ class Pattern:
 
     @cached_property
     def order(self) -> np.ndarray:
-        """(m,) the higher of the two orders of each function."""
+        """Return (m,) the higher of the two orders of each function."""
         own = [np.array([0, *waves.half_waves]) for waves in self.waves(self.highest)]
         return np.max([orders[i] for orders, i in zip(own, self._terms.T, strict=True)], axis=0)
 
     def waves(self, level: int) -> tuple[Waves, ...]:
-        """The functions of its columns up to an order."""
+        """Return the functions of its columns up to an order."""
         most = min(level, self.highest)
         if len(self.channels) == 1:
             return (self.channels[0].waves.up_to(most),)
@@ -113,7 +113,7 @@ class Pattern:
         return np.array(terms(self.waves(self.highest)))
 
     def at(self, rows: Rows) -> np.ndarray:
-        """(rows, m) its functions, zero on the other side."""
+        """Return (rows, m) values of its functions, zero on the other side."""
         own = self.own[rows, None]
         first, *others = (
             channel.values[rows][:, : len(waves.half_waves)]
@@ -126,14 +126,14 @@ class Pattern:
         return np.asarray(pair[0][:, self._terms[:, 0]] * pair[1][:, self._terms[:, 1]] * own)
 
     def columns(self, level: int, directions: Sequence[int]) -> list[Column]:
-        """Signatures, µm a unit, of the functions up to an order along some directions; those of a direction together."""
+        """Return the signatures, µm per unit, of the functions up to an order along some directions, sorted by direction."""
         functions = Functions(len(self.own), len(self.order), self.at, self.own)
         chosen = np.flatnonzero(self.order <= level).tolist()
         return [Column((SignatureTerm((self.field, i), functions, k, UM),), 1.0) for i in directions for k in chosen]
 
 
 def patterns(machine: Machine, data: Measurements) -> list[Pattern]:
-    """Every column and every pair, on every side that has targets, in every frame that turns differently.
+    """Return the patterns of every column and pair, for every side with targets, in every frame that turns differently.
 
     Args:
         machine: the machine.
@@ -174,7 +174,7 @@ def _channels(machine: Machine, data: Measurements) -> list[Channel]:
 
 
 def _waves(name: str, axis: Axis | None, values: np.ndarray, distinct: int) -> Waves:
-    """As many functions of a column as its values can tell, of at most `ALONE` half waves."""
+    """Return the functions of a column, as many as its distinct values allow, at most `ALONE` half waves."""
     if name.startswith(APPROACH):
         return Waves(name, "direction", 1)
     column = name if axis is None else f"{axis.name}_{axis.unit}"

@@ -1,10 +1,10 @@
-"""What the machine carries beside what its URDF says, found by how the joints give way under it.
+"""Estimation of a payload that is not in the URDF, from the deflection of the joints.
 
-A joint's deflection is its compliance times its load, and the load is that of its own weight plus that of the payload: linear in the
-compliance alone, and in mass and first moments of the payload times the compliance. The search takes these products of every joint as
-free (`twin.diagnosis.candidates.catalogue`); where it finds any, this puts one payload in their place that is the same to all joints
-and no heavier than it can be, and has the search made again. (Khalil and Dombre 2002, Modeling, Identification and Control of
-Robots, ch. 12: base parameters are linear in the torques, and so here in the deflections.)
+A joint's deflection is its compliance times its load: its own weight plus the payload. It is linear in the compliance, and in the
+products of compliance with mass and first moments of the payload. The search treats these products as free for every joint
+(`twin.diagnosis.candidates.catalogue`). If it finds any, they are replaced by one payload, the same for all joints and not heavier
+than possible, and the search is repeated. (Khalil and Dombre 2002, Modeling, Identification and Control of Robots, ch. 12: the
+torques, and so the deflections here, are linear in the base parameters.)
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 
 from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
-from twin.diagnosis.selection.search import Selection, possible, select
+from twin.diagnosis.selection.search import Selection, select, within_limits
 from twin.machine.effects import Payload
 from twin.machine.effects.gravity_compliance import FREE, GRAVITY_COMPLIANCE, payloads_of
 from twin.machine.effects.payload import MASS, SIDES, SOUGHT_MM, Side, heaviest_kg, side_of
@@ -26,30 +26,32 @@ from twin.machine.machine import Axis
 from twin.measurement.table import state_of
 
 ROUNDS: Final = 4
+"""Largest number of repeated searches."""
 FIRST: Final = (0.03, 0.2, 1.0)
-"""Shares of the heaviest payload that a fit begins with."""
+"""Initial masses of a fit, as shares of the heaviest payload."""
 STILL: Final = 0.01
-"""Share of the largest payload by which it may still move."""
+"""Change of the payload, as a share of the largest, below which it has converged."""
 STEPS: Final = 200
+"""Largest number of iterations of a fit."""
 LOST: Final = 1e-9
-"""Relative size below which a direction is not seen."""
+"""Relative size below which a direction is not determined."""
 AT_BOUND: Final = 0.99
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Load:
-    """The joints of one side that give way, beside the other causes.
+    """The joints of one side that deflect, with the other causes projected out.
 
-    A payload is four numbers here: its mass as a share of the heaviest, its centre as a share of the farthest.
+    A payload is four numbers here: its mass as a share of the heaviest, and its centre as a share of the farthest.
 
     Attributes:
         side: ``tool`` or ``work``.
-        heaviest: kg.
-        joints: the causes.
-        free: of each joint the form whose payload is free, of five columns: own weight, mass, three first moments.
-        gram: (5k, 5k) inner products of those columns of k joints, beside the other causes, in units of their parameters.
-        slope: (5k,) with the residual.
+        heaviest: largest mass considered, kg.
+        joints: the forms of the deflecting joints.
+        free: for each joint the form with a free payload, of five columns: own weight, mass, three first moments.
+        gram: (5k, 5k) inner products of these columns of k joints, the other causes projected out, in units of the parameters.
+        slope: (5k,) inner products with the residual.
     """
 
     side: Side
@@ -59,21 +61,21 @@ class Load:
     gram: np.ndarray
     slope: np.ndarray
 
-    def under(self, four: np.ndarray) -> tuple[float, np.ndarray]:
-        """What the joints explain under a payload, and (k,) their compliances."""
-        shapes = self._shapes(four)
+    def explained_under(self, shares: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the χ² that the joints explain under a payload, and (k,) their compliances."""
+        shapes = self._shapes(shares)
         inverse = np.linalg.pinv(shapes.T @ self.gram @ shapes, rcond=LOST, hermitian=True)
         slope = shapes.T @ self.slope
         return float(slope @ inverse @ slope), np.asarray(inverse @ slope)
 
-    def _shapes(self, four: np.ndarray) -> np.ndarray:
-        return np.kron(np.eye(len(self.joints)), weights(four)[:, None])
+    def _shapes(self, shares: np.ndarray) -> np.ndarray:
+        return np.kron(np.eye(len(self.joints)), weights(shares)[:, None])
 
     def payload(self) -> Payload:
-        """The one that explains most."""
+        """Return the payload that explains most."""
         fits = [
             minimize(
-                lambda four: -self.under(four)[0],
+                lambda shares: -self.explained_under(shares)[0],
                 np.array([share, 0.0, 0.0, 0.0]),
                 method="L-BFGS-B",
                 bounds=[(0.0, 1.0), *[(-1.0, 1.0)] * 3],
@@ -83,89 +85,89 @@ class Load:
         ]
         return Payload.of_shares(self.side, self.heaviest, min(fits, key=lambda fit: float(fit.fun)).x)
 
-    def four(self, payload: Payload) -> np.ndarray:
-        """(4,) of a payload."""
+    def shares_of(self, payload: Payload) -> np.ndarray:
+        """Return a payload as (4,) shares of its bounds."""
         return np.array([payload.mass_kg / self.heaviest, *(one / SOUGHT_MM for one in payload.centre_mm)])
 
-    def covariances(self, four: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(k,) times more uncertain that the compliances are as the payload is no better known, and (4,) variances of that.
+    def covariances(self, shares: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (k,) factors on the uncertainties of the compliances due to the payload, and (4,) variances of the payload.
 
         Args:
-            four: the payload.
+            shares: (4,) the payload, as shares of its bounds.
             u: (k,) standard uncertainties of the compliances under exactly this payload.
         """
-        _, values = self.under(four)
+        _, values = self.explained_under(shares)
         step = np.eye(4) * 1e-6
-        by_four = [(weights(four + one) - weights(four - one)) / 2e-6 for one in step]
-        slopes = np.concatenate([self._shapes(four), *[np.kron(values, one)[:, None] for one in by_four]], axis=1)
+        by_four = [(weights(shares + one) - weights(shares - one)) / 2e-6 for one in step]
+        slopes = np.concatenate([self._shapes(shares), *[np.kron(values, one)[:, None] for one in by_four]], axis=1)
         known = slopes.T @ self.gram @ slopes
         count = len(values)
         given = np.diag(np.linalg.pinv(known[:count, :count], rcond=LOST, hermitian=True))
         known /= max(float(np.median(u**2 / np.maximum(given, 1e-300))), 1e-300)
-        # A mass or a centre of which the data say nothing is anywhere where it can be.
+        # Prior: a mass or centre that the data do not determine is uniformly distributed within its bounds.
         known[count:, count:] += 3.0 * np.eye(4)
         found = np.diag(np.linalg.pinv(known, hermitian=True))
         return np.sqrt(np.maximum(found[:count] / np.maximum(u**2, 1e-300), 1.0)), found[count:]
 
 
-def weights(four: np.ndarray) -> np.ndarray:
-    """(5,) of the loads: own weight, mass, first moments."""
-    return np.concatenate([[1.0, four[0]], four[0] * four[1:]])
+def weights(shares: np.ndarray) -> np.ndarray:
+    """Return (5,) weights of the columns of a joint: own weight, mass, first moments."""
+    return np.concatenate([[1.0, shares[0]], shares[0] * shares[1:]])
 
 
-def chosen(candidates: Candidates, before: Sequence[Form] = ()) -> Selection:
-    """The best set of causes that are possible, with one payload a side in the load of all joints that give way.
+def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> Selection:
+    """Return the best set of possible causes, with one payload per side in the load of all deflecting joints.
 
     Args:
-        candidates: the forms; where joints ask for a payload they have it in their load from then on.
-        before: the best set before forms were refined; begun with where it has a payload, which not every way through a search finds.
+        candidates: the forms; a payload that is found is added to the load of its joints.
+        before: the best set before forms were refined; the search starts from it if it has a payload, which a new search may miss.
     """
     anew = not any(MASS in form.variant.fixed for form in before)
     best = select(candidates, () if anew else [candidates.forms[form.index] for form in before])
     for _ in range(ROUNDS):
-        loads = [load for side in SIDES if (load := asked(candidates, best.forms, side)) is not None]
-        if not any([_put(candidates, _believed(candidates, load)) for load in loads]):
+        loads = [load for side in SIDES if (load := loaded_joints(candidates, best.forms, side)) is not None]
+        if not any([_add_payload(candidates, _significant_payload(candidates, load)) for load in loads]):
             break
-        _bar(candidates)
+        _exclude_free_payloads(candidates)
         known = {form.key: form for form in candidates.forms if MASS in form.variant.fixed}
         best, anew = select(candidates, [known.get(form.key, form) for form in best.forms]), False
-    return possible(candidates, best, anew)
+    return within_limits(candidates, best, anew)
 
 
-def _believed(candidates: Candidates, load: Load) -> Payload:
-    """The payload that explains most, if that is worth its price; none, of no mass, if it is not."""
+def _significant_payload(candidates: Candidates, load: Load) -> Payload:
+    """Return the payload that explains most, with zero mass if it is not significant."""
     found = load.payload()
-    more = load.under(load.four(found))[0] - load.under(np.zeros(4))[0]
+    more = load.explained_under(load.shares_of(found))[0] - load.explained_under(np.zeros(4))[0]
     return found if more > candidates.critical_value(load.free[0], 4.0) else replace(found, mass_kg=0.0)
 
 
-def again(candidates: Candidates, forms: Sequence[Form]) -> None:
-    """Have the payloads that some causes were found with in the load of all joints, after other data were judged."""
+def restore_payloads(candidates: Candidates, forms: Sequence[Form]) -> None:
+    """Put the payloads of the given causes back into the load of all joints, after the pool was evaluated on other data."""
     yielding = [form for form in forms if form.candidate.specification is GRAVITY_COMPLIANCE]
     for payload in {
         one for form in yielding for one in payloads_of(axis_of_form(candidates, form), form.variant.fixed)
     }:
-        _put(candidates, payload)
+        _add_payload(candidates, payload)
 
 
-def chosen_on(part: Candidates, forms: Sequence[Form]) -> Selection:
-    """The best set of causes on a part of the data, from one that was found on all of them; payloads as they are there.
+def select_on_part(part: Candidates, forms: Sequence[Form]) -> Selection:
+    """Return the best set of causes on a part of the data, starting from that on all data, with the payloads of the latter.
 
     Args:
-        part: of the candidates.
-        forms: of the candidates; each stays where it is worth it.
+        part: the candidates on a part of the data.
+        forms: the causes found on all data; each stays if it is significant.
     """
-    _bar(part)
-    return possible(part, select(part, [part.forms[form.index] for form in forms]), False)
+    _exclude_free_payloads(part)
+    return within_limits(part, select(part, [part.forms[form.index] for form in forms]), False)
 
 
-def _bar(candidates: Candidates) -> None:
-    """No joint has a payload of its own."""
+def _exclude_free_payloads(candidates: Candidates) -> None:
+    """Exclude the forms with a free payload for each joint."""
     candidates.exclude_forms([form for form in candidates.forms if FREE in form.variant.fixed])
 
 
-def asked(candidates: Candidates, forms: Sequence[Form], side: Side) -> Load | None:
-    """The joints of a side that give way, if any of them asks for a payload or was given one."""
+def loaded_joints(candidates: Candidates, forms: Sequence[Form], side: Side) -> Load | None:
+    """Return the deflecting joints of a side if any of them has a payload, free or fixed; else None."""
     free = {form.key: form for form in candidates.forms if FREE in form.variant.fixed}
     joints = [form for form in forms if form.key in free and side_of(axis_of_form(candidates, form)) == side]
     if not any(FREE in form.variant.fixed or MASS in form.variant.fixed for form in joints):
@@ -184,8 +186,8 @@ def asked(candidates: Candidates, forms: Sequence[Form], side: Side) -> Load | N
     return Load(side, heaviest, tuple(joints), tuple(own), left, (slope[at] - along @ slope[rest]) / size)
 
 
-def _put(candidates: Candidates, payload: Payload) -> bool:
-    """Have a payload in the load of every joint of its side; whether that changes anything."""
+def _add_payload(candidates: Candidates, payload: Payload) -> bool:
+    """Put a payload into the load of every joint of its side; return whether that changed anything."""
     machine = candidates.problem.network.machine
     state = state_of(candidates.problem.network.data, machine)
     numbers = payload.numbers
@@ -204,5 +206,5 @@ def _put(candidates: Candidates, payload: Payload) -> bool:
 
 
 def axis_of_form(candidates: Candidates, form: Form) -> Axis:
-    """The axis of a joint that gives way."""
+    """Return the axis of a deflecting joint."""
     return candidates.problem.network.machine.by_name[form.candidate.where]

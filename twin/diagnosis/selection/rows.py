@@ -1,4 +1,4 @@
-"""Which rows count: those too far off to be chance are left out, unless causes that the other rows show account for them."""
+"""Selection of rows: outliers are set aside, unless causes that the other rows show explain them."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.problem.forms import Candidates
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import ITERATIONS, DiagnosisTask, Readings
-from twin.diagnosis.selection.search import candidates_of, glimpse
+from twin.diagnosis.selection.search import candidates_of, largest_causes
 from twin.identification.outliers import outliers
 
 WITNESSES: Final = 3
-"""Rows set aside below which no cause can be read off them."""
+"""Number of outliers below which no cause is sought for them."""
 CLEAR: Final = 3
-"""Causes, at most, that rows too far off are blamed on."""
+"""Largest number of causes sought to explain outliers."""
 TAKEN_BACK: Final = (1.0, 0.9, 0.5)
-"""Shares of the rows set aside, the least far off first, that are looked at again: all, or without what lost its beam as well."""
+"""Shares of the outliers, smallest first, that are tested again: all, or without the largest (a lost beam, for example)."""
 LOOKED_AT: Final = 20_000
-"""Rows that are enough to see whether one of the causes is why others are too far off."""
+"""Number of rows used to test whether causes explain the outliers."""
 SEED: Final = 1964
 
 
-def diagnosis_task(placed: Readings) -> DiagnosisTask:
-    """What is to be solved: the rows that count, whitened, and the causes to try.
+def exclude_outliers(placed: Readings) -> DiagnosisTask:
+    """Return the problem without outliers: whitened rows and the causes to test.
 
     Args:
-        placed: all rows.
+        placed: all rows, with the stations placed.
     """
     few = np.count_nonzero(placed.bad) < WITNESSES
     return placed.without(placed.bad if few else _still_bad(placed))
 
 
 def _still_bad(placed: Readings) -> np.ndarray:
-    """(n,) rows that are too far off whatever the cause: those of the start, unless causes account for more than half of them.
+    """Return (n,) which rows are outliers: the initial ones, unless causes explain more than half of them.
 
-    What moves rows so far shows in some of the others as well: of very many, some are looked at.
+    A cause of such large residuals shows in other rows as well, so for very many rows a sample is used.
     """
     count, bad = len(placed.bad), np.flatnonzero(placed.bad)
     if count > LOOKED_AT and len(bad) < LOOKED_AT // 4:
@@ -63,10 +63,10 @@ def _still_bad(placed: Readings) -> np.ndarray:
 
 
 def _beyond(placed: Readings, whole: Problem, candidates: Candidates, bad: np.ndarray) -> np.ndarray:
-    """(n,) rows too far off once the causes that the other rows show are taken out of all."""
+    """Return (n,) which rows are outliers after removing the causes that the other rows show."""
     part = whole.without(bad) if np.any(bad) else whole
     if part is None:
         return placed.bad
-    forms = glimpse(candidates.on_part(part), CLEAR)
+    forms = largest_causes(candidates.on_part(part), CLEAR)
     left = whole.residual - estimate(part, forms).signature.sum(axis=1)
     return outliers(placed.network, part.refit_setup(left).reshape(-1, 3))

@@ -1,6 +1,6 @@
-"""Which causes account for the misfit: forward selection with re-examination, every search paid for.
+"""Selection of causes: forward with exchange and removal, corrected for multiple testing.
 
-Sets of causes are compared by what they explain less what each must explain to be believed (`twin.diagnosis.problem.forms`).
+Sets of causes are compared by the χ² they explain less the χ² that each must explain to be significant (`problem.forms`).
 """
 
 from __future__ import annotations
@@ -14,34 +14,34 @@ import numpy as np
 from twin.diagnosis.candidates.candidate import Candidate, Cell
 from twin.diagnosis.problem.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
 from twin.diagnosis.problem.readings import DiagnosisTask
-from twin.diagnosis.selection.left_out import parts
+from twin.diagnosis.selection.left_out import choose_folds
 
 SHARE: Final = 0.25
-"""A family's share of `FALSE_ALARM_RATE` grows with its number of forms to this power: more is lost where each form is dear already."""
+"""A family's share of `ALARMS` grows with its number of forms to this power, less than proportionally."""
 SELDOM: Final = 0.1
-"""Share of `FALSE_ALARM_RATE`, beside that of others, of mistakes of which one look tells if they are there at all."""
+"""Factor on the share of `ALARMS` of mistakes in the calibration, which are rare and easily recognised."""
 MOST: Final = 30
-"""Causes at most: as many as a machine has curves."""
+"""Largest number of causes: about the number of error curves of a machine."""
 FEW: Final = 6
-"""Causes up to which every step is re-examined and other beginnings are tried; beyond, only the whole set is, once."""
+"""Number of causes up to which every step is followed by exchanges and several starts are tried; above, only the whole set once."""
 STARTS: Final = 4
+"""Number of first causes to start from."""
 SAME: Final = 0.01
-"""Share of what a form explains that others may leave of it and still count as the same."""
+"""Relative difference of explained χ² up to which two sets of forms count as equal."""
 TRIED: Final = 3
-"""Exchanges that are looked at in full."""
+"""Number of exchanges evaluated in full."""
 DOUBTED: Final = 3.0
-"""Standard uncertainties by which a value may be beyond what is possible."""
+"""Standard uncertainties by which a value may exceed its physical limit."""
 CANCELS: Final = 10.0
-"""Times all that the causes explain: what one of them may do to the readings, in squares, at most."""
+"""Largest sum of squares of one cause relative to all that the causes explain."""
 FEWEST: Final = 25.0
-"""Of a chi²: where little is explained, scatter has its part in it."""
+"""χ² added to the explained one in this comparison, for the contribution of noise."""
 ROUGHLY: Final = 0.2
-"""How far from one the share of an effect that is there altogether may be, beside other errors of the model."""
+"""Deviation from one allowed for the parameter of an effect that is either completely present or absent."""
 LEAST: Final = 0.01
-"""Share of what all causes explain that a pliable effect has to do at least: beside what is much larger, what its form leaves looks
-like it."""
+"""Smallest share of a pliable effect in the χ² explained by all causes: a smaller one only fits the residual of a larger cause."""
 LIKELY: Final = 12
-"""Forms whose inner products with all others are worked out in one go."""
+"""Number of forms whose inner products with all others are evaluated together."""
 
 
 @final
@@ -50,8 +50,8 @@ class Selection:
     """A set of causes.
 
     Attributes:
-        forms: what is in.
-        worth: what they explain less what each must.
+        forms: the causes.
+        worth: the χ² they explain less the χ² that each must explain.
     """
 
     forms: tuple[Form, ...]
@@ -59,18 +59,18 @@ class Selection:
 
 
 def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
-    """The best set: from several first choices, forward, each step re-examined by removing and exchanging.
+    """Return the best set of causes: forward selection from several starts, with removal and exchange after each step.
 
     Args:
         candidates: the forms.
-        begun: a set to begin with instead, whose causes stay where each is worth it.
+        begun: a set to start from instead, whose causes stay if each is significant.
     """
     found = Selection((), 0.0)
     if not candidates.forms:
         return found
     if begun:
         candidates.prepare(begun)
-        forms = grown(candidates, list(begun))
+        forms = forward_selection(candidates, list(begun))
         return Selection(tuple(forms), candidates.penalised_gain(forms))
     margin = candidates.margins([])
     order = [int(i) for i in np.argsort(-margin, kind="stable") if margin[i] > 0.0]
@@ -82,16 +82,16 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
     candidates.prepare([candidates.forms[i] for i in list(first.values())[:LIKELY]])
     likely = [[candidates.forms[i]] for i in list(first.values())[:STARTS]]
     for start in likely:
-        forms = grown(candidates, start)
+        forms = forward_selection(candidates, start)
         worth = candidates.penalised_gain(forms)
         if worth > found.worth + 1e-6:
             found = Selection(tuple(forms), worth)
         if len(forms) > FEW:
-            break  # a model that is wrong all over: where one begins is not what matters
+            break  # a model with very many errors: the start does not matter
     if len(found.forms) > FEW:
-        # A machine whose constants were never identified: each of them is worth little before the others are in.
+        # A machine whose constants were never identified: each explains little before the others are in the model.
         numbers = np.array([form.candidate.specification.constant for form in candidates.forms])
-        forms = grown(candidates, grown(candidates, [], numbers))
+        forms = forward_selection(candidates, forward_selection(candidates, [], numbers))
         worth = candidates.penalised_gain(forms)
         if worth > (1.0 - SAME) * found.worth:
             found = Selection(tuple(forms), worth)
@@ -99,68 +99,68 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
     return Selection(tuple(forms), candidates.penalised_gain(forms))
 
 
-def glimpse(candidates: Candidates, most: int) -> tuple[Form, ...]:
-    """The first few causes that anyone would name: what is large, not what is right in the end."""
+def largest_causes(candidates: Candidates, most: int) -> tuple[Form, ...]:
+    """Return the first few, largest causes, without re-examination."""
     margin = candidates.margins([])
     if len(margin) == 0 or margin.max() <= 0.0:
         return ()
-    return tuple(grown(candidates, [candidates.forms[int(np.argmax(margin))]], most=most))
+    return tuple(forward_selection(candidates, [candidates.forms[int(np.argmax(margin))]], most=most))
 
 
-def possible(candidates: Candidates, best: Selection, anew: bool) -> Selection:
-    """The best set in which no cause is larger than it can be (`excessive`).
+def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Selection:
+    """Return the best set in which no cause is larger than possible (`excess_ratio`).
 
     Args:
         candidates: the forms.
         best: the best set, whatever its size (`select`).
-        anew: whether the search is made anew without a cause that is too large, or goes on from the others.
+        anew: whether to search from the start without a cause that is too large, or to continue with the others.
     """
     allowed = candidates.critical_table
     while True:
         if any(
-            form.candidate.specification.flexible and excessive(candidates, form, best.forms) == np.inf
+            form.candidate.specification.flexible and excess_ratio(candidates, form, best.forms) == np.inf
             for form in best.forms
         ):
-            # None of them: what they displaced comes back.
+            # Exclude all of them; causes they displaced return.
             candidates.critical_table = allowed
             candidates.exclude({form.key for form in candidates.forms if form.candidate.specification.flexible})
             allowed = candidates.critical_table
             best = select(candidates, () if anew else [f for f in best.forms if not f.candidate.specification.flexible])
             continue
-        excess = [excessive(candidates, form, best.forms) for form in best.forms]
+        excess = [excess_ratio(candidates, form, best.forms) for form in best.forms]
         if not excess or max(excess) <= 1.0:
             return best
-        # One at a time: what it made up for may be possible without it.
+        # One at a time: another cause that it compensated may be possible without it.
         worst = best.forms[int(np.argmax(excess))].key
         candidates.exclude({worst})
         best = select(candidates, () if anew else [form for form in best.forms if form.key != worst])
 
 
-def excessive(candidates: Candidates, form: Form, forms: Sequence[Form]) -> float:
-    """How many times larger a form is than it can be: than physics allows, or than what it is to explain.
+def excess_ratio(candidates: Candidates, form: Form, forms: Sequence[Form]) -> float:
+    """Return the ratio of a form's size to the largest possible: by physics, or by the residuals it explains.
 
-    A cause that would move the readings by more than they are off needs another that takes it back; neither is there.
+    A cause larger than the residuals needs another that cancels it; neither exists.
 
     Args:
         candidates: the data.
         form: one of ``forms``.
-        forms: what is in.
+        forms: the selected forms.
     """
     columns, values, inverse = candidates.fitted(forms)
     at = np.searchsorted(columns, form.columns)
     u = np.sqrt(np.maximum(np.diag(inverse)[at], 0.0))
-    return excess_of(form, values[at], u, candidates.gram([form]), float(candidates.slope[columns] @ values))
+    return excess_ratio_of(form, values[at], u, candidates.gram([form]), float(candidates.slope[columns] @ values))
 
 
-def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float) -> float:
-    """The same, of values (plausible sizes) with their standard uncertainties.
+def excess_ratio_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float) -> float:
+    """Return the ratio of `excess_ratio` for given values, in plausible sizes, with their standard uncertainties.
 
     Args:
         form: the form.
         values: (w,) of its columns.
         u: (w,) standard uncertainties.
         gram: (w, w) inner products of its columns.
-        explained: by all causes together.
+        explained: χ² explained by all causes together.
     """
     own = float(values @ gram @ values)
     if form.candidate.specification.flexible and own < LEAST * explained:
@@ -177,10 +177,10 @@ def excess_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, e
 
 
 def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
-    """Curves that have a constant or a slope, told apart into the numbers those are and the curves they leave.
+    """Split curves with a constant or a slope into constants of the machine and the remaining curves.
 
-    The datum gives a curve neither (`twin.identification.unknowns`). Where they are the smaller part of it, one cause says it in fewer
-    words; where they are the larger, the number is what is wrong with the machine, and curves that share it hide it.
+    By the datum, a curve has neither (`twin.identification.unknowns`). If they are the smaller part of the curve, one cause is the
+    simpler description; if they are the larger part, the error is the constant, and the curves that share it hide it.
     """
     pure = {
         (one.key, one.variant.columns[-1]): one for one in candidates.forms if one.variant.fixed.get("first", 0.0) > 0.0
@@ -208,7 +208,7 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
             hosted = candidates.explained_by([form if other is rest else other for other in others])
             if hosted > whole - SAME * own:
                 hosts.append(whole - candidates.explained_by([other for other in trial if other is not rest]))
-        # Of several curves none has it more than another.
+        # If several curves could contain the constant, none is preferred.
         if len(hosts) == 1 and own < hosts[0]:
             return forms
     for rest in bent:
@@ -218,23 +218,23 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
     return trial
 
 
-def grown(
+def forward_selection(
     candidates: Candidates, forms: Sequence[Form], allowed: np.ndarray | bool = True, most: int = MOST
 ) -> list[Form]:
-    """More and more forms, as long as each is worth it.
+    """Add forms as long as each is significant.
 
     Args:
         candidates: the forms.
-        forms: to begin with.
-        allowed: (forms,) which may come in.
-        most: how many at most.
+        forms: the forms to start with.
+        allowed: (forms,) which may be added.
+        most: largest number of forms.
     """
     forms = _exchanged(candidates, list(forms), allowed)
     while len(forms) < most:
         now = candidates.penalised_gain(forms)
         best = candidates.forms[int(np.argmax(candidates.margins(forms)))]
         if best.nonlinear and best.slot in {form.slot for form in forms}:
-            # Most of what is left is what lies between two periods or time constants that were tried: the estimate sees to that.
+            # Most of the residual is due to a period or time constant between two tabulated ones; the estimate refines these.
             return forms
         margin = np.where(allowed, _free(candidates, forms), -np.inf)
         for i in np.argsort(-margin, kind="stable")[:TRIED]:
@@ -252,13 +252,13 @@ def grown(
 
 
 def _free(candidates: Candidates, forms: Sequence[Form]) -> np.ndarray:
-    """Margins of the forms that may stand beside some others."""
+    """Return the margins of the forms that may be added to some others."""
     taken = [candidates.slot_of[form.index] for form in forms]
     return np.where(np.isin(candidates.slot_of, taken), -np.inf, candidates.margins(forms))
 
 
 def _exchanged(candidates: Candidates, forms: list[Form], allowed: np.ndarray | bool) -> list[Form]:
-    """Each cause replaced by any better one, or dropped, until nothing changes."""
+    """Return the set with each cause replaced by a better one, or dropped, until nothing changes."""
     now = candidates.penalised_gain(forms)
     for _ in range(8):
         better = _better(candidates, forms, now, allowed)
@@ -271,6 +271,7 @@ def _exchanged(candidates: Candidates, forms: list[Form], allowed: np.ndarray | 
 def _better(
     candidates: Candidates, forms: list[Form], now: float, allowed: np.ndarray | bool
 ) -> tuple[list[Form], float] | None:
+    """Return the first better set by removal or exchange, with its worth; None if there is none."""
     for k in range(len(forms))[-FEW:]:
         others = forms[:k] + forms[k + 1 :]
         if others and (worth := candidates.penalised_gain(others)) >= now:
@@ -287,13 +288,15 @@ def _better(
     return None
 
 
-def every(candidates: Sequence[Candidate], costs: dict[str, float]) -> list[tuple[Candidate, Cell, float]]:
-    """All forms of all candidates, with their prices."""
-    return [(c, variant, costs[c.effect]) for c in candidates for variant in c.variants]
+def priced_forms(
+    candidates: Sequence[Candidate], critical_values: dict[str, float]
+) -> list[tuple[Candidate, Cell, float]]:
+    """Return all forms of all candidates, with their corrections for multiple testing."""
+    return [(c, variant, critical_values[c.effect]) for c in candidates for variant in c.variants]
 
 
 def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
-    """Log of the number of tests by effect: the forms of its family over the family's share of all false alarms."""
+    """Return the log of the effective number of tests by effect: forms of its family over the family's share of false alarms."""
     tests: dict[str, float] = {}
     seldom = {candidate.effect for candidate in candidates if candidate.specification.rare}
     for candidate in candidates:
@@ -304,7 +307,9 @@ def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
 
 
 def candidates_of(task: DiagnosisTask) -> Candidates:
-    """Every form of every candidate with its price, and what the data say of it."""
+    """Return every form of every candidate with its correction for multiple testing, evaluated on the data."""
     problem, known = task.problem, task.catalogue.candidates
-    split = parts(problem.network.data, problem.network.machine, ())
-    return Candidates(problem, every(known, prices(known)), task.noise.dof, None if split is None else split.part)
+    split = choose_folds(problem.network.data, problem.network.machine, ())
+    return Candidates(
+        problem, priced_forms(known, prices(known)), task.noise.dof, None if split is None else split.fold
+    )

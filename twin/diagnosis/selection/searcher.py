@@ -1,4 +1,4 @@
-"""The best set of causes, and the patterns without a name that stand beside them."""
+"""Search for the best set of causes together with unnamed patterns."""
 
 from __future__ import annotations
 
@@ -8,35 +8,36 @@ from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.problem.forms import Form
 from twin.diagnosis.problem.readings import DiagnosisTask
-from twin.diagnosis.selection.left_out import foretells, held_up
+from twin.diagnosis.selection.left_out import predicts_held_out, without_overfitting
 from twin.diagnosis.selection.patterns import patterns
-from twin.diagnosis.selection.payload import chosen
+from twin.diagnosis.selection.payload import select_with_payload
 from twin.diagnosis.selection.search import Selection, candidates_of
-from twin.diagnosis.selection.structure import Findings, Structure, named, settled
+from twin.diagnosis.selection.structure import Findings, Structure, joint_selection, with_patterns
 from twin.measurement.table import state_of
 
 LARGE: Final = 100.0
-"""Chi² of a cause from which on what it leaves between two values that were tried could pass for another cause."""
+"""χ² of a cause above which its residual between two tabulated periods or time constants could look like another cause."""
 REFINED: Final = 2
+"""Largest number of refinements of periods and time constants."""
 STAYS: Final = 0.2
-"""Standard uncertainties by which a period or time constant that was put there once may still move."""
+"""Change of a period or time constant, in standard uncertainties, below which it is not refined again."""
 
 
-def selected(task: DiagnosisTask) -> Findings:
-    """The causes that account for the misfit, and the patterns beside them.
+def select_causes(task: DiagnosisTask) -> Findings:
+    """Return the causes and the unnamed patterns that explain the residuals.
 
     Args:
-        task: the rows that count, and the causes to try.
+        task: the problem without outliers, and the causes to test.
     """
     return Searcher(task).run()
 
 
 @final
 class Searcher:
-    """The catalogue and the patterns without a name, on one data set.
+    """Search in the catalogue of causes and in the unnamed patterns, on one data set.
 
     Args:
-        task: the rows that count, and the causes to try.
+        task: the problem without outliers, and the causes to test.
     """
 
     def __init__(self, task: DiagnosisTask) -> None:
@@ -46,47 +47,48 @@ class Searcher:
         self.patterns = patterns(self.problem.network.machine, self.problem.network.data)
 
     def run(self) -> Findings:
-        """The best set of causes, and the patterns without a name that stand beside them."""
+        """Return the best set of causes together with unnamed patterns."""
         found, refuted = self._settled()
-        # What a variant does between positions is asked of positions left out: refuted there, it is the plain effect and a rest.
+        # A variant that does not predict held-out positions is replaced by the plain effect and unexplained residuals.
         while varying := [
             form
             for form in found.forms
-            if form.candidate.specification.variant_of and not foretells(self.candidates, form, found.forms)
+            if form.candidate.specification.variant_of and not predicts_held_out(self.candidates, form, found.forms)
         ]:
             self.candidates.exclude({form.key for form in varying})
             found, refuted = self._settled()
-        beside = self.candidates.for_problem(found.problem) if found.traces else self.candidates
+        beside = self.candidates.for_problem(found.problem) if found.pattern_tests else self.candidates
         return Findings(self.task, self.patterns, self.candidates, beside, found, refuted)
 
     def _settled(self) -> tuple[Structure, tuple[Form, ...]]:
-        """The causes that stand and the patterns beside them, and the causes that readings left out refute.
+        """Return the selected causes and patterns, and the causes that held-out readings refute.
 
-        Where these are too few for what was fitted to them, they are too few as well to ask what causes a pattern could do.
+        If there are too few readings for the causes, there are also too few to decide which causes a pattern could replace.
         """
         chosen = self._best().forms
-        kept = held_up(self.candidates, chosen)
+        kept = without_overfitting(self.candidates, chosen)
         if len(kept) == len(chosen):
-            found = settled(self.candidates, chosen, self.patterns)
-            chosen, kept = found.forms, held_up(self.candidates, found.forms)
+            found = joint_selection(self.candidates, chosen, self.patterns)
+            chosen, kept = found.forms, without_overfitting(self.candidates, found.forms)
             if len(kept) == len(chosen):
                 return found, ()
-        return named(self.candidates, kept, self.patterns), tuple(form for form in chosen if form not in kept)
+        return with_patterns(self.candidates, kept, self.patterns), tuple(form for form in chosen if form not in kept)
 
     def _best(self) -> Selection:
-        """Named causes alone.
+        """Return the best set of causes without patterns.
 
-        Between two periods or time constants that were tried, a large cause leaves more than another cause is: what is large is put
-        where the data have it, and the search made again.
+        Between two tabulated periods or time constants, the residual of a large cause can exceed another cause. Periods and time
+        constants of large causes are therefore refined, and the search is repeated.
         """
-        best = chosen(self.candidates)
+        best = select_with_payload(self.candidates)
         for _ in range(REFINED):
             if not self._refined(best):
                 break
-            best = chosen(self.candidates, best.forms)
+            best = select_with_payload(self.candidates, best.forms)
         return best
 
     def _refined(self, best: Selection) -> bool:
+        """Refine the periods and time constants of large causes; return whether any moved."""
         machine, data = self.problem.network.machine, self.problem.network.data
         bent = [form for form in best.forms if form.nonlinear]
         large = [
@@ -100,7 +102,7 @@ class Searcher:
         found = estimate(self.problem, best.forms)
         moved = False
         for form, quantities in zip(best.forms, found.quantities, strict=True):
-            # A straight drift has a time constant to show, but none in its columns.
+            # A straight drift reports a time constant, but its columns have none.
             put = {q.name: q for q in quantities if form in large and q.name in form.nonlinear}
             if not any(abs(form.variant.fixed[q.name] - q.value) > STAYS * q.u for q in put.values()):
                 continue

@@ -1,9 +1,9 @@
-"""What stands beside each other in the readings: causes with a name, and patterns without.
+"""Joint selection of named causes and unnamed patterns.
 
-Causes are chosen first as if everything had a name. Where a pattern is left beside them, the account is made anew from the patterns on:
-a cause comes in where it makes the readings more likely, the patterns' variances fitted anew with it, by more than its price
-(`twin.diagnosis.selection.likelihood`). So a cause with an imperfect form stays a cause, and one that imitates a part of a pattern
-is none.
+Causes are selected first without patterns. If a pattern is then significant in the residuals, the selection is repeated starting from
+the patterns: a cause enters if it increases the likelihood, with the patterns' variances re-estimated, by more than its correction for
+multiple testing (`twin.diagnosis.selection.likelihood`). A cause of imperfect form is thus kept, and a cause that only imitates part
+of a pattern is not.
 """
 
 from __future__ import annotations
@@ -20,92 +20,93 @@ from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import DiagnosisTask
 from twin.diagnosis.selection.likelihood import Likelihood, Model
 from twin.diagnosis.selection.patterns import Pattern
-from twin.diagnosis.selection.search import FEW, excess_of
-from twin.diagnosis.selection.unnamed import ALARMS, Trace, scan
+from twin.diagnosis.selection.search import FEW, excess_ratio_of
+from twin.diagnosis.selection.unnamed import ALARMS, PatternTest, scan_patterns
 
 MOST: Final = 3
-"""Patterns at most."""
+"""Largest number of patterns."""
 CAUSES: Final = 30
-"""Causes at most."""
+"""Largest number of causes."""
 TRIED: Final = 5
-"""Causes that are looked at in full at every step."""
+"""Number of causes evaluated in full at every step."""
 CLEAR: Final = 20.0
-"""Times its price that a cause gains at most, from which on it is not asked whether it pays for itself."""
+"""Ratio of a cause's bound on its gain to its price from which on it is kept without a refit."""
 BETTER: Final = 0.1
+"""Smallest gain in twice the log likelihood for an exchange of causes."""
 MOSTLY: Final = 0.9
-"""Share of all that is explained from which on causes stand, whatever their form leaves to patterns."""
+"""Share of the explained χ² from which on causes are kept, whatever the patterns explain in addition."""
 PART: Final = 1.0
-"""Times what patterns that can imitate it leave, which a cause must carry."""
+"""Smallest ratio of the χ² explained by a cause to that explained in addition by patterns that can imitate it."""
 HOPEFUL: Final = 0.3
-"""Share of its price that a cause must explain beside patterns whose variances still hold it, to be looked at."""
+"""Share of its price that a cause must explain at the present variances of the patterns to be evaluated in full."""
 FEWER: Final = 3
-"""Causes that one pattern must replace to be the simpler account."""
+"""Number of causes that one pattern must replace to be the simpler model."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Causes, and the patterns beside them.
+    """The selected causes and patterns.
 
     Attributes:
         forms: the causes.
-        likelihood: of causes beside the patterns; None where there are none.
-        model: at the most likely variances; likewise.
-        problem: the data with the patterns free beside the set-up.
-        fallen: causes that were chosen at first and do not stand beside the patterns.
-        patterned: whether the account was made from the patterns on, not from the causes.
+        likelihood: of causes with the patterns; None without patterns.
+        model: causes and patterns at the most likely variances; None without patterns.
+        problem: the data with patterns and set-up projected out.
+        rejected: causes selected at first that are not kept with the patterns.
+        patterned: whether the selection started from the patterns, not from the causes.
     """
 
     forms: tuple[Form, ...]
     likelihood: Likelihood | None
     model: Model | None
     problem: Problem
-    fallen: tuple[Form, ...]
+    rejected: tuple[Form, ...]
     patterned: bool = False
 
     @property
-    def traces(self) -> tuple[Trace, ...]:
-        """The patterns."""
-        return () if self.likelihood is None else self.likelihood.traces
+    def pattern_tests(self) -> tuple[PatternTest, ...]:
+        """Return the patterns found."""
+        return () if self.likelihood is None else self.likelihood.pattern_tests
 
     @property
     def beside(self) -> RandomEffects | None:
-        """The patterns, for an estimate of the causes beside them."""
+        """Return the patterns for a joint estimate with the causes; None without patterns."""
         if self.model is None or self.likelihood is None:
             return None
-        return RandomEffects(self.likelihood.random(self.model), self.model.scatter)
+        return RandomEffects(self.likelihood.random(self.model), self.model.variance_factor)
 
     def explained(self, forms: Sequence[Form]) -> float:
-        """What the patterns explain beside some of the causes."""
+        """Return the χ² that the patterns explain in addition to some of the causes."""
         return (
             0.0 if self.likelihood is None else self.likelihood.explained(forms, self.likelihood.fit(forms, self.model))
         )
 
     def pattern(self, forms: Sequence[Form]) -> np.ndarray:
-        """(3n,) what the patterns do to the whitened readings beside some of the causes.
+        """Return the (3n,) effect of the patterns on the whitened readings, given some of the causes.
 
-        As large as the patterns are expected to be: what is most likely at every reading is smaller by its own variance.
+        It is scaled to the expected size of the patterns: the most likely value at each reading is smaller by its variance.
         """
         if self.likelihood is None:
             return np.zeros(len(self.problem.residual))
         model = self.likelihood.fit(forms, self.model)
         pattern = self.likelihood.pattern(forms, model)
         size = max(float(pattern @ pattern), 1e-300)
-        return np.asarray(pattern * np.sqrt(1.0 + model.scatter * model.followed / size))
+        return np.asarray(pattern * np.sqrt(1.0 + model.variance_factor * model.effective_dof / size))
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What was asked of the data and what they answered.
+    """The result of the selection, with the problem it belongs to.
 
     Attributes:
-        task: the rows that count, and the causes that were tried.
-        patterns: the patterns without a name that were looked for.
-        candidates: the causes, beside the set-up.
-        beside: the same, beside the patterns that were found as well; ``candidates`` itself where there are none.
-        structure: the causes that stand, and those patterns.
-        refuted: causes that the readings show, and readings left out of the fit do not (`twin.diagnosis.selection.left_out`).
+        task: the problem without outliers, and the causes tested.
+        patterns: the unnamed patterns tested.
+        candidates: the causes, with the set-up projected out.
+        beside: the same with the patterns found projected out as well; ``candidates`` itself without patterns.
+        structure: the selected causes and patterns.
+        refuted: causes that fit the readings but do not predict held-out ones (`twin.diagnosis.selection.left_out`).
     """
 
     task: DiagnosisTask
@@ -117,165 +118,171 @@ class Findings:
 
     @property
     def problem(self) -> Problem:
-        """The rows that count, whitened."""
+        """Return the whitened problem without outliers."""
         return self.task.problem
 
 
-def settled(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
-    """Causes chosen as if everything had a name, or, where patterns carry more than a small part, those that stand beside these.
+def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
+    """Return the given causes, or, if patterns explain more than a small part, the joint selection of causes and patterns.
 
     Args:
-        candidates: the data, and what a cause must explain.
-        forms: the causes that were chosen.
-        tried: patterns to look for.
+        candidates: the data and the forms.
+        forms: the causes selected without patterns.
+        tried: patterns to test.
     """
-    found = named(candidates, forms, tried)
-    left, patterned = bool(found.traces), False
+    found = with_patterns(candidates, forms, tried)
+    left, patterned = bool(found.pattern_tests), False
     if left or len(forms) >= FEWER:
         carried = candidates.explained_by(found.forms)
         if not found.forms or (found.model is not None and carried < MOSTLY * found.model.explained) or not left:
             other = _patterned(candidates, tried)
-            # Enough causes can imitate anything: a pattern that does what several of them do is the simpler account.
+            # Enough causes can imitate anything: one pattern instead of several causes is the simpler model.
             simpler = (
                 len(other.forms) <= len(found.forms) - FEWER
                 and _worth(candidates, other) > candidates.penalised_gain(forms) - DEVIANCE_RULED_OUT
             )
-            # Causes that no pattern beside them can do are no parts of one.
-            better = _apart(found) and _worth(candidates, found) > _worth(candidates, other)
-            if other.traces and (left or simpler) and not better:
+            # Causes that no pattern can imitate are not parts of one.
+            better = _not_imitable(found) and _worth(candidates, found) > _worth(candidates, other)
+            if other.pattern_tests and (left or simpler) and not better:
                 found, patterned = other, True
     keys = {form.key for form in found.forms}
-    fallen = tuple(form for form in forms if form.key not in keys)
-    return Structure(found.forms, found.likelihood, found.model, found.problem, fallen, patterned)
+    rejected = tuple(form for form in forms if form.key not in keys)
+    return Structure(found.forms, found.likelihood, found.model, found.problem, rejected, patterned)
 
 
-def _apart(found: Structure) -> bool:
-    """Whether there are causes and patterns, and no pattern could do most of any cause."""
+def _not_imitable(found: Structure) -> bool:
+    """Return whether there are causes and patterns, and no pattern can imitate any cause."""
     likelihood = found.likelihood
-    return likelihood is not None and bool(found.forms) and not any(likelihood.imitated(f).any() for f in found.forms)
+    return (
+        likelihood is not None and bool(found.forms) and not any(likelihood.can_imitate(f).any() for f in found.forms)
+    )
 
 
-def again(
+def refit_on_part(
     candidates: Candidates, forms: Sequence[Form], found: Structure
 ) -> tuple[tuple[Form, ...], Likelihood | None]:
-    """Causes as they stand on a part of the data, beside the patterns that were found on all of it, and the likelihood of those.
+    """Return the causes kept on a part of the data, with the patterns found on all of it, and their likelihood.
 
     Args:
-        candidates: the part.
-        forms: the causes that were chosen on it.
-        found: the account of all data.
+        candidates: the part of the data.
+        forms: the causes selected on it.
+        found: the selection on all data.
     """
-    if not found.traces:
+    if not found.pattern_tests:
         return tuple(forms), None
-    likelihood = Likelihood(candidates, found.traces)
+    likelihood = Likelihood(candidates, found.pattern_tests)
     if found.patterned:
         stand = [candidates.forms[form.index] for form in found.forms]
         return tuple(_dropped(likelihood, stand, likelihood.fit(stand))[0]), likelihood
     return tuple(without_parts(likelihood, forms, likelihood.fit(forms))), likelihood
 
 
-def named(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
-    """The causes that were chosen, without those that carry only a part of what they go with, and the patterns beside them."""
+def with_patterns(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
+    """Return the given causes, without those that explain only part of a pattern, and the patterns found in the residuals."""
     stand = list(forms)
-    traces: list[Trace] = []
+    pattern_tests: list[PatternTest] = []
     problem, likelihood, model = candidates.problem, None, None
     while True:
-        seen = {(trace.pattern.side, trace.pattern.names) for trace in traces}
+        seen = {(pattern_test.pattern.side, pattern_test.pattern.names) for pattern_test in pattern_tests}
         more = [
-            trace
-            for trace in (scan(problem, tried, stand, candidates.dof) if len(traces) < MOST else [])
-            if trace.found and (trace.pattern.side, trace.pattern.names) not in seen
+            pattern_test
+            for pattern_test in (
+                scan_patterns(problem, tried, stand, candidates.dof) if len(pattern_tests) < MOST else []
+            )
+            if pattern_test.found and (pattern_test.pattern.side, pattern_test.pattern.names) not in seen
         ]
         if not more:
             return Structure(tuple(stand), likelihood, model, problem, ())
-        likelihood = Likelihood(candidates, [*traces, more[0]])
+        likelihood = Likelihood(candidates, [*pattern_tests, more[0]])
         model = likelihood.fit(stand)
         whole = without_parts(likelihood, stand, model)
         if len(whole) == len(stand):
-            traces.append(more[0])
-            problem = candidates.problem.with_random_effects(likelihood.random(model), model.scatter)
+            pattern_tests.append(more[0])
+            problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
         else:
-            # What they had taken up is the patterns' or another cause's.
-            stand, traces, problem, likelihood, model = whole, [], candidates.problem, None, None
+            # What these causes explained may belong to patterns or to other causes.
+            stand, pattern_tests, problem, likelihood, model = whole, [], candidates.problem, None, None
 
 
 def _patterned(candidates: Candidates, tried: Sequence[Pattern]) -> Structure:
-    """The account from the pattern on that shows best; nothing where none shows."""
-    whole = scan(candidates.problem, tried, (), candidates.dof)
+    """Return the selection starting from the most significant pattern; an empty one if none is significant."""
+    whole = scan_patterns(candidates.problem, tried, (), candidates.dof)
     if not (whole and whole[0].found):
         return Structure((), None, None, candidates.problem, ())
-    return _beside(candidates, whole[0], tried)
+    return _from_pattern(candidates, whole[0], tried)
 
 
 def _worth(candidates: Candidates, found: Structure) -> float:
-    """What an account explains less what each part of it must."""
+    """Return what a selection explains less the prices of its causes and patterns."""
     if found.model is None:
         return candidates.penalised_gain(found.forms)
-    prices = sum(_price(trace) for trace in found.traces)
-    return found.model.twice - prices - sum(_cost(candidates, form) for form in found.forms)
+    prices = sum(_price(pattern_test) for pattern_test in found.pattern_tests)
+    return found.model.twice_log_ratio - prices - sum(_cost(candidates, form) for form in found.forms)
 
 
-def _price(trace: Trace) -> float:
-    """What a pattern must make the readings more likely by, twice the logarithm."""
-    return float(2.0 * (trace.log_price - np.log(ALARMS)))
+def _price(pattern_test: PatternTest) -> float:
+    """Return the smallest gain in twice the log likelihood for a pattern to be significant."""
+    return float(2.0 * (pattern_test.log_price - np.log(ALARMS)))
 
 
 def _cost(candidates: Candidates, form: Form) -> float:
-    """What a cause must make the readings more likely by beside a pattern, twice the logarithm."""
+    """Return the smallest gain in twice the log likelihood for a cause to be significant with patterns in the model."""
     return candidates.critical_value(form, float(len(form.columns)))
 
 
-def _beside(candidates: Candidates, first: Trace, tried: Sequence[Pattern]) -> Structure:
-    """The account from a pattern on: causes beside it, another pattern where one is left, and no pattern that is not needed."""
-    traces = [first]
+def _from_pattern(candidates: Candidates, first: PatternTest, tried: Sequence[Pattern]) -> Structure:
+    """Return the selection starting from a pattern: causes are added, further patterns tested, unneeded patterns dropped."""
+    pattern_tests = [first]
     forms: list[Form] = []
     seen = {(first.pattern.side, first.pattern.names)}
     barred: set[int] = set()
     while True:
-        likelihood = Likelihood(candidates, traces)
+        likelihood = Likelihood(candidates, pattern_tests)
         forms, model = _stepwise(likelihood, forms, barred)
         needed = [
-            trace
-            for k, trace in enumerate(traces)
-            if model.twice - likelihood.fit(forms, model, without=k).twice > _price(trace)
+            pattern_test
+            for k, pattern_test in enumerate(pattern_tests)
+            if model.twice_log_ratio - likelihood.fit(forms, model, without=k).twice_log_ratio > _price(pattern_test)
         ]
-        if len(needed) < len(traces):
-            traces = needed
-            if not traces:
+        if len(needed) < len(pattern_tests):
+            pattern_tests = needed
+            if not pattern_tests:
                 return Structure(tuple(forms), None, None, candidates.problem, ())
-            likelihood = Likelihood(candidates, traces)
+            likelihood = Likelihood(candidates, pattern_tests)
             forms, model = _stepwise(likelihood, forms, barred)
-        problem = candidates.problem.with_random_effects(likelihood.random(model), model.scatter)
+        problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
         more = [
-            trace
-            for trace in (scan(problem, tried, forms, candidates.dof) if len(traces) < MOST else [])
-            if trace.found and (trace.pattern.side, trace.pattern.names) not in seen
+            pattern_test
+            for pattern_test in (
+                scan_patterns(problem, tried, forms, candidates.dof) if len(pattern_tests) < MOST else []
+            )
+            if pattern_test.found and (pattern_test.pattern.side, pattern_test.pattern.names) not in seen
         ]
         if more:
-            traces = [*traces, more[0]]
+            pattern_tests = [*pattern_tests, more[0]]
             seen.add((more[0].pattern.side, more[0].pattern.names))
             continue
         whole = without_parts(likelihood, forms, model)
         if len(whole) == len(forms):
-            forms, model = _plainer(likelihood, forms, model)
+            forms, model = _simplified(likelihood, forms, model)
             return Structure(tuple(forms), likelihood, model, problem, ())
         barred |= {int(candidates.key_of[form.index]) for form in forms if form not in whole}
         forms = whole
 
 
 def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[int]) -> tuple[list[Form], Model]:
-    """Causes added while they pay for themselves beside the patterns, and dropped where they no more do."""
+    """Add causes while they are significant with the patterns in the model, and drop those that no longer are."""
     candidates = likelihood.candidates
     stand, model = _dropped(likelihood, list(forms), likelihood.fit(forms))
     while len(stand) < CAUSES:
         best: tuple[float, Form, Model] | None = None
-        for form in _hopeful(likelihood, stand, model, barred):
+        for form in _promising(likelihood, stand, model, barred):
             with_it = likelihood.fit([*stand, form], model)
-            gained = with_it.twice - model.twice - _cost(candidates, form)
+            gained = with_it.twice_log_ratio - model.twice_log_ratio - _cost(candidates, form)
             if gained > (best[0] if best else 0.0) and _possible(candidates, [*stand, form], with_it):
                 best = gained, form, with_it
                 if len(stand) >= FEW:
-                    break  # a model that is wrong all over: the order is not what matters
+                    break  # a model with very many errors: the order does not matter
         if best is None:
             fewer, model = _dropped(likelihood, stand, model)
             other = _exchanged(likelihood, fewer, model, barred) if len(fewer) <= FEW else None
@@ -290,22 +297,22 @@ def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[
 def _exchanged(
     likelihood: Likelihood, stand: list[Form], model: Model, barred: Collection[int]
 ) -> tuple[list[Form], Model] | None:
-    """One cause replaced by another where that is likelier; None where none is."""
+    """Return the set with one cause replaced by a likelier one; None if there is none."""
     candidates = likelihood.candidates
     for form in stand:
         others = [one for one in stand if one is not form]
         less = likelihood.fit(others, model)
-        for other in _hopeful(likelihood, others, less, barred):
+        for other in _promising(likelihood, others, less, barred):
             trial = [*others, other]
             found = likelihood.fit(trial, less)
-            gained = found.twice - _cost(candidates, other) - model.twice + _cost(candidates, form)
+            gained = found.twice_log_ratio - _cost(candidates, other) - model.twice_log_ratio + _cost(candidates, form)
             if other is not form and gained > BETTER and _possible(candidates, trial, found):
                 return trial, found
     return None
 
 
-def _plainer(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
-    """Curves that no datum leaves a constant or a slope, replaced by the machine's constant that these data cannot tell from them."""
+def _simplified(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
+    """Replace curves with a constant or slope, which the datum excludes, by a confounded constant of the machine."""
     candidates = likelihood.candidates
     for form in list(forms):
         if form.variant.fixed.get("first") != 0.0:
@@ -320,14 +327,14 @@ def _plainer(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
         for number in sorted(numbers, key=lambda one: -margin[one.index])[:1]:
             trial = [*others, number]
             found = likelihood.fit(trial, model)
-            lost = model.twice - _cost(candidates, form) - found.twice + _cost(candidates, number)
+            lost = model.twice_log_ratio - _cost(candidates, form) - found.twice_log_ratio + _cost(candidates, number)
             if lost < DEVIANCE_RULED_OUT and _possible(candidates, trial, found):
                 forms, model = trial, found
     return forms, model
 
 
-def _hopeful(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred: Collection[int]) -> list[Form]:
-    """The best form of the most promising candidates."""
+def _promising(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred: Collection[int]) -> list[Form]:
+    """Return the best form of each of the most promising candidates."""
     candidates = likelihood.candidates
     explained, dof = likelihood.scan(stand, model)
     costs = candidates.critical_values(dof)
@@ -344,17 +351,17 @@ def _hopeful(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred
 
 
 def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
-    """Without the causes that do not pay for themselves, those first that gain least at the variances as they are."""
+    """Drop the causes that are not significant, those with the smallest gain at the present variances first."""
     stand = list(forms)
     while True:
         prices = {form.index: _cost(likelihood.candidates, form) for form in stand}
-        gained = {form.index: likelihood.gained(stand, model, form) for form in stand}
+        gained = {form.index: likelihood.gain_bound(stand, model, form) for form in stand}
         for form in sorted(stand, key=lambda one: gained[one.index] - prices[one.index]):
             if gained[form.index] > CLEAR * prices[form.index]:
                 continue
             others = [one for one in stand if one is not form]
             less = likelihood.fit(others, model)
-            if model.twice - less.twice < prices[form.index]:
+            if model.twice_log_ratio - less.twice_log_ratio < prices[form.index]:
                 stand, model = others, less
                 break
         else:
@@ -362,26 +369,26 @@ def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
 
 
 def without_parts(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> list[Form]:
-    """Causes without those that carry only a part of what they go with."""
+    """Return the causes without those that explain only part of a pattern."""
     stand = list(forms)
-    while (part := _partial(likelihood, stand, model)) is not None:
+    while (part := _partial_cause(likelihood, stand, model)) is not None:
         stand = [form for form in stand if form is not part]
         model = likelihood.fit(stand, model)
     return stand
 
 
-def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> Form | None:
-    """The cause that carries the smallest part of what it goes with, if patterns that could do the same explain more beside it."""
-    left = likelihood.left(forms, model)
+def _partial_cause(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> Form | None:
+    """Return the cause that explains the smallest part of a pattern that can imitate it, if the pattern explains more; else None."""
+    left = likelihood.explained_by_patterns(forms, model)
     whole = likelihood.candidates.explained_by(forms)
     worst: tuple[float, Form] | None = None
     for form in forms:
-        # A machine has all its constants: what they carry together is asked.
+        # A machine has all its constants: they are assessed together.
         constant = form.candidate.specification.constant
         alike = [one for one in forms if constant and one.candidate.specification.constant]
         others = [one for one in forms if one is not form and one not in alike]
         carried = whole - likelihood.candidates.explained_by(others)
-        beside = float(likelihood.imitated(form) @ left)
+        beside = float(likelihood.can_imitate(form) @ left)
         ratio = carried / max(beside, 1e-9)
         if carried < PART * beside and (worst is None or ratio < worst[0]):
             worst = ratio, form
@@ -389,10 +396,10 @@ def _partial(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> For
 
 
 def _possible(candidates: Candidates, forms: Sequence[Form], model: Model) -> bool:
-    """Whether no cause would have to be larger than it can be."""
+    """Return whether no cause is larger than possible."""
     columns = columns_of(forms)
     return all(
-        excess_of(form, model.values[at], np.zeros(len(at)), candidates.gram([form]), model.explained) <= 1.0
+        excess_ratio_of(form, model.values[at], np.zeros(len(at)), candidates.gram([form]), model.explained) <= 1.0
         for form in forms
         for at in [np.searchsorted(columns, form.columns)]
     )

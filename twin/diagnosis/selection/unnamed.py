@@ -1,8 +1,8 @@
-"""Whether anything without a name is left beside set-up and causes: a variance component for every column and pair of columns.
+"""Test for unnamed patterns in the residuals: a variance component for every column and pair of columns.
 
 The residual r is tested for a random function of each pattern (`twin.diagnosis.selection.patterns`): with its functions φ the
-statistic is rᵀMφ(φᵀMφ + 1/τ)⁻¹φᵀMr, the score of the variance (Lin 1997, Biometrika 84, 309) taken at a plausible one, τ. Under
-scatter alone it is a sum of χ² with known weights, whose tail is found by the saddlepoint (Kuonen 1999, Biometrika 86, 929).
+statistic is rᵀMφ(φᵀMφ + 1/τ)⁻¹φᵀMr, the score of the variance (Lin 1997, Biometrika 84, 309) at a plausible variance τ. For noise
+alone it is a sum of χ² with known weights, whose tail follows from the saddlepoint approximation (Kuonen 1999, Biometrika 86, 929).
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from twin.diagnosis.selection.patterns import Pattern
 from twin.numerics.functions import Rows, pieces
 
 ALARMS: Final = 0.01
-"""Share of data sets with nothing in them in which a pattern is found."""
+"""Rate of false alarms: share of data sets without an error in which a pattern is found."""
 EXACT: Final = 24
-"""Tests whose chance is worked out by eigenvalues, the most significant by two moments."""
+"""Number of tests, the most significant ones by two moments, whose p-value is evaluated exactly by eigenvalues."""
 DIRECTIONS: Final[tuple[tuple[int, ...], ...]] = ((0,), (1,), (2,), (0, 1, 2))
-"""Of the frame: each alone, and all."""
+"""Directions of the frame that are tested: each alone, and all together."""
 SEEN: Final = 1e-10
 PLAUSIBLE: Final = 100.0
-"""Noncentrality along a direction that the test is sharpest for: its score is taken at that variance, not at none."""
+"""Noncentrality along a direction for which the test is most powerful: the score is taken at that variance, not at zero."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Trace:
+class PatternTest:
     """One test of one pattern.
 
     Attributes:
-        pattern: of which columns.
-        level: order up to which its functions are taken.
-        directions: of its frame.
-        log_p: of the score by chance, without the price of the search.
-        log_price: natural log of how many tests share the alarms.
-        explained: of the misfit, beyond what scatter alone would.
+        pattern: the pattern tested.
+        level: highest order of its functions.
+        directions: directions of its frame.
+        log_p: natural log of the p-value, not corrected for multiple testing.
+        log_price: natural log of the number of tests.
+        explained: χ² explained beyond the expectation from noise.
     """
 
     pattern: Pattern
@@ -55,27 +55,27 @@ class Trace:
 
     @property
     def found(self) -> bool:
-        """Whether it is more than chance, the search paid for."""
-        return self.log_paid < np.log(ALARMS)
+        """Return whether it is significant, corrected for multiple testing."""
+        return self.log_p_corrected < np.log(ALARMS)
 
     @property
-    def log_paid(self) -> float:
-        """Log of the chance of as much anywhere, the search paid for."""
+    def log_p_corrected(self) -> float:
+        """Return the log p-value corrected for multiple testing."""
         return min(self.log_p + self.log_price, 0.0)
 
 
-def scan(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof: float) -> list[Trace]:
-    """The most significant test of each pattern, most significant first.
+def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof: float) -> list[PatternTest]:
+    """Return the most significant test of each pattern, most significant first.
 
     Args:
         problem: the data.
-        tried: patterns to look for.
-        forms: causes beside which they are sought.
-        dof: degrees of freedom the scatter is known with.
+        tried: patterns to test.
+        forms: causes that are projected out.
+        dof: degrees of freedom of the noise estimate.
     """
     if not tried:
         return []
-    beside, left = _beside(problem, forms)
+    beside, left = _projected_out(problem, forms)
     scores = _Scores(problem, beside, left)
     tests: list[tuple[float, Pattern, int, tuple[int, ...], float]] = []
     for pattern in tried:
@@ -89,18 +89,18 @@ def scan(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof:
                     tests.append((_two_moments(found, mean, variance), pattern, level, directions, found - mean))
     price = float(np.log(max(len(tests), 1)))
     tests.sort(key=lambda one: one[0])
-    best: dict[int, Trace] = {}
+    best: dict[int, PatternTest] = {}
     for number, (log_p, pattern, level, directions, more) in enumerate(tests):
         if number < EXACT:
             log_p = scores.exact((pattern, level, directions), dof)
-        trace = Trace(pattern, level, directions, log_p, price, float(more))
+        pattern_test = PatternTest(pattern, level, directions, log_p, price, float(more))
         if id(pattern) not in best or log_p < best[id(pattern)].log_p:
-            best[id(pattern)] = trace
+            best[id(pattern)] = pattern_test
     return sorted(best.values(), key=lambda one: one.log_p)
 
 
-def _beside(problem: Problem, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
-    """(3n, k) O and (3n,) residual of xᵀ(1 − OOᵀ)y, which is xᵀMy with the causes free; rows held out are zero in both."""
+def _projected_out(problem: Problem, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+    """Return (3n, k) O with xᵀMy = xᵀ(1 − OOᵀ)y for free causes, and the (3n,) residual; held-out rows are zero in both."""
     basis = problem.zero_held_out(problem.basis @ problem.root)
     if forms:
         columns = problem.signature([column for form in forms for column in form.variant.columns])
@@ -115,24 +115,24 @@ def _beside(problem: Problem, forms: Sequence[Form]) -> tuple[np.ndarray, np.nda
 
 @final
 class _Scores:
-    """Scores of patterns beside what is free.
+    """Scores of patterns with set-up and causes projected out.
 
     Args:
         problem: the data.
-        beside: (3n, k) as of `_beside`.
-        left: (3n,).
+        beside: (3n, k) basis of set-up and causes, from `_projected_out`.
+        left: (3n,) residual, from `_projected_out`.
     """
 
     def __init__(self, problem: Problem, beside: np.ndarray, left: np.ndarray) -> None:
         n = len(problem.view.rows)
         self._kept = np.ones(n, dtype=bool)
         self._kept[problem.held_out] = False
-        self._beside, self._left = beside.reshape(n, 3, -1), left.reshape(n, 3)
+        self._basis, self._left = beside.reshape(n, 3, -1), left.reshape(n, 3)
         self._view = problem.view
         self._of: dict[tuple[str, str], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = {}
 
     def of(self, pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
-        """(3, m) φᵀMr and (3, m, m) φᵀMφ along each direction."""
+        """Return (3, m) φᵀMr and (3, m, m) φᵀMφ along each direction."""
         rows, weight, taken, along = self._along(pattern)
         slope = np.zeros((3, len(pattern.order)))
         gram = np.zeros((3, len(pattern.order), len(pattern.order)))
@@ -148,19 +148,19 @@ class _Scores:
             gram[1:] = gram[0]
         return slope, gram - lost @ lost.transpose(0, 2, 1)
 
-    def exact(self, trace: tuple[Pattern, int, tuple[int, ...]], dof: float) -> float:
-        """Log of the chance of a score: the pattern, its level, its directions."""
-        pattern, level, directions = trace
+    def exact(self, pattern_test: tuple[Pattern, int, tuple[int, ...]], dof: float) -> float:
+        """Return the exact log p-value of one test (pattern, level, directions)."""
+        pattern, level, directions = pattern_test
         rows = self._along(pattern)[0]
         chosen = pattern.order <= level
         count = len(directions) * int(chosen.sum())
-        lost, slope, gram = np.zeros((count, self._beside.shape[2])), np.zeros(count), np.zeros((count, count))
+        lost, slope, gram = np.zeros((count, self._basis.shape[2])), np.zeros(count), np.zeros((count, count))
         for some in pieces(len(rows)):
             here = rows[some]
             fields = self._fields(pattern, here)[:, :, list(directions)]
             made = pattern.at(here)[:, chosen]
             whole = (fields[:, :, :, None] * made[:, None, None, :]).reshape(3 * len(here), -1)
-            lost += whole.T @ self._beside[here].reshape(3 * len(here), -1)
+            lost += whole.T @ self._basis[here].reshape(3 * len(here), -1)
             slope += whole.T @ self._left[here].reshape(-1)
             gram += whole.T @ whole
         gram -= lost @ lost.T
@@ -172,7 +172,7 @@ class _Scores:
         return log_tail(values / (1.0 + values), score, dof)
 
     def _along(self, pattern: Pattern) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Rows of a side; of them weight (r, 3), what is free (3, r, k) and the residual (3, r) along each direction of a frame."""
+        """Return the rows of a side with weight (r, 3), basis (3, r, k) and residual (3, r) along each direction of a frame."""
         key = pattern.side, pattern.field
         if key not in self._of:
             rows = np.flatnonzero(pattern.own & self._kept)
@@ -180,7 +180,7 @@ class _Scores:
             self._of[key] = (
                 rows,
                 np.einsum("nki,nki->ni", fields, fields),
-                np.einsum("nki,nkq->inq", fields, self._beside[rows]),
+                np.einsum("nki,nkq->inq", fields, self._basis[rows]),
                 np.einsum("nki,nk->in", fields, self._left[rows]),
             )
         return self._of[key]
@@ -190,7 +190,7 @@ class _Scores:
 
 
 def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:
-    """(3, d) score, its mean and its variance under scatter alone, along each of d directions."""
+    """Return (3, d): score, and its mean and variance for noise alone, along each of d directions."""
     found = np.zeros((3, len(slope)))
     for i, (along, own) in enumerate(zip(slope, gram, strict=True)):
         size = float(np.trace(own))
@@ -203,19 +203,19 @@ def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:
 
 
 def _two_moments(score: float, mean: float, variance: float) -> float:
-    """Log of the chance of a score under the scaled χ² with its mean and variance (Satterthwaite 1946)."""
+    """Return the log p-value of a score by a scaled χ² with its mean and variance (Satterthwaite 1946)."""
     return float(log_p_value(np.array(2.0 * score * mean / variance), 2.0 * mean**2 / variance, np.inf))
 
 
 def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:
-    """Log of the chance that Σ wᵢχ²₁ is larger than a value times χ²/dof of a scatter that is estimated.
+    """Return the log probability that Σ wᵢχ²₁ exceeds a value times χ²/dof of an estimated noise variance.
 
-    The saddlepoint of Kuonen (1999), in the form of Barndorff-Nielsen (1990), whose logarithm stays finite however small the chance.
+    Saddlepoint approximation of Kuonen (1999), in the form of Barndorff-Nielsen (1990), whose logarithm is finite for any probability.
 
     Args:
-        weights: not negative.
-        value: of the sum.
-        dof: of the estimate of the scatter; infinite where it is given.
+        weights: weights of the sum, not negative.
+        value: value of the sum.
+        dof: degrees of freedom of the noise estimate; infinite if the noise is known.
     """
     w = weights[weights > SEEN * max(float(weights.max(initial=0.0)), 1e-300)]
     if len(w) == 0 or value <= 0.0:

@@ -1,1 +1,1 @@
-"""What is said of it: text, page, pictures. Nothing is worked out here that the numbers do not have."""
+"""A diagnosis in words and plots: terminal text, notebook table, HTML page."""

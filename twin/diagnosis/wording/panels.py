@@ -1,4 +1,4 @@
-"""What a picture of a diagnosis shows, before it is drawn: which readings, against what, and what a cause says of them."""
+"""The data of a diagnosis's plots: which readings, against which column, and the prediction of the cause."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
-from twin.diagnosis.result import Answer, Cause
+from twin.diagnosis.result import Cause, DiagnosisResult
 from twin.diagnosis.wording.words import column, plain, side
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.effects import Effect
@@ -20,37 +20,38 @@ from twin.machine.machine import DIRECTIONS, Machine
 from twin.measurement.table import state_of
 
 STOPS: Final = 24
-"""Distinct positions up to which each is a group of its own."""
+"""Number of distinct positions up to which each forms a group."""
 BINS: Final = 16
-"""Groups of as many readings each, beyond."""
+"""Number of groups, equally filled, for more positions."""
 FEWEST: Final = 2
+"""Smallest number of readings whose mean is drawn."""
 ALIKE: Final = 0.9
-"""Rank correlation of two columns beyond which one picture is enough."""
+"""Rank correlation of two columns above which only one of them is plotted."""
 SHOWN: Final = 0.2
-"""Share of what the clearest column explains below which another is not drawn."""
+"""Columns whose χ² is below this share of that of the clearest column are not plotted."""
 SIDES: Final = ((-1.0, "from −"), (0.0, "unknown"), (1.0, "from +"))
-"""Names of the sides that an axis comes from."""
+"""Names of the approach directions."""
 MOST: Final = 3
-"""Panels of the misfit."""
+"""Largest number of panels of residuals."""
 SMALL: Final = 0.02
-"""Share of a cause's largest value below which a reading says nothing of it in its own unit."""
+"""Readings at which the cause is below this share of its largest value are not plotted in its unit."""
 MANY_TURNS: Final = 4
-"""Repeats over the range from which a periodic error is folded into one period."""
+"""Periods in the range from which on a periodic error is plotted over one period."""
 LEGIBLE: Final = 4.0
-"""Times the sharpest direction's interval beyond which another direction is not drawn with it."""
+"""Directions whose intervals are wider than this multiple of the narrowest are not plotted."""
 HIDDEN: Final = 0.02
-"""Share of the largest mean square below which a direction was not read."""
+"""Share of the largest mean square below which a direction counts as not measured."""
 
 
 @final
 @dataclass(frozen=True)
 class Scale:
-    """What a panel is drawn against.
+    """The horizontal axis of a panel.
 
     Attributes:
         label: in words with the unit.
-        values: (n,).
-        ticks: names of values, where it is no number.
+        values: (n,) value of each reading.
+        ticks: values with their names, if they are not numbers.
     """
 
     label: str
@@ -67,30 +68,29 @@ class Series:
         name: in the legend.
         x, y: (k,).
         weight: (k,) of each reading in a mean.
-        says: (k,) what the cause has there; None where nothing is claimed.
-        smooth: whether that depends on x alone, so that it is a line and no mean.
+        predicted: (k,) prediction of the cause; None for residuals.
+        smooth: whether the prediction depends on x alone, so that it is drawn as a line and not averaged.
     """
 
     name: str
     x: np.ndarray
     y: np.ndarray
     weight: np.ndarray
-    says: np.ndarray | None = None
+    predicted: np.ndarray | None = None
     smooth: bool = False
 
 
 @final
 @dataclass(frozen=True)
 class Panel:
-    """One picture, before it is drawn.
+    """The contents of one plot.
 
     Attributes:
-        title: what is shown.
-        x: its label, with the unit.
-        y: likewise.
-        series: what is drawn.
-        ticks: names of positions along x.
-        limit: ± of y at least; None: as it comes.
+        title: of the plot.
+        x, y: labels of the axes, with units.
+        series: the sets of readings.
+        ticks: named values along x.
+        limit: smallest half range of y; None for automatic.
     """
 
     title: str
@@ -101,19 +101,19 @@ class Panel:
     limit: float | None = None
 
 
-def residual_panels(found: Answer, *, after: bool = False) -> list[Panel]:
-    """The residuals against the columns they go with, clearest first; against every axis where they go with none.
+def residual_panels(found: DiagnosisResult, *, after: bool = False) -> list[Panel]:
+    """Return the residuals against the columns they depend on, clearest first, or against every axis if they depend on none.
 
     Args:
         found: the diagnosis.
-        after: with the causes taken out, on the scale of before.
+        after: residuals with the causes in the model, on the scale of those without.
     """
     scales, data = scales_of(found), found.data
     before = directed(found, found.residual_um)
     values = directed(found, found.after_um) if after else before
     panels = []
     axes = [(f"{axis.name}_{axis.unit}", axis.side) for axis in found.calibration.machine.axes]
-    for name, carrier in _telling(found, scales)[:MOST] or axes:
+    for name, carrier in _clearest_columns(found, scales)[:MOST] or axes:
         rows = data.carrier == carrier if carrier in data.carrier else np.ones(len(data), dtype=bool)
         x = scales[name]
         if np.ptp(x.values[rows]) == 0.0:
@@ -123,16 +123,16 @@ def residual_panels(found: Answer, *, after: bool = False) -> list[Panel]:
         shown = [label for label, (_, half) in reach.items() if half <= LEGIBLE * sharpest]
         series = tuple(_series(label, x.values[rows], values[label][rows]) for label in shown)
         where = side(carrier) if carrier in data.carrier else "all targets"
-        rest = "" if len(shown) == len(values) else f", {' and '.join(shown)}, which was read best"
+        rest = "" if len(shown) == len(values) else f", {' and '.join(shown)} (measured best)"
         only = f" {shown[0]}" if len(shown) == 1 else ""
         limit = max(reach[label][0] for label in shown)
         title = f"against {column(name)}, {where}{rest}"
-        panels.append(Panel(title, x.label, f"read − foreseen{only} [µm]", series, x.ticks, limit))
+        panels.append(Panel(title, x.label, f"residual{only} [µm]", series, x.ticks, limit))
     return panels
 
 
-def _telling(found: Answer, scales: Mapping[str, Scale]) -> list[tuple[str, str]]:
-    """(column, side) where the misfit shows; of columns that go together one, a cause's own if there is one."""
+def _clearest_columns(found: DiagnosisResult, scales: Mapping[str, Scale]) -> list[tuple[str, str]]:
+    """Return (column, side) pairs that show the residuals; of correlated columns one, if possible a column of a cause."""
     own = {name for cause in found.causes for name in _columns_of(found, cause)}
     unexplained = found.unexplained
     wanted = [(name, unexplained.carrier) for name in unexplained.depends_on] if unexplained is not None else []
@@ -140,27 +140,27 @@ def _telling(found: Answer, scales: Mapping[str, Scale]) -> list[tuple[str, str]
     wanted += [(trend.column, trend.carrier) for trend in found.trends if trend.explains >= least]
     chosen: list[tuple[str, str]] = []
     for name, carrier in wanted:
-        alike = [one for one in scales if name in scales and (one == name or _together(scales[one], scales[name]))]
+        alike = [one for one in scales if name in scales and (one == name or _correlated(scales[one], scales[name]))]
         if alike and not any(one in alike for one, _ in chosen):
             chosen.append((next((one for one in alike if one in own), name), carrier))
     return chosen
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
-    """Ranks from one on; equals share theirs."""
+    """Return the ranks, starting at one; ties share their mean rank."""
     _, of, count = np.unique(values, return_inverse=True, return_counts=True)
     return np.asarray((np.cumsum(count) - 0.5 * (count - 1))[of])
 
 
-def _together(a: Scale, b: Scale) -> bool:
-    """Whether two columns are in one order, near enough that a picture cannot tell them apart."""
+def _correlated(a: Scale, b: Scale) -> bool:
+    """Return whether two columns are rank-correlated so closely that their plots look the same."""
     if np.ptp(a.values) == 0.0 or np.ptp(b.values) == 0.0:
         return False
     return bool(abs(np.corrcoef(_ranks(a.values), _ranks(b.values))[0, 1]) > ALIKE)
 
 
-def cause_panels(found: Answer, cause: Cause) -> list[Panel]:
-    """A cause against what it goes with: in its own unit where it is one error motion, else as shifts of the targets.
+def cause_panels(found: DiagnosisResult, cause: Cause) -> list[Panel]:
+    """Return a cause against the columns it depends on: in its own unit if it is one error motion, else as shifts of the targets.
 
     Args:
         found: the diagnosis.
@@ -170,20 +170,22 @@ def cause_panels(found: Answer, cause: Cause) -> list[Panel]:
     parts = _single(effect, found) if effect is not None else None
     if effect is not None and parts is not None:
         return _own_unit(found, cause, effect, *parts)
-    rows = _concerned(found, cause)
+    rows = _affected(found, cause)
     if not np.any(rows):
         return []
     title = plain(cause.effect, cause.where)
     if not drawing_of(cause).by_state:
-        return [_as_said(title, cause.pattern_um[rows], found.after_um[rows], found.precision[rows])]
-    says, left = directed(found, cause.pattern_um), directed(found, found.after_um)
-    x = _against(found, cause)[0]
-    series = tuple(_series(name, x.values[rows], (part + left[name])[rows], part[rows]) for name, part in says.items())
+        return [_against_prediction(title, cause.pattern_um[rows], found.after_um[rows], found.precision[rows])]
+    predicted, left = directed(found, cause.pattern_um), directed(found, found.after_um)
+    x = _scales_of_cause(found, cause)[0]
+    series = tuple(
+        _series(name, x.values[rows], (part + left[name])[rows], part[rows]) for name, part in predicted.items()
+    )
     return [Panel(title, x.label, "shift of the targets [µm]", series, x.ticks)]
 
 
-def _concerned(found: Answer, cause: Cause) -> np.ndarray:
-    """(n,) readings a cause does something to, or would in another round."""
+def _affected(found: DiagnosisResult, cause: Cause) -> np.ndarray:
+    """Return (n,) which readings a cause affects, with the others of the same station or target."""
     size = np.linalg.norm(np.nan_to_num(cause.pattern_um), axis=1)
     rows = size > 1e-3 * max(float(size.max(initial=0.0)), 1e-12)
     shared = drawing_of(cause).shared
@@ -193,18 +195,18 @@ def _concerned(found: Answer, cause: Cause) -> np.ndarray:
     return np.isin(names, names[rows])
 
 
-def _as_said(title: str, says: np.ndarray, left: np.ndarray, precision: np.ndarray) -> Panel:
-    """Every coordinate that was read, against what the cause says of it."""
-    read = np.isfinite(says) & np.isfinite(left)
-    x, y = says[read], (says + left)[read]
+def _against_prediction(title: str, predicted: np.ndarray, left: np.ndarray, precision: np.ndarray) -> Panel:
+    """Return all measured coordinates against the prediction of the cause."""
+    read = np.isfinite(predicted) & np.isfinite(left)
+    x, y = predicted[read], (predicted + left)[read]
     some = np.abs(x) > SMALL * np.abs(x).max(initial=0.0)
     weight = np.einsum("nii->ni", precision)[read][some]
     one = Series("", x[some], y[some], weight, x[some], smooth=True)
-    return Panel(title, "shift this cause foresees [µm]", "shift as read [µm]", (one,))
+    return Panel(title, "shift predicted by this cause [µm]", "measured shift [µm]", (one,))
 
 
-def scales_of(found: Answer) -> dict[str, Scale]:
-    """Every column a residual can be drawn against, by its name in the table."""
+def scales_of(found: DiagnosisResult) -> dict[str, Scale]:
+    """Return all columns that residuals can be plotted against, by their name in the table."""
     data, machine = found.data, found.calibration.machine
     scales = {}
     for i, axis in enumerate(machine.axes):
@@ -213,7 +215,7 @@ def scales_of(found: Answer) -> dict[str, Scale]:
         if np.any(data.approach[:, i]):
             sides = np.asarray(data.approach[:, i], dtype=float)
             ticks = tuple((at, name) for at, name in SIDES if at != 0.0 or not np.all(sides))
-            scales[f"approach_{axis.name}"] = Scale(f"side {axis.name} came from [+/−]", sides, ticks)
+            scales[f"approach_{axis.name}"] = Scale(f"approach direction of {axis.name} [+/−]", sides, ticks)
     if np.all(np.isfinite(data.time_s)):
         since = np.asarray(data.time_s) - float(np.min(data.time_s))
         unit, seconds = ("h", 3600.0) if float(np.ptp(since)) > 7200.0 else ("min", 60.0)
@@ -232,13 +234,15 @@ def scales_of(found: Answer) -> dict[str, Scale]:
     return scales
 
 
-def _series(name: str, x: np.ndarray, y: np.ndarray, says: np.ndarray | None = None) -> Series:
+def _series(name: str, x: np.ndarray, y: np.ndarray, predicted: np.ndarray | None = None) -> Series:
     keep = np.isfinite(y)
-    return Series(name, x[keep], y[keep], np.ones(np.count_nonzero(keep)), None if says is None else says[keep])
+    return Series(
+        name, x[keep], y[keep], np.ones(np.count_nonzero(keep)), None if predicted is None else predicted[keep]
+    )
 
 
-def directed(found: Answer, values_um: np.ndarray) -> dict[str, np.ndarray]:
-    """Readings' coordinates as (n,) shifts in the base's directions; along the beam where lengths were read and nothing else."""
+def directed(found: DiagnosisResult, values_um: np.ndarray) -> dict[str, np.ndarray]:
+    """Return measured coordinates as (n,) shifts by direction of the base, or along the beam if only lengths were measured."""
     read = np.isfinite(values_um)
     values = np.where(read, values_um, 0.0)
     nothing = np.where(read.any(axis=1), 0.0, np.nan)
@@ -251,8 +255,8 @@ def directed(found: Answer, values_um: np.ndarray) -> dict[str, np.ndarray]:
     return {f"in {'xyz'[j]}": base[:, j] + nothing for j in range(3) if seen[j]}
 
 
-def _single(effect: Effect, found: Answer) -> tuple[int, np.ndarray] | None:
-    """The one component an effect has, and its (n,) value at each reading; None where it has several."""
+def _single(effect: Effect, found: DiagnosisResult) -> tuple[int, np.ndarray] | None:
+    """Return the only component of an effect and its (n,) value at each reading; None for several components."""
     machine = found.calibration.machine
     parts = effect.components(state_of(found.data, machine))
     largest = {i: float(np.abs(np.asarray(v, dtype=float)).max(initial=0.0)) for i, v in parts.items()}
@@ -263,8 +267,8 @@ def _single(effect: Effect, found: Answer) -> tuple[int, np.ndarray] | None:
     return strong[0], np.broadcast_to(np.asarray(parts[strong[0]], dtype=float), len(found.data))
 
 
-def _own_unit(found: Answer, cause: Cause, effect: Effect, component: int, values: np.ndarray) -> list[Panel]:
-    """The error motion itself: what each reading says of it by weighted least squares, and what that counts."""
+def _own_unit(found: DiagnosisResult, cause: Cause, effect: Effect, component: int, values: np.ndarray) -> list[Panel]:
+    """Return panels of the error motion itself: its weighted least-squares estimate from each reading, with weights."""
     shift = np.where(np.isfinite(cause.pattern_um), cause.pattern_um, 0.0)
     left = np.where(np.isfinite(found.after_um), found.after_um, 0.0)
     size = np.linalg.norm(shift, axis=1)
@@ -275,18 +279,18 @@ def _own_unit(found: Answer, cause: Cause, effect: Effect, component: int, value
     weight = np.sum(lever * shift[rows], axis=1) / values[rows]
     read = values[rows] + np.sum(lever * left[rows], axis=1) / weight
     frame, mark = effect.frame.axis, "0" if effect.frame.role == "location" else ""
-    name = f"E_{DIRECTIONS[component]}{mark}{frame}"
+    error = f"E_{DIRECTIONS[component]}{mark}{frame}"
     unit = "µm" if component < 3 else "µrad"
     drawn = drawing_of(cause)
-    label = f"shift of the tool side along {cause.where[0].lower()}" if drawn.of_base else f"{motion(name)}, {name}"
+    label = f"shift of the tool side along {cause.where[0].lower()}" if drawn.of_base else f"{motion(error)}, {error}"
     panels = []
-    for x in _against(found, cause):
+    for x in _scales_of_cause(found, cause):
         at = x.values[rows]
         if np.ptp(at) == 0.0:
             continue
         series = tuple(
-            Series(told, at[of], read[of], weight[of], values[rows][of], not drawn.spread)
-            for told, of in ((told, of[rows]) for told, of in _split(found, cause))
+            Series(name, at[of], read[of], weight[of], values[rows][of], not drawn.spread)
+            for name, of in ((name, of[rows]) for name, of in _split(found, cause))
             if np.count_nonzero(of) >= FEWEST
         )
         panels.append(Panel(plain(cause.effect, cause.where), x.label, f"{label} [{unit}]", series, x.ticks))
@@ -294,12 +298,12 @@ def _own_unit(found: Answer, cause: Cause, effect: Effect, component: int, value
 
 
 def drawing_of(cause: Cause) -> Drawing:
-    """How a cause is drawn."""
+    """Return the drawing options of a cause."""
     return SPECIFICATIONS[cause.effect].drawing
 
 
-def _split(found: Answer, cause: Cause) -> list[tuple[str, np.ndarray]]:
-    """Readings that a cause treats differently, named: by side of approach, or by where another axis stands."""
+def _split(found: DiagnosisResult, cause: Cause) -> list[tuple[str, np.ndarray]]:
+    """Return the readings in named groups: by approach direction, or by ranges of another axis."""
     data, machine = found.data, found.calibration.machine
     by = drawing_of(cause).split(cause.where)
     if by.startswith(APPROACH):
@@ -315,11 +319,11 @@ def _split(found: Answer, cause: Cause) -> list[tuple[str, np.ndarray]]:
     return [(f"{by} {edges[k]:.0f}…{edges[k + 1]:.0f} {unit}", of == k) for k in range(3)]
 
 
-def _against(found: Answer, cause: Cause) -> list[Scale]:
-    """What a cause is drawn against: what it depends on."""
+def _scales_of_cause(found: DiagnosisResult, cause: Cause) -> list[Scale]:
+    """Return the scales that a cause is plotted against."""
     machine, where, drawn = found.calibration.machine, cause.where, drawing_of(cause)
     if drawn.size_of:
-        return [_sized(found, where, drawn.size_of)]
+        return [_derived_scale(found, where, drawn.size_of)]
     scales = scales_of(found)
     wanted = () if drawn.columns is None else _named(drawn.columns(where), machine)
     if known := [scales[name] for name in wanted if name in scales]:
@@ -335,8 +339,8 @@ def _against(found: Answer, cause: Cause) -> list[Scale]:
     return own
 
 
-def _sized(found: Answer, where: str, size_of: str) -> Scale:
-    """What is no column of the table: the distance from the instrument, or how far a report is from its command."""
+def _derived_scale(found: DiagnosisResult, where: str, size_of: str) -> Scale:
+    """Return a scale that is no column of the table: distance from the instrument, or reported less commanded position."""
     if size_of == "distance":
         distance = np.linalg.norm(np.nan_to_num(found.data.point_mm), axis=1)
         return Scale("distance from the instrument [m]", 1e-3 * distance)
@@ -344,31 +348,31 @@ def _sized(found: Answer, where: str, size_of: str) -> Scale:
     i = machine.names.index(where)
     off = np.nan_to_num(found.data.readback[:, i] - found.data.positions[:, i])
     unit, scale = ("µm", 1e3) if machine.axes[i].linear else ("°", 1.0)
-    return Scale(f"{where} as reported less as commanded [{unit}]", off * scale)
+    return Scale(f"{where}: reported less commanded position [{unit}]", off * scale)
 
 
-def _columns_of(found: Answer, cause: Cause) -> list[str]:
-    """Names of the columns a cause goes with."""
+def _columns_of(found: DiagnosisResult, cause: Cause) -> list[str]:
+    """Return the names of the columns a cause depends on."""
     if also := drawing_of(cause).depends_on(cause.where):
         return _named(also, found.calibration.machine)
-    labels = [scale.label for scale in _against(found, cause)]
+    labels = [scale.label for scale in _scales_of_cause(found, cause)]
     return [name for name, scale in scales_of(found).items() if scale.label in labels]
 
 
 def _named(names: Iterable[str], machine: Machine) -> list[str]:
-    """Columns of the table: positions of axes by their names, others as they are."""
+    """Return names of columns of the table; names of axes get their unit."""
     return [f"{name}_{machine.by_name[name].unit}" if name in machine.by_name else name for name in names]
 
 
 def _folded(whole: Scale, name: str, period: float, unit: str) -> Scale:
-    """A position within one period, where there are many."""
+    """Return the position within one period if the range covers at least `MANY_TURNS` periods."""
     if float(np.ptp(whole.values)) < MANY_TURNS * period:
         return whole
     return Scale(f"{name} within its period of {period:.4g} {unit} [{unit}]", np.mod(whole.values, period))
 
 
 def groups_of(x: np.ndarray) -> np.ndarray:
-    """(n,) which readings belong together: the same stop, or neighbours."""
+    """Return (n,) group numbers: one group per position, or bins of neighbouring positions."""
     distinct = np.unique(np.round(x, 3))
     if len(distinct) <= STOPS:
         return np.searchsorted(distinct, np.round(x, 3))
@@ -379,13 +383,13 @@ def groups_of(x: np.ndarray) -> np.ndarray:
 def means(
     x: np.ndarray, y: np.ndarray, weight: np.ndarray, groups: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """By group: middle, mean, and the half width of the mean's 95 % interval from the readings' own scatter."""
+    """Return by group: mean x, weighted mean y, and half the 95 % interval of that mean from the spread of the readings."""
     count = np.bincount(groups)
     total = np.maximum(np.bincount(groups, weight), 1e-300)
     centre = np.bincount(groups, x) / np.maximum(count, 1)
     mean = np.bincount(groups, weight * y) / total
     spread = np.bincount(groups, weight * (y - mean[groups]) ** 2) / total
-    # How many readings of equal weight would say as much (Kish).
+    # Effective number of readings of equal weight (Kish).
     effective = total**2 / np.maximum(np.bincount(groups, weight**2), 1e-300)
     half = COVERAGE_FACTOR * np.sqrt(spread / np.maximum(effective - 1.0, 1.0))
     some = count >= FEWEST
@@ -393,7 +397,7 @@ def means(
 
 
 def _reach(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """How far from zero means and their intervals reach, and half of what an interval is wide (median)."""
+    """Return the largest distance of means with their intervals from zero, and the median half width of the intervals."""
     keep = np.isfinite(y)
     if np.count_nonzero(keep) < FEWEST:
         return 0.0, np.inf

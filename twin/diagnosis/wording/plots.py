@@ -1,8 +1,7 @@
-"""Pictures of a diagnosis: the misfit as it was seen, a cause as it was found, the causes as they ranked. Needs the extra ``plots``.
+"""Plots of a diagnosis: the residuals, a cause with the readings that show it, the ranking of causes. Needs the extra ``plots``.
 
-Dots are means over readings that belong together, with the 95 % interval of the mean from their own scatter; a line is what a cause
-says. Every function returns a `Figure` of its own, with the colours of `twin.display.figures`; shapes tell apart what colours
-do.
+Dots are means over groups of readings, with the 95 % interval of the mean from their spread; a line is the fitted cause. Every
+function returns a new `Figure` in the colours of `twin.display.figures`; marker shapes repeat the distinction that the colours make.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from twin._common.errors import InputError
-from twin.diagnosis.result import Answer
+from twin.diagnosis.result import DiagnosisResult
 from twin.diagnosis.wording.panels import (
     FEWEST,
     Panel,
@@ -31,41 +30,41 @@ from twin.diagnosis.wording.words import plain
 from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, blank, dress, heading
 
 WIDE: Final = 3
-"""Panels side by side."""
+"""Panels in a row."""
 TICKS: Final = 6
 CELLS: Final = 6
-"""Along either side of a map."""
+"""Cells along each side of a map."""
 DIRECTIONS: Final = ("in x", "in y", "in z")
-"""Each has its own style, whichever are drawn."""
+"""Each direction keeps its style, whichever directions are drawn."""
 NOTHING: Final = "#dddddd"
-"""Where nothing was read; the middle of the scale is white."""
+"""Colour of cells without a reading; the middle of the colour scale is white."""
 ABOVE: Final[dict[str, Any]] = {
     "fontsize": 8, "frameon": False, "ncols": 3, "loc": "lower left", "bbox_to_anchor": (-0.02, 0.99), "borderaxespad": 0.0,
     "columnspacing": 1.2, "handletextpad": 0.4,
 }  # fmt: skip
-"""A legend above its panel."""
+"""Options of a legend placed above its panel."""
 STYLES: Final = ((FORWARD, "o", "-"), (BACKWARD, "s", "--"), (THIRD, "^", "-."))
 
 
-def plot_residuals(found: Answer, *, after: bool = False, title: str = "") -> Figure:
-    """What is left of the readings where it shows most, in the directions of the machine's base.
+def plot_residuals(found: DiagnosisResult, *, after: bool = False, title: str = "") -> Figure:
+    """Plot the residuals against the columns that show them most clearly, in the directions of the machine's base.
 
     Args:
         found: the diagnosis.
-        after: with the causes taken out, on the scale of before.
-        title: a heading.
+        after: plot the residuals with the causes in the model, on the same scale.
+        title: heading; a default if empty.
     """
-    about = "What is left with the causes in the model" if after else "What the model does not foresee"
+    about = "Residuals with the causes in the model" if after else "Residuals"
     return _drawn(residual_panels(found, after=after), title or about)
 
 
-def plot_cause(found: Answer, cause: int = 0, *, title: str = "") -> Figure:
-    """What a cause says, and what was read once everything else is taken out.
+def plot_cause(found: DiagnosisResult, cause: int = 0, *, title: str = "") -> Figure:
+    """Plot a fitted cause, and the readings after removing all other causes.
 
     Args:
         found: the diagnosis.
-        cause: which of `Answer.causes`.
-        title: a heading.
+        cause: index in `DiagnosisResult.causes`.
+        title: heading; a default if empty.
 
     Raises:
         InputError: no such cause.
@@ -73,15 +72,15 @@ def plot_cause(found: Answer, cause: int = 0, *, title: str = "") -> Figure:
     if not 0 <= cause < len(found.causes):
         raise InputError("no such cause", expected=f"less than {len(found.causes)}", value=cause)
     one = found.causes[cause]
-    return _drawn(cause_panels(found, one), title or f"{plain(one.effect, one.where)}: as found (line), as read (dots)")
+    return _drawn(cause_panels(found, one), title or f"{plain(one.effect, one.where)}: fitted (line), measured (dots)")
 
 
-def plot_ranking(found: Answer, *, title: str = "") -> Figure:
-    """The causes tried, each alone, by how much of the misfit it explains.
+def plot_ranking(found: DiagnosisResult, *, title: str = "") -> Figure:
+    """Plot the χ² that each cause tested explains by itself.
 
     Args:
         found: the diagnosis.
-        title: a heading.
+        title: heading; a default if empty.
     """
     rows = found.ranking[::-1]
     figure = blank(9.0, 0.9 + 0.34 * max(len(rows), 1))
@@ -90,27 +89,27 @@ def plot_ranking(found: Answer, *, title: str = "") -> Figure:
     doubted = {key for cause in found.causes for key in cause.equivalent}
     for colour, of, label in (
         (BACKWARD, named, "found"),
-        (FORWARD, doubted - named, "cannot be told from what was found"),
+        (FORWARD, doubted - named, "confounded with a cause found"),
         (RUN, {(effect, where) for effect, where, *_ in rows} - named - doubted, "less likely"),
     ):
         at = [i for i, (effect, where, *_) in enumerate(rows) if (effect, where) in of]
         if at:
             plot.barh(at, [rows[i][2] for i in at], color=colour, label=label)
     plot.set_yticks(range(len(rows)), [plain(effect, where) for effect, where, *_ in rows], fontsize=9)
-    plot.set_xlabel("part of the misfit it explains alone, chi² [1]")
+    plot.set_xlabel("χ² explained by this cause alone [1]")
     plot.spines[["top", "right"]].set_visible(False)
     if rows:
         plot.legend(loc="lower right", frameon=False, fontsize=9)
-    heading(figure, title or f"Of {found.tried} causes tried", 11)
+    heading(figure, title or f"The best of {found.tried} causes tested", 11)
     return figure
 
 
-def plot_left(found: Answer, *, title: str = "") -> Figure | None:
-    """What is left over the two columns it goes with, in the direction that shows it most; None where it goes with fewer.
+def plot_unexplained(found: DiagnosisResult, *, title: str = "") -> Figure | None:
+    """Plot the unexplained residuals over the two columns they depend on, in the clearest direction; None for fewer columns.
 
     Args:
         found: the diagnosis.
-        title: a heading.
+        title: heading; a default if empty.
     """
     left, scales, data = found.unexplained, scales_of(found), found.data
     names = [name for name in left.depends_on if name in scales and not scales[name].ticks] if left is not None else []
@@ -131,22 +130,22 @@ def plot_left(found: Answer, *, title: str = "") -> Figure | None:
     most = float(np.nanmax(np.abs(maps[direction]), initial=1e-9))
     plot.set_facecolor(NOTHING)
     mesh = plot.pcolormesh(edges[0], edges[1], maps[direction].T, cmap="PuOr", vmin=-most, vmax=most)
-    figure.colorbar(mesh, label=f"mean of read − foreseen {direction} [µm]")
+    figure.colorbar(mesh, label=f"mean residual {direction} [µm]")
     plot.set(xlabel=x.label, ylabel=y.label)
     if title:
         heading(figure, title, 11)
     return figure
 
 
-def alone(panel: Panel) -> Figure:
-    """One panel as a figure of its own, its title left to the words around it."""
+def plot_panel(panel: Panel) -> Figure:
+    """Plot one panel as a figure without a title."""
     figure = blank(4.2, 3.1)
     draw(figure.add_subplot(), panel, titled=False)
     return figure
 
 
 def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
-    """A panel on axes that are there.
+    """Draw a panel on existing axes.
 
     Args:
         plot: the axes.
@@ -172,25 +171,27 @@ def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
 
 
 def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
-    """One of a panel's sets of readings; returns its entries in the legend. A cause's own line stands beside a single set only."""
+    """Draw the k-th series of a panel and return its entries in the legend; the cause has an entry only if the series is single."""
     one, count = panel.series[k], len(panel.series)
-    lone = count == 1 and one.says is not None
+    lone = count == 1 and one.predicted is not None
     colour, marker, style = STYLES[DIRECTIONS.index(one.name) if one.name in DIRECTIONS else k % len(STYLES)]
     groups = groups_of(one.x)
     centre, mean, half = means(one.x, one.y, one.weight, groups)
-    # Side by side instead of on top of one another.
-    aside = 0.0 if lone else 0.008 * (float(np.ptp(one.x)) or 1.0) * (k - 0.5 * (count - 1))
+    # Shifted, so that the series do not hide each other.
+    offset = 0.0 if lone else 0.008 * (float(np.ptp(one.x)) or 1.0) * (k - 0.5 * (count - 1))
     looks: dict[str, Any] = {"marker": marker, "markersize": 4.0, "linewidth": 0.0, "elinewidth": 1.0}
-    dots = plot.errorbar(centre + aside, mean, half, color=BOTH if lone else colour, **looks)
-    if one.says is None:
+    dots = plot.errorbar(centre + offset, mean, half, color=BOTH if lone else colour, **looks)
+    if one.predicted is None:
         if not panel.ticks:
-            plot.plot(centre + aside, mean, color=colour, linestyle=style, linewidth=0.8, alpha=0.6)
+            plot.plot(centre + offset, mean, color=colour, linestyle=style, linewidth=0.8, alpha=0.6)
         return [(dots, one.name)]
     order = np.argsort(one.x)
-    x, says = (one.x[order], one.says[order]) if one.smooth else means(one.x, one.says, one.weight, groups)[:2]
+    x, predicted = (
+        (one.x[order], one.predicted[order]) if one.smooth else means(one.x, one.predicted, one.weight, groups)[:2]
+    )
     colour, style = (BACKWARD, "-") if lone else (colour, style)
-    (line,) = plot.plot(x, says, color=colour, linestyle=style, linewidth=2.0, alpha=0.75)
-    return [(dots, "read"), (line, "what the cause says")] if lone else [(dots, one.name)]
+    (line,) = plot.plot(x, predicted, color=colour, linestyle=style, linewidth=2.0, alpha=0.75)
+    return [(dots, "measured"), (line, "fitted cause")] if lone else [(dots, one.name)]
 
 
 def _drawn(panels: Sequence[Panel], title: str) -> Figure:

@@ -1,7 +1,7 @@
-"""The diagnosis as one HTML file that reads as an argument: expected, seen, tried, why this one, doubted, gained, to be measured next.
+"""The diagnosis as one HTML file: expected and actual residuals, causes tested, evidence, alternatives, gain, next measurement.
 
-The first screen is for the machinist: what is wrong, how much it makes, what to do, what not. Symbols stand beside words, never
-instead of them. Pictures are embedded; nothing is fetched. The words are in the templates beside this module.
+The first screen is for the machine operator: the error, its effect at the tool, what to do, what to avoid. Symbols accompany names in
+words, they never replace them. Pictures are embedded; nothing is fetched. The text is in the templates of this package.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.provenance import texts
-from twin.diagnosis.result import Answer, Cause, Quantity, readable_unit
+from twin.diagnosis.result import Cause, DiagnosisResult, Quantity, readable_unit
 from twin.diagnosis.wording import panels, verdict, words
-from twin.diagnosis.wording.plots import alone, plot_left
+from twin.diagnosis.wording.plots import plot_panel, plot_unexplained
 from twin.diagnosis.wording.words import column, listed
 from twin.display import Html, render
 from twin.display.figures import embedded
@@ -23,14 +23,14 @@ from twin.machine.effects.specification import NOTHING
 from twin.measurement.checks import assumptions, grouped_notes
 
 LIKELY: Final = 0.5
-"""Chance above which a cause is not worth a line."""
+"""p-value above which a cause tested is not listed."""
 COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de", "disturbed": "#e6eff8"}
 
 
 @final
 @dataclass(frozen=True)
 class _Ranked:
-    """One line of what was tried; ``kind`` is found, doubted or empty."""
+    """One line of the table of causes tested; ``kind`` is found, doubted (an alternative of one found) or empty."""
 
     effect: str
     where: str
@@ -40,11 +40,11 @@ class _Ranked:
     doubted: bool
 
 
-def diagnosis_html(diagnosis: Answer) -> str:
-    """One self-contained page; needs matplotlib (extra ``plots``).
+def diagnosis_html(diagnosis: DiagnosisResult) -> str:
+    """Return one self-contained HTML page; needs matplotlib (extra ``plots``).
 
     Args:
-        diagnosis: what `twin.diagnosis.diagnose` found.
+        diagnosis: the result of `twin.diagnosis.diagnose`.
     """
     title, mood = verdict.headline(diagnosis)
     machine = diagnosis.calibration.machine.name
@@ -63,10 +63,10 @@ def diagnosis_html(diagnosis: Answer) -> str:
         first_facts=verdict.facts(diagnosis),
         ranked=_ranked(diagnosis),
         several=len({(cause.effect, cause.where) for cause in diagnosis.causes}) > 1,
-        mapped=plot_left(diagnosis),
+        mapped=plot_unexplained(diagnosis),
         mapped_over=listed(columns[:2]),
         left_over=listed(columns) if columns else "",
-        compared=words.contests(diagnosis.next_measurement, diagnosis.expected_rms_um),
+        compared=words.separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um),
         panels=panels,
         verdict=verdict,
         words=words,
@@ -75,12 +75,12 @@ def diagnosis_html(diagnosis: Answer) -> str:
         listed_causes=_listed_causes,
         picture=_picture,
         readable_unit=readable_unit,
-        told_of=_told,
+        listed_parameters=_listed_parameters,
     )
 
 
-def _ranked(diagnosis: Answer) -> list[_Ranked]:
-    """What was found, and what is about as likely as not."""
+def _ranked(diagnosis: DiagnosisResult) -> list[_Ranked]:
+    """Return the causes found and those tested with a p-value below `LIKELY`."""
     named = {(cause.effect, cause.where) for cause in diagnosis.causes}
     doubted = {key for cause in diagnosis.causes for key in cause.equivalent}
     found = []
@@ -93,15 +93,15 @@ def _ranked(diagnosis: Answer) -> list[_Ranked]:
 
 
 def _picture(panel: panels.Panel, caption: str) -> Html:
-    return embedded(alone(panel), f"{panel.title}: {panel.y} against {panel.x}", caption)
+    return embedded(plot_panel(panel), f"{panel.title}: {panel.y} against {panel.x}", caption)
 
 
 def _listed_causes(keys: Sequence[tuple[str, str]]) -> Html:
-    """Causes in words with their symbols."""
+    """Return causes in words with their symbols, as HTML."""
     named = [(escape(words.lower(words.plain(*key))), escape(words.symbol(*key))) for key in keys]
     return Html(listed([f"{name} <span class=symbol>{sign}</span>" for name, sign in named]))
 
 
-def _told(cause: Cause) -> list[Quantity]:
-    """A cause's numbers; a curve's coefficients mean nothing to a reader and are counted."""
-    return [one for one in cause.parameters if not words.coefficient(one.name)]
+def _listed_parameters(cause: Cause) -> list[Quantity]:
+    """Return the parameters of a cause without coefficients of curves, which mean nothing to a reader."""
+    return [quantity for quantity in cause.parameters if not words.coefficient(quantity.name)]

@@ -1,4 +1,4 @@
-"""A diagnosis as text for the terminal, and in short for a notebook."""
+"""A diagnosis as text for the terminal, and as a short table for a notebook."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from textwrap import wrap
 from typing import Final
 
 from twin._common.provenance import texts
-from twin.diagnosis.result import Answer, Cause, readable_unit
+from twin.diagnosis.result import Cause, DiagnosisResult, readable_unit
 from twin.diagnosis.wording.verdict import facts, headline, sentence
 from twin.diagnosis.wording.words import (
     coefficient,
-    contests,
     grouped,
     held_out_words,
     likelihood_words,
@@ -24,6 +23,7 @@ from twin.diagnosis.wording.words import (
     percent,
     plain,
     probability,
+    separating_points,
     symbol,
 )
 from twin.display.numbers import tied
@@ -31,15 +31,15 @@ from twin.measurement.checks import assumptions, grouped_notes
 
 WIDTH: Final = 100
 ABSORBED: Final = 0.9
-"""Share of the residual below which it is said how much the calibration's own uncertainty takes up."""
+"""Ratio of the RMS residual with and without the calibration's uncertainty below which both are given."""
 HARD: Final = "\u00a0"
 
 
-def diagnosis_text(diagnosis: Answer) -> str:
-    """For people, in lines of at most `WIDTH`: the verdict, what follows, each cause, what it gains, what to measure next.
+def diagnosis_text(diagnosis: DiagnosisResult) -> str:
+    """Return the verdict, each cause, what to do, the gain and what to measure next, in lines of at most `WIDTH` characters.
 
     Args:
-        diagnosis: what `twin.diagnosis.diagnose` found.
+        diagnosis: the result of `twin.diagnosis.diagnose`.
     """
     lines = _wrapped(
         f"{diagnosis.verdict.upper()}. {headline(diagnosis)[0].removesuffix(' Found:').removesuffix('.')}."
@@ -54,65 +54,69 @@ def diagnosis_text(diagnosis: Answer) -> str:
     lines += [
         "",
         *_wrapped(
-            f"The readings differ from the model by {diagnosis.rms_um:.3g} µm RMS a coordinate; {diagnosis.expected_rms_um:.3g} µm "
-            f"were expected, from {diagnosis.scatter} ({probability(diagnosis.p_value)}, {diagnosis.tried} causes tried).",
+            f"RMS residual {diagnosis.rms_um:.3g} µm per coordinate, {diagnosis.expected_rms_um:.3g} µm expected from "
+            f"{diagnosis.noise_source} ({probability(diagnosis.p_value)}, {diagnosis.tried} causes tested).",
             hang=2,
         ),
     ]
     if diagnosis.absorbed_rms_um < ABSORBED * diagnosis.rms_um:
-        absorbed = f"{diagnosis.absorbed_rms_um:.3g} µm are left once the calibration's stated uncertainty has taken up what it can"
+        absorbed = (
+            f"{diagnosis.absorbed_rms_um:.3g} µm remain after allowing for the uncertainty stated in the calibration"
+        )
         lines += _wrapped(f"{absorbed}.", start=2, hang=2)
     if diagnosis.unexplained is not None:
-        lines += _wrapped(f"Left unexplained: {diagnosis.unexplained.evidence}.", hang=2)
+        lines += _wrapped(f"Unexplained: {diagnosis.unexplained.evidence}.", hang=2)
     lines += _gain(diagnosis)
     if diagnosis.next_measurement:
         lines += ["", "What to measure next"]
-    for one in contests(diagnosis.next_measurement, diagnosis.expected_rms_um):
-        lines += _wrapped(f"To tell {lower(one.names[0])} from {lower(one.names[1])}: {one.verdict}", start=2, hang=4)
-        for pose, sides, target, station, apart in one.rows:
-            come = f", arriving {sides}" if sides else ""
+    for one in separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um):
+        lines += _wrapped(
+            f"To separate {lower(one.names[0])} from {lower(one.names[1])}: {one.verdict}", start=2, hang=4
+        )
+        for pose, sides, target, station, difference in one.rows:
+            approached = f", approached from {sides}" if sides else ""
             lines += _wrapped(
-                f"{pose}, target {target}, station {station}{come}: they differ by {apart}", start=4, hang=8
+                f"{pose}, target {target}, station {station}{approached}: difference {difference}", start=4, hang=8
             )
     for entry in diagnosis.next_measurement:
         if "separates" not in entry:
             lines += _wrapped(str(entry["text"]), start=2, hang=4)
-    lines += _listing("These readings could not show, however large:", grouped(diagnosis.unidentifiable))
-    lines += _listing("Not tried, for want of a column:", missing(diagnosis.not_evaluated))
-    aside = diagnosis.data.set_aside
-    if aside:
-        lines += _listing(f"Readings not used ({len(aside)}):", grouped_notes(aside))
+    lines += _listing("Not identifiable from these readings, whatever their size:", grouped(diagnosis.unidentifiable))
+    lines += _listing("Not tested, because the table lacks these columns:", missing(diagnosis.not_evaluated))
+    unused = diagnosis.data.set_aside
+    if unused:
+        lines += _listing(f"Readings not used ({len(unused)}):", grouped_notes(unused))
     assumed = assumptions(diagnosis.data.notices)
     lines += _listing("Notes:", [notice for notice in diagnosis.data.notices if notice not in assumed])
     return "\n".join(lines) + "\n"
 
 
-def diagnosis_brief(diagnosis: Answer) -> str:
-    """The verdict and a table of the causes, as HTML for a notebook.
+def diagnosis_brief(diagnosis: DiagnosisResult) -> str:
+    """Return the verdict and a table of the causes, as HTML for a notebook.
 
     Args:
-        diagnosis: what `twin.diagnosis.diagnose` found.
+        diagnosis: the result of `twin.diagnosis.diagnose`.
     """
     title, mood = headline(diagnosis)
     edge = {"well": "#009e73", "wrong": "#e69f00", "unknown": "#d55e00", "disturbed": "#0072b2"}[mood]
-    rows = [("cause", "how much", "of the misfit", "could as well be")] if diagnosis.causes else []
+    rows = [("cause", "size", "share of the excess", "alternatives")] if diagnosis.causes else []
     rows += [
         (
             f"<b>{_e(plain(one.effect, one.where))}</b> <small>{_e(symbol(one.effect, one.where))}</small>",
             _e(_numbers(one)),
             percent(one.share),
-            _e(listed([plain(*key) for key in one.equivalent], most=3)) or "nothing",
+            _e(listed([plain(*key) for key in one.equivalent], most=3)) or "none",
         )
         for one in diagnosis.causes
     ]
     left = "text-align:left"
     body = "".join("<tr>" + "".join(f"<td style='{left}'>{cell}</td>" for cell in row) + "</tr>" for row in rows)
     table = f"<table>{body}</table>" if rows else ""
-    told = "".join(f"<div><b>{_e(name)}:</b> {_e(text)}</div>" for name, text in facts(diagnosis))
-    drawn = "".join(f"<div><b>{_e(one.title)}</b>: {_e(one.sentence)}</div>" for one in diagnosis.warnings)
+    advice = "".join(f"<div><b>{_e(name)}:</b> {_e(text)}</div>" for name, text in facts(diagnosis))
+    warnings = "".join(f"<div><b>{_e(one.title)}</b>: {_e(one.sentence)}</div>" for one in diagnosis.warnings)
     return (
         f"<div style='border-left:.4em solid {edge};padding:.2em 1em'><p><b>{_e(title)}</b> <small>{diagnosis.verdict}</small></p>"
-        f"{drawn}{table}{told}</div>"
+        f"{warnings}{table}{advice}</div>"
     )
 
 
@@ -125,43 +129,43 @@ def _cause(cause: Cause) -> list[str]:
         lines += _wrapped(_numbers(cause), start=4, hang=6)
     if cause.share > 0.0:
         lines += _wrapped(
-            f"{percent(cause.share)} of what is beyond the scatter, {probability(cause.p_value)}", start=4, hang=6
+            f"explains {percent(cause.share)} of the excess over noise, {probability(cause.p_value)}", start=4, hang=6
         )
     if cause.probability is not None:
         lines += _wrapped(likelihood_words(cause.probability, not cause.equivalent), start=4, hang=6)
     for rival in cause.rivals[:1]:
         name = f"{plain(rival.effect, rival.where)} ({symbol(rival.effect, rival.where)})"
-        lines += _wrapped(f"ruled out in its place: {name}, {odds(rival.log_odds)}", start=4, hang=6)
+        lines += _wrapped(f"next best, ruled out: {name}, {odds(rival.log_odds)}", start=4, hang=6)
     if cause.equivalent:
         names = [f"{plain(*key)} ({symbol(*key)})" for key in cause.equivalent]
-        lines += _wrapped(f"could as well be: {listed(names)}", start=4, hang=6)
+        lines += _wrapped(f"fits these readings equally well: {listed(names)}", start=4, hang=6)
     return lines
 
 
 def _numbers(cause: Cause) -> str:
-    told = [
+    values = [
         f"{q.name.replace('_', ' ')} {measured(q.value, q.u, readable_unit(q.unit))}"
         for q in cause.parameters
         if not coefficient(q.name)
     ]
-    curve = len(cause.parameters) - len(told)
-    numbers = [f"{', '.join(told)} (95 %)"] if told else []
+    curve = len(cause.parameters) - len(values)
+    numbers = [f"{', '.join(values)} (95 %)"] if values else []
     return "; ".join([*numbers, *([f"a curve of {curve} coefficients"] if curve else [])])
 
 
-def _gain(diagnosis: Answer) -> list[str]:
+def _gain(diagnosis: DiagnosisResult) -> list[str]:
     gain = diagnosis.gain
     if gain is None:
         return []
-    text = f"Modelling it: {gain.rms_before_um:.3g} → {gain.rms_after_um:.3g} µm"
+    text = f"RMS residual without → with the causes: {gain.rms_before_um:.3g} → {gain.rms_after_um:.3g} µm"
     held = gain.held_out
     if held is not None:
-        text += f"; on {held_out_words(held.of)} left out of the fit {held.before_um:.3g} → {held.after_um:.3g} µm"
+        text += f"; on held-out {held_out_words(held.of)} {held.before_um:.3g} → {held.after_um:.3g} µm"
         if held.ci95_um is not None:
             low, high = held.ci95_um
-            text += f" (less by {low:.2g} to {high:.2g}, 95 %)".replace("-", "−")
+            text += f" (reduced by {low:.2g} to {high:.2g} µm, 95 %)".replace("-", "−")
     if gain.tool_before_um > 0.0:
-        text += f"; at the tool over the working volume, compensated, {gain.tool_before_um:.3g} → {gain.tool_after_um:.2g} µm RMS"
+        text += f"; compensated, at the tool over the working volume, {gain.tool_before_um:.3g} → {gain.tool_after_um:.2g} µm RMS"
     return _wrapped(f"{text}.", hang=2)
 
 

@@ -1,4 +1,4 @@
-"""What a diagnosis comes to, in a few sentences for whoever runs the machine: page, text and notebook say the same."""
+"""The verdict of a diagnosis in a few sentences for whoever runs the machine, shared by page, text and notebook."""
 
 from __future__ import annotations
 
@@ -8,82 +8,85 @@ from typing import Final, Literal
 
 import numpy as np
 
-from twin.diagnosis.result import Answer, Cause, Extension
+from twin.diagnosis.result import Cause, DiagnosisResult, Extension
 from twin.diagnosis.wording.words import (
     advice,
     capital,
     column,
-    contests,
     held_out_words,
     kind,
     listed,
     lower,
     percent,
     plain,
+    separating_points,
     side,
 )
 
 Mood = Literal["well", "wrong", "unknown", "disturbed"]
 SHOWN: Final = 4
-"""Causes that are told of before the others are counted."""
+"""Causes described one by one; the rest are counted."""
 COVERED: Final = 0.9
-"""Share of the residual below which the calibration's uncertainty is what makes it consistent."""
-RESTLESS: Final = 1.2
-"""Times the stated scatter from which it is doubted."""
+"""Ratio of the RMS residual with and without the calibration's uncertainty below which that uncertainty makes it consistent."""
+NOISY: Final = 1.2
+"""Ratio of the residual to the stated noise above which the stated noise is doubted."""
 NEXT: Final = "“What to measure next”"
 SIZED: Final = re.compile(r"\d (µm|µrad|mm|°|ppm)")
 
 
-def headline(diagnosis: Answer) -> tuple[str, Mood]:
-    """The verdict in one sentence, and what kind of news it is."""
+def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:
+    """Return the verdict in one sentence, and its mood (the colour it is shown in)."""
     kinds = {kind(cause.effect) for cause in diagnosis.causes}
     if diagnosis.verdict == "consistent":
-        return "Nothing is wrong that these readings could show", "well"
+        return "The readings agree with the model: no error found", "well"
     if diagnosis.verdict == "unexplained":
-        if kinds and restless(diagnosis):
+        if kinds and noisier_than_stated(diagnosis):
             return (
-                "The readings scatter more than was stated; what was found in them may be no more than that",
+                "The readings are noisier than stated; the causes found may be artefacts of that noise",
                 "unknown",
             )
         if kinds:
-            return "Something is wrong, and what was found does not explain all of it", "unknown"
+            return "There is an error, and the causes found do not explain all of it", "unknown"
         if diagnosis.unexplained is not None and not diagnosis.unexplained.depends_on:
-            return "The readings scatter more than was stated", "unknown"
-        return "Something is wrong that no known cause explains", "unknown"
+            return "The readings are noisier than stated", "unknown"
+        return "There is an error that no known cause explains", "unknown"
     if diagnosis.verdict == "ambiguous":
         if not diagnosis.causes[0].equivalent:
             return (
-                "Something is wrong; most of it is found, and for a part these readings leave open what it is",
+                "There are errors: most causes are identified, but for some these readings cannot decide between alternatives",
                 "wrong",
             )
-        return "Something is wrong, and these readings leave open which of several things it is", "wrong"
+        return "There is an error, but these readings cannot decide which of several causes it has", "wrong"
     if kinds == {"instrument"}:
         return (
-            "The measurement was disturbed; nothing is wrong with the machine that these readings could show",
+            "The measurement was disturbed; these readings show no error of the machine",
             "disturbed",
         )
     if kinds == {"calibration"}:
         return "The calibration is wrong, not the machine. Found:", "wrong"
     if "instrument" in kinds:
-        return "The machine has an error its model does not know, and the measurement was disturbed. Found:", "wrong"
+        return (
+            "The machine has an error that its model does not contain, and the measurement was disturbed. Found:",
+            "wrong",
+        )
     many = "an error" if len(diagnosis.causes) == 1 else f"{len(diagnosis.causes)} errors"
-    return f"The machine has {many} its model does not know. Found:", "wrong"
+    return f"The machine has {many} that its model does not contain. Found:", "wrong"
 
 
-def facts(diagnosis: Answer) -> list[tuple[str, str]]:
-    """What it makes at the tool, what to do and what not: a heading and a sentence or two each."""
+def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
+    """Return headings with one or two sentences each: the effect at the tool, what to do, what to avoid."""
     causes = diagnosis.causes
     if diagnosis.verdict == "consistent":
-        why = f"as their own scatter lets expect ({diagnosis.expected_rms_um:.3g} µm)"
+        why = f"as expected from measurement noise ({diagnosis.expected_rms_um:.3g} µm)"
         if diagnosis.absorbed_rms_um < COVERED * diagnosis.rms_um:
             why = (
-                f"more than their own scatter ({diagnosis.expected_rms_um:.3g} µm): the uncertainty that the calibration states "
-                "covers the rest"
+                f"more than measurement noise ({diagnosis.expected_rms_um:.3g} µm), but within the uncertainty stated in the "
+                "calibration"
             )
         return [
-            ("Seen", f"The readings differ from the model by {diagnosis.rms_um:.3g} µm, {why}."),
-            ("Do", "Nothing. Compensate with the calibration as it is."),
-            ("Mind", f"This holds for what these readings can show. What they cannot is listed under {NEXT}."),
+            ("Result", f"The RMS residual is {diagnosis.rms_um:.3g} µm, {why}."),
+            ("What to do", "Nothing. Compensate with the present calibration."),
+            ("Note", f"This covers only errors that these readings can show. The others are listed under {NEXT}."),
         ]
     found = [("At the tool", _at_tool(diagnosis))]
     if diagnosis.verdict == "unexplained":
@@ -97,148 +100,150 @@ def facts(diagnosis: Answer) -> list[tuple[str, str]]:
             look = advice(one.effect, one.where).look
             found.append((plain(one.effect, one.where), f"{look} {to_do(one)}"))
         if any(one.origin == "instrument" for one in causes):
-            found.append(("Beware", "Compensate nothing of what belongs to the instrument."))
+            found.append(("Caution", "Do not compensate for errors of the instrument."))
     return [fact for fact in [*found, *extended(diagnosis)] if fact[1]]
 
 
-def extended(diagnosis: Answer) -> list[tuple[str, str]]:
-    """What was made of what is left unexplained, or why nothing was; nothing where it was not asked for."""
+def extended(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
+    """Return what the extended calibration contains of the unexplained pattern, or why not; empty if that was not requested."""
     left = diagnosis.unexplained
     if left is None or left.extension is None:
         return []
     made = left.extension
     if not made.written:
-        return [("Not extended", f"What is left unexplained is not written: {made.reason}.")]
+        return [("Not extended", f"The unexplained pattern is not in the extended calibration: {made.reason}.")]
     names = " and ".join(f"“{term.where}”" for term in made.made)
     text = (
-        f"{names} is in the extended calibration without a known cause. It corrects what was measured, {inside(made)}; it says "
-        "nothing outside, where it is refused. If the instrument did it and not the machine, it makes parts worse."
+        f"{names} is in the extended calibration without a known cause. It is valid for the measured conditions only, {inside(made)}; "
+        "outside them compensation is refused. If the instrument caused it, and not the machine, it makes parts worse."
     )
     held = made.held_out
     if held is not None and held.ci95_um is not None:
         low, high = held.ci95_um
         text += (
-            f" On {held_out_words(held.of)} held out it takes the residual from {held.before_um:.3g} to {held.after_um:.3g} µm "
-            f"(less by {low:.2g} to {high:.2g}, 95 %)."
+            f" On held-out {held_out_words(held.of)} it reduces the RMS residual from {held.before_um:.3g} to {held.after_um:.3g} µm "
+            f"(by {low:.2g} to {high:.2g} µm, 95 %)."
         )
     others = [str(term.reason) for term in made.terms if term.reason is not None]
     if others:
-        text += f" Another part of what is left is not written: {'; '.join(others)}."
+        text += f" Another part of the unexplained pattern is not included: {'; '.join(others)}."
     return [("Extended", text)]
 
 
 def inside(made: Extension) -> str:
-    """The ranges it holds in: ``inside X_mm 0 to 500 and Y_mm 0 to 450``."""
+    """Return the ranges in which an empirical effect is valid: ``within X_mm 0 to 500 and Y_mm 0 to 450``."""
     ranges = [f"{name} {low:g} to {high:g}" for name, (low, high) in made.ranges.items()]
-    return f"inside {' and '.join(ranges)}" if ranges else "at all angles"
+    return f"within {' and '.join(ranges)}" if ranges else "at all angles"
 
 
 def advised(cause: Cause) -> list[tuple[str, str]]:
-    """Where to look, what to do, what not."""
-    told = advice(cause.effect, cause.where)
-    return [("Look here", told.look), ("Do", to_do(cause)), ("Beware", told.never)]
+    """Return where to look, what to do and what to avoid, each with its heading."""
+    texts = advice(cause.effect, cause.where)
+    return [("Where to look", texts.look), ("What to do", to_do(cause)), ("Caution", texts.never)]
 
 
 def to_do(cause: Cause) -> str:
-    """What to do about a cause: nothing is compensated that is in no calibration."""
+    """Return what to do about a cause; one that is not in the extended calibration cannot be compensated."""
     if cause.promised:
         return advice(cause.effect, cause.where).do
     return (
-        "Nothing is compensated: what repeats at these positions does not foretell others. Measure at positions closer together, "
-        "not evenly spaced."
+        "It is not compensated: the error at these positions does not predict the error between them. Measure at more closely "
+        "and unevenly spaced positions."
     )
 
 
 def sentence(cause: Cause) -> str:
-    """Its evidence without symbol and statistician's brackets; how far it moves a point where that gives no size."""
+    """Return the evidence without symbol and statistics; if it contains no size, the largest shift of a point is added."""
     text = re.sub(r" \(\d+ standard uncertainties\)", "", cause.evidence).removeprefix(f"{cause.where}: ")
     return f"{capital(text)}.{'' if SIZED.search(text) else f' {moves(cause)}'}"
 
 
 def moves(cause: Cause) -> str:
-    """How far it moves a point at most."""
+    """Return the largest shift of a reading, in a sentence."""
     size = np.linalg.norm(np.nan_to_num(cause.pattern_um), axis=1).max(initial=0.0)
     what = "shifts readings" if cause.origin == "instrument" else "moves the measured points"
     return f"It {what} by up to {size:.2g} µm."
 
 
-def restless(diagnosis: Answer) -> bool:
-    """Whether the readings scatter more than stated, whatever is taken out of them."""
+def noisier_than_stated(diagnosis: DiagnosisResult) -> bool:
+    """Return whether the noise is larger than stated even with all causes in the model."""
     if diagnosis.gain is None or diagnosis.unexplained is None or _written(diagnosis):
         return False
     ratio = diagnosis.gain.rms_after_um / diagnosis.expected_rms_um
-    # Five standard deviations of a mean square, and enough to matter.
-    return bool(ratio > RESTLESS and ratio**2 - 1.0 > 5.0 * np.sqrt(2.0 / max(diagnosis.dof, 1)))
+    # Significant: five standard deviations of a mean square. Relevant: above `NOISY`.
+    return bool(ratio > NOISY and ratio**2 - 1.0 > 5.0 * np.sqrt(2.0 / max(diagnosis.dof, 1)))
 
 
-def either_side(causes: Iterable[Cause]) -> bool:
-    """Whether the machine and the instrument stand in for one another."""
+def machine_or_instrument(causes: Iterable[Cause]) -> bool:
+    """Return whether an error of the machine is confounded with one of the instrument."""
     return any(
         (kind(effect) == "instrument") != (one.origin == "instrument") for one in causes for effect, _ in one.equivalent
     )
 
 
-def _at_tool(diagnosis: Answer) -> str:
+def _at_tool(diagnosis: DiagnosisResult) -> str:
     gain, kinds = diagnosis.gain, {kind(cause.effect) for cause in diagnosis.causes}
     if kinds == {"instrument"}:
-        return "Nothing: it is in the readings only."
+        return "No effect: the error is in the readings only."
     if gain is None or gain.tool_before_um <= 0.0:
         return ""
     made = f"{gain.tool_before_um:.2g} µm (RMS over the working volume)"
     if _written(diagnosis):
-        return f"{made}, inside the range measured. Compensated it leaves {gain.tool_after_um:.2g} µm there."
+        return f"{made}, within the measured range. After compensation {gain.tool_after_um:.2g} µm remain there."
     if diagnosis.verdict == "unexplained":
-        return f"What was found makes {made}; what the rest makes is not known."
-    given = ", if it is this," if diagnosis.verdict == "ambiguous" else ""
-    left = f"Compensated{given} it leaves {gain.tool_after_um:.2g} µm."
-    return f"{made}. {left} It matters where a tolerance is not several times larger."
+        return f"The causes found contribute {made}; the contribution of the rest is unknown."
+    condition = ", if this is the cause" if diagnosis.verdict == "ambiguous" else ""
+    remaining = f"After compensation {gain.tool_after_um:.2g} µm remain{condition}."
+    return f"{made}; relevant if your tolerance is below about five times this. {remaining}"
 
 
-def _written(diagnosis: Answer) -> bool:
-    """Whether what is left unexplained is in the extended calibration."""
+def _written(diagnosis: DiagnosisResult) -> bool:
+    """Return whether the unexplained pattern is in the extended calibration."""
     left = diagnosis.unexplained
     return left is not None and left.extension is not None and left.extension.written
 
 
-def _when_unexplained(diagnosis: Answer) -> list[tuple[str, str]]:
+def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     left = diagnosis.unexplained
     if left is None:
         return []
-    share = f"{percent(left.share)} of what is beyond the scatter"
-    check = "Check the instrument, and the uncertainties stated for it, before anything on the machine."
-    none = "where readings scatter more than stated, causes are seen that are none."
-    if restless(diagnosis) and diagnosis.gain is not None:
+    share = f"{percent(left.share)} of the excess over measurement noise"
+    check = "Check the instrument and its stated uncertainties before working on the machine."
+    spurious = "if the noise is larger than stated, some of the causes found may not exist."
+    if noisier_than_stated(diagnosis) and diagnosis.gain is not None:
         times = diagnosis.gain.rms_after_um / diagnosis.expected_rms_um
-        rest = f"With all of that taken out they still scatter by {diagnosis.gain.rms_after_um:.2g} µm"
+        rest = f"With these causes in the model the RMS residual is {diagnosis.gain.rms_after_um:.2g} µm"
         return [
-            ("Left over", f"{rest}, {times:.2g} times what was stated."),
-            ("Do", f"{check} Then diagnose again."),
-            ("Beware", f"Do not compensate with this: {none}"),
+            ("Residual", f"{rest}, {times:.2g} times the stated noise."),
+            ("What to do", f"{check} Then diagnose again."),
+            ("Caution", f"Do not compensate with this result: {spurious}"),
         ]
     if not left.depends_on:
-        over = f"{share}, without any pattern in the columns of the table."
+        over = f"{share} remains, without a pattern in any column of the table."
         if not diagnosis.causes:
-            stated = f"where {diagnosis.expected_rms_um:.3g} µm were stated"
-            over = f"They differ from the model by {diagnosis.rms_um:.3g} µm {stated}, without any pattern."
+            stated = f"with {diagnosis.expected_rms_um:.3g} µm expected from the stated noise"
+            over = f"The RMS residual is {diagnosis.rms_um:.3g} µm, {stated}. It has no pattern in any column of the table."
         return [
-            ("Left over" if diagnosis.causes else "Seen", over),
-            ("Do", check),
-            ("Beware", f"Do not compensate yet: {none}"),
+            ("Residual" if diagnosis.causes else "Result", over),
+            ("What to do", check),
+            ("Caution", f"Do not compensate yet: {spurious}"),
         ]
     names = listed([column(name) for name in left.depends_on])
-    beware = "Do not compensate and do not repair at a guess: nothing that is known here does this."
+    caution = "Do not compensate or repair on suspicion: no known error has this pattern."
     if _written(diagnosis):
-        beware = "Do not repair at a guess: nothing that is known here does this. What is compensated may change with its cause."
+        caution = (
+            "Do not repair on suspicion: no known error has this pattern. The pattern may change if its cause changes."
+        )
     elif diagnosis.causes:
-        beware = "Compensating what was found is not enough: the rest stays, and it may have pulled at the sizes found."
+        caution = "Compensating for the causes found is not enough: the rest remains and may have biased their sizes."
     return [
-        ("Left over", f"{share} goes with {names} ({side(left.carrier)})."),
-        ("Do", f"Look for what depends on {names}, and measure there more closely."),
-        ("Beware", beware),
+        ("Residual", f"{share} depends on {names} ({side(left.carrier)})."),
+        ("What to do", f"Look for what depends on {names}, and measure more densely over it."),
+        ("Caution", caution),
     ]
 
 
-def _when_ambiguous(diagnosis: Answer) -> list[tuple[str, str]]:
+def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     causes, found = diagnosis.causes[:SHOWN], []
     certain = [one for one in causes if not one.equivalent]
     for one in causes:
@@ -247,21 +252,24 @@ def _when_ambiguous(diagnosis: Answer) -> list[tuple[str, str]]:
             names = listed([lower(plain(*key)) for key in one.equivalent], most=4)
             found.append(
                 (
-                    f"{name}, or else" if len(causes) > 1 else "Or else",
-                    f"{capital(names)}. These readings fit as well with that.",
+                    f"{name}, or instead" if len(causes) > 1 else "Or instead",
+                    f"{capital(names)}. This fits the readings equally well.",
                 )
             )
         else:
             found.append((name, f"{advice(one.effect, one.where).look} {to_do(one)}"))
-    wanted = contests(diagnosis.next_measurement, diagnosis.expected_rms_um)
+    wanted = separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um)
     if any(one.rows for one in wanted):
-        found.append(("Do", f"First measure the points under {NEXT}: they tell which it is. Then compensate."))
-    elif wanted:
-        found.append(("Do", " ".join(dict.fromkeys(one.verdict for one in wanted))))
-    if either_side(causes):
-        what = "What is left open" if certain else "It"
         found.append(
-            ("Mind", f"{what} may be the instrument and not the machine; of that nothing is to be compensated.")
+            ("What to do", f"First measure the points under {NEXT}: they separate the causes. Then compensate.")
         )
-    found.append(("Beware", "Order no repair on what is left open." if certain else "Order no repair on this alone."))
+    elif wanted:
+        found.append(("What to do", " ".join(dict.fromkeys(one.verdict for one in wanted))))
+    if machine_or_instrument(causes):
+        what = "The undecided part" if certain else "The error"
+        found.append(
+            ("Note", f"{what} may be the instrument's, not the machine's; an instrument error must not be compensated.")
+        )
+    caution = "Order no repair for the undecided part." if certain else "Order no repair on this result alone."
+    found.append(("Caution", caution))
     return found

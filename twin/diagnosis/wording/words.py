@@ -1,7 +1,6 @@
-"""Causes in the words of the shop: what each is called, where to look, what to do about it and what not.
+"""Names, advice and numbers in the words of the workshop.
 
-The one place where the report, the text and the notebook take their words from. ISO 230-1 and the contract's names (``reversal Y``)
-stand beside them as symbols.
+The report, the text and the notebook all take their words from here. The symbols (ISO 230-1 names, ``reversal Y``) are given with them.
 """
 
 from __future__ import annotations
@@ -17,68 +16,68 @@ from twin.machine.effects.names import axis_of
 from twin.machine.effects.specification import Advice, Kind
 
 MANY: Final = 8
-"""Things a list names before it counts the rest."""
+"""Items listed by name; the rest are counted."""
 ENOUGH: Final = 25.0
-"""Chi² between two causes at which one of them is out."""
+"""Expected χ² between the predictions of two causes that rules one of them out."""
 HOPELESS: Final = 1000.0
-"""Readings at one place beyond which nobody takes them."""
+"""Number of readings at one position above which the measurement is not suggested."""
 
 
 def kind(effect: str) -> Kind:
-    """Where a cause sits: in the machine, in the file that describes it, or in what measured it."""
+    """Return whether the cause is an error of the machine, of the calibration file or of the instrument."""
     return SPECIFICATIONS[effect].kind
 
 
 def symbol(effect: str, where: str) -> str:
-    """The contract's name: ``reversal Y``."""
+    """Return effect and place as in the JSON: ``reversal Y``."""
     return effect if where == "—" else f"{effect} {where}"
 
 
 def plain(effect: str, where: str) -> str:
-    """What a cause is called where nobody knows the symbols: ``Lost motion of Y``."""
+    """Return the name of a cause in words, without symbols."""
     known = SPECIFICATIONS.get(effect)
     return f"{capital(effect.replace('_', ' '))} {where}" if known is None else capital(known.title(where))
 
 
 def family(effect: str) -> str:
-    """What all causes of one effect are called."""
+    """Return the plural name of all causes of one effect."""
     return SPECIFICATIONS[effect].plural
 
 
 def advice(effect: str, where: str) -> Advice:
-    """What follows from a cause: where to look, what to do, what never."""
+    """Return where to look for a cause, what to do about it, and what to avoid."""
     found, axis = SPECIFICATIONS[effect].advice, axis_of(where)
     texts = (text.replace("{axis}", axis).replace("{where}", where) for text in (found.look, found.do, found.never))
     return Advice(*texts)
 
 
 def column(name: str) -> str:
-    """A column of the table in words: ``approach_Y`` → the side Y came from."""
+    """Return a column of the table in words: ``approach_Y`` → the approach direction of Y."""
     if name.startswith("approach_"):
-        return f"the side {name.removeprefix('approach_')} came from"
+        return f"the approach direction of {name.removeprefix('approach_')}"
     if name.startswith("T_") and name.endswith("_degC"):
         return f"the temperature of {name[2:-5]}"
     if name.startswith("readback_"):
-        return f"what the control reported of {name.split('_')[1]}"
+        return f"the position of {name.split('_')[1]} reported by the control"
     return {"time_s": "time", "round": "the round"}.get(name, name.rsplit("_", 1)[0])
 
 
 def side(carrier: str) -> str:
-    """Where the targets sit of which something is said."""
+    """Return in words which targets a statement is about."""
     return {"tool": "targets on the tool side", "work": "targets on the work side"}.get(
         carrier, "targets on both sides"
     )
 
 
 def listed(names: Sequence[str], *, most: int = MANY) -> str:
-    """A, B and C; beyond ``most``, how many more."""
+    """Return the names as "A, B and C"; above ``most`` names, the first ones and the number of the others."""
     if len(names) > most:
         return f"{', '.join(names[: most - 1])} and {len(names) - most + 1} more"
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def grouped(keys: Iterable[tuple[str, str]]) -> list[str]:
-    """(effect, where) by effect: ``zero_offset: X, Y, Z``."""
+    """Return one line per effect with its places: ``zero offsets: X, Y and Z``."""
     by_effect: dict[str, list[str]] = {}
     for effect, where in keys:
         by_effect.setdefault(effect, []).append(where)
@@ -86,7 +85,11 @@ def grouped(keys: Iterable[tuple[str, str]]) -> list[str]:
 
 
 def missing(entries: Iterable[tuple[str, str, str]]) -> list[str]:
-    """What could be tried if a column were there: (effect, where, column) by column."""
+    """Return one line per missing column with the effects that need it.
+
+    Args:
+        entries: (effect, where, missing column).
+    """
     by_column: dict[str, dict[str, list[str]]] = {}
     for effect, where, wanted in entries:
         by_column.setdefault(wanted, {}).setdefault(effect, []).append(where)
@@ -97,7 +100,7 @@ def missing(entries: Iterable[tuple[str, str, str]]) -> list[str]:
 
 
 def measured(value: float, u: float, unit: str) -> str:
-    """Return a number with its 95 % interval, to two digits of that: 9.29 ± 0.51 µm; words where either is not finite."""
+    """Return a value with its 95 % interval to two digits of the interval (9.29 ± 0.51 µm), or words if either is not finite."""
     sign = "" if unit == "1" else f" {unit}"
     if not isfinite(value):
         return "not determined"
@@ -107,19 +110,19 @@ def measured(value: float, u: float, unit: str) -> str:
         return f"{value:.4g}{sign}".replace("-", "−")
     half = COVERAGE_FACTOR * u
     decimals = max(1 - floor(log10(half)), 0)
-    # Plus zero: no minus before a nothing.
+    # Adding zero turns −0.0 into 0.0.
     return f"{round(value, decimals) + 0.0:.{decimals}f} ± {half:.{decimals}f}{sign}".replace("-", "−")
 
 
 @final
 @dataclass(frozen=True)
-class Contest:
-    """Two causes and where to measure next to tell them apart.
+class SeparatingPoints:
+    """Two confounded causes and the points whose measurement separates them.
 
     Attributes:
         names: of the two, in words with their symbols.
-        rows: position, sides of approach, target, station, and what a reading there tells.
-        verdict: what it comes to.
+        rows: position, approach directions, target, station, and the difference between the two predictions there.
+        verdict: whether and how they can be separated, one or two sentences.
     """
 
     names: tuple[str, str]
@@ -127,30 +130,34 @@ class Contest:
     verdict: str
 
 
-def contests(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> list[Contest]:
-    """The points of `Diagnosis.next_measurement`, by what they tell apart.
+def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> list[SeparatingPoints]:
+    """Return the points of `Diagnosis.next_measurement`, grouped by the pair of causes they separate.
 
     Args:
-        wanted: as there; entries that compare nothing are left out.
-        sigma_um: what a coordinate scatters by.
+        wanted: entries of `Diagnosis.next_measurement`; those without a pair of causes are ignored.
+        sigma_um: standard deviation of the noise of a coordinate.
     """
     by_pair: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
-    for one in wanted:
-        if "separates" in one:
-            a, b = (str(name) for name in one["separates"])
-            by_pair.setdefault((a, b), []).append(one)
+    for entry in wanted:
+        if "separates" in entry:
+            a, b = (str(name) for name in entry["separates"])
+            by_pair.setdefault((a, b), []).append(entry)
     found = []
     for pair, points in by_pair.items():
-        a, b = (_both(*_parted(name)) for name in pair)
+        a, b = (_name_and_symbol(*_split_key(name)) for name in pair)
         task = [one for one in points if "pose" in one]
         if not task:
-            found.append(Contest((a, b), (), capital(str(points[0]["text"]).rpartition(": ")[2]) + "."))
+            text = capital(str(points[0]["text"]).rpartition(": ")[2]) + "."
+            found.append(SeparatingPoints((a, b), (), text))
             continue
         best = max(float(one["expected_chi2"]) for one in task)
-        apart = best**0.5 * sigma_um
+        difference_um = best**0.5 * sigma_um
         if ENOUGH > HOPELESS * best:
-            text = f"No position that was tried tells them apart: they differ by {apart:.1g} µm at most. To compensate, either will do."
-            found.append(Contest((a, b), (), text))
+            text = (
+                f"No position that was tried separates them: their predictions differ by at most {difference_um:.1g} µm. "
+                "Either can be used for compensation."
+            )
+            found.append(SeparatingPoints((a, b), (), text))
             continue
         rows = tuple(
             (
@@ -163,31 +170,31 @@ def contests(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> list[Conte
             for one in task
         )
         many = max(ceil(ENOUGH / best), 1)
-        readings = "one reading decides" if many == 1 else f"some {many} readings decide"
-        text = f"They differ most at these positions; {readings} at the first."
+        readings = "one reading is enough" if many == 1 else f"about {many} readings are enough"
+        text = f"Their predictions differ most at these positions; at the first, {readings}."
         if not any(name.startswith("misplaced") for name in pair):
             plan = f'twin plan -o plan.csv --separate "{pair[0]}" "{pair[1]}" --after <this table>'
-            text += f" A whole plan, new stations included: {plan}."
-        found.append(Contest((a, b), rows, text))
+            text += f" For a complete plan with new station positions: {plan}."
+        found.append(SeparatingPoints((a, b), rows, text))
     return found
 
 
-def _parted(name: str) -> tuple[str, str]:
+def _split_key(name: str) -> tuple[str, str]:
     effect, _, where = name.partition(" ")
     return effect, where
 
 
-def _both(effect: str, where: str) -> str:
+def _name_and_symbol(effect: str, where: str) -> str:
     return f"{plain(effect, where)} ({symbol(effect, where)})"
 
 
 def probability(p: float) -> str:
-    """A p-value as a number."""
+    """Return a p-value as a number: p = 0.012."""
     return "p < 1e-99" if p < 1e-99 else f"p = {p:.2g}"
 
 
 def chance(p: float) -> str:
-    """A p-value in words: under 1 in a million; 1 in 5,000; 12 %."""
+    """Return a p-value in words: under 1 in a million; 1 in 5,000; 12 %."""
     if p < 1e-6:
         return "under 1 in a million"
     if p < 0.01:
@@ -196,45 +203,45 @@ def chance(p: float) -> str:
 
 
 def odds(log_odds: float) -> str:
-    """How many times less likely, from the natural log."""
+    """Return in words how many times less likely something is, from the natural log of the odds."""
     if log_odds > 13.8:
         return "more than a million times less likely"
     return f"about {_round_number(exp(log_odds)):,} times less likely"
 
 
 def _round_number(value: float) -> int:
-    """Two digits of it."""
+    """Return the value rounded to its first two digits."""
     digits = max(len(str(int(value))) - 2, 0)
     return round(value / 10**digits) * 10**digits
 
 
 def capital(text: str) -> str:
-    """With a capital at its beginning."""
+    """Return the text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
 def lower(text: str) -> str:
-    """A name in the middle of a sentence: an axis keeps its capital."""
+    """Return a name for the middle of a sentence, in lower case unless it starts with the letter of an axis."""
     return text if text[1:2] == " " else text[:1].lower() + text[1:]
 
 
 def percent(share: float) -> str:
-    """A share of one."""
+    """Return a fraction of one in percent."""
     return "less than 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"
 
 
 def coefficient(name: str) -> bool:
-    """Whether a parameter is one of a curve's many, and means nothing by itself."""
+    """Return whether a parameter is a coefficient of a curve, which means nothing by itself."""
     return name[:1] in ("c", "g") and name[1:].isdigit()
 
 
 def held_out_words(of: str) -> str:
-    """What was held out: rounds, positions, poses, or blocks of time."""
+    """Return in words what was held out: rounds, positions, poses, or blocks of time."""
     return "blocks of time" if of == "blocks" else of
 
 
 def likelihood_words(probability: float, alone: bool) -> str:
-    """What the second method says of a cause, or of it and what could as well be."""
+    """Return the Bayesian probability of a cause, or of a cause and its equivalents together, in words."""
     size = "more than 99 %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
-    what = "is there" if alone else "or one of those it could as well be is there"
-    return f"probability that it {what}: {size} (a second method, independent of the search)"
+    what = "this cause is present" if alone else "this cause or one of its alternatives is present"
+    return f"probability that {what}: {size} (second, Bayesian method)"
