@@ -74,7 +74,7 @@ def combined_uncertainty(
     if not set(names) <= set(covariance.names):
         return np.full(shape, np.nan)
     rates = [rate.get(component, 0.0) for effect in effects for rate in effect.derivatives(state)]
-    rate = np.stack([np.broadcast_to(one, shape) for one in rates])
+    rate = np.stack([np.broadcast_to(values, shape) for values in rates])
     variance = np.einsum("k...,kl,l...->...", rate, covariance.of(names).matrix, rate)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 

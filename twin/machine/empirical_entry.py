@@ -195,8 +195,8 @@ def _waves(where: str, given: ColumnSpec, machine: Machine) -> Waves:
     name, what = given.column, f"{given.column} of {NAME} {where}"
     axis = machine.by_name.get(state_name(name))
     if not usable(name, machine):
-        columns = [f"{one.name}_{one.unit}" for one in machine.axes]
-        columns += [f"{APPROACH}{one}" for one in machine.names]
+        columns = [f"{axis_entry.name}_{axis_entry.unit}" for axis_entry in machine.axes]
+        columns += [f"{APPROACH}{axis_name}" for axis_name in machine.names]
         raise InputError(
             f"no such column for {NAME} {where}",
             expected=f"{', '.join(columns)} or T_<sensor>_degC",

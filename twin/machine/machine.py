@@ -346,7 +346,7 @@ class Machine:
         return "both" if tool and work else "tool" if tool else "work"
 
     def _carries(self, name: str, frame: int) -> bool:
-        joint = next(one.joint for one in self.frames if one.axis == name)
+        joint = next(candidate.joint for candidate in self.frames if candidate.axis == name)
         return joint in self.model.supports[self.model.frames[frame].parentJoint].tolist()
 
     def _check_paths(self, path: Path, lines: Mapping[Place, int]) -> None:

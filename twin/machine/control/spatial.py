@@ -46,9 +46,9 @@ class CorrectionGrid(Correction):
         """See `Correction.shift`."""
         table = self.values[..., self.axes.index(axis)]
         q = [positions[name] for name in self.axes]
-        if any(isinstance(one, ca.SX) for one in q):
+        if any(isinstance(value, ca.SX) for value in q):
             return self._expression(self.axes.index(axis), q)
-        q = [np.asarray(one, dtype=float) for one in np.broadcast_arrays(*q)]
+        q = [np.asarray(value, dtype=float) for value in np.broadcast_arrays(*q)]
         found: Any = np.zeros(q[0].shape)
         places = [_place(nodes, one) for nodes, one in zip(self.at, q, strict=True)]
         for corner in np.ndindex(2, 2, 2):

@@ -172,12 +172,12 @@ class Volumetric(Correction):
         """See `Correction.shift`."""
         machine, length = self.machine, self.tool_length_mm * MM
         q = [positions[name] * scale for name, scale in zip(machine.names, machine.scale, strict=True)]
-        curves = {one.axis: one.curves for one in self.errors}
+        curves = {axis_errors.axis: axis_errors.curves for axis_errors in self.errors}
         errors = [
             curves[name][i](positions) if i in curves.get(name, {}) else 0.0 for name in machine.names for i in range(6)
         ]
         (expression, batch), row = _correction_function(machine), self.axes.index(axis)
-        if any(isinstance(one, ca.SX) for one in q):
+        if any(isinstance(value, ca.SX) for value in q):
             return expression(ca.vertcat(*q), ca.reshape(ca.vertcat(*errors), 6, -1), length)[row]
         rows = np.stack(np.broadcast_arrays(*q, *errors), axis=-1)
         flat = rows.reshape(-1, rows.shape[-1])
@@ -187,16 +187,21 @@ class Volumetric(Correction):
     def contents(self) -> tuple[Content, ...]:
         """See `Correction.contents`."""
         return tuple(
-            Content.over(f"E_{DIRECTIONS[i]}{one.axis}", curve.at, curve.peak, "um" if i < 3 else "urad")
-            for one in self.errors
-            for i, curve in one.curves.items()
+            Content.over(f"E_{DIRECTIONS[i]}{axis_errors.axis}", curve.at, curve.peak, "um" if i < 3 else "urad")
+            for axis_errors in self.errors
+            for i, curve in axis_errors.curves.items()
         )
 
     def plus(self, old: Volumetric) -> Volumetric:
         """Add all components of an axis on the nodes of the curve with the most nodes; see `Correction.plus`."""
         found: list[AxisErrors] = []
         for name in self.machine.names:
-            own = [curve for one in (*old.errors, *self.errors) if one.axis == name for curve in one.curves.items()]
+            own = [
+                curve
+                for axis_errors in (*old.errors, *self.errors)
+                if axis_errors.axis == name
+                for curve in axis_errors.curves.items()
+            ]
             if own:
                 widest = max((curve for _, curve in own), key=lambda curve: len(curve.at))
                 found.append(AxisErrors(name, _summed(own, widest)))

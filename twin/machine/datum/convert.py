@@ -121,7 +121,7 @@ def convert(numbers: Numbers, datum: Datum, names: Collection[str] | None = None
 def _iterate(gauge: _Gauge, numbers: Numbers) -> Numbers:
     """Return the converted numbers: first-order steps, each applied without approximation, repeated until convergence."""
     values = [link.values(numbers) for link in gauge.links]
-    start = [np.array(one) for one in values]
+    start = [np.array(value) for value in values]
     constants = gauge.constants(numbers)
     for _ in range(STEPS):
         step = gauge.step @ np.concatenate([gauge.measured(values), constants])

@@ -95,12 +95,14 @@ class Isg(TableFormat[Volumetric]):
             "  ".join(named),
             "  ".join(fixed_decimals(value, 6) for value in named.values()),
         ]
-        for one in correction.errors:
-            components = sorted(one.curves)
-            lines += ["#", f"// component errors of {one.axis}: mm, rad"]
-            lines.append("  ".join([one.axis, *(f"E{DIRECTIONS[i]}{one.axis}" for i in components)]))
-            for n, q in enumerate(one.curves[components[0]].at):
-                cells = [fixed_decimals(one.curves[i].values[n] / _UNITS[i], _DIGITS[i // 3]) for i in components]
+        for axis_errors in correction.errors:
+            components = sorted(axis_errors.curves)
+            lines += ["#", f"// component errors of {axis_errors.axis}: mm, rad"]
+            lines.append("  ".join([axis_errors.axis, *(f"E{DIRECTIONS[i]}{axis_errors.axis}" for i in components)]))
+            for n, q in enumerate(axis_errors.curves[components[0]].at):
+                cells = [
+                    fixed_decimals(axis_errors.curves[i].values[n] / _UNITS[i], _DIGITS[i // 3]) for i in components
+                ]
                 lines.append("  ".join([fixed_decimals(q, 4), *cells]))
         return {FILE: "\n".join(lines) + "\n", LIST: "".join(f"# {note}\n" for note in notes) + _list(machine)}
 
@@ -143,7 +145,9 @@ class Isg(TableFormat[Volumetric]):
     def loading(self, correction: Volumetric, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         machine = correction.machine
-        records = sum(max(len(curve.at) for curve in one.curves.values()) for one in correction.errors) + 1
+        records = (
+            sum(max(len(curve.at) for curve in axis_errors.curves.values()) for axis_errors in correction.errors) + 1
+        )
         return (
             f"Copy {FILE} to the controller and the lines of {LIST} into its volumetric compensation list; insert the machine's "
             "logical axis numbers, and check chain and workpiece_axes.",
