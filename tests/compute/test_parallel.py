@@ -236,8 +236,8 @@ def test_several_that_cannot_go_into_that_folder(
     (tmp_path / "other").mkdir()
     shutil.copy(parts["a.nc"], tmp_path / "other" / "a.nc")
     for arguments, word in (
-        ([parts["a.nc"], parts["b.h"], "-o", tmp_path / "in"], "program itself"),
-        ([parts["a.nc"], tmp_path / "other" / "a.nc", "-o", tmp_path / "out"], "same name"),
+        ([parts["a.nc"], parts["b.h"], "-o", tmp_path / "in"], "overwrite the program"),
+        ([parts["a.nc"], tmp_path / "other" / "a.nc", "-o", tmp_path / "out"], "same file name"),
         ([parts["a.nc"], parts["b.h"], "-o", parts["far.nc"]], "a folder"),
         ([parts["a.nc"], parts["b.h"], "-o", tmp_path / "out.nc"], "a folder"),
         ([parts["a.nc"], "-o", tmp_path / "out.nc", "--scheduler", "tcp://127.0.0.1:1"], "several"),
