@@ -167,13 +167,13 @@ def test_judge_the_thesis(tmp_path: Path, dmu50: Machine, capsys: pytest.Capture
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
-        ((), "neither a plan to make nor one to judge"),
-        (("-o", "p.csv", "--judge", "thesis_plan.csv"), "neither a plan to make nor one to judge"),
+        ((), "no output, or two outputs"),
+        (("-o", "p.csv", "--judge", "thesis_plan.csv"), "no output, or two outputs"),
         (("-o", "p.csv", "--minutes", "0"), "--minutes"),
         (("-o", "p.csv", "--minutes", "5"), "time budget is too short for a measurement"),
-        (("-o", "p.csv", "--seed", "-1"), "--seed is negative"),
+        (("-o", "p.csv", "--seed", "-1"), "--seed must not be negative"),
         (("-o", "p.csv", "--reduce", "E_QQ"), "no such uncertainty to minimise"),
-        (("-o", "p.csv", "--after", "m.csv"), "--after without --separate"),
+        (("-o", "p.csv", "--after", "m.csv"), "--after needs --separate"),
         (("-o", "p.csv", "--reduce", "tool", "--separate", "reversal X", "reversal Y"), "--separate and --reduce"),
         (("-o", "p.csv", "--separate", "warp X", "reversal Y"), "not a cause that a plan can separate"),
         (("-o", "p.csv", "--separate", "reversal W", "reversal Y"), "not a cause that a plan can separate"),

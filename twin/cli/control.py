@@ -99,22 +99,15 @@ def control(
     """
     loaded = Machine.load(machine)
     errors = calibration_of(calibration, loaded)
-    at_conditions = conditions(temperature, time)
-    at_conditions.check(errors)
-    others_at = _positions(at)
+    around = conditions(temperature, time)
+    around.check(errors)
+    fixed = _positions(at)
     if read:
         if to is not None or output is not None or kind is None or not files:
             expected = "FILES --format F, and neither --to nor -o"
-            raise InputError(
-                "--read cannot be combined with other outputs", expected=expected, value=" ".join(map(str, files or []))
-            )
-        known, _ = known_at(at_conditions, errors)
-        _print_result(
-            compared(loaded, known, kind.value, files, others_at, tool_length, at_conditions),
-            errors,
-            at_conditions,
-            json_file,
-        )
+            raise InputError("invalid use of --read", expected=expected, value=" ".join(map(str, files or [])))
+        known, _ = known_at(around, errors)
+        _print(compared(loaded, known, kind.value, files, fixed, tool_length, around), errors, around, json_file)
         return
     if to is None or output is None or files or kind is not None:
         raise InputError("no output chosen", expected=f"--to {'|'.join(NAMES)} -o FOLDER, or --read FILES --format F")
@@ -124,14 +117,14 @@ def control(
         positive("--tolerance", tolerance)
     request = Request(
         kind=to.value,
-        at=others_at,
+        at=fixed,
         tool_length_mm=tool_length,
         classes=_classes(scope),
         tolerance_um=format_named(to.value).tolerance_um if tolerance is None else 1e3 * tolerance,
         step=step,
         most=tables,
         products=products,
-        conditions=at_conditions,
+        conditions=around,
         add=add,
         notes=(f"twin: {loaded.name}, calibration {errors.path or 'none'}".encode("ascii", "replace").decode(),),
     )
@@ -152,7 +145,7 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
         made = make(machine, known, request)
         say("what remains", 0.6)
         account = deliver(made, errors, known, missing, output)
-    _print_result(account, errors, request.conditions, json_file)
+    _print(account, errors, request.conditions, json_file)
     own = written_by(made)
     echo(f"\nwritten: {output}/ {' '.join(own)}")
     others = {path.name for path in output.iterdir()} - {*own, "" if json_file is None else json_file.name}
@@ -162,14 +155,12 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
         raise typer.Exit(NOT_ALL_MET)
 
 
-def _print_result(
-    found: Account | Existing, errors: Calibration, at_conditions: Conditions, json_file: Path | None
-) -> None:
+def _print(found: Account | Existing, errors: Calibration, around: Conditions, json_file: Path | None) -> None:
     """Write the result as JSON and print it."""
     if json_file is not None:
         write_json(json_file, found.to_dict())
     echo(found.to_text(), end="")
-    print_unused(at_conditions, errors)
+    print_unused(around, errors)
 
 
 def _classes(scope: list[str] | None) -> frozenset[str]:

@@ -106,13 +106,9 @@ def plan(
     if seed < 0:
         raise InputError("--seed must not be negative", expected="0 or more", value=seed)
     if (output is None) is (judged is None):
-        raise InputError(
-            "one output is needed: a new plan or an evaluation", expected="either -o PLAN.csv or --judge PLAN.csv"
-        )
+        raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
     if after is not None and causes is None:
-        raise InputError(
-            "--after needs --separate", expected="--separate with the two causes to distinguish", value=after
-        )
+        raise InputError("--after needs --separate", expected="two causes to distinguish", value=after)
     if causes is not None and reduce:
         raise InputError("--separate and --reduce exclude each other", expected="one of them", value=" ".join(reduce))
     if judged is not None:

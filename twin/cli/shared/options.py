@@ -186,7 +186,7 @@ def need_pictures(what: str) -> None:
         import_module("matplotlib.figure")
     except ImportError as error:
         raise InputError(
-            f"{what} needs matplotlib, which is not installed", expected="pip install 'twin[plots]'", value=error
+            f"{what} cannot be drawn: matplotlib is not installed", expected="pip install 'twin[plots]'", value=error
         ) from error
 
 
