@@ -27,7 +27,7 @@ from tests.benchmark.real import HEADER, REAL_SETS, Answer, RealSet, summary
 from tests.benchmark.scores import SCORES, Score, in_words, is_wrong, scores
 from tests.benchmark.table import markdown, rows, text
 from twin._common.errors import InputError
-from twin.compute.parallel import Workers, finished
+from twin.compute.parallel import Workers, map_as_completed
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,9 @@ def run(
     questions = [Question(method, case) for method in methods for case in cases]
     # Two methods may write the same case at the same time: its files do not depend on the writer.
     new = [one for one in questions if not one.answer(folder).exists()]
-    for done, (index, said) in enumerate(finished(ask, folder, new, workers, name=lambda one: one.name), start=1):
+    for done, (index, said) in enumerate(
+        map_as_completed(ask, folder, new, workers, name=lambda one: one.name), start=1
+    ):
         if verbose:
             sys.stderr.write(f"{done} of {len(new)}: {new[index].name}: {said}\n")
     answers: list[tuple[str, str, str, Score]] = []
@@ -156,7 +158,9 @@ def run_real(
     """Run every method on every available real data set; return header and rows of the table."""
     questions = [RealQuestion(method, one.name) for method in methods for one in REAL_SETS if one.there()]
     new = [one for one in questions if not one.answer(folder).exists()]
-    for done, (index, _) in enumerate(finished(ask_real, folder, new, workers, name=lambda one: one.name), start=1):
+    for done, (index, _) in enumerate(
+        map_as_completed(ask_real, folder, new, workers, name=lambda one: one.name), start=1
+    ):
         if verbose:
             sys.stderr.write(f"{done} of {len(new)} real: {new[index].method.name} {new[index].name}\n")
     return ["method", *HEADER], [real_row(folder, one) for one in questions]
@@ -230,7 +234,7 @@ def main() -> None:
         for number in range(options.first, options.first + options.draws)
     ]
     if options.only_draw:
-        for _ in finished(write_case_in, folder, cases, options.workers, name=lambda case: case.name):
+        for _ in map_as_completed(write_case_in, folder, cases, options.workers, name=lambda case: case.name):
             pass
         return
     methods = options.method or [BUILT_IN["twin"]]

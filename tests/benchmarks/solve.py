@@ -18,7 +18,8 @@ from scipy.optimize import root
 
 from tests.benchmarks.timing import Timing, machine_name, ratio, timed
 from tests.kinematics.test_kinematics import random_commands
-from twin.compute.native import in_use, loading
+from twin.compute.native import loading
+from twin.compute.native.loading import solver_description
 from twin.kinematics.forward import Kinematics, Poses
 from twin.kinematics.inverse import Inverse, Status
 from twin.machine.calibration import Calibration
@@ -56,16 +57,16 @@ def poses(machine: Machine, n: int, tilt: tuple[float, float]) -> tuple[Poses, n
 def ours(real: Kinematics) -> Timing:
     """Measure compiled and NumPy code; return the first compiled result."""
     found = []
-    print(f"{POSES:,} poses, µs of processor time per pose; {in_use()}")
+    print(f"{POSES:,} poses, µs of processor time per pose; {solver_description()}")
     for native in (True, False):
-        os.environ[loading.SWITCH] = "1" if native else "0"
+        os.environ[loading.SWITCH_VARIABLE] = "1" if native else "0"
         for name, tilt, rotary in (
             ("five axes, B 20 to 160°", (20.0, 160.0), True),
             ("five axes, B 0 to 180°", (0.0, 180.0), True),
             ("linear axes", (0.0, 180.0), False),
         ):
             found.append(one_way(f"{name}, {'compiled' if native else 'NumPy'}", real, tilt, rotary, native))
-    os.environ.pop(loading.SWITCH)
+    os.environ.pop(loading.SWITCH_VARIABLE)
     return found[0]
 
 
@@ -142,11 +143,11 @@ def forward(machine: Machine, calibration: Calibration) -> None:
     some = poses(machine, POSES // 10, (0.0, 180.0))[1]
     own = []
     for native in ("1", "0"):
-        os.environ[loading.SWITCH] = native
+        os.environ[loading.SWITCH_VARIABLE] = native
         real = Kinematics(machine, calibration, tool_length_mm=LENGTH_MM)
         real.forward(some)
         own.append(timed(lambda real=real: real.forward(some), 9).each(len(some)))  # type: ignore[misc]
-    os.environ.pop(loading.SWITCH)
+    os.environ.pop(loading.SWITCH_VARIABLE)
     data = machine.model.createData()
     vectors = [
         machine.configuration(position * machine.scale, errors)

@@ -26,9 +26,9 @@ from twin.identification.axis_run import (
     to_dict,
     to_text,
 )
-from twin.machine.control import ControlCurve, ControlTerm, Terms, format_named, read_tables
+from twin.machine.control import ControlCurve, ControlTerm, TableSum, format_named, read_tables
 from twin.machine.control.spatial import CorrectionGrid
-from twin.machine.control.volumetric import AxisErrors, Volumetric
+from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection
 from twin.machine.machine import bundled_folder
 from twin.measurement.table import load as load_table
 from twin.measurement.thesis_export import load_export
@@ -337,12 +337,12 @@ def _terms(kind: str) -> Mapping[str, str]:
     nodes = (0.0, 125.0, 250.0, 375.0, 500.0)
     values = (0.0, 1.0, 4.0, 2.0, -3.0)
     terms = tuple(ControlTerm("X", (ControlCurve("X", nodes, values, None, side),)) for side in (1, -1))
-    return format_named(kind).write(Terms(terms, machine()))
+    return format_named(kind).write(TableSum(terms, machine()))
 
 
 def _isg() -> str:
     curves = {i: ControlCurve("X", (0.0, 250.0, 500.0), (0.0, 1.0, -2.0)) for i in range(6)}
-    return format_named("isg").write(Volumetric((AxisErrors("X", curves),), machine(), 120.0))["volcomp.csv"]
+    return format_named("isg").write(VolumetricCorrection((AxisErrors("X", curves),), machine(), 120.0))["volcomp.csv"]
 
 
 def _grid() -> str:

@@ -13,11 +13,11 @@ import pytest
 
 import twin
 from twin import cli
-from twin._common.errors import InputError, is_it, nearest
+from twin._common.errors import InputError, closest_name, did_you_mean
 from twin.cli import commands
 from twin.cli import doctor as doctor_command
 from twin.cli.commands import load
-from twin.cli.shared.words import MANY_WORDS, gathered
+from twin.cli.shared.words import MANY_WORDS, repeat_options
 from twin.machine.iso16907 import NAMES
 
 COMMANDS: dict[str, Any] = {name: load(name) for name in commands.COMMANDS}
@@ -61,7 +61,7 @@ def test_every_command_writes_json_and_gives_two_examples_or_more(name: str) -> 
 
 @pytest.mark.parametrize(("name", "line"), EXAMPLES)
 def test_every_example_is_a_command_line_that_parses(name: str, line: str) -> None:
-    words = gathered(shlex.split(line))
+    words = repeat_options(shlex.split(line))
     assert words[0] == "twin" and words[1] in COMMANDS
     context = COMMANDS[words[1]].make_context(words[1], words[2:])
     assert context.params
@@ -194,10 +194,12 @@ def test_errors_in_columns_give_the_nearest_name(capsys: pytest.CaptureFixture[s
 
 
 def test_nearest_ignores_case_and_may_find_nothing() -> None:
-    assert nearest("e_xx", ["E_XX", "E_YY"]) == "E_XX"
-    assert nearest("x_m", ["X_mm", "x_mm"]) == "x_mm" and nearest("X_m", ["X_mm", "x_mm"]) == "X_mm"
-    assert nearest("qqqq", ["E_XX"]) is None and is_it("qqqq", ["E_XX"]) == "" and nearest("", []) is None
-    error = InputError("no such thing", expected="one of a, b", value="c", nearest="b")
+    assert closest_name("e_xx", ["E_XX", "E_YY"]) == "E_XX"
+    assert closest_name("x_m", ["X_mm", "x_mm"]) == "x_mm" and closest_name("X_m", ["X_mm", "x_mm"]) == "X_mm"
+    assert (
+        closest_name("qqqq", ["E_XX"]) is None and did_you_mean("qqqq", ["E_XX"]) == "" and closest_name("", []) is None
+    )
+    error = InputError("no such thing", expected="one of a, b", value="c", closest_name="b")
     # A worker's error arrives unchanged.
     assert (
         str(pickle.loads(pickle.dumps(error)))

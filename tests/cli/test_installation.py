@@ -90,7 +90,7 @@ def test_another_command_names_the_package_in_one_line(
 def test_an_import_error_of_twin_itself_is_not_hidden() -> None:
     defect = ImportError("of twin itself")
     with pytest.raises(ImportError) as caught:
-        installation.end(defect)
+        installation.exit_with_import_error(defect)
     assert caught.value is defect
 
 

@@ -21,7 +21,7 @@ import pytest
 from tests.cli.commands import TWIN, refused
 from twin import cli
 from twin._common.errors import InputError
-from twin._common.files import TEMPORARY, command_files, read_bytes, whole_file, write_whole
+from twin._common.files import TEMPORARY_PREFIX, atomic_file, read_bytes, tracked_files, write_atomic
 from twin.cli import commands
 from twin.cli.shared.command import path_parameters
 from twin.machine.machine import bundled_folder
@@ -134,7 +134,7 @@ def test_a_device_or_a_pipe_is_not_replaced(inputs: Path, tmp_path: Path, capsys
     for path in (pipe, Path(os.devnull)):
         assert "a regular file" in refused(capsys, "info", "--json", path)
         with pytest.raises(InputError, match="a regular file"):
-            write_whole(path, "lost")
+            write_atomic(path, "lost")
     assert stat.S_ISFIFO(pipe.stat().st_mode) and stat.S_ISCHR(Path(os.devnull).stat().st_mode)
 
 
@@ -152,12 +152,12 @@ def test_mode_and_link_stay(tmp_path: Path) -> None:
     file.write_text("old")
     file.chmod(0o600)
     link.symlink_to(file.name)
-    write_whole(link, "new")
+    write_atomic(link, "new")
     assert link.is_symlink() and file.read_text() == "new"
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
     before = os.umask(0o027)
     try:
-        write_whole(tmp_path / "fresh", "new")
+        write_atomic(tmp_path / "fresh", "new")
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "fresh").stat().st_mode) == 0o640
@@ -166,24 +166,24 @@ def test_mode_and_link_stay(tmp_path: Path) -> None:
 def test_outputs_may_be_read_and_inputs_may_not_be_written(tmp_path: Path) -> None:
     one, other = tmp_path / "one", tmp_path / "other"
     one.write_text("input")
-    with command_files():
-        write_whole(other, "output")
+    with tracked_files():
+        write_atomic(other, "output")
         assert read_bytes(other) == b"output"
-        write_whole(other, "output again")
+        write_atomic(other, "output again")
         read_bytes(one)
-        with pytest.raises(InputError, match="one of the inputs"), whole_file(one) as stream:
+        with pytest.raises(InputError, match="one of the inputs"), atomic_file(one) as stream:
             stream.write(b"lost")
     assert one.read_text() == "input"
-    write_whole(one, "outside of a command it may")
+    write_atomic(one, "outside of a command it may")
 
 
 def test_files_of_a_killed_run_are_removed(tmp_path: Path) -> None:
     gone = subprocess.Popen(["true"])
     gone.wait()
-    stale = tmp_path / f"{TEMPORARY}{gone.pid}-00ff-{platform.node()}"
-    elsewhere = tmp_path / f"{TEMPORARY}{gone.pid}-00ff-another-computer"
-    running = tmp_path / f"{TEMPORARY}{os.getppid()}-00ff-{platform.node()}"
-    other = tmp_path / f"{TEMPORARY}notes"
+    stale = tmp_path / f"{TEMPORARY_PREFIX}{gone.pid}-00ff-{platform.node()}"
+    elsewhere = tmp_path / f"{TEMPORARY_PREFIX}{gone.pid}-00ff-another-computer"
+    running = tmp_path / f"{TEMPORARY_PREFIX}{os.getppid()}-00ff-{platform.node()}"
+    other = tmp_path / f"{TEMPORARY_PREFIX}notes"
     for path in (stale, elsewhere, running, other):
         path.write_text("half")
     with pytest.raises(SystemExit):

@@ -18,7 +18,7 @@ import typer
 
 from twin.cli.commands import app, load
 from twin.cli.doc import PAGES, page_text
-from twin.cli.shared.words import gathered
+from twin.cli.shared.words import repeat_options
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 
@@ -56,7 +56,7 @@ def test_every_call_is_one(call: tuple[str, str]) -> None:
     words = shlex.split(call[1])[1:]
     group: Any = typer.main.get_command(app)
     with group.make_context("twin", ["doc"]) as context:
-        load(words[0]).make_context(words[0], gathered(words)[1:], parent=context)
+        load(words[0]).make_context(words[0], repeat_options(words)[1:], parent=context)
 
 
 def test_the_manual_has_a_page_for_every_name() -> None:

@@ -13,7 +13,15 @@ import pytest
 
 from twin import cli
 from twin._common.errors import InputError
-from twin._common.provenance import ILLUSTRATIVE, PARTLY_UNKNOWN, SIMULATED, UNKNOWN, UNSETTLED, SourceWarning, merged
+from twin._common.provenance import (
+    ILLUSTRATIVE,
+    PARTLY_UNKNOWN_UNCERTAINTY,
+    SIMULATED,
+    UNKNOWN_UNCERTAINTY,
+    UNSETTLED_ESTIMATE,
+    SourceWarning,
+    merge_warnings,
+)
 from twin.identification import identify
 from twin.identification.axis_run import AxisLayout, axis_curves, error_motions, load_readings, simulate_run
 from twin.identification.thesis.identify import identify_as_thesis
@@ -21,7 +29,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
-from twin.measurement.table import joined, load
+from twin.measurement.table import join_tables, load
 from twin.nc import DIALECTS
 from twin.nc.heidenhain.dialect import Heidenhain
 from twin.nc.iso.dialect import Iso
@@ -33,11 +41,11 @@ KINDS: Final[dict[str, tuple[str, str, str, tuple[SourceWarning, ...]]]] = {
     "nothing": ("", "", COVARIANCE, ()),
     "illustrative": ("", ", illustrative: true", COVARIANCE, (ILLUSTRATIVE,)),
     "simulated": ("simulated: true", "", COVARIANCE, (SIMULATED,)),
-    "unknown": ("", "", "", (UNKNOWN,)),
-    "unsettled": ("settled: false", "", COVARIANCE, (UNSETTLED,)),
-    "all": ("simulated: true", ", illustrative: true", "", (ILLUSTRATIVE, SIMULATED, UNKNOWN)),
+    "unknown": ("", "", "", (UNKNOWN_UNCERTAINTY,)),
+    "unsettled": ("settled: false", "", COVARIANCE, (UNSETTLED_ESTIMATE,)),
+    "all": ("simulated: true", ", illustrative: true", "", (ILLUSTRATIVE, SIMULATED, UNKNOWN_UNCERTAINTY)),
 }
-EVERY: Final = (ILLUSTRATIVE, SIMULATED, UNSETTLED, UNKNOWN)
+EVERY: Final = (ILLUSTRATIVE, SIMULATED, UNSETTLED_ESTIMATE, UNKNOWN_UNCERTAINTY)
 PROGRAMS: Final = {
     "p.nc": "%\nO1234 (part)\nG21 G90 G0 X100 Y100 Z-100\nG1 X200 F500\nM30\n%\n",
     "p.mpf": "%_N_PART_MPF\n;$PATH=/_N_WKS_DIR\nG90 G0 X100 Y100 Z-100\nG1 X200 F500\nM30\n",
@@ -194,9 +202,12 @@ def test_simulated_is_true_or_false(dmu50: Machine, tmp_path: Path) -> None:
 
 def test_partly_unknown_uncertainty_has_its_own_warning(dmu50: Machine, tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text(calibration_text("nothing") + "squareness: {E_C0Y: 20.0}\n")
-    assert Calibration.load(tmp_path / "mine.yaml", dmu50).warnings == (PARTLY_UNKNOWN,)
+    assert Calibration.load(tmp_path / "mine.yaml", dmu50).warnings == (PARTLY_UNKNOWN_UNCERTAINTY,)
     assert Calibration.zero(dmu50).warnings == ()
-    assert merged((PARTLY_UNKNOWN,), (SIMULATED, UNKNOWN), (SIMULATED,)) == (SIMULATED, PARTLY_UNKNOWN)
+    assert merge_warnings((PARTLY_UNKNOWN_UNCERTAINTY,), (SIMULATED, UNKNOWN_UNCERTAINTY), (SIMULATED,)) == (
+        SIMULATED,
+        PARTLY_UNKNOWN_UNCERTAINTY,
+    )
 
 
 # --- from the readings to the calibration ---------------------------------------------------------------------------------
@@ -225,7 +236,11 @@ def test_one_simulated_table_makes_all_simulated(dmu50: Machine, table: Path) ->
     assert not real.simulated and drawn.simulated
     assert drawn.select(np.arange(10)).simulated
     other = replace(drawn, round=np.full(len(drawn), "later", dtype=object))
-    assert joined([real, other]).simulated and joined([other, real]).simulated and not joined([real]).simulated
+    assert (
+        join_tables([real, other]).simulated
+        and join_tables([other, real]).simulated
+        and not join_tables([real]).simulated
+    )
 
 
 def test_a_comment_of_its_own_is_not_repeated(dmu50: Machine, table: Path, tmp_path: Path) -> None:
@@ -313,8 +328,10 @@ def test_long_comments_are_wrapped_and_not_repeated(dialect: Any) -> None:
     assert max(map(len, once.splitlines())) < 80
     assert said(once) == {one.name for one in EVERY}
     assert dialect.with_comments(once, [f"twin: {one.text}" for one in EVERY[:2]]) == once
-    more = dialect.with_comments(dialect.with_comments(text, [f"twin: {SIMULATED.text}"]), [f"twin: {UNKNOWN.text}"])
-    assert said(more) == {SIMULATED.name, UNKNOWN.name}
+    more = dialect.with_comments(
+        dialect.with_comments(text, [f"twin: {SIMULATED.text}"]), [f"twin: {UNKNOWN_UNCERTAINTY.text}"]
+    )
+    assert said(more) == {SIMULATED.name, UNKNOWN_UNCERTAINTY.name}
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
@@ -331,5 +348,5 @@ def test_a_program_compensated_twice_has_one_comment(name: str, tmp_path: Path) 
 
 
 def test_every_sentence_fits_into_a_comment() -> None:
-    for one in (*EVERY, PARTLY_UNKNOWN):
+    for one in (*EVERY, PARTLY_UNKNOWN_UNCERTAINTY):
         assert one.text.isascii() and not set(one.text) & set('()[]{};~$%"\n')

@@ -39,7 +39,7 @@ def lines(n: int, seed: int) -> Commands:
 def test_poses_compared_with_nominal_ones(
     n: int, switch: str, dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(loading.SWITCH, switch)
+    monkeypatch.setenv(loading.SWITCH_VARIABLE, switch)
     real = Kinematics(dmu50, calibration, tool_length_mm=LENGTH)
     nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=LENGTH)
     comparison = PoseComparison(real, nominal)

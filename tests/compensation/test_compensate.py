@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tests.compensation.heads import body
 from tests.machine.errors import random_calibration
 from tests.truth.machine import TruthMachine, run_iso
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator, Options
 from twin.compensation.toolpath import Setup
@@ -298,7 +298,7 @@ def test_report_reads_and_counts(dmu50: Machine, calibration: Calibration) -> No
 def uncertain(calibration: Calibration, u: float) -> Calibration:
     """Return the calibration with an independent standard uncertainty of ``u`` µm or µrad for every number."""
     names = tuple(parameter.name for effect in calibration.effects for parameter in effect.parameters)
-    return replace(calibration, joint=Covariance(names, locked(u**2 * np.eye(len(names)))))
+    return replace(calibration, joint=Covariance(names, read_only(u**2 * np.eye(len(names)))))
 
 
 TURNS = "G90\nG0 X100 Y100 Z-100 B40 C10\nG1 X120 F300\nY140 B60\nZ-200 C200\n"
@@ -349,7 +349,7 @@ def test_blocks_below_their_uncertainty_are_listed_by_line(dmu50: Machine) -> No
     known = replace(
         Calibration.zero(dmu50),
         curves={"E_XX": curve},  # 0 at X = 0, 100 µm at X = 500
-        joint=Covariance(("E_XX[0]", "E_XX[1]"), locked(np.diag([9.0, 0.0]))),
+        joint=Covariance(("E_XX[0]", "E_XX[1]"), read_only(np.diag([9.0, 0.0]))),
     )
     report = compensate("G90\nG0 X490 Y100 Z-100\nX20\nX490\nX10\n", dmu50, known).report
     point = report.uncertainty.point

@@ -19,7 +19,7 @@ from tests.truth.machine import AXES, RANGES, TruthMachine, run_iso
 from tests.truth.reference import dmu50_pose
 from tests.uncertainty.sampled import sampled
 from twin import cli, compensate
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator, Options
 from twin.compensation.backlash import Backlash
@@ -29,12 +29,12 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.effects.entries import effect_named
-from twin.machine.iso16907 import Scope, acts_as, iso_class
+from twin.machine.iso16907 import Scope, error_motion_of, iso_class
 from twin.machine.machine import Machine
 from twin.nc import dialect_for
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.at_tool import ToolUncertainty
-from twin.uncertainty.budget import error_budget, known_at
+from twin.uncertainty.budget import error_budget, without_missing_channels
 
 SAMPLES = Path(__file__).resolve().parents[2] / "twin" / "samples"
 LENGTH = 120.0
@@ -519,9 +519,9 @@ def test_info_lists_omitted_effects(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_the_budget_of_effects(dmu50: Machine, tmp_path: Path) -> None:
     known = Calibration.load(extended(tmp_path, reversal("Y", 12.0), EXPANSION, GROWTH, reversal("B", 60.0)), dmu50)
-    known = replace(known, joint=Covariance(("reversal:Y.size",), locked(np.array([[4.0]]))))
+    known = replace(known, joint=Covariance(("reversal:Y.size",), read_only(np.array([[4.0]]))))
     at = Conditions({"X": 26.0})
-    rest, missing = known_at(at, known)
+    rest, missing = without_missing_channels(at, known)
     assert missing == {"T_bed_degC": ("thermal_growth:Z by bed",)}
     rows = {row.name: row for row in error_budget(dmu50, rest, conditions=at)[0]}
     assert list(rows) == ["reversal:Y", "thermal_expansion:X", "reversal:B"]
@@ -543,7 +543,7 @@ def test_the_budget_of_effects(dmu50: Machine, tmp_path: Path) -> None:
 
 def test_the_uncertainty_of_a_reversal_counts_half(dmu50: Machine, tmp_path: Path) -> None:
     known = Calibration.load(extended(tmp_path, reversal("Y", 12.0)), dmu50)
-    known = replace(known, joint=Covariance(("reversal:Y.size",), locked(np.array([[4.0]]))))
+    known = replace(known, joint=Covariance(("reversal:Y.size",), read_only(np.array([[4.0]]))))
     tool = ToolUncertainty(Kinematics(dmu50, known))
     q = [250.0, 225.0, -200.0, 0.0, 0.0]
     for side in (-1.0, 1.0):
@@ -572,5 +572,5 @@ def test_the_uncertainty_of_a_reversal_counts_half(dmu50: Machine, tmp_path: Pat
 def test_every_effect_has_a_class(
     dmu50: Machine, effect: str, where: str, numbers: dict[str, float], acts: str, found: str
 ) -> None:
-    name = acts_as(effect_named(effect, where, numbers, dmu50), dmu50)
+    name = error_motion_of(effect_named(effect, where, numbers, dmu50), dmu50)
     assert (name, iso_class(name, dmu50)) == (acts, found)

@@ -14,7 +14,7 @@ import pytest
 from tests.compensation.test_compensate import ROUNDING_UM, SAMPLES, compensate
 from tests.truth import hidden
 from tests.truth.machine import TruthMachine, run_iso
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.cli.identify import tables_on
 from twin.diagnosis import diagnose
@@ -217,7 +217,7 @@ def test_measured_under_its_control_the_machine_is_consistent(
     read = hidden.noisy(hidden.points(replace(of, q=driven(tmp_path, of.q)), []), rng, "isotropic", 2e-3)
     data = load(hidden.write(tmp_path / "measured.csv", of, read, u_mm=2e-3), dmu50)
     names = ("E_XX[0]", "E_XX[1]")
-    known = replace(calibration, joint=Covariance(names, locked(np.eye(2) * 0.01))).with_control(section)
+    known = replace(calibration, joint=Covariance(names, read_only(np.eye(2) * 0.01))).with_control(section)
     assert diagnose(data, dmu50, known).verdict == "consistent"
     assert {cause.effect for cause in diagnose(data, dmu50, calibration).causes} >= {"positioning"}
 

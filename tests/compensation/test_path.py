@@ -20,7 +20,7 @@ from tests.nc.nc_support import plain_positions
 from tests.truth.machine import TruthMachine, run_iso
 from twin._common.errors import InputError
 from twin.cli.commands import app
-from twin.cli.shared.words import gathered
+from twin.cli.shared.words import repeat_options
 from twin.compensation import Options
 from twin.compensation.fewer_blocks import PathReport, UncertaintyContribution, combined
 from twin.compensation.fewer_blocks.refit import Refit, Refitter
@@ -378,7 +378,7 @@ def test_tables_that_are_refused(dmu50: Machine, tmp_path: Path, text: str, plac
 
 
 def invoke(*arguments: object) -> tuple[int, str]:
-    result = CliRunner().invoke(app, gathered([str(argument) for argument in arguments]))
+    result = CliRunner().invoke(app, repeat_options([str(argument) for argument in arguments]))
     return result.exit_code, result.output if result.exception is None else f"{result.output}{result.exception}"
 
 

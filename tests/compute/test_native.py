@@ -21,7 +21,7 @@ import pytest
 from tests.kinematics.test_kinematics import random_commands
 from tests.machine.errors import random_calibration
 from twin.compute import batch
-from twin.compute.native import Taken, compiler, in_use, loading, solver, store
+from twin.compute.native import TableRows, compiler, loading, solver, solver_description, store
 from twin.compute.native.compiler import Compiler, CompilerError
 from twin.compute.native.problem import BatchOutcome
 from twin.compute.native.tape import Tape, UnknownOperationError
@@ -52,7 +52,7 @@ def spoilt(rows: int, axes: int) -> BatchOutcome:
 def eager(libraries: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Compile for any number of poses."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(libraries))
-    monkeypatch.delenv(loading.SWITCH, raising=False)
+    monkeypatch.delenv(loading.SWITCH_VARIABLE, raising=False)
     monkeypatch.setattr(loading, "WORTH_COMPILING", 0)
     monkeypatch.setattr(loading, "_failed", {})
     # Fill the result arrays with invalid values: fresh memory is full of zeros, and zero means converged.
@@ -93,7 +93,7 @@ def both(inverse: Inverse, target: Poses, start: np.ndarray, **given: object) ->
     fast = inverse.solve(target, start, **given)  # type: ignore[arg-type]
     assert inverse._solver._native is not None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(loading.SWITCH, "0")
+        patch.setenv(loading.SWITCH_VARIABLE, "0")
         again = Inverse(inverse.kinematics, rotary_limit_deg=inverse.rotary_limit_deg)
         return fast, again.solve(target, start, **given)  # type: ignore[arg-type]
 
@@ -289,7 +289,7 @@ def test_a_tape_is_its_function() -> None:
 @pytest.mark.usefixtures("eager")
 def test_very_many_rows(dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch, switch: str) -> None:
     """Compare both evaluations of more rows than CasADi is used for with CasADi's; not-a-number is preserved."""
-    monkeypatch.setenv(loading.SWITCH, switch)
+    monkeypatch.setenv(loading.SWITCH_VARIABLE, switch)
     n = 2 * loading.PORTION + 5 if switch == "1" else 3 * batch.MANY + 5
     q = random_commands(dmu50, n, np.random.default_rng(33)) * dmu50.scale
     q[7, 3], q[11, 0], q[13, 4] = np.nan, np.inf, 7e5
@@ -311,18 +311,18 @@ def test_very_many_rows(dmu50: Machine, calibration: Calibration, monkeypatch: p
 @pytest.mark.usefixtures("eager")
 def test_rows_taken_from_a_table(rows: int, switch: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows of a table give the same bits as expanded rows, beside other rows and one value for all."""
-    monkeypatch.setenv(loading.SWITCH, switch)
+    monkeypatch.setenv(loading.SWITCH_VARIABLE, switch)
     x, y, z = ca.SX.sym("x", 3), ca.SX.sym("y", 2), ca.SX.sym("z")
     function = batch.BatchFunction(ca.Function("f", [x, y, z], [ca.sin(x) * z, x[0] * y + x[1]]))
     rng = np.random.default_rng(35)
-    taken = Taken(rng.normal(size=(70, 6))[:, ::2], rng.integers(0, 70, rows).astype(np.int32))
+    taken = TableRows(rng.normal(size=(70, 6))[:, ::2], rng.integers(0, 70, rows).astype(np.int32))
     own, shared = rng.normal(size=(rows, 2)), np.array([1.7])
     found, is_logical = function(taken, own, shared), function(taken.written(), own, shared)
     assert (function._row_function._library is not None) == (switch == "1")
     assert all(np.array_equal(a, b) for a, b in zip(found, is_logical, strict=True))
     table = taken.table.copy()
     table[5, 1] = 3e5  # an angle too large for the C++
-    far = Taken(table, taken.line)
+    far = TableRows(table, taken.line)
     found, is_logical = function(far, own, shared), function(far.written(), own, shared)
     assert found[0] == pytest.approx(is_logical[0], abs=1e-15) and found[1] == pytest.approx(is_logical[1], rel=1e-15)
 
@@ -490,7 +490,7 @@ def test_a_compiler_that_fails_is_said_once(
         second = Inverse(real).solve(target, q)
     assert len(said) == 1
     assert np.all(first.where(Status.CONVERGED) & second.where(Status.CONVERGED))
-    assert in_use() == f"NumPy ({script.command[0]}: error: no disc)"
+    assert solver_description() == f"NumPy ({script.command[0]}: error: no disc)"
     with pytest.raises(CompilerError, match="no disc"):
         store.library(TINY, script)
     assert not list(cache.glob(".twin-*"))
@@ -505,7 +505,7 @@ def test_no_compiler_and_switched_off(
     target = real.forward(q)
     for variables, told in (
         ({"PATH": str(tmp_path), "CXX": ""}, "NumPy (no C++ compiler found)"),
-        ({loading.SWITCH: "0"}, "NumPy (TWIN_NATIVE=0)"),
+        ({loading.SWITCH_VARIABLE: "0"}, "NumPy (TWIN_NATIVE=0)"),
     ):
         with monkeypatch.context() as patch, warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -514,7 +514,7 @@ def test_no_compiler_and_switched_off(
             inverse = Inverse(real)
             assert np.all(inverse.solve(target, q).where(Status.CONVERGED))
             assert inverse._solver._native is None
-            assert in_use() == told
+            assert solver_description() == told
 
 
 @compiled
@@ -544,7 +544,7 @@ def test_info_says_which_way(tmp_path: Path) -> None:
     for switch in ("0", "1"):
         done = subprocess.run(
             [sys.executable, "-m", "twin.cli", "info"],
-            env=os.environ | settings | {loading.SWITCH: switch},
+            env=os.environ | settings | {loading.SWITCH_VARIABLE: switch},
             capture_output=True,
             text=True,
             check=True,

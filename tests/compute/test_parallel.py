@@ -25,7 +25,7 @@ from tests.machine.errors import random_calibration
 from tests.uncertainty.test_population import draws_of, with_covariance
 from twin import cli
 from twin._common.errors import InputError
-from twin.compute.parallel import Workers, cluster, finished, in_order, run
+from twin.compute.parallel import Workers, cluster, map_as_completed, map_in_order, run
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -95,14 +95,14 @@ def uncertain(dmu50: Machine) -> Calibration:
 
 
 def test_order_and_names(others: Workers) -> None:
-    assert list(in_order(chores.squared, 1, range(7), others)) == [1 + i * i for i in range(7)]
-    assert sorted(finished(chores.squared, 1, range(7), others)) == [(i, 1 + i * i) for i in range(7)]
-    assert list(in_order(chores.squared, 1, [], others)) == []
+    assert list(map_in_order(chores.squared, 1, range(7), others)) == [1 + i * i for i in range(7)]
+    assert sorted(map_as_completed(chores.squared, 1, range(7), others)) == [(i, 1 + i * i) for i in range(7)]
+    assert list(map_in_order(chores.squared, 1, [], others)) == []
 
 
 def test_threads_of_linear_algebra_do_not_show(others: Workers) -> None:
-    wanted = list(in_order(chores.product, 5, range(4), HERE))
-    found = list(in_order(chores.product, 5, range(4), others))
+    wanted = list(map_in_order(chores.product, 5, range(4), HERE))
+    found = list(map_in_order(chores.product, 5, range(4), others))
     assert all(np.array_equal(a, b) for a, b in zip(wanted, found, strict=True))
 
 
@@ -259,7 +259,7 @@ def test_a_worker_that_is_killed_loses_nothing(
     tasks = [(i, 2000) for i in range(6)]
     wanted = [draws.part(task) for task in tasks]
     mark = tmp_path / "mark"
-    found = list(in_order(chores.drawn_and_once_dead, (draws, mark), tasks, others))
+    found = list(map_in_order(chores.drawn_and_once_dead, (draws, mark), tasks, others))
     assert mark.exists()
     assert [one.machines for one in found] == [2000] * 6
     for a, b in zip(wanted, found, strict=True):
@@ -268,7 +268,7 @@ def test_a_worker_that_is_killed_loses_nothing(
 
 def test_a_refusal_arrives_as_it_was_raised(others: Workers) -> None:
     with pytest.raises(InputError, match=r"numbers.csv:7: no such number: '3'; expected another"):
-        list(in_order(chores.refusing, 3, range(8), others))
+        list(map_in_order(chores.refusing, 3, range(8), others))
 
 
 def test_a_task_that_kills_its_workers_is_named(monkeypatch: pytest.MonkeyPatch, others: Workers) -> None:
@@ -276,7 +276,9 @@ def test_a_task_that_kills_its_workers_is_named(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr(run, "SUSPECT_DEATHS", 1)
     monkeypatch.setattr(run, "MAX_DEATHS", 2)
     found = dict(
-        finished(chores.deadly, 3, range(4), others, name=lambda task: f"task number {task}", return_errors=True)
+        map_as_completed(
+            chores.deadly, 3, range(4), others, name=lambda task: f"task number {task}", return_errors=True
+        )
     )
     refusal = found.pop(3)
     assert (
@@ -294,14 +296,14 @@ def test_no_scheduler_there(monkeypatch: pytest.MonkeyPatch) -> None:
         silent.listen()
         for address in ("banana", "tcp://127.0.0.1:1", f"tcp://127.0.0.1:{silent.getsockname()[1]}"):
             with pytest.raises(InputError, match="no Dask scheduler at this address"):
-                list(in_order(chores.squared, 1, range(3), Workers(scheduler=address)))
+                list(map_in_order(chores.squared, 1, range(3), Workers(scheduler=address)))
 
 
 def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("twin.compute.parallel.cluster", "distributed"):
         monkeypatch.setitem(sys.modules, name, None)  # marks the module as not importable
     with pytest.raises(InputError, match=r"twin\[cluster\]"):
-        list(in_order(chores.squared, 1, range(3), Workers(scheduler="tcp://127.0.0.1:1")))
+        list(map_in_order(chores.squared, 1, range(3), Workers(scheduler="tcp://127.0.0.1:1")))
 
 
 def _refused_while_there(scheduler: str, folder: Path, *words: str) -> None:
@@ -309,7 +311,7 @@ def _refused_while_there(scheduler: str, folder: Path, *words: str) -> None:
 
     def refused() -> bool:
         try:
-            list(in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler)))
+            list(map_in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler)))
         except InputError as error:
             assert all(word in str(error) for word in words)
             return True
@@ -334,7 +336,7 @@ def test_a_worker_with_another_twin_is_refused(scheduler: str, tmp_path: Path) -
     with (tmp_path / "twin" / "units.py").open("a") as stream:
         stream.write("# another\n")
     (tmp_path / "urdf").symlink_to(ROOT / "urdf")
-    list(in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler)))
+    list(map_in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler)))
 
     _refused_while_there(scheduler, tmp_path, "other versions", "twin 0")
 

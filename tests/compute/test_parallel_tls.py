@@ -16,7 +16,7 @@ from tests.compute import chores
 from tests.compute.test_parallel import ROOT, until
 from twin import cli
 from twin._common.errors import InputError
-from twin.compute.parallel import Tls, Workers, in_order
+from twin.compute.parallel import Tls, Workers, map_in_order
 
 DASK = [sys.executable, "-m", "dask"]
 
@@ -84,31 +84,31 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory, certificates: Tls) -> It
 def test_work_on_an_encrypted_cluster(scheduler: str, certificates: Tls) -> None:
     assert scheduler.startswith("tls://")
     workers = Workers(scheduler=scheduler, tls=certificates)
-    assert list(in_order(chores.squared, 1, range(5), workers)) == [1 + i * i for i in range(5)]
+    assert list(map_in_order(chores.squared, 1, range(5), workers)) == [1 + i * i for i in range(5)]
 
 
 def test_dasks_own_configuration(scheduler: str, certificates: Tls) -> None:
     tls = "distributed.comm.tls."
     client = {f"{tls}client.cert": str(certificates.certificate), f"{tls}client.key": str(certificates.key)}
     with dask.config.set({f"{tls}ca-file": str(certificates.ca_file), **client}):
-        assert list(in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler))) == [1, 2, 5]
+        assert list(map_in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler))) == [1, 2, 5]
 
 
 def test_certificates_of_another_authority(scheduler: str, strange: Tls) -> None:
     with pytest.raises(InputError, match=r"no Dask scheduler at this address.*one authority on both sides"):
-        list(in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler, tls=strange)))
+        list(map_in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler, tls=strange)))
 
 
 def test_no_certificates(scheduler: str) -> None:
     with pytest.raises(InputError, match="TLS settings do not match") as caught:
-        list(in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler)))
+        list(map_in_order(chores.squared, 1, range(3), Workers(scheduler=scheduler)))
     assert caught.value.value == scheduler
 
 
 def test_encryption_that_is_required_and_not_there() -> None:
     required = {"distributed.comm.require-encryption": True}
     with dask.config.set(required), pytest.raises(InputError, match="TLS settings do not match"):
-        list(in_order(chores.squared, 1, range(3), Workers(scheduler="tcp://127.0.0.1:1")))
+        list(map_in_order(chores.squared, 1, range(3), Workers(scheduler="tcp://127.0.0.1:1")))
 
 
 def test_tls_files_for_a_scheduler_without_tls(certificates: Tls) -> None:
@@ -124,7 +124,7 @@ def test_files_that_are_no_certificates(tmp_path: Path, certificates: Tls, broke
         path.write_text("not a certificate")
     tls = Tls(certificates.ca_file, certificates.certificate) if broken == "no key" else Tls(path, path, path)
     with pytest.raises(InputError) as caught:
-        list(in_order(chores.squared, 1, range(3), Workers(scheduler="tls://127.0.0.1:1", tls=tls)))
+        list(map_in_order(chores.squared, 1, range(3), Workers(scheduler="tls://127.0.0.1:1", tls=tls)))
     assert caught.value.file == str(certificates.certificate if broken == "no key" else path)
 
 

@@ -19,10 +19,10 @@ from tests.control.cases import CASES
 from twin._common.errors import InputError
 from twin._common.units import DEG
 from twin.cli.doc import page_text
-from twin.machine.control import FORMATS, ControlCurve, ControlTerm, Correction, TableFormat, Terms, read_tables
+from twin.machine.control import FORMATS, ControlCurve, ControlTerm, Correction, TableFormat, TableSum, read_tables
 from twin.machine.control.formats.linuxcnc import LinuxCnc
 from twin.machine.control.spatial import EXACT_UM, CorrectionGrid
-from twin.machine.control.volumetric import AxisErrors, Volumetric
+from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection
 from twin.machine.iso16907 import BASIC
 from twin.machine.machine import Machine
 
@@ -42,7 +42,7 @@ def put(folder: Path, files: Mapping[str, str]) -> list[Path]:
 
 
 @st.composite
-def terms(draw: st.DrawFn, form: TableFormat[Terms]) -> Terms:
+def terms(draw: st.DrawFn, form: TableFormat[TableSum]) -> TableSum:
     """Draw tables that a format can hold: equally spaced nodes, the same in all tables over one axis."""
     found = []
     for of, (low, high) in RANGES.items():
@@ -64,11 +64,11 @@ def terms(draw: st.DrawFn, form: TableFormat[Terms]) -> Terms:
             arm = ControlCurve(by, RANGES[by], (draw(st.floats(-1.0, 1.0)), draw(st.floats(-1.0, 1.0))))
             curve = ControlCurve(of, at, tuple(draw(st.lists(values, min_size=count, max_size=count))))
             found.append(ControlTerm(draw(st.sampled_from("XYZ")), (curve, arm)))
-    return Terms(tuple(found), MACHINE)
+    return TableSum(tuple(found), MACHINE)
 
 
 @st.composite
-def component_errors(draw: st.DrawFn, form: TableFormat[Volumetric]) -> Volumetric:
+def component_errors(draw: st.DrawFn, form: TableFormat[VolumetricCorrection]) -> VolumetricCorrection:
     rng = np.random.default_rng(draw(st.integers(0, 1000)))
     errors = []
     for name, (low, high) in RANGES.items():
@@ -77,7 +77,7 @@ def component_errors(draw: st.DrawFn, form: TableFormat[Volumetric]) -> Volumetr
         chosen = draw(st.lists(st.integers(0, 5), unique=True, min_size=1))
         curves = {i: ControlCurve(name, at, tuple(rng.normal(0, scale[i], len(at)).round(3)), period) for i in chosen}
         errors.append(AxisErrors(name, curves))
-    return Volumetric(tuple(errors), MACHINE, 137.5)
+    return VolumetricCorrection(tuple(errors), MACHINE, 137.5)
 
 
 @st.composite
@@ -88,7 +88,7 @@ def grids(draw: st.DrawFn, form: TableFormat[CorrectionGrid]) -> CorrectionGrid:
     return CorrectionGrid(MACHINE, at, rng.normal(0, 40, (*counts, 3)))
 
 
-DRAWN = {Terms: terms, Volumetric: component_errors, CorrectionGrid: grids}
+DRAWN = {TableSum: terms, VolumetricCorrection: component_errors, CorrectionGrid: grids}
 
 
 @every_format
@@ -160,7 +160,7 @@ def examples() -> list[tuple[str, Correction]]:
             of, tuple(np.linspace(low, high, n)), tuple(rng.normal(0, 30, n)), 360.0 if of == "C" else None, side
         )
 
-    found = Terms(
+    found = TableSum(
         (
             ControlTerm("X", (curve("X", 12),)),
             ControlTerm("Y", (curve("X", 5, 1),)),
@@ -175,7 +175,7 @@ def examples() -> list[tuple[str, Correction]]:
     at = tuple(tuple(np.linspace(*RANGES[name], 6)) for name in "XYZ")
     return [
         ("terms", found),
-        ("isg", Volumetric(tuple(errors), MACHINE, 80.0)),
+        ("isg", VolumetricCorrection(tuple(errors), MACHINE, 80.0)),
         ("grid", CorrectionGrid(MACHINE, at, rng.normal(0, 30, (6, 6, 6, 3)))),
     ]
 
@@ -291,7 +291,7 @@ def test_no_such_format(tmp_path: Path) -> None:
 def test_more_points_than_linuxcnc_takes() -> None:
     at = tuple(float(q) for q in range(257))
     with pytest.raises(InputError, match="too many points") as caught:
-        LinuxCnc().write(Terms((ControlTerm("X", (ControlCurve("X", at, at),)),), MACHINE))
+        LinuxCnc().write(TableSum((ControlTerm("X", (ControlCurve("X", at, at),)),), MACHINE))
     assert caught.value.value == 257
 
 

@@ -20,11 +20,11 @@ from tests.truth.machine import TruthMachine
 from twin._common.errors import InputError
 from twin.cli import main
 from twin.compensation import compensate
-from twin.control import ControlTables, Request, account_of, deliver, make
+from twin.control import ControlTables, Request, account_of, make, write_folder
 from twin.display import figure
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.control import FORMATS, ControlSection, TableEntry, Terms, format_named, read_tables
+from twin.machine.control import FORMATS, ControlSection, TableEntry, TableSum, format_named, read_tables
 from twin.machine.effects import CrossAxis, Reversal
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
@@ -131,7 +131,7 @@ def test_another_tool_than_the_tables_were_made_for(kind: str, dmu50: Machine, t
     calibration = drawn(dmu50, 5, rotary=kind == "isg")
     calibration.save(tmp_path / "errors.yaml")
     made = make(dmu50, calibration, Request(kind, tool_length_mm=LENGTH))
-    deliver(made, calibration, calibration, {}, tmp_path / "tables")
+    write_folder(made, calibration, calibration, {}, tmp_path / "tables")
     longer = LENGTH + 80.0
     machine = TruthMachine(tmp_path / "errors.yaml", longer)
     q = positions(dmu50, 60)
@@ -305,7 +305,7 @@ def test_new_tables_are_added_to_old_ones(kind: str, dmu50: Machine, tmp_path: P
     names = ("E_XX", "E_YX", "E_CX", "E_ZZ", "E_BB", "E_CC")
     first, second = (drawn(dmu50, seed, rotary=True).where(lambda name: name in names) for seed in (1, 2))
     request = Request(kind, tool_length_mm=LENGTH, step=100.0, tolerance_um=100.0)
-    deliver(make(dmu50, first, request), first, first, {}, put(tmp_path / "old", {"a": ""})[0].parent)
+    write_folder(make(dmu50, first, request), first, first, {}, put(tmp_path / "old", {"a": ""})[0].parent)
     old = Calibration.load(tmp_path / "old" / "calibration.yaml", dmu50).control
     assert old is not None
     left = second.with_control(ControlSection("remaining", old.tables))
@@ -315,7 +315,7 @@ def test_new_tables_are_added_to_old_ones(kind: str, dmu50: Machine, tmp_path: P
     made = make(dmu50, left, replace(request, add=True))
     assert made.unmet == ()
     (tmp_path / "new").mkdir()
-    deliver(made, left, left, {}, tmp_path / "new")
+    write_folder(made, left, left, {}, tmp_path / "new")
     with_tables = Calibration.load(tmp_path / "new" / "calibration.yaml", dmu50)
     assert with_tables.control is not None and with_tables.control.errors_are == "uncorrected"
     before = read_tables(kind, [one.file for one in old.tables], dmu50)
@@ -334,7 +334,7 @@ def test_tables_in_use_are_replaced_by_those_for_the_errors_alone(dmu50: Machine
     errors = drawn(dmu50, 4, rotary=False).where(lambda name: name == "E_XX")
     request = Request("linuxcnc", tool_length_mm=LENGTH)
     first = make(dmu50, errors, request)
-    deliver(first, errors, errors, {}, tmp_path)
+    write_folder(first, errors, errors, {}, tmp_path)
     again = make(dmu50, Calibration.load(tmp_path / "calibration.yaml", dmu50), request)
     assert again.files == first.files
 
@@ -454,7 +454,7 @@ def test_the_report_gives_the_same_figures(length: float, dmu50: Machine, tmp_pa
     assert run(["report", "-o", str(tmp_path / "r.html"), *given, "--json", str(tmp_path / "r.json")]) == 0
     report = json.loads((tmp_path / "r.json").read_text())
     assert {one["format"] for one in report["control_tables"]} == {
-        form.name for form in FORMATS if form.correction is Terms
+        form.name for form in FORMATS if form.correction is TableSum
     }
     for one in report["control_tables"]:
         out = tmp_path / one["format"]

@@ -15,7 +15,7 @@ from twin._common.errors import InputError
 from twin.control import Request, account_of, make
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.control import ControlCurve, ControlTerm, Terms, read_tables
+from twin.machine.control import ControlCurve, ControlTerm, TableSum, read_tables
 from twin.machine.control.formats.siemens_eec import SiemensEec
 from twin.machine.effects import Reversal
 
@@ -68,11 +68,11 @@ def test_other_tables_are_refused() -> None:
         ControlTerm("X", (replace(curve, at=(0.0, 100.0, 500.0)),)),
     ):
         with pytest.raises(InputError, match="not possible as leadscrew error compensation"):
-            SiemensEec().write(Terms((term,), MACHINE))
+            SiemensEec().write(TableSum((term,), MACHINE))
 
 
 def test_modulo(tmp_path: Path) -> None:
     curve = ControlCurve("C", (0.0, 90.0, 180.0, 270.0, 360.0), (0.0, 10.0, 0.0, -10.0, 0.0), 360.0)
-    put(tmp_path, SiemensEec().write(Terms((ControlTerm("C", (curve,)),), MACHINE)))
+    put(tmp_path, SiemensEec().write(TableSum((ControlTerm("C", (curve,)),), MACHINE)))
     state = {name: np.array([450.0, -90.0]) for name in MACHINE.names}
     assert by_hand(tmp_path, "C", state) == pytest.approx([10.0, -10.0], abs=0.01)

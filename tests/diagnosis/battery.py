@@ -27,9 +27,9 @@ import numpy as np
 from scipy import stats
 
 from tests.truth import hidden
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin.compute.parallel import Workers, in_order
+from twin.compute.parallel import Workers, map_in_order
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import unit_column
 from twin.diagnosis.estimate.estimate import estimate
@@ -43,7 +43,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.effects import PitchError, ThermalDrift
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
-from twin.measurement.table import load, state_of
+from twin.measurement.table import load, machine_state
 from twin.numerics.covariance import Covariance
 
 FAR = 4.0
@@ -149,7 +149,7 @@ def _doubted(calibration: Calibration) -> Calibration:
     names = [p.name for effect in calibration.effects for p in effect.parameters]
     units = [p.unit for effect in calibration.effects for p in effect.parameters]
     u = np.array([0.7 if unit == "um" else 4.0 for unit in units])
-    return replace(calibration, joint=Covariance(tuple(names), locked(np.diag(u**2))))
+    return replace(calibration, joint=Covariance(tuple(names), read_only(np.diag(u**2))))
 
 
 def noise_of(rng: np.random.Generator, problem: Problem, root: np.ndarray) -> np.ndarray:
@@ -162,7 +162,7 @@ def noise_of(rng: np.random.Generator, problem: Problem, root: np.ndarray) -> np
 
 def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, list[Candidate]], size: float) -> Truth:
     """An effect of a random family at a random place, scaled to a noncentrality: key, (3n,) signature, fixed and linear parameters."""
-    machine, state = problem.network.machine, state_of(problem.network.data, problem.network.machine)
+    machine, state = problem.network.machine, machine_state(problem.network.data, problem.network.machine)
     while True:
         effect = list(families)[rng.integers(len(families))]
         candidate = families[effect][rng.integers(len(families[effect]))]
@@ -327,7 +327,7 @@ def answers(
 ) -> list[Answer]:
     """Draws of one row of the table: the same for the same seed on any workers, but for the seconds."""
     case = Case(row, seed, noise, poses, uncertain)
-    return [one for found in in_order(answers_of, case, tasks(draws), workers, name=told) for one in found]
+    return [one for found in map_in_order(answers_of, case, tasks(draws), workers, name=told) for one in found]
 
 
 def answers_of(case: Case, task: tuple[int, int]) -> list[Answer]:

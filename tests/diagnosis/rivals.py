@@ -27,7 +27,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LassoLarsIC
 
 from tests.diagnosis.battery import HERE, ROWS, UNHIDDEN, Case, DataSet, Key, Told, Truth, matched, parsed, tasks, told
-from twin.compute.parallel import Workers, in_order
+from twin.compute.parallel import Workers, map_in_order
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.forms import LEAST_NONCENTRALITY
@@ -320,7 +320,7 @@ def compared(
     """
     case = Case(row, seed, noise, poses, every=every)
     found: dict[str, list[Said]] = {}
-    for said in in_order(said_of, case, tasks(draws), workers, name=told):
+    for said in map_in_order(said_of, case, tasks(draws), workers, name=told):
         for method, some in said.items():
             found.setdefault(method, []).extend(some)
     return found

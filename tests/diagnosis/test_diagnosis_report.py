@@ -21,7 +21,7 @@ import pytest
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin._common.errors import InputError
-from twin._common.provenance import ILLUSTRATIVE, SIMULATED, UNKNOWN
+from twin._common.provenance import ILLUSTRATIVE, SIMULATED, UNKNOWN_UNCERTAINTY
 from twin.diagnosis import Diagnosis, diagnose
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
 from twin.diagnosis.result import Unexplained
@@ -29,7 +29,7 @@ from twin.diagnosis.wording.panels import cause_panels, residual_panels
 from twin.diagnosis.wording.plots import plot_cause, plot_ranking, plot_residuals, plot_unexplained
 from twin.diagnosis.wording.report import diagnosis_html
 from twin.diagnosis.wording.text import WIDTH
-from twin.diagnosis.wording.words import chance, listed, measured, odds, plain, separating_points
+from twin.diagnosis.wording.words import cause_title, chance, listed, measured, odds, separating_points
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
@@ -189,7 +189,7 @@ def test_a_calibration_extended_from_simulated_readings_is_marked(
     assert SIMULATED in Calibration.load(folder / "extended.yaml", dmu50).warnings
     assert SIMULATED.title in drawn.to_text()
     assert [one["name"] for one in drawn.to_dict()["warnings"]] == [
-        one.name for one in (ILLUSTRATIVE, SIMULATED, UNKNOWN)
+        one.name for one in (ILLUSTRATIVE, SIMULATED, UNKNOWN_UNCERTAINTY)
     ]
     # The marked readings differ from the unmarked ones by the mark only.
     measured = found["reversal"]
@@ -307,7 +307,7 @@ def test_text_is_wrapped_and_short(found: Mapping[str, Diagnosis], name: str) ->
     if one.causes:
         # The name in words, then the symbol.
         assert (
-            f"{plain(one.causes[0].effect, one.causes[0].where)} ({one.causes[0].effect} {one.causes[0].where}" in text
+            f"{cause_title(one.causes[0].effect, one.causes[0].where)} ({one.causes[0].effect} {one.causes[0].where}" in text
         )
 
 
@@ -334,7 +334,7 @@ def test_every_cause_has_words(dmu50: Machine, calibration: Calibration, found: 
     everything = catalogue(dmu50, data, calibration).candidates
     assert {one.effect for one in everything} <= set(EFFECTS)
     for one in everything:
-        words = plain(one.effect, one.where)
+        words = cause_title(one.effect, one.where)
         assert words[0].isupper() or words.startswith("E_")
         assert "_" not in re.sub(r"\bE_[XYZABC]\w+", "", words), words
 

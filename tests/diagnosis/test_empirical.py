@@ -27,7 +27,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.effects import Empirical, assemble
 from twin.machine.effects.waves import Waves, label, terms
-from twin.machine.empirical_entry import acting_frame, where_of
+from twin.machine.empirical_entry import acting_frame, unused_place
 from twin.machine.machine import Machine
 from twin.measurement.observation import Observation
 from twin.measurement.table import load
@@ -59,7 +59,7 @@ def empirical(
     names = [name for own in Empirical.names(columns) for name in own]
     drawn = dict(zip(names, np.random.default_rng(7).normal(size=len(names)).tolist(), strict=True))
     frame, turning = acting_frame(side, along, machine)  # type: ignore[arg-type]
-    where = where_of(side, columns, [])
+    where = unused_place(side, columns, [])
     return Empirical(where, along, columns, numbers or drawn, frame, turning)  # type: ignore[arg-type]
 
 
@@ -232,7 +232,7 @@ def test_a_file_gives_back_the_same(dmu50: Machine, tmp_path_factory: pytest.Tem
 def test_a_second_effect_of_the_same_columns_has_its_own_name(dmu50: Machine, tmp_path: Path) -> None:
     """A calibration that was extended is extended again: both stay, with their uncertainties."""
     first = extended(Calibration.zero(dmu50), empirical(dmu50, "tool", "base", [X], {"x[1]": 1.0}))
-    where = where_of("tool", [X], [effect.name for effect in first.extra])
+    where = unused_place("tool", [X], [effect.name for effect in first.extra])
     frame, turning = acting_frame("tool", "base", dmu50)
     both = extended(first, Empirical(where, "base", [X], {"x[1]": 2.0}, frame, turning))
     both.save(tmp_path / "c.yaml")

@@ -14,7 +14,7 @@ from twin.diagnosis.problem.sweep import PointBlock, Signatures
 from tests.diagnosis.battery import _doubted
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.diagnosis import diagnose
 from twin.diagnosis.candidates.signatures import effect_columns
 from twin.diagnosis.problem.forms import FALSE_ALARM_RATE, SAMPLED_POINTS
@@ -25,7 +25,7 @@ from twin.diagnosis.selection.left_out import choose_folds
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements, load, state_of
+from twin.measurement.table import Measurements, load, machine_state
 from twin.numerics.covariance import Covariance
 
 EFFECTS = (Hidden("reversal", "Y", {"size": 6.0}), Hidden("squareness", "E_A0Z", {"angle": 12.0}))
@@ -123,7 +123,7 @@ def test_a_doubt_too_small_to_show_is_not_lost(dmu50: Machine, searched: tuple[P
     matrix = np.array(doubted.joint.matrix)
     matrix[::2] *= 1e-9
     matrix[:, ::2] *= 1e-9
-    small = replace(doubted, joint=Covariance(doubted.joint.names, locked(matrix)))
+    small = replace(doubted, joint=Covariance(doubted.joint.names, read_only(matrix)))
     again = Problem(problem.network, problem.setup, small)
     for part in range(3):
         assert again.without(split(problem) == part) is not None
@@ -164,7 +164,7 @@ def test_columns_equal_the_derivatives_of_their_effects(searched: tuple[Problem,
     """Columns evaluated together agree with the effects, parameter by parameter."""
     problem, searcher = searched
     machine, data = problem.network.machine, problem.network.data
-    state, block = state_of(data, machine), PointBlock(problem.view, slice(None))
+    state, block = machine_state(data, machine), PointBlock(problem.view, slice(None))
     seen = set()
     for candidate in searcher.task.catalogue.candidates:
         if candidate.build is None:

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from tests.truth.machine import TruthMachine, carried, seen
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 
@@ -38,21 +38,21 @@ def table(
     n = len(positions)
 
     def unknown(*more: int) -> np.ndarray:
-        return locked(np.full((n, *more), np.nan))
+        return read_only(np.full((n, *more), np.nan))
 
     return Measurements(
         source="a test",
-        lines=locked(np.arange(2, n + 2)),
-        positions=locked(np.asarray(positions, dtype=float)),
+        lines=read_only(np.arange(2, n + 2)),
+        positions=read_only(np.asarray(positions, dtype=float)),
         readback=unknown(len(machine.axes)),
-        target=locked(np.array(target, dtype=object)),
-        carrier=locked(np.array([PLACES[name][0] for name in target], dtype=object)),
-        station=locked(np.array(station, dtype=object)),
-        round=locked(np.full(n, "1", dtype=object) if number is None else np.array(number, dtype=object)),
+        target=read_only(np.array(target, dtype=object)),
+        carrier=read_only(np.array([PLACES[name][0] for name in target], dtype=object)),
+        station=read_only(np.array(station, dtype=object)),
+        round=read_only(np.full(n, "1", dtype=object) if number is None else np.array(number, dtype=object)),
         point_mm=unknown(3),
         u_mm=unknown(3),
         time_s=unknown(),
-        approach=locked(np.zeros((n, len(machine.axes)))),
+        approach=read_only(np.zeros((n, len(machine.axes)))),
         place_mm=unknown(3),
         station_pose=unknown(6),
         temperature_degC=MappingProxyType({}),
@@ -104,9 +104,9 @@ def read_by_truth(plan: Measurements, truth: TruthMachine, *, dead_mm: float | N
             points[i] = found
         else:
             points[i, 0] = np.linalg.norm(found) - dead_mm - 10.0 * names.index(plan.station[i])
-    return replace(plan, point_mm=locked(points), place_mm=plan.place_mm)
+    return replace(plan, point_mm=read_only(points), place_mm=plan.place_mm)
 
 
 def with_places(data: Measurements) -> Measurements:
     """Return the data with the targets' places given."""
-    return replace(data, place_mm=locked(np.array([PLACES[name][1] for name in data.target])))
+    return replace(data, place_mm=read_only(np.array([PLACES[name][1] for name in data.target])))

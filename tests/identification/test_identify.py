@@ -22,7 +22,7 @@ from twin.kinematics.inverse import Inverse, Status
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import TrackingInterferometer
-from twin.measurement.simulate import Setting, Station, simulate
+from twin.measurement.simulate import Placement, Station, simulate
 from twin.measurement.table import Measurements
 from twin.samples import thesis_plan
 
@@ -118,7 +118,7 @@ def test_multilateration_and_compensation(dmu50: Machine, tmp_path: Path) -> Non
     path = tmp_path / "t.yaml"
     truth = written(path, errors)
     plan = four_stations(dmu50, rng, 600)
-    setting = Setting(
+    setting = Placement(
         {name: Station(pose[:3], pose[3:]) for name, pose in STATIONS.items()},
         {name: place for name, (_, place) in PLACES.items()},
     )

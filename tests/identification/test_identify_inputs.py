@@ -14,11 +14,11 @@ from tests.cli.commands import refused
 from tests.identification.plans import four_stations, volumetric
 from tests.truth.few_axes import write_drill, write_robot
 from twin import cli
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.diagnosis import diagnose
 from twin.identification import identify
-from twin.identification.inputs import prepared
+from twin.identification.inputs import prepare
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
@@ -40,19 +40,19 @@ def rows_of(machine: Machine, positions: np.ndarray, carrier: str, target: str =
     n = len(positions)
     return Measurements(
         source="m.csv",
-        lines=locked(np.arange(2, n + 2)),
-        positions=locked(np.asarray(positions, dtype=float)),
-        readback=locked(np.full(positions.shape, np.nan)),
-        target=locked(np.full(n, target, dtype=object)),
-        carrier=locked(np.full(n, carrier, dtype=object)),
-        station=locked(np.full(n, "1", dtype=object)),
-        round=locked(np.full(n, "1", dtype=object)),
-        point_mm=locked(np.zeros((n, 3))),
-        u_mm=locked(np.full((n, 3), np.nan)),
-        time_s=locked(np.full(n, np.nan)),
-        approach=locked(np.zeros(positions.shape)),
-        place_mm=locked(np.full((n, 3), np.nan)),
-        station_pose=locked(np.full((n, 6), np.nan)),
+        lines=read_only(np.arange(2, n + 2)),
+        positions=read_only(np.asarray(positions, dtype=float)),
+        readback=read_only(np.full(positions.shape, np.nan)),
+        target=read_only(np.full(n, target, dtype=object)),
+        carrier=read_only(np.full(n, carrier, dtype=object)),
+        station=read_only(np.full(n, "1", dtype=object)),
+        round=read_only(np.full(n, "1", dtype=object)),
+        point_mm=read_only(np.zeros((n, 3))),
+        u_mm=read_only(np.full((n, 3), np.nan)),
+        time_s=read_only(np.full(n, np.nan)),
+        approach=read_only(np.zeros(positions.shape)),
+        place_mm=read_only(np.full((n, 3), np.nan)),
+        station_pose=read_only(np.full((n, 6), np.nan)),
         temperature_degC=MappingProxyType({}),
     )
 
@@ -65,7 +65,7 @@ def measured(plan: Measurements, machine: Machine, instrument: Instrument | None
 
 
 def with_points(data: Measurements, point_mm: np.ndarray) -> Measurements:
-    return replace(data, point_mm=locked(np.array(point_mm, dtype=float)))
+    return replace(data, point_mm=read_only(np.array(point_mm, dtype=float)))
 
 
 def alone(data: Measurements, column: int) -> Measurements:
@@ -116,15 +116,15 @@ def test_one_dead_target_among_others_is_refused(dmu50: Machine, tracked: Measur
 
 def test_a_constant_reading_may_be_right(dmu50: Machine, drill: Machine, stage: Measurements) -> None:
     """The axis stood still; or the table rotated under a target that may sit on its axis; or it moved by less than a gauge resolves."""
-    still = replace(stage, positions=locked(np.zeros_like(stage.positions)))
+    still = replace(stage, positions=read_only(np.zeros_like(stage.positions)))
     constant = np.where(np.isfinite(stage.point_mm), 5.0, np.nan)
-    assert not prepared(drill, with_points(still, constant), None)[1].notices
+    assert not prepare(drill, with_points(still, constant), None)[1].notices
     c = np.zeros((36, 5))
     c[:, 4] = np.arange(0.0, 360.0, 10.0)
     turned = with_points(rows_of(dmu50, c, "work"), np.tile([100.0, 2.0, 3.0], (36, 1)))
-    assert not prepared(dmu50, turned, None)[1].notices
-    little = replace(stage, positions=locked(np.array(stage.positions) * 0.0025))
-    (notice,) = prepared(drill, with_points(little, constant), None)[1].notices
+    assert not prepare(dmu50, turned, None)[1].notices
+    little = replace(stage, positions=read_only(np.array(stage.positions) * 0.0025))
+    (notice,) = prepare(drill, with_points(little, constant), None)[1].notices
     assert notice.endswith("but it was moved by 0.05 mm: the sensor is dead or its resolution is coarse")
 
 
@@ -132,10 +132,10 @@ def test_a_coordinate_that_never_changes_is_noticed(drill: Machine) -> None:
     """The drill's quill and table measured perpendicularly and without noise: y is constant, which gives a notice."""
     q = np.array([[x, z] for x in np.linspace(0, 300, 7) for z in np.linspace(-200, 0, 5)])
     plan = rows_of(drill, q, "tool")
-    plan = replace(plan, station_pose=locked(np.tile([0.0, -2000.0, 0.0, 0.0, 0.0, 0.0], (len(q), 1))))
-    plan = replace(plan, place_mm=locked(np.tile([0.0, 0.0, 0.0], (len(q), 1))))
+    plan = replace(plan, station_pose=read_only(np.tile([0.0, -2000.0, 0.0, 0.0, 0.0, 0.0], (len(q), 1))))
+    plan = replace(plan, place_mm=read_only(np.tile([0.0, 0.0, 0.0], (len(q), 1))))
     data = measured(plan, drill, noise=False)
-    found = prepared(drill, with_points(data, np.round(data.point_mm, 4)), None)[1].notices
+    found = prepare(drill, with_points(data, np.round(data.point_mm, 4)), None)[1].notices
     assert any(
         text.startswith("y_mm of station 1 is 2000 in every row while its targets move by 200 mm") for text in found
     )
@@ -146,10 +146,10 @@ def test_a_single_column_is_taken_as_lengths_with_a_notice(
 ) -> None:
     """The notice precedes the results, in text and JSON; a named instrument needs none."""
     lengths = measured(four_stations(dmu50, np.random.default_rng(SEED), 30), dmu50, TrackingInterferometer())
-    reader, data, _ = prepared(dmu50, lengths, None)
+    reader, data, _ = prepare(dmu50, lengths, None)
     assert isinstance(reader, TrackingInterferometer)
     assert data.notices[0].startswith(f"{ASSUMED}x_mm is a length") and "name the instrument" in data.notices[0]
-    assert not prepared(dmu50, lengths, TrackingInterferometer())[1].notices
+    assert not prepare(dmu50, lengths, TrackingInterferometer())[1].notices
     lengths.save(tmp_path / "m.csv", dmu50)
     with pytest.raises(SystemExit) as stopped:
         cli.main(["identify", str(tmp_path / "m.csv"), "-o", str(tmp_path / "c.yaml")])
@@ -177,12 +177,12 @@ def test_a_column_that_does_not_follow_the_command(
     for travel in (1.0, 0.1):
         noise = np.where(np.isfinite(stage.point_mm), rng.normal(0.0, 3.0 * travel, stage.point_mm.shape), np.nan)
         with pytest.raises(InputError) as caught:
-            run(replace(with_points(stage, noise), positions=locked(stage.positions * travel)), drill)
+            run(replace(with_points(stage, noise), positions=read_only(stage.positions * travel)), drill)
         assert "the commands" in caught.value.what and caught.value.line is not None
 
 
 def test_single_y_that_follows_the_commands_is_accepted(drill: Machine, stage: Measurements) -> None:
-    reader, data, _ = prepared(drill, with_points(stage, stage.point_mm[:, [1, 0, 2]]), None)
+    reader, data, _ = prepare(drill, with_points(stage, stage.point_mm[:, [1, 0, 2]]), None)
     assert isinstance(reader, LaserTracker)
     assert data.notices == ("only y_mm is given: taken as the coordinate of all targets along a line",)
 
@@ -213,7 +213,7 @@ def test_another_unit_is_named(
 ) -> None:
     values = np.array(tracked.point_mm if what == "readings" else tracked.positions)
     values[:, columns] *= factor
-    data = with_points(tracked, values) if what == "readings" else replace(tracked, positions=locked(values))
+    data = with_points(tracked, values) if what == "readings" else replace(tracked, positions=read_only(values))
     with pytest.raises(InputError) as caught:
         run(data, dmu50)
     assert words in caught.value.what
@@ -226,7 +226,7 @@ def test_another_unit_of_a_single_column_is_named(
 ) -> None:
     """20 mm of travel: in metres, all readings are within a few millimetres of any command."""
     for travel in (1.0, 0.1):
-        part = replace(stage, positions=locked(stage.positions * travel))
+        part = replace(stage, positions=read_only(stage.positions * travel))
         with pytest.raises(InputError, match=f"x_mm looks like {unit}"):
             identify(with_points(part, stage.point_mm * travel * factor), drill)
 
@@ -236,7 +236,7 @@ def test_radians_of_a_robot_are_named(tmp_path: Path) -> None:
     rng = np.random.default_rng(SEED)
     data = measured(rows_of(machine, rng.uniform(-90.0, 90.0, (80, 6)), "tool"), machine)
     with pytest.raises(InputError, match=r"columns J1_deg, J2_deg, .* look like radians, not degrees \(factor 57.3\)"):
-        identify(replace(data, positions=locked(np.radians(data.positions))), machine)
+        identify(replace(data, positions=read_only(np.radians(data.positions))), machine)
 
 
 def test_an_axis_that_moves_no_target_is_noticed(dmu50: Machine, tracked: Measurements) -> None:
@@ -244,7 +244,7 @@ def test_an_axis_that_moves_no_target_is_noticed(dmu50: Machine, tracked: Measur
     part = tracked.select(tracked.carrier == "tool")
     positions = np.array(part.positions)
     positions[:, 4] = np.random.default_rng(SEED).uniform(0.0, 360.0, len(part))
-    found = prepared(dmu50, replace(part, positions=locked(positions)), None)[1].notices
+    found = prepare(dmu50, replace(part, positions=read_only(positions)), None)[1].notices
     assert "C moved, but it carries the work side, which has no target: its errors are not identifiable" in found
 
 
@@ -255,12 +255,12 @@ def test_a_mirrored_plane_is_noticed(dmu50: Machine, wrong: str) -> None:
     turned = np.array([0.6, 0.8, -0.8, 0.6]).reshape(2, 2)
     points = np.column_stack([q[:, :2] @ turned, np.full(len(q), np.nan)])
     data = with_points(rows_of(dmu50, q, "tool"), points)
-    assert not prepared(dmu50, data, None)[1].notices
+    assert not prepare(dmu50, data, None)[1].notices
     if wrong == "readings":
         data = with_points(data, points * [1.0, -1.0, 1.0])
     else:
-        data = replace(data, positions=locked(np.abs(q - [500.0, 0.0, 0.0, 0.0, 0.0])))
-    (notice,) = prepared(dmu50, data, None)[1].notices
+        data = replace(data, positions=read_only(np.abs(q - [500.0, 0.0, 0.0, 0.0, 0.0])))
+    (notice,) = prepare(dmu50, data, None)[1].notices
     assert notice.startswith(
         "station 1 reads x_mm and y_mm only, and its readings fit a station on the machine's -z side"
     )
@@ -296,13 +296,13 @@ def test_good_data_raise_no_complaint(dmu50: Machine, instrument: Instrument, no
     rng = np.random.default_rng(SEED)
     plan = four_stations(dmu50, rng, 60) if instrument.lengths_only else thesis_plan.plan(dmu50)
     data = simulate(plan, dmu50, Calibration.default(dmu50), instrument, rng, noise=noise)[0]
-    _, left, _ = prepared(dmu50, data, instrument)
+    _, left, _ = prepare(dmu50, data, instrument)
     assert len(left) == len(data) and not left.notices and not left.set_aside
 
 
 def test_good_data_of_one_axis_raise_no_complaint(drill: Machine, stage: Measurements, tmp_path: Path) -> None:
     stage.save(tmp_path / "m.csv", drill)
-    _, left, _ = prepared(drill, load(tmp_path / "m.csv", drill), None)
+    _, left, _ = prepare(drill, load(tmp_path / "m.csv", drill), None)
     assert len(left) == len(stage) and not left.notices and not left.set_aside
 
 
@@ -312,7 +312,7 @@ def test_too_few_positions_do_not_test_the_model(dmu50: Machine) -> None:
     plan = volumetric(dmu50, rng, 20, stations=1)
     few = np.array(plan.positions)
     few[:, 1:] = few[0, 1:]
-    data = simulate(replace(plan, positions=locked(few)), dmu50, Calibration.default(dmu50), LaserTracker(), rng)[0]
+    data = simulate(replace(plan, positions=read_only(few)), dmu50, Calibration.default(dmu50), LaserTracker(), rng)[0]
     found = identify(data, dmu50)
     assert found.misfit.p_value > 1e-3 and found.choice.held_out > 2.0
     assert found.verdict.startswith("TOO FEW")

@@ -16,7 +16,7 @@ from tests.identification.test_identify_command import status
 from tests.real.__main__ import SetUpFit, Table, rms_um
 from tests.truth import hidden
 from tests.truth.machine import TruthMachine, carried, in_datum, seen, written
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.identification import Identification, identify
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -32,7 +32,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Measurements:
     """Return readings of a machine with errors, with a tracker's noise."""
     truth = written(tmp_path_factory.mktemp("truth") / "t.yaml", in_datum(np.random.default_rng(61)))
     data = read_by_truth(as_the_thesis(Machine.load("dmu50")), truth)
-    return replace(data, point_mm=locked(hidden.noisy(data.point_mm, np.random.default_rng(62), "tracker")))
+    return replace(data, point_mm=read_only(hidden.noisy(data.point_mm, np.random.default_rng(62), "tracker")))
 
 
 def loose(data: Measurements, target: str) -> np.ndarray:
@@ -48,7 +48,7 @@ def moved(data: Measurements, rows: np.ndarray, mm: float) -> Measurements:
     way = np.random.default_rng(63).normal(size=(len(rows), 3))
     points = np.array(data.point_mm)
     points[rows] += mm * way / np.linalg.norm(way, axis=1, keepdims=True)
-    return replace(data, point_mm=locked(points))
+    return replace(data, point_mm=read_only(points))
 
 
 def by_truth(found: Identification, file: Path) -> np.ndarray:
@@ -65,7 +65,7 @@ def by_truth(found: Identification, file: Path) -> np.ndarray:
 
 def test_a_target_with_a_misfit_has_few_outliers(dmu50: Machine, clean: Measurements) -> None:
     """One of six targets has a misfit thirty times that of the others: five wrong rows are found, the other rows stay in."""
-    data = replace(clean, point_mm=locked(clean.point_mm + loose(clean, "P")))
+    data = replace(clean, point_mm=read_only(clean.point_mm + loose(clean, "P")))
     rows = np.flatnonzero(data.target == "P")[[7, 31, 66, 80, 101]]
     found = identify(moved(data, rows, 3.0), dmu50)
     assert sorted(np.flatnonzero(~found.used)) == sorted(rows)
@@ -89,7 +89,7 @@ def test_the_file_is_the_fit(dmu50: Machine, clean: Measurements, tmp_path: Path
 
     Two targets on the tool, on an oblique line: three angles of each axis are confounded, and are in the file with their priors.
     """
-    rough = replace(clean, point_mm=locked(clean.point_mm + loose(clean, "P") + loose(clean, "Q")))
+    rough = replace(clean, point_mm=read_only(clean.point_mm + loose(clean, "P") + loose(clean, "Q")))
     found = identify(rough.select(np.isin(rough.target, ("P", "Q"))), dmu50)
     assert set(found.held_by_prior) & set(found.calibration.curves)
     found.calibration.save(tmp_path / "c.yaml")
@@ -119,7 +119,7 @@ def test_hardly_determined_errors_are_held_by_their_priors(clean: Measurements, 
     for size in (1000.0, 50.0):
         machine = with_plausible(tmp_path / f"{size:g}", size)
         few = clean.select(np.isin(clean.target, names))
-        rough = replace(few, point_mm=locked(few.point_mm + loose(few, "K") + loose(few, "KT")))
+        rough = replace(few, point_mm=read_only(few.point_mm + loose(few, "K") + loose(few, "KT")))
         found = identify(rough, machine)
         assert found.held_by_prior
         values = {**found.calibration.squareness, **found.calibration.location}

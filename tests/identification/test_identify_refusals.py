@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.identification import Identification, identify
 from twin.machine.calibration import Calibration
@@ -28,7 +28,7 @@ def data(dmu50: Machine) -> Measurements:
 def displaced(data: Measurements, rows: np.ndarray, by_mm: np.ndarray) -> Measurements:
     points = np.array(data.point_mm)
     points[rows] += by_mm
-    return replace(data, point_mm=locked(points))
+    return replace(data, point_mm=read_only(points))
 
 
 def check_as_without(found: Identification, without: Identification) -> None:
@@ -95,7 +95,7 @@ def test_a_wrong_command(dmu50: Machine, data: Measurements) -> None:
     second = np.flatnonzero(data.approach[:, 4] != 0)[40]
     positions[first, 1] += 12.0 if positions[first, 1] < 400.0 else -12.0
     positions[second, 4] += 20.0
-    found = identify(replace(data, positions=locked(positions)), dmu50)
+    found = identify(replace(data, positions=read_only(positions)), dmu50)
     assert sorted(note.line for note in found.set_aside) == sorted(data.lines[[first, second]].tolist())
     for note in found.set_aside:
         assert "the reading disagrees with the command by" in note.text
@@ -118,7 +118,7 @@ def test_swapped_columns_are_named(dmu50: Machine, data: Measurements, first: in
     positions = np.array(data.positions)
     positions[:, [first, second]] = positions[:, [second, first]]
     with pytest.raises(InputError) as caught:
-        identify(replace(data, positions=locked(positions)), dmu50)
+        identify(replace(data, positions=read_only(positions)), dmu50)
     assert words in caught.value.what
     assert caught.value.file == data.source and caught.value.line in data.lines
 
@@ -128,7 +128,7 @@ def test_a_wrong_sign_is_named(dmu50: Machine, data: Measurements, axis: int, co
     positions = np.array(data.positions)
     positions[:, axis] *= -1.0
     with pytest.raises(InputError) as caught:
-        identify(replace(data, positions=locked(positions)), dmu50)
+        identify(replace(data, positions=read_only(positions)), dmu50)
     assert f"column {column} appears to have the wrong sign" in caught.value.what
 
 
@@ -137,7 +137,7 @@ def test_a_mirror_is_named(dmu50: Machine, data: Measurements, change: str) -> N
     """Measured coordinates in a left-handed frame: two columns swapped, or one with the wrong sign."""
     points = data.point_mm[:, [1, 0, 2]] if change == "swap" else data.point_mm * [1.0, -1.0, 1.0]
     with pytest.raises(InputError, match="readings of station 1 are in a left-handed frame") as caught:
-        identify(replace(data, point_mm=locked(np.array(points))), dmu50)
+        identify(replace(data, point_mm=read_only(np.array(points))), dmu50)
     assert "right-handed" in caught.value.expected
 
 
@@ -145,7 +145,7 @@ def test_the_instrument_must_fit_the_columns(dmu50: Machine, data: Measurements)
     lengths = np.array(data.point_mm)
     lengths[:, 0] = np.linalg.norm(lengths, axis=1)
     lengths[:, 1:] = np.nan
-    only = replace(data, point_mm=locked(lengths))
+    only = replace(data, point_mm=read_only(lengths))
     with pytest.raises(InputError, match="only x_mm is given, and as a coordinate"):
         identify(only, dmu50, instrument=LaserTracker())
     with pytest.raises(InputError, match="interferometer reads lengths only, but y_mm or z_mm is given") as caught:

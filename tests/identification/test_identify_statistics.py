@@ -23,7 +23,7 @@ from tests.identification.plans import read_by_truth
 from tests.identification.test_identify import as_the_thesis
 from tests.truth import hidden
 from tests.truth.machine import TruthMachine
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification import Identification, identify
 from twin.identification.thesis.identify import identify_as_thesis
@@ -63,7 +63,7 @@ def read() -> Measurements:
 
 def measured(seed: int) -> Measurements:
     points = hidden.noisy(read().point_mm, np.random.default_rng(seed), "tracker")
-    return replace(read(), point_mm=locked(points))
+    return replace(read(), point_mm=read_only(points))
 
 
 @cache

@@ -15,7 +15,7 @@ from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.machine.calibration import Calibration
 from twin.machine.effects import MACHINE_EFFECTS, Effect, Specification
 from twin.machine.effects.entries import effect_named, entry_of
-from twin.machine.effects.specification import Found
+from twin.machine.effects.specification import FittedCause
 from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 
@@ -159,7 +159,7 @@ def test_unknown_places_and_parameters_are_refused(one: Specification, machine: 
 def test_every_cause_has_title_evidence_and_advice(one: Specification, machine: Machine) -> None:
     where = place(one, machine) if one.places(machine) else "E_XX as E_YX" if one.kind == "calibration" else "E_XX"
     numbers = {"time_constant": 900.0, "rate": 1.0}
-    for text in (one.title(where), one.plural, one.evidence(Found(where, 1.5, "µm", numbers))):
+    for text in (one.title(where), one.plural, one.evidence(FittedCause(where, 1.5, "µm", numbers))):
         assert text == text.strip() and not text.endswith(".")
     for text in (one.advice.look, one.advice.do, one.advice.never):
         assert text[0].isupper() and text.endswith(".") and "{" not in text.format(axis="X", where=where)

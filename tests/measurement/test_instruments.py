@@ -23,13 +23,13 @@ from twin.measurement.instruments import (
     LaserTracker,
     MultiAxis,
     TrackingInterferometer,
+    default_instrument,
     refractive_index,
-    usual,
 )
 from twin.measurement.instruments.interferometer import TRACKING
 from twin.measurement.instruments.refraction import length_scale
 from twin.measurement.instruments.tracker import AT960_ABSOLUTE
-from twin.measurement.simulate import Setting, Station, simulate
+from twin.measurement.simulate import Placement, Station, simulate
 from twin.measurement.table import Measurements, load
 
 POINTS = np.array([[2.0, 0.0, 0.0], [1.0, -1.5, 0.5], [0.3, 0.2, -2.2]])
@@ -50,8 +50,8 @@ def test_a_specification_says_everything_and_cannot_change(instrument: Instrumen
 def test_names_are_distinct_and_the_usual_ones_come_first() -> None:
     names = [one.name for one in INSTRUMENTS]
     assert len(set(names)) == len(names)
-    assert usual(lengths_only=False) is INSTRUMENTS[0]
-    assert usual(lengths_only=True).specification.free_start
+    assert default_instrument(lengths_only=False) is INSTRUMENTS[0]
+    assert default_instrument(lengths_only=True).specification.free_start
 
 
 @every
@@ -119,7 +119,7 @@ def test_a_station_rides_on_any_side(instrument: Instrument, side: str, dmu50: M
     plan = volumetric(dmu50, np.random.default_rng(4), 60)
     plan = replace(plan, station_carrier=np.full(len(plan), side, dtype=object))
     stations = {name: Station(pose[:3], pose[3:]) for name, pose in STATIONS.items()}
-    setting = Setting(stations, {name: place for name, (_, place) in PLACES.items()})
+    setting = Placement(stations, {name: place for name, (_, place) in PLACES.items()})
     rng = np.random.default_rng(5)
     found, _ = simulate(plan, dmu50, calibration, instrument, rng, setting=setting, noise=False)
     expected = instrument.read(riding(truth, plan, side) * 1e-3) * 1e3

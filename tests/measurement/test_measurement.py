@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.measurement.checks import RowNote, grouped_notes
-from twin.measurement.table import Measurements, joined, load
+from twin.measurement.table import Measurements, join_tables, load
 from twin.measurement.thesis_export import load_export
 
 HEADER = "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm"
@@ -173,7 +173,7 @@ def test_the_thesis_export(dmu50: Machine, tmp_path: Path) -> None:
         points = [(f"p{i}", q + 10 * k, k, number * 1e-3) for k in range(3) for i, q in enumerate(x)]
         path.write_text("".join(f"{name}, {a}, {b}, {c}\n" for name, a, b, c in points))
         tables.append(load_export(path, dmu50, positions, targets=["K", "P", "Q"], round_name=str(number)))
-    both = joined(tables)
+    both = join_tables(tables)
     assert len(both) == 66
     assert both.target[11] == "P" and both.round[33] == "2"
     assert both.positions[12, 0] == 50.0 and both.point_mm[12] == pytest.approx([60.0, 1.0, 1e-3])
@@ -239,9 +239,9 @@ def test_joined_tables_agree_on_places(dmu50: Machine, tmp_path: Path) -> None:
     first = load(table(tmp_path, *(row + ",s,1,2,3" for row in rows(0, 50, 100)), header=KNOWN), dmu50)
     silent = load(table(tmp_path, *rows(150, 200, 250)), dmu50)
     other = load(table(tmp_path, *(row + ",s,1,2,5" for row in rows(0, 50, 100)), header=KNOWN), dmu50)
-    assert joined([silent, first]).place_mm.tolist() == [[1.0, 2.0, 3.0]] * 6
+    assert join_tables([silent, first]).place_mm.tolist() == [[1.0, 2.0, 3.0]] * 6
     with pytest.raises(InputError, match="two places for target K"):
-        joined([first, other])
+        join_tables([first, other])
 
 
 def test_a_plan_is_written_without_coordinates(dmu50: Machine, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.truth.few_axes import write_drill
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -27,7 +27,7 @@ def tracked(dmu50: Machine) -> Measurements:
     """Return the thesis's plan measured by a laser tracker, written to hundredths of a micrometre; four rounds."""
     rng = np.random.default_rng(SEED)
     data = simulate(thesis_plan.plan(dmu50), dmu50, Calibration.default(dmu50), LaserTracker(), rng)[0]
-    return replace(data, point_mm=locked(np.round(data.point_mm, 5)))
+    return replace(data, point_mm=read_only(np.round(data.point_mm, 5)))
 
 
 def pasted(data: Measurements, machine: Machine, path: Path, rows: list[int], *without: str) -> Path:
@@ -115,7 +115,7 @@ def test_a_row_that_differs_in_any_column_is_no_copy(
 def shifted(data: Measurements, machine: Machine, path: Path, axis: int, change: float, factor: float = 1.0) -> Path:
     positions = np.array(data.positions)
     positions[:, axis] = positions[:, axis] * factor + change
-    replace(data, positions=locked(positions)).save(path, machine)
+    replace(data, positions=read_only(positions)).save(path, machine)
     return path
 
 
@@ -152,7 +152,7 @@ def test_single_rows_outside_the_range_are_set_aside(dmu50: Machine, tracked: Me
     """Typing errors on either side are no offset."""
     positions = np.array(tracked.positions)
     positions[[5, 100, 300], 0] = [600.0, 501.0, -70.0]
-    replace(tracked, positions=locked(positions)).save(tmp_path / "m.csv", dmu50)
+    replace(tracked, positions=read_only(positions)).save(tmp_path / "m.csv", dmu50)
     found = load(tmp_path / "m.csv", dmu50)
     assert len(found) == len(tracked) - 3
     assert {note.text for note in found.set_aside} == {"the command of X is outside its range 0 … 500 mm"}
@@ -164,7 +164,7 @@ def test_a_station_without_a_reading_is_named(dmu50: Machine, tracked: Measureme
     stations[:40], points[:40] = "west", np.nan
     points[tracked.target == "P"] = np.nan
     lost = int(np.count_nonzero(tracked.target == "P"))
-    replace(tracked, point_mm=locked(points), station=locked(stations)).save(tmp_path / "m.csv", dmu50)
+    replace(tracked, point_mm=read_only(points), station=read_only(stations)).save(tmp_path / "m.csv", dmu50)
     assert load(tmp_path / "m.csv", dmu50).notices[:3] == (
         "the file says: simulated readings",
         "station west is not used: none of its 40 rows is usable (no coordinate was measured)",

@@ -14,7 +14,7 @@ from twin._common.errors import InputError
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Air, Instrument, LaserTracker, TrackingInterferometer
-from twin.measurement.simulate import Setting, Station, Surroundings, simulate
+from twin.measurement.simulate import Environment, Placement, Station, simulate
 from twin.measurement.table import Measurements, load
 from twin.samples import thesis_plan
 
@@ -59,7 +59,7 @@ def test_the_same_seed_gives_the_same_data(dmu50: Machine, calibration: Calibrat
 
 def test_noise_is_the_instruments(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     """Whitened by the stated covariance, the readings' errors are standard normal: chi² of 60 repeats within 4 sigma."""
-    setting = Setting.draw(plan, np.random.default_rng(5))
+    setting = Placement.draw(plan, np.random.default_rng(5))
     for instrument in INSTRUMENTS:
         exact, _ = simulate(
             plan, dmu50, calibration, instrument, np.random.default_rng(0), setting=setting, noise=False
@@ -99,7 +99,7 @@ def test_given_places_are_used_and_not_written(dmu50: Machine, calibration: Cali
 
 
 def shop(
-    plan: Measurements, machine: Machine, calibration: Calibration, instrument: Instrument, around: Surroundings | None
+    plan: Measurements, machine: Machine, calibration: Calibration, instrument: Instrument, around: Environment | None
 ) -> np.ndarray:
     return simulate(plan, machine, calibration, instrument, np.random.default_rng(3), surroundings=around)[0].point_mm
 
@@ -108,14 +108,14 @@ def test_no_ambient_influence_by_default(dmu50: Machine, calibration: Calibratio
     """Bit for bit, noise included; the air that the instrument assumes has no influence either."""
     for instrument in INSTRUMENTS:
         without = shop(plan, dmu50, calibration, instrument, None)
-        for around in (Surroundings(), Surroundings(air=Air())):
+        for around in (Environment(), Environment(air=Air())):
             assert np.array_equal(shop(plan, dmu50, calibration, instrument, around), without, equal_nan=True)
-    assert Surroundings().describe() == ""
+    assert Environment().describe() == ""
 
 
 def test_warm_air_shortens_lengths(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     """One degree more: −0.95 µm/m by Birch and Downs, along the beam; for an interferometer, without the dead path."""
-    warm = Surroundings(air=Air(temperature_degC=21.0))
+    warm = Environment(air=Air(temperature_degC=21.0))
     assert (warm.scale - 1.0) * 1e6 == pytest.approx(-0.95, abs=0.01)
     tracker = LaserTracker()
     exact = shop(plan, dmu50, calibration, tracker, None)
@@ -136,7 +136,7 @@ def test_a_station_drifts_with_time(dmu50: Machine, calibration: Calibration, pl
     """In the base frame, linear in the time since the plan's first point; the other station does not move."""
     timed = replace(plan, time_s=5000.0 + 60.0 * np.arange(len(plan)))
     rate = np.array([12.0, -7.0, 3.0])
-    around = Surroundings(drift_um_per_h={"1": (12.0, -7.0, 3.0)})
+    around = Environment(drift_um_per_h={"1": (12.0, -7.0, 3.0)})
     still, setting = simulate(timed, dmu50, calibration, LaserTracker(), np.random.default_rng(3), noise=False)
     creeping, _ = simulate(
         timed, dmu50, calibration, LaserTracker(), np.random.default_rng(3), noise=False, surroundings=around
@@ -155,11 +155,11 @@ def test_drifts_that_cannot_be(dmu50: Machine, calibration: Calibration, plan: M
     times[np.flatnonzero(plan.station == "2")[1]] = np.nan
     timed = replace(plan, time_s=times)
     with pytest.raises(InputError, match="drift of an unknown station: '3'; expected one of"):
-        shop(timed, dmu50, calibration, LaserTracker(), Surroundings(drift_um_per_h={"3": (1.0, 0.0, 0.0)}))
+        shop(timed, dmu50, calibration, LaserTracker(), Environment(drift_um_per_h={"3": (1.0, 0.0, 0.0)}))
     with pytest.raises(InputError, match="time_s in every row") as caught:
-        shop(timed, dmu50, calibration, LaserTracker(), Surroundings(drift_um_per_h={"2": (1.0, 0.0, 0.0)}))
+        shop(timed, dmu50, calibration, LaserTracker(), Environment(drift_um_per_h={"2": (1.0, 0.0, 0.0)}))
     assert caught.value.line == plan.lines[np.flatnonzero(plan.station == "2")[1]]
-    shop(timed, dmu50, calibration, LaserTracker(), Surroundings(drift_um_per_h={"1": (1.0, 0.0, 0.0)}))
+    shop(timed, dmu50, calibration, LaserTracker(), Environment(drift_um_per_h={"1": (1.0, 0.0, 0.0)}))
 
 
 def test_command_with_air_and_drift(tmp_path: Path, dmu50: Machine, capsys: pytest.CaptureFixture[str]) -> None:

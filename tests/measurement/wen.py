@@ -15,7 +15,7 @@ from typing import final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.units import MM, UM, URAD
 from twin.measurement.instruments.multi_axis import MultiAxis
 from twin.measurement.instruments.multi_axis_solve import Displacement
@@ -45,12 +45,12 @@ def six_beams(
     y = np.stack([steps, np.full(3, -depth / 2.0 - gap), np.zeros(3)], axis=1)
     return MultiAxis(
         beams=tuple(str(i + 1) for i in range(6)),
-        source=locked(np.concatenate([x, y])),
-        direction=locked(np.repeat(np.eye(3)[:2], 3, axis=0)),
-        mirror=locked(np.repeat([0, 1], 3)),
+        source=read_only(np.concatenate([x, y])),
+        direction=read_only(np.repeat(np.eye(3)[:2], 3, axis=0)),
+        mirror=read_only(np.repeat([0, 1], 3)),
         mirrors=("x", "y"),
-        normal=locked(-np.eye(3)[:2]),
-        distance=locked(np.array([width / 2.0, depth / 2.0])),
+        normal=read_only(-np.eye(3)[:2]),
+        distance=read_only(np.array([width / 2.0, depth / 2.0])),
         planar=planar,
     )
 
@@ -72,12 +72,12 @@ def nine_beams(*, side: float = 0.2, gap: float = 0.15, radius: float = 0.04) ->
         sources[3 * j : 3 * j + 3, others] = across
     return MultiAxis(
         beams=tuple(str(i + 1) for i in range(9)),
-        source=locked(sources),
-        direction=locked(np.repeat(np.eye(3), 3, axis=0)),
-        mirror=locked(np.repeat([0, 1, 2], 3)),
+        source=read_only(sources),
+        direction=read_only(np.repeat(np.eye(3), 3, axis=0)),
+        mirror=read_only(np.repeat([0, 1, 2], 3)),
         mirrors=("x", "y", "z"),
-        normal=locked(-np.eye(3)),
-        distance=locked(np.full(3, side / 2.0)),
+        normal=read_only(-np.eye(3)),
+        distance=read_only(np.full(3, side / 2.0)),
         planar=False,
     )
 
@@ -221,7 +221,7 @@ def self_calibrate(
         least = tolerance * float(np.linalg.norm(whitened, 2))
         if converged or taken == steps:
             answer = determinability(matrix / noise, unknowns, tolerance=least, measurements=n)
-            return SelfCalibration(locked(found), locked(told), locked(residual), answer, taken, converged)
+            return SelfCalibration(read_only(found), read_only(told), read_only(residual), answer, taken, converged)
         left, spectrum = decompose(whitened, scale, tolerance=least)
         along = left.T @ residual.reshape(-1) / noise
         step = spectrum.directions @ (along / spectrum.singular_values) * scale

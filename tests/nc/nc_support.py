@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from hypothesis import strategies as st
 
-from twin.nc.blocks import AxisWords, Move, Reading, Rewrite
+from twin.nc.blocks import AxisWords, Interpretation, Move, Rewrite
 from twin.nc.dialect import Dialect
 
 AXES = AxisWords(
@@ -22,7 +22,7 @@ AXES = AxisWords(
 NAMES = AXES.names
 
 
-def read_moves(dialect: Dialect, text: str, *, tcp: bool = False) -> Reading:
+def read_moves(dialect: Dialect, text: str, *, tcp: bool = False) -> Interpretation:
     return dialect.moves(dialect.read(text.encode("latin-1"), "test"), AXES, tcp=tcp)
 
 

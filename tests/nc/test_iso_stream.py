@@ -26,14 +26,14 @@ from tests.nc.test_simple_blocks import (
     shown,
     way,
 )
-from twin.nc.blocks import AxisWords, Program, Reading
+from twin.nc.blocks import AxisWords, Interpretation, Program
 from twin.nc.columns import MoveColumns
 from twin.nc.iso import stream as iso_stream
 from twin.nc.iso import vocabulary
 from twin.nc.iso.bulk import NewPositions
 from twin.nc.iso.interpreter import IsoInterpreter
 from twin.nc.iso.scan import scan
-from twin.nc.iso.stream import IsoReader, IsoRewriter, Stretch
+from twin.nc.iso.stream import Chunk, IsoReader, IsoRewriter
 from twin.nc.text import Style, newline_of, style_in
 
 SEED = st.integers(0, 10**6)
@@ -48,18 +48,18 @@ def every_run_at_once() -> Iterator[None]:
         yield
 
 
-def chunks(program: Program, names: tuple[str, ...], size: int) -> Iterator[Stretch]:
+def chunks(program: Program, names: tuple[str, ...], size: int) -> Iterator[Chunk]:
     for first in range(0, len(program.texts), size):
-        yield Stretch("".join(program.texts[first : first + size]).encode("latin-1"), first, names)
+        yield Chunk("".join(program.texts[first : first + size]).encode("latin-1"), first, names)
 
 
 def read(
     program: Program, axes: AxisWords, size: int, tcp: bool
-) -> tuple[list[tuple[Stretch, MoveColumns]], Reading, bool]:
+) -> tuple[list[tuple[Chunk, MoveColumns]], Interpretation, bool]:
     reader = IsoReader(program.source, axes, tcp=tcp)
     parts = [(chunk, reader.read(chunk)) for chunk in chunks(program, axes.names, size)]
     moves = tuple(move for _, columns in parts for move in columns)
-    return parts, Reading(moves, tuple(reader.notices()), tuple(reader.lost_positions())), reader.drills
+    return parts, Interpretation(moves, tuple(reader.notices()), tuple(reader.lost_positions())), reader.drills
 
 
 def check(text: str, seed: int, axes: AxisWords = AXES, *, tcp: bool = False, size: int = 5) -> None:

@@ -22,7 +22,7 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.effects import ErrorMotion
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve, added
+from twin.machine.motion_curve import Curve, sum_of_curves
 from twin.numerics.covariance import Covariance
 from twin.numerics.curves import BASES, POWER, Basis, CurveSpace, bases_for, basis_named, conversion
 from twin.numerics.curves.cubic_spline import CubicSpline
@@ -154,14 +154,14 @@ def test_a_sum_is_the_sum_or_refused(basis: Basis, other: Basis) -> None:
     polynomials = {"power", "bernstein"}
     if basis != other and not {basis.name, other.name} <= polynomials:
         with pytest.raises(InputError, match="cannot be written in another basis"):
-            added(curve, motion)
+            sum_of_curves(curve, motion)
         return
     q = inside()
-    total = added(curve, motion)
+    total = sum_of_curves(curve, motion)
     assert total.basis == basis.name
     # Bernstein coefficients of degree 12 are up to 10^4 times those in powers.
     assert total(q) == pytest.approx(reference(basis, q, one) + reference(other, q, two), abs=1e-10)
-    assert added(None, motion)(q) == pytest.approx(reference(other, q, two), abs=1e-12)
+    assert sum_of_curves(None, motion)(q) == pytest.approx(reference(other, q, two), abs=1e-12)
 
 
 @every_basis
@@ -169,7 +169,7 @@ def test_a_constant_is_added_in_its_own_basis(basis: Basis) -> None:
     count = COUNTS[basis][-1]
     curve = Curve("E_XC", "um", DOMAIN, basis.name, tuple(drawn(count)), knots=basis.knots)
     constant = ErrorMotion("E_XC", basis if basis.nested else POWER, DOMAIN, (2.5,), wrapped=False)
-    assert added(curve, constant)(inside()) == pytest.approx(curve(inside()) + 2.5, abs=1e-12)
+    assert sum_of_curves(curve, constant)(inside()) == pytest.approx(curve(inside()) + 2.5, abs=1e-12)
 
 
 @every_case
@@ -233,7 +233,7 @@ def test_knots_are_inserted_without_changing_the_curve() -> None:
     assert conversion(fine, coarse, fine.count, coarse.count) is None
     motion = ErrorMotion("E_XC", CubicSpline((0.0, 77.0, 360.0)), DOMAIN, (1.0, 2.0, -1.0, 0.5, 3.0), wrapped=False)
     curve = Curve("E_XC", "um", DOMAIN, "cubic_spline", tuple(c), knots=KNOTS)
-    total = added(curve, motion)
+    total = sum_of_curves(curve, motion)
     assert total.knots == (0.0, 30.0, 77.0, 95.0, 100.0, 250.0, 360.0)
     truth = curve(inside()) + motion.basis.value(inside(), DOMAIN, motion.coefficients)
     assert total(inside()) == pytest.approx(truth, abs=1e-12)
@@ -246,9 +246,9 @@ def test_a_spline_takes_a_polynomial_up_to_its_degree(count: int) -> None:
     motion = ErrorMotion("E_XC", POWER, DOMAIN, tuple(c), wrapped=False)
     if count > 4:
         with pytest.raises(InputError, match="cannot be written in another basis"):
-            added(curve, motion)
+            sum_of_curves(curve, motion)
     else:
-        assert added(curve, motion)(inside()) == pytest.approx(reference(POWER, inside(), c), abs=1e-12)
+        assert sum_of_curves(curve, motion)(inside()) == pytest.approx(reference(POWER, inside(), c), abs=1e-12)
 
 
 def in_splines(calibration: Calibration) -> Calibration:

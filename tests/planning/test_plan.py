@@ -20,14 +20,14 @@ from tests.identification.plans import LOW, PLACES, STATIONS, table
 from tests.machine.errors import random_calibration
 from tests.planning import kits
 from tests.truth.machine import TruthMachine, carried, seen, written
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.identification import Identification, identify
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, TrackingInterferometer
-from twin.measurement.simulate import Setting, Station, simulate
+from twin.measurement.simulate import Placement, Station, simulate
 from twin.measurement.table import Measurements
 from twin.numerics.observability import observability
 from twin.planning import Forecast, Kit, Plan, duration, judge, plan
@@ -52,7 +52,7 @@ class CarriedOut:
         self, machine: Machine, plan: Measurements, predicted: Forecast, truth: Calibration, seeds: Sequence[int]
     ) -> None:
         self.machine, self.predicted = machine, predicted
-        setting = Setting.draw(plan, np.random.default_rng(0))
+        setting = Placement.draw(plan, np.random.default_rng(0))
 
         def found(seed: int, noise: bool = True) -> Identification:
             rng = np.random.default_rng(seed)
@@ -209,14 +209,14 @@ def spread_out(dmu50: Machine) -> tuple[Measurements, PlanModel]:
     high = np.array([500.0, 450.0, 0.0, 180.0, 359.0])
     positions = np.round(rng.uniform(LOW, high, (90, 5)), 3)
     of = table(dmu50, positions, np.resize(list(PLACES), 90), np.repeat(["1", "2", "3"], 30))
-    setting = Setting(
+    setting = Placement(
         {name: Station(tuple(pose[:3]), tuple(pose[3:])) for name, pose in STATIONS.items() if name != "4"},
         {name: place for name, (_, place) in PLACES.items()},
     )
     placed = replace(
         of,
-        place_mm=locked(np.array([setting.places_mm[name] for name in of.target])),
-        station_pose=locked(np.array([setting.stations[name].pose for name in of.station])),
+        place_mm=read_only(np.array([setting.places_mm[name] for name in of.target])),
+        station_pose=read_only(np.array([setting.stations[name].pose for name in of.station])),
     )
     return placed, PlanModel.of(dmu50, placed, setting, LaserTracker(), Calibration.zero(dmu50))
 
@@ -351,8 +351,8 @@ def test_errors_not_identifiable_are_those_an_identification_leaves_out(
     found = identify(
         replace(
             data,
-            place_mm=locked(np.where(of_target, first.place_mm, np.nan)),
-            station_pose=locked(np.where(of_station, first.station_pose, np.nan)),
+            place_mm=read_only(np.where(of_target, first.place_mm, np.nan)),
+            station_pose=read_only(np.where(of_station, first.station_pose, np.nan)),
         ),
         dmu50,
     )

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from tests.planning import kits
 from tests.truth.reference import D, about, translation
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.display.figures import save
 from twin.identification import identify
@@ -54,7 +54,7 @@ def test_places(dmu50: Machine, tmp_path: Path) -> None:
     assert drawn(figure, 0, "reflectors on the work side") == pytest.approx(np.array(turned), abs=1e-6)
     assert any(text.get_text() == f"1: {len(first)} readings" for text in figure.axes[0].texts)
     renders(figure, tmp_path / "places.png")
-    nowhere = replace(first, station_pose=locked(np.full((len(first), 6), np.nan)))
+    nowhere = replace(first, station_pose=read_only(np.full((len(first), 6), np.nan)))
     with pytest.raises(InputError, match="positions of stations or targets are missing"):
         plot_places(nowhere, dmu50)
 

@@ -22,7 +22,7 @@ from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
-from twin.measurement.table import Measurements, joined, load
+from twin.measurement.table import Measurements, join_tables, load
 from twin.planning import Plan, separate
 from twin.planning.separate import NamedCause, cause_form
 from twin.samples import thesis_plan
@@ -60,7 +60,7 @@ def diagnosed(real: Calibration, known: Calibration, made: Plan, seed: int, *, b
     if before:
         tables.append(simulate(thesis_plan.plan(known.machine), known.machine, real, TRACKER, rng)[0])
     tables.append(simulate(made.table, known.machine, real, TRACKER, rng, setting=made.kit.setting)[0])
-    return diagnose(joined(tables), known.machine, known, instrument=TRACKER)
+    return diagnose(join_tables(tables), known.machine, known, instrument=TRACKER)
 
 
 def distinguished(found: Diagnosis, name: str, other: str) -> bool:

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from twin._common.files import write_whole
+from twin._common.files import write_atomic
 from twin._common.units import DEG
 from twin.compensation.toolpath import Setup, WordSpace
 from twin.kinematics.forward import Poses
@@ -145,7 +145,7 @@ def _rotary(space: WordSpace, axes: np.ndarray) -> np.ndarray:
 def main() -> None:
     """Write the three programs."""
     for suffix, text in (("cls", apt()), ("h", heidenhain()), ("nc", iso())):
-        write_whole(FOLDER / f"cone_frustum.{suffix}", text)
+        write_atomic(FOLDER / f"cone_frustum.{suffix}", text)
 
 
 if __name__ == "__main__":

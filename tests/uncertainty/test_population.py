@@ -15,7 +15,7 @@ from tests.truth.machine import TruthMachine
 from tests.uncertainty.sampled import sampled
 from tests.uncertainty.test_uncertainty import LENGTH, nudged, with_covariance
 from twin import cli
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.compute.parallel import Workers
 from twin.kinematics.forward import Kinematics
@@ -24,7 +24,7 @@ from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.at_tool import ToolUncertainty
-from twin.uncertainty.budget import drawn_sides, volume
+from twin.uncertainty.budget import random_approach, volume
 from twin.uncertainty.population import BINS, TRIALS_PER_TASK, Counts, Draws, draw_machines
 
 HERE = Workers(1)
@@ -32,7 +32,7 @@ HERE = Workers(1)
 
 def draws_of(machine: Machine, calibration: Calibration, *, poses: int, seed: int = 1) -> Draws:
     q = volume(machine, poses)
-    return Draws(machine, calibration, LENGTH, Conditions(), q, drawn_sides(q), seed)
+    return Draws(machine, calibration, LENGTH, Conditions(), q, random_approach(q), seed)
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_against_exact_order_statistics_and_theory(dmu50: Machine, uncertain: Ca
     trials = 100_000
     found = draw_machines(kinematics, trials=trials, poses=6, seed=4, workers=HERE)
     tool = ToolUncertainty(kinematics)
-    sides = drawn_sides(found.positions)
+    sides = random_approach(found.positions)
     other = sampled(tool, found.positions, np.random.default_rng(5), trials, approach=sides)
     u = found.standard_um
     noise = 1.0 / np.sqrt(trials)
@@ -115,7 +115,7 @@ def test_another_seed_gives_other_machines(dmu50: Machine, uncertain: Calibratio
 
 def test_where_first_order_is_not_sufficient(dmu50: Machine) -> None:
     """The table tilts by 20 mrad (u): 300 mm away a point also moves by the square of the angle, 300 mm · u²/2 = 60 µm on average."""
-    covariance = Covariance(("E_A0B",), locked(np.array([[2e4**2]])))
+    covariance = Covariance(("E_A0B",), read_only(np.array([[2e4**2]])))
     none: MappingProxyType[str, float] = MappingProxyType({})
     calibration = Calibration(dmu50, "test", MappingProxyType({}), none, MappingProxyType({"E_A0B": 0.0}), covariance)
     kinematics = Kinematics(dmu50, calibration, tool_length_mm=300.0)
@@ -128,7 +128,7 @@ def test_where_first_order_is_not_sufficient(dmu50: Machine) -> None:
     no = np.array([answer is False for answer in found.validated])
     assert (found.difference_um > found.tolerance_um).any(axis=1)[no].all()
     assert np.linalg.norm(found.bias_um, axis=1)[no].max() > 10.0
-    fine = replace(calibration, joint=Covariance(("E_A0B",), locked(np.array([[1.0]]))))
+    fine = replace(calibration, joint=Covariance(("E_A0B",), read_only(np.array([[1.0]]))))
     small = draw_machines(Kinematics(dmu50, fine, tool_length_mm=300.0), trials=50_000, poses=4, seed=1, workers=HERE)
     assert False not in small.validated
 

@@ -17,7 +17,7 @@ from tests.machine.errors import random_calibration
 from tests.truth.machine import TruthMachine
 from tests.uncertainty.sampled import sampled
 from twin import cli
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -38,7 +38,7 @@ def with_covariance(calibration: Calibration, rng: np.random.Generator, u: float
     """Return the calibration with standard uncertainties of about ``u`` µm or µrad, all parameters correlated."""
     names = names_of(calibration)
     drawn = rng.normal(size=(len(names), len(names) + 20)) * u / np.sqrt(len(names))
-    return replace(calibration, joint=Covariance(names, locked(drawn @ drawn.T)))
+    return replace(calibration, joint=Covariance(names, read_only(drawn @ drawn.T)))
 
 
 @pytest.fixture(scope="module")
@@ -109,14 +109,14 @@ def test_where_first_order_is_not_sufficient_it_is_not_validated(dmu50: Machine)
         MappingProxyType({}),
         MappingProxyType({}),
         MappingProxyType({"E_A0B": 0.0}),
-        Covariance(("E_A0B",), locked(np.array([[2e4**2]]))),
+        Covariance(("E_A0B",), read_only(np.array([[2e4**2]]))),
     )
     tool = ToolUncertainty(Kinematics(dmu50, calibration, tool_length_mm=300.0))
     rng = np.random.default_rng(7)
     coarse = sampled(tool, [250.0, 225.0, 0.0, 0.0, 0.0], rng, 10_000)
     assert coarse.validated == (False,)
     assert (coarse.difference_um > coarse.tolerance_um).any()
-    small = replace(calibration, joint=Covariance(("E_A0B",), locked(np.array([[1.0]]))))
+    small = replace(calibration, joint=Covariance(("E_A0B",), read_only(np.array([[1.0]]))))
     tool = ToolUncertainty(Kinematics(dmu50, small, tool_length_mm=300.0))
     assert sampled(tool, [250.0, 225.0, 0.0, 0.0, 0.0], rng, 200_000).validated == (True,)
     # Two digits require limits to 0.5 … 5 % of u, and a thousand trials give them to 8 %.
@@ -153,7 +153,7 @@ def test_radius_covers_95_percent() -> None:
 def test_fully_correlated_errors_cancel(dmu50: Machine) -> None:
     """Spindle and axis C shifted by the same unknown amount along x: no effect between tool and work at B = 0."""
     names = ("E_X0C", "E_XX[0]")
-    tied = Covariance(names, locked(np.full((2, 2), 9.0)))
+    tied = Covariance(names, read_only(np.full((2, 2), 9.0)))
     base = random_calibration(dmu50, np.random.default_rng(9), 1e-3)  # in effect none: nothing else is turned
     calibration = replace(
         base,
@@ -170,7 +170,7 @@ def test_fully_correlated_errors_cancel(dmu50: Machine) -> None:
     assert both[:2].max() < 1e-6  # rounding in the square root of eps · 9 µm²
     # B = 180° turns C's own frame about the tilted axis, and x there to −x: the two shifts add, 6 µm instead of 0.
     assert both[2] == pytest.approx(1.96 * 6.0, rel=1e-4)
-    apart = expanded(Covariance(names, locked(9.0 * np.eye(2))))
+    apart = expanded(Covariance(names, read_only(9.0 * np.eye(2))))
     assert apart == pytest.approx(1.96 * 3.0 * np.sqrt(2.0), rel=1e-4)
 
 
@@ -237,7 +237,7 @@ def test_many_poses_give_the_same_as_one(dmu50: Machine, uncertain: Calibration)
 def test_a_rank_one_covariance_gives_no_negative_variance(dmu50: Machine, uncertain: Calibration) -> None:
     names = names_of(uncertain)
     shape = np.random.default_rng(10).normal(size=len(names))
-    tied = replace(uncertain, joint=Covariance(names, locked(np.outer(shape, shape))))
+    tied = replace(uncertain, joint=Covariance(names, read_only(np.outer(shape, shape))))
     found = ToolUncertainty(Kinematics(dmu50, tied)).at(volume(dmu50, 500))
     assert np.einsum("nii->ni", found.covariance).min() >= 0.0
     assert np.isfinite(found.expanded_um).all()

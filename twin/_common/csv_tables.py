@@ -11,12 +11,12 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
-from twin._common.errors import InputError, control_character, is_it
+from twin._common.arrays import read_only
+from twin._common.errors import InputError, control_character, did_you_mean
 from twin._common.files import read_lines
 
-MOST_COLUMNS: Final = 1000
-LARGEST: Final = 1e12
+MAX_COLUMNS: Final = 1000
+MAX_VALUE: Final = 1e12
 """Largest absolute value of a number in a table. Times in seconds since 1970 are smaller; squares and their sums stay finite."""
 
 
@@ -42,8 +42,8 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
         raise InputError("no header row", expected="a CSV table with a header", file=path)
     cells = _cells(lines, path)
     header = [name.strip() for name in cells[0]]
-    if len(header) > MOST_COLUMNS:
-        raise InputError(f"{len(header)} columns", expected=f"at most {MOST_COLUMNS}", file=path, line=lines[0][0])
+    if len(header) > MAX_COLUMNS:
+        raise InputError(f"{len(header)} columns", expected=f"at most {MAX_COLUMNS}", file=path, line=lines[0][0])
     twice = next((name for name, count in Counter(header).items() if count > 1), None)
     if twice is not None:
         raise InputError("duplicate column", expected="each column once", file=path, line=lines[0][0], value=twice)
@@ -61,7 +61,7 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
     return header, rows, comments
 
 
-def cells_of(text: str, path: Path, line: int) -> list[str]:
+def split_cells(text: str, path: Path, line: int) -> list[str]:
     """Return the cells of one line of CSV.
 
     Raises:
@@ -100,7 +100,7 @@ class Cells:
         """Return a column of numbers, NaN where the cell is empty or the column is absent."""
         column = self.columns.get(name)
         if column is None:
-            return locked(np.full(len(self.rows), np.nan))
+            return read_only(np.full(len(self.rows), np.nan))
         cells = [row[column] for _, row in self.rows]
         try:
             values = np.array([float(cell) if cell else np.nan for cell in cells], dtype=float)
@@ -115,10 +115,10 @@ class Cells:
                 line=line,
                 value=cell,
             ) from None
-        for i in np.flatnonzero(np.isfinite(values) & (np.abs(values) > LARGEST)):
+        for i in np.flatnonzero(np.isfinite(values) & (np.abs(values) > MAX_VALUE)):
             raise InputError(
                 f"{name} is too large",
-                expected=f"a number of at most {LARGEST:g}",
+                expected=f"a number of at most {MAX_VALUE:g}",
                 file=self.path,
                 line=self.rows[int(i)][0],
                 value=cells[i],
@@ -126,13 +126,13 @@ class Cells:
         for i in np.flatnonzero(np.isnan(values)):
             if cells[i]:
                 values[i] = np.inf  # "NaN" was written: unlike an empty cell, that does not mean "not measured"
-        return locked(values)
+        return read_only(values)
 
     def words(self, name: str, default: str) -> np.ndarray:
         """Return a column of words, the default where the cell is empty or the column is absent."""
         column = self.columns.get(name)
         cells = [default] * len(self.rows) if column is None else [row[column] or default for _, row in self.rows]
-        return locked(np.array(cells, dtype=object))
+        return read_only(np.array(cells, dtype=object))
 
     def signs(self, name: str) -> np.ndarray:
         """Return a column of directions, +1 or −1, and 0 where the cell is empty or the column is absent."""
@@ -147,7 +147,7 @@ class Cells:
                 line=self.rows[i][0],
                 value=values[i],
             )
-        return locked(values)
+        return read_only(values)
 
 
 def _is_number(cell: str) -> bool:
@@ -158,6 +158,6 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def not_understood(name: str, known: Sequence[str]) -> str:
+def unused_column_note(name: str, known: Sequence[str]) -> str:
     """Return the notice that a column is unknown and not used."""
-    return f"column {name} is unknown and not used{is_it(name, known)}"
+    return f"column {name} is unknown and not used{did_you_mean(name, known)}"

@@ -24,7 +24,7 @@ class InputError(ValueError):
         file: the file concerned, or None.
         line: 1-based line in that file.
         value: the offending text or value.
-        nearest: the known name that was probably meant (function `nearest`), or None.
+        nearest: the known name that was probably meant (function `closest_name`), or None.
         setting: the name of a setting that may be missing (``work offset``), or None; the command line adds its option.
     """
 
@@ -36,7 +36,7 @@ class InputError(ValueError):
         file: str | Path | None = None,
         line: int | None = None,
         value: object = None,
-        nearest: str | None = None,
+        closest_name: str | None = None,
         setting: str | None = None,
     ) -> None:
         self.what = what
@@ -44,7 +44,7 @@ class InputError(ValueError):
         self.file = None if file is None else str(file)
         self.line = line
         self.value = value
-        self.nearest = nearest
+        self.nearest = closest_name
         self.setting = setting
         super().__init__(str(self))
 
@@ -52,7 +52,7 @@ class InputError(ValueError):
         """Pickle the error with its value as text, so that errors of worker processes can be raised here (`twin.compute.parallel`)."""
         value = None if self.value is None else str(self.value)
         keywords: dict[str, Any] = {"expected": self.expected, "file": self.file, "line": self.line, "value": value}
-        return partial(InputError, **keywords, nearest=self.nearest, setting=self.setting), (self.what,)
+        return partial(InputError, **keywords, closest_name=self.nearest, setting=self.setting), (self.what,)
 
     def __str__(self) -> str:
         place = ""
@@ -91,7 +91,7 @@ def _escaped(char: str) -> str:
     return char.encode("unicode_escape").decode("ascii")
 
 
-def nearest(name: str, known: Iterable[str]) -> str | None:
+def closest_name(name: str, known: Iterable[str]) -> str | None:
     """Return the known name closest to another name, ignoring case; None if none is close.
 
     ``e_xx`` finds ``E_XX``.
@@ -103,9 +103,9 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
     return max(alike, key=lambda candidate: SequenceMatcher(None, name, candidate).ratio(), default=None)
 
 
-def is_it(name: str, known: Iterable[str]) -> str:
+def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return the hint that follows an unknown name, `` (did you mean X?)``; empty if no known name is close."""
-    return _is_it(nearest(name, known))
+    return _is_it(closest_name(name, known))
 
 
 def _is_it(name: str | None) -> str:

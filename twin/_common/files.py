@@ -94,13 +94,13 @@ from typing import Any, BinaryIO, Final, final
 
 from twin._common.errors import InputError
 
-MOST_BYTES: Final = 2**29
+MAX_TEXT_BYTES: Final = 2**29
 """Largest text file in bytes; a table of a million rows needs a third of it."""
-TEMPORARY: Final = ".twin-"
+TEMPORARY_PREFIX: Final = ".twin-"
 """Prefix of the names of all temporary files and folders; process id, random part and computer name follow."""
 
 
-def note_input(path: Path) -> None:
+def register_input(path: Path) -> None:
     """Register a file as an input of the running command, if there is one.
 
     Raises:
@@ -121,7 +121,7 @@ def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
     Raises:
         InputError: there is no such file, it cannot be read, it is too large, or the running command is going to write it.
     """
-    note_input(path)
+    register_input(path)
     try:
         with path.open("rb") as stream:
             data = stream.read(-1 if most_bytes is None else most_bytes + 1)
@@ -133,7 +133,7 @@ def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
     return data
 
 
-def read_text(path: Path, *, most_bytes: int = MOST_BYTES) -> str:
+def read_text(path: Path, *, most_bytes: int = MAX_TEXT_BYTES) -> str:
     """Return the content of a UTF-8 text file.
 
     Args:
@@ -228,7 +228,7 @@ _COMMAND: Final[ContextVar[CommandFiles | None]] = ContextVar("files of the runn
 
 
 @contextmanager
-def command_files() -> Iterator[CommandFiles]:
+def tracked_files() -> Iterator[CommandFiles]:
     """Track all files read and written inside the context, so that no input is overwritten.
 
     Without it (in a notebook or a script) a file may be read, changed and saved under its own name. A nested call returns the outer
@@ -327,13 +327,13 @@ def _target(path: Path) -> Path:
     return file
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
+def write_atomic(path: Path, content: str | bytes) -> None:
     """Write a file atomically: at every moment the path holds the old content or the new one.
 
     Raises:
         InputError: it cannot be written.
     """
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         stream.write(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
@@ -343,7 +343,7 @@ def write_json(path: Path, data: Any) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    write_whole(path, json.dumps(_finite(data), indent=1, allow_nan=False) + "\n")
+    write_atomic(path, json.dumps(_finite(data), indent=1, allow_nan=False) + "\n")
 
 
 def _finite(data: Any) -> Any:
@@ -355,7 +355,7 @@ def _finite(data: Any) -> Any:
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[BinaryIO]:
+def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Open a temporary file that replaces the path when it is complete; after an error nothing remains.
 
     An existing file keeps its mode and, if permitted, its owner; a symbolic link is kept and its target replaced.
@@ -424,17 +424,17 @@ def _new_temporary(folder: Path) -> Path:
 
 
 def _temporary_name() -> str:
-    return f"{TEMPORARY}{os.getpid()}-{secrets.token_hex(6)}-{platform.node()}"
+    return f"{TEMPORARY_PREFIX}{os.getpid()}-{secrets.token_hex(6)}-{platform.node()}"
 
 
 def _remove_leftovers(folder: Path) -> None:
     """Remove this user's temporary files and folders whose process, on this computer, no longer runs."""
     try:
-        candidates = [Path(entry.path) for entry in os.scandir(folder) if entry.name.startswith(TEMPORARY)]
+        candidates = [Path(entry.path) for entry in os.scandir(folder) if entry.name.startswith(TEMPORARY_PREFIX)]
     except OSError:
         return
     for path in candidates:
-        pid, _, rest = path.name.removeprefix(TEMPORARY).partition("-")
+        pid, _, rest = path.name.removeprefix(TEMPORARY_PREFIX).partition("-")
         with suppress(OSError):
             ours = path.lstat().st_uid == os.geteuid() and rest.partition("-")[2] == platform.node()
             if not (ours and pid.isdecimal()) or _is_running(int(pid)):

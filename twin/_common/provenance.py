@@ -46,31 +46,35 @@ SIMULATED: Final = SourceWarning(
     "SIMULATED READINGS",
     "the readings were computed, not measured on a machine. Do not cut with their numbers.",
 )
-UNSETTLED: Final = SourceWarning(
+UNSETTLED_ESTIMATE: Final = SourceWarning(
     "unsettled_estimate", "UNSETTLED ESTIMATE", "the identification did not converge. Do not use its numbers."
 )
-UNKNOWN: Final = SourceWarning(
+UNKNOWN_UNCERTAINTY: Final = SourceWarning(
     "unknown_uncertainty", "UNKNOWN UNCERTAINTY", "the calibration gives no uncertainty for its errors."
 )
-PARTLY_UNKNOWN: Final = SourceWarning(
+PARTLY_UNKNOWN_UNCERTAINTY: Final = SourceWarning(
     "unknown_uncertainty", "UNKNOWN UNCERTAINTY", "the calibration gives no uncertainty for some of its errors."
 )
 
 
-def merged(*lists: Iterable[SourceWarning]) -> tuple[SourceWarning, ...]:
+def merge_warnings(*lists: Iterable[SourceWarning]) -> tuple[SourceWarning, ...]:
     """Return the warnings of several sources, each name once (its first occurrence), the most serious first."""
     first: dict[str, SourceWarning] = {}
     for warning in (warning for each in lists for warning in each):
         first.setdefault(warning.name, warning)
-    return tuple(first[kind.name] for kind in (ILLUSTRATIVE, SIMULATED, UNSETTLED, UNKNOWN) if kind.name in first)
+    return tuple(
+        first[kind.name]
+        for kind in (ILLUSTRATIVE, SIMULATED, UNSETTLED_ESTIMATE, UNKNOWN_UNCERTAINTY)
+        if kind.name in first
+    )
 
 
-def to_json(warnings: Sequence[SourceWarning]) -> list[dict[str, str]]:
+def warnings_to_json(warnings: Sequence[SourceWarning]) -> list[dict[str, str]]:
     """Return the entry ``warnings`` of a JSON file."""
     return [warning.to_dict() for warning in warnings]
 
 
-def texts(warnings: Sequence[SourceWarning]) -> tuple[str, ...]:
+def warning_texts(warnings: Sequence[SourceWarning]) -> tuple[str, ...]:
     """Return one line per warning."""
     return tuple(warning.text for warning in warnings)
 

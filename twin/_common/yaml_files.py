@@ -14,20 +14,20 @@ from typing import Any, Final, TypeVar, final, get_args
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from twin._common.errors import InputError, control_character, nearest
+from twin._common.errors import InputError, closest_name, control_character
 from twin._common.files import read_text
 
 Schema = TypeVar("Schema", bound=BaseModel)
-Place = tuple[str | int, ...]
+EntryPath = tuple[str | int, ...]
 
-MOST_BYTES: Final = 2**23
-MOST_ENTRIES: Final = 50_000
+MAX_BYTES: Final = 2**23
+MAX_ENTRIES: Final = 50_000
 """Most entries of a file with all aliases expanded; a calibration of five axes has a few thousand."""
-DEEPEST: Final = 32
+MAX_DEPTH: Final = 32
 """Most levels of nesting; a calibration has five."""
-LONGEST_NUMBER: Final = 400
+MAX_NUMBER_LENGTH: Final = 400
 """Most characters of a number, or of text that looks like one."""
-LARGEST: Final = 1e15
+MAX_VALUE: Final = 1e15
 """Largest absolute value of a number in any unit; products such as its square stay finite."""
 _YAML: Final = "tag:yaml.org,2002:"
 _SCALARS: Final[Mapping[str, str]] = {
@@ -55,7 +55,7 @@ _EXPECTED_WORDS: Final = {
 """Expected value in words, by pydantic's error type."""
 
 
-def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapping[Place, int]]:
+def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapping[EntryPath, int]]:
     """Read a YAML file, validate it against a pydantic model, and return it with the line of every entry by its path in the file.
 
     Args:
@@ -94,17 +94,17 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
             line=line_of(place, lines),
             # The value enclosing a missing top-level entry would be the whole file.
             value=None if first["type"] == "missing" and len(place) == 1 else first["input"],
-            nearest=_suggested(first, known),
+            closest_name=_suggested(first, known),
         ) from error
 
 
-def read_yaml(path: Path) -> tuple[Any, Mapping[Place, int]]:
+def read_yaml(path: Path) -> tuple[Any, Mapping[EntryPath, int]]:
     """Read a YAML file and return its plain data, with the line of every entry by its path.
 
     Raises:
         InputError: with the line: not YAML, a tag or value that is not accepted, a duplicate key, nested too deeply or too large.
     """
-    text = read_text(path, most_bytes=MOST_BYTES)
+    text = read_text(path, most_bytes=MAX_BYTES)
     loader = None
     try:
         loader = _Loader(text)
@@ -153,10 +153,10 @@ class _Loader(yaml.SafeLoader):
         mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
         self.depth += 1
         self.count += 1
-        if self.depth > DEEPEST:
-            raise yaml.MarkedYAMLError(problem=f"more than {DEEPEST} levels", problem_mark=mark)
-        if self.count > MOST_ENTRIES:
-            raise yaml.MarkedYAMLError(problem=f"more than {MOST_ENTRIES} entries", problem_mark=mark)
+        if self.depth > MAX_DEPTH:
+            raise yaml.MarkedYAMLError(problem=f"more than {MAX_DEPTH} levels", problem_mark=mark)
+        if self.count > MAX_ENTRIES:
+            raise yaml.MarkedYAMLError(problem=f"more than {MAX_ENTRIES} entries", problem_mark=mark)
         try:
             return super().compose_node(parent, index)
         finally:
@@ -173,10 +173,10 @@ class _NodeConverter:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.lines: dict[Place, int] = {}
+        self.lines: dict[EntryPath, int] = {}
         self._open_nodes: list[yaml.Node] = []
 
-    def plain(self, node: yaml.Node, place: Place) -> Any:
+    def plain(self, node: yaml.Node, place: EntryPath) -> Any:
         """Return the plain data of a node.
 
         Raises:
@@ -190,8 +190,8 @@ class _NodeConverter:
             raise self._error("unsupported tag", "entries or a list without a tag", line, node.tag)
         if any(one is node for one in self._open_nodes):
             raise self._error("alias inside its own anchor", "no recursion", line, None)
-        if len(self.lines) > MOST_ENTRIES:
-            raise self._error(f"more than {MOST_ENTRIES} entries with aliases expanded", "a smaller file", line, None)
+        if len(self.lines) > MAX_ENTRIES:
+            raise self._error(f"more than {MAX_ENTRIES} entries with aliases expanded", "a smaller file", line, None)
         self._open_nodes.append(node)
         try:
             if isinstance(node, yaml.SequenceNode):
@@ -200,7 +200,7 @@ class _NodeConverter:
         finally:
             self._open_nodes.pop()
 
-    def _entries(self, node: yaml.Node, place: Place) -> dict[Any, Any]:
+    def _entries(self, node: yaml.Node, place: EntryPath) -> dict[Any, Any]:
         found: dict[Any, Any] = {}
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
@@ -225,7 +225,7 @@ class _NodeConverter:
                 raise self._error("control character in the text", "printable text", line, text)
             # YAML 1.1 reads 1e-3 as text, but the number is meant.
             return self._checked_size(_number(text), text, line) if node.style is None else text
-        if len(text) > LONGEST_NUMBER:
+        if len(text) > MAX_NUMBER_LENGTH:
             raise self._error(f"number of {len(text)} characters", expected, line, text)
         try:
             value = yaml.constructor.SafeConstructor().construct_object(node)
@@ -235,8 +235,8 @@ class _NodeConverter:
 
     def _checked_size(self, value: Any, text: str, line: int) -> Any:
         # The schema rejects infinity, and its error names the entry.
-        if isinstance(value, int | float) and LARGEST < abs(value) < float("inf"):
-            raise self._error("number too large", f"at most {LARGEST:g}", line, text)
+        if isinstance(value, int | float) and MAX_VALUE < abs(value) < float("inf"):
+            raise self._error("number too large", f"at most {MAX_VALUE:g}", line, text)
         return value
 
     def _error(self, what: str, expected: str, line: int, value: object) -> InputError:
@@ -245,12 +245,12 @@ class _NodeConverter:
 
 def _number(text: str) -> Any:
     try:
-        return float(text) if len(text) <= LONGEST_NUMBER else text
+        return float(text) if len(text) <= MAX_NUMBER_LENGTH else text
     except ValueError:
         return text
 
 
-def line_of(place: Place, lines: Mapping[Place, int]) -> int | None:
+def line_of(place: EntryPath, lines: Mapping[EntryPath, int]) -> int | None:
     """Return the line of an entry, or of the closest enclosing entry."""
     while place and place not in lines:
         place = place[:-1]
@@ -269,8 +269,8 @@ def _expected(first: Any, known: Sequence[str]) -> str:
 def _suggested(first: Any, known: Sequence[str]) -> str | None:
     """Return the known name closest to an unknown key, or the allowed word closest to another."""
     if first["type"] == "literal_error":
-        return nearest(str(first["input"]), re.findall(r"'([^']*)'", str(first.get("ctx", {}).get("expected"))))
-    return nearest(str(first["loc"][-1]), known) if known else None
+        return closest_name(str(first["input"]), re.findall(r"'([^']*)'", str(first.get("ctx", {}).get("expected"))))
+    return closest_name(str(first["loc"][-1]), known) if known else None
 
 
 def _known_keys(schema: type[BaseModel], place: Sequence[str | int]) -> list[str]:

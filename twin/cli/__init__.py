@@ -16,12 +16,12 @@ def main(arguments: list[str] | None = None) -> None:
     """
     words = sys.argv[1:] if arguments is None else arguments
     if words[:1] == ["doctor"] and not installation.can_start():
-        installation.end_with_findings()
+        installation.exit_with_findings()
     try:
         from twin.cli.commands import run
     except installation.IMPORT_FAILURES as error:
-        installation.end(error)
+        installation.exit_with_import_error(error)
     try:
         run(words)
     except ImportError as error:
-        installation.end(error)
+        installation.exit_with_import_error(error)

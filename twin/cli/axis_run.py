@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from twin._common.errors import InputError
-from twin._common.provenance import SIMULATED, merged, to_json
+from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, TABLE, CommandResult, JsonOption, command
 from twin.cli.shared.words import three_numbers
@@ -133,7 +133,7 @@ def simulate_axis_run(
         "machine": loaded.name,
         "calibration": None if truth.path is None else str(truth.path),
         "illustrative": truth.illustrative,
-        "warnings": to_json(merged([SIMULATED], truth.warnings)),
+        "warnings": warnings_to_json(merge_warnings([SIMULATED], truth.warnings)),
         "layout": axis_layout.name,
         "axis": axis_layout.axis.name,
         "seed": seed,

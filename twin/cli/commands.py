@@ -20,11 +20,11 @@ from twin.cli.shared.terminal import (
     discard_output,
     echo,
     flush,
-    line_of_failure,
-    tell_error,
+    os_error_message,
+    print_error,
 )
-from twin.cli.shared.usage import UsageError, help_of, line_of_usage
-from twin.cli.shared.words import gathered, told_word_by_word
+from twin.cli.shared.usage import UsageError, help_text, usage_message
+from twin.cli.shared.words import expand_bash_line, repeat_options
 
 __all__ = ["COMMANDS", "app", "load", "run"]
 
@@ -90,7 +90,7 @@ def load(name: str) -> Any:
     try:
         import_module(f"twin.cli.{MODULES.get(name, name)}")
     except installation.IMPORT_FAILURES as error:
-        installation.end(error)
+        installation.exit_with_import_error(error)
     return typer.main.get_group(registered).commands[name]
 
 
@@ -101,28 +101,28 @@ def run(arguments: list[str]) -> None:
         try:
             sys.exit(_run(arguments))
         except UsageError as error:
-            shown = help_of(error)
+            shown = help_text(error)
             if shown is None:
-                tell_error(f"twin: {line_of_usage(error)}")
+                print_error(f"twin: {usage_message(error)}")
             else:
                 echo(shown, end="")
             sys.exit(BAD_INPUT)
         except InputError as error:
             option = "" if error.setting is None else f" (--{error.setting.replace(' ', '-')})"
-            tell_error(f"twin: {error}{option}")
+            print_error(f"twin: {error}{option}")
             sys.exit(BAD_INPUT)
         except OutputError as error:
-            tell_error(f"twin: defect, nothing written: {error}")
+            print_error(f"twin: defect, nothing written: {error}")
             sys.exit(NOT_ALL_MET)
         except BrokenPipeError:
             discard_output()
             sys.exit(BROKEN_PIPE)
         except OSError as error:
             discard_output()
-            tell_error(f"twin: {line_of_failure(error)}")
+            print_error(f"twin: {os_error_message(error)}")
             sys.exit(BAD_INPUT)
         except KeyboardInterrupt:
-            tell_error(f"twin: {received.reason}, nothing half written")
+            print_error(f"twin: {received.reason}, nothing half written")
             sys.exit(received.status)
 
 
@@ -132,9 +132,9 @@ def _run(words: list[str]) -> int:
         if "\0" in word:
             raise InputError("a NUL character in an argument", expected="text without it", value=word)
     # Not standalone: the parser's own errors are printed in one line, as all others.
-    told_word_by_word()
+    expand_bash_line()
     try:
-        status = app(args=gathered(words), prog_name="twin", standalone_mode=False)
+        status = app(args=repeat_options(words), prog_name="twin", standalone_mode=False)
     except SystemExit as stop:
         # The parser's own way to deal with a closed pipe.
         if isinstance(stop.__context__, BrokenPipeError):

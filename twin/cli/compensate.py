@@ -13,12 +13,12 @@ from typing import Annotated
 import typer
 
 from twin._common.errors import InputError
-from twin._common.files import write_whole
+from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, Output, command, progress
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
 from twin.compensation import Compensator, Options
-from twin.compensation.many import JSON, TEXT, ProgramOutcome, compensate_files
+from twin.compensation.many import JSON_SUFFIX, TEXT_SUFFIX, ProgramOutcome, compensate_files
 from twin.kinematics.inverse import DEFAULT_ROTARY_LIMIT_DEG
 from twin.machine.iso16907 import Scope
 from twin.machine.machine import DEFAULT, Machine
@@ -119,7 +119,7 @@ def compensate(
     else:
         result = _compensate_one(programs[0], output, Compensator(loaded, errors, settings), strict=strict)
     if report_file is not None:
-        write_whole(report_file, result.text)
+        write_atomic(report_file, result.text)
     return result
 
 
@@ -175,7 +175,9 @@ def _summary(
         "\n".join([*lines, ""]),
         lambda: {"schema": SCHEMA, "exit_status": status, "programs": [outcome.to_dict() for outcome in outcomes_done]},
         written="",
-        after=[f"written: {folder} (each with {TEXT} and {JSON})"] if len(failed) < len(outcomes_done) else [],
+        after=[f"written: {folder} (each with {TEXT_SUFFIX} and {JSON_SUFFIX})"]
+        if len(failed) < len(outcomes_done)
+        else [],
         errors=errors,
         status=status,
     )

@@ -25,13 +25,13 @@ from twin.cli.shared.options import (
 )
 from twin.cli.shared.terminal import echo
 from twin.cli.shared.words import number, positive
-from twin.control import Account, Existing, Request, compared, deliver, make, outputs_of, written_by
+from twin.control import Account, Existing, Request, compare_tables, make, outputs_of, write_folder, written_by
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.control import FORMATS, format_named
 from twin.machine.iso16907 import BASIC, Scope
 from twin.machine.machine import DEFAULT, Machine
-from twin.uncertainty.budget import known_at
+from twin.uncertainty.budget import without_missing_channels
 
 NAMES = [form.name for form in FORMATS]
 Kind = StrEnum("Kind", {name: name for name in NAMES})  # type: ignore[misc]
@@ -106,8 +106,8 @@ def control(
         if to is not None or output is not None or kind is None or not files:
             expected = "FILES --format F, and neither --to nor -o"
             raise InputError("invalid use of --read", expected=expected, value=" ".join(map(str, files or [])))
-        known, _ = known_at(around, errors)
-        _print(compared(loaded, known, kind.value, files, fixed, tool_length, around), errors, around, json_file)
+        known, _ = without_missing_channels(around, errors)
+        _print(compare_tables(loaded, known, kind.value, files, fixed, tool_length, around), errors, around, json_file)
         return
     if to is None or output is None or files or kind is not None:
         raise InputError("no output chosen", expected=f"--to {'|'.join(NAMES)} -o FOLDER, or --read FILES --format F")
@@ -139,12 +139,12 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
     check_folder(existing, output)
     if output.is_dir():
         check_writable(outputs_of(output, request.kind, machine))
-    known, missing = known_at(request.conditions, errors)
+    known, missing = without_missing_channels(request.conditions, errors)
     with progress() as say:
         say("tables", 0.0)
         made = make(machine, known, request)
         say("what remains", 0.6)
-        account = deliver(made, errors, known, missing, output)
+        account = write_folder(made, errors, known, missing, output)
     _print(account, errors, request.conditions, json_file)
     own = written_by(made)
     echo(f"\nwritten: {output}/ {' '.join(own)}")

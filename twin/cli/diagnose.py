@@ -8,12 +8,12 @@ from typing import Annotated
 import typer
 
 from twin._common.errors import InputError
-from twin._common.files import write_whole
+from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption, command, progress
 from twin.diagnosis import diagnose as run_diagnosis
 from twin.machine.machine import DEFAULT, Machine
-from twin.measurement.table import joined
+from twin.measurement.table import join_tables
 from twin.measurement.table import load as load_measurements
 
 
@@ -60,7 +60,7 @@ def diagnose(
     errors = options.calibration_of(calibration, loaded)
     with progress() as say:
         say("reading", 0.0)
-        data = joined([load_measurements(path, loaded) for path in measured])
+        data = join_tables([load_measurements(path, loaded) for path in measured])
         reader = None if instrument is None else options.instrument_named(instrument)
         found = run_diagnosis(data, loaded, errors, instrument=reader, empirical=empirical, say=say)
     if extended is not None:
@@ -70,5 +70,5 @@ def diagnose(
             diagnosis_html,  # imports matplotlib, which is slow and needed only here
         )
 
-        write_whole(html_file, diagnosis_html(found))
+        write_atomic(html_file, diagnosis_html(found))
     return CommandResult(found.to_text(), found.to_dict, met=not found.data.set_aside)

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.markdown import Markdown
 
-from twin._common.errors import InputError, nearest
+from twin._common.errors import InputError, closest_name
 from twin.cli.shared.command import CommandResult, JsonOption, command
 
 PAGES: Final = {
@@ -49,7 +49,7 @@ def doc(
     """
     if page is not None and page not in PAGES:
         raise InputError(
-            "no such page", expected=f"one of {', '.join(PAGES)}", value=page, nearest=nearest(page, PAGES)
+            "no such page", expected=f"one of {', '.join(PAGES)}", value=page, closest_name=closest_name(page, PAGES)
         )
     pages = {name: page_text(module) for name, module in PAGES.items() if page in (None, name)}
 

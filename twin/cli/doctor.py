@@ -16,8 +16,8 @@ from twin._common.json_form import json_form
 from twin.cli.shared.command import CommandResult, JsonOption, command, progress
 from twin.cli.shared.installation import Finding, browser, extras, packages, python, shown, size
 from twin.compensation import Compensator, Options
-from twin.compute.native import compiler, in_use, store
-from twin.compute.native.loading import SWITCH, enabled
+from twin.compute.native import compiler, solver_description, store
+from twin.compute.native.loading import SWITCH_VARIABLE, enabled
 from twin.kinematics.forward import Kinematics
 from twin.kinematics.inverse import Inverse, Status
 from twin.machine.calibration import Calibration
@@ -87,8 +87,10 @@ def _compiler() -> Finding:
         remedy = "from 50,000 poses on, the inverse is about twenty times slower; apt install g++, or set CXX"
         return Finding("C++ compiler", "missing", "none of c++, g++, clang++, $CXX", remedy)
     if not enabled():
-        return Finding("C++ compiler", "missing", f"switched off by {SWITCH}=0", f"unset {SWITCH} to compile")
-    state = in_use()  # compiles and runs a few lines, unless they are cached
+        return Finding(
+            "C++ compiler", "missing", f"switched off by {SWITCH_VARIABLE}=0", f"unset {SWITCH_VARIABLE} to compile"
+        )
+    state = solver_description()  # compiles and runs a few lines, unless they are cached
     if not state.startswith("compiled"):
         remedy = "twin uses slower code without a compiler; repair the compiler, or set CXX to another"
         return Finding("C++ compiler", "missing", f"{tool.command[0]} fails: {state}", remedy)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from twin._common.errors import InputError, nearest
+from twin._common.errors import InputError, closest_name
 from twin._common.files import scratch_folder
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, CommandResult, JsonOption, command, progress
@@ -20,7 +20,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.control import FORMATS, ControlSection, TableEntry, read_tables
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.instruments import INSTRUMENTS
-from twin.measurement.table import joined
+from twin.measurement.table import join_tables
 from twin.measurement.table import load as load_measurements
 
 
@@ -92,12 +92,12 @@ def identify(
                 "--only matches no error of this machine",
                 expected=f"among {', '.join(names)}",
                 value=pattern,
-                nearest=nearest(pattern, names),
+                closest_name=closest_name(pattern, names),
             )
     tables = tables_on(control, loaded) if control else None
     with progress() as say:
         say("reading", 0.0)
-        data = joined([load_measurements(path, loaded) for path in measured])
+        data = join_tables([load_measurements(path, loaded) for path in measured])
         found = run_identification(
             data,
             loaded,
@@ -135,7 +135,7 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
                 "--control cannot be read",
                 expected=f"FORMAT=FILE, once per file, FORMAT one of {', '.join(known)}",
                 value=entry,
-                nearest=nearest(kind, known),
+                closest_name=closest_name(kind, known),
             )
         found.setdefault(kind, []).append(Path(file))
     for kind, files in found.items():

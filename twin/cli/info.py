@@ -16,17 +16,17 @@ from rich.table import Table
 
 from twin._common.errors import InputError, printable
 from twin._common.json_form import json_form
-from twin._common.provenance import texts, to_json
+from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import options
 from twin.cli.shared.command import CALIBRATION, CommandResult, JsonOption, command, progress
-from twin.compute.native import in_use
+from twin.compute.native import solver_description
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import options_of
-from twin.machine.datum import MEANING
+from twin.machine.datum import EXPLANATION
 from twin.machine.machine import DEFAULT, Machine
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty, UncertaintyMap
-from twin.uncertainty.budget import BudgetRow, error_budget, known_at
+from twin.uncertainty.budget import BudgetRow, error_budget, without_missing_channels
 
 SCHEMA = "twin.info/1"
 
@@ -67,7 +67,7 @@ def info(
     errors = given if datum is None else given.in_datum(datum.value)
     at = options.conditions(temperature, time)
     at.check(errors)
-    known, missing = known_at(at, errors)
+    known, missing = without_missing_channels(at, errors)
     kinematics = Kinematics(loaded, known, tool_length_mm=tool_length, conditions=at)
     with progress() as say:
         say("budget", 0.0)
@@ -116,8 +116,8 @@ class _Info:
             "urdf": str(machine.urdf),
             "source": errors.source,
             "illustrative": errors.illustrative,
-            "warnings": to_json(errors.warnings),
-            "inverse": in_use(),
+            "warnings": warnings_to_json(errors.warnings),
+            "inverse": solver_description(),
             "axes": [
                 {
                     "name": axis.name,
@@ -157,10 +157,10 @@ class _Info:
         console.print(_budget_table(title, self.rows, peak=True))
         console.print(_budget_table("By class (ISO/TR 16907)", self.classes, peak=False))
         at = self.kinematics.conditions
-        lines = [MEANING[self.errors.datum]]
+        lines = [EXPLANATION[self.errors.datum]]
         if any(row.illustrative for row in self.rows):
             lines.append("* illustrative: assumed, not measured")
-        lines += texts(self.errors.warnings)
+        lines += warning_texts(self.errors.warnings)
         if any(row.name.startswith("reversal") for row in self.rows):
             lines.append("a reversal value contributes ± half its size")
         if at.channels:
@@ -182,7 +182,7 @@ class _Info:
         console.print(printable(files))
         datum = shown.datum if shown is given else f"{shown.datum}, converted from {given.datum}"
         console.print(f"datum         {datum}", soft_wrap=True)
-        console.print(f"inverse       {in_use()}\n", soft_wrap=True)
+        console.print(f"inverse       {solver_description()}\n", soft_wrap=True)
         headers = ("axis", "kind", "range", "least increment", "side", "joint")
         axes = Table(*headers, title="Axes, in command order", title_justify="left")
         for axis in machine.axes:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from twin._common.files import write_whole
+from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, command, progress
 from twin.compensation import Options
@@ -80,6 +80,6 @@ def path(
         result = refit(
             found, loaded, errors, options=settings, compensated=compensated, output=output, feed=feed, progress=say
         )
-    write_whole(output, result.text.encode("latin-1"))
+    write_atomic(output, result.text.encode("latin-1"))
     report = result.report
     return CommandResult(report.to_text(), report.to_dict, met=report.strictly_complete if strict else report.complete)

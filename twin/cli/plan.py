@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from twin._common.errors import InputError
-from twin._common.provenance import texts, to_json
+from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, command, progress
 from twin.machine.calibration import Calibration
@@ -155,7 +155,7 @@ def _judged(
     minutes = duration(machine, kit, table) / 60.0
     lines = [
         f"{plan}: {len(table)} readings with {instrument}, {minutes:.0f} minutes according to the kit\n",
-        *(f"expected errors: {text}" for text in texts(errors.warnings)),
+        *(f"expected errors: {text}" for text in warning_texts(errors.warnings)),
         forecast.to_text() + "".join(f"  set aside, {text}\n" for text in grouped_notes(table.set_aside)),
     ]
     report = {
@@ -163,6 +163,6 @@ def _judged(
         "judged": str(plan),
         "minutes": minutes,
         "forecast": forecast.to_dict(),
-        "warnings": to_json(errors.warnings),
+        "warnings": warnings_to_json(errors.warnings),
     }
     return CommandResult("\n".join(lines), lambda: report, met=not table.set_aside)

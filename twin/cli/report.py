@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from twin._common.files import write_whole
-from twin._common.provenance import texts
+from twin._common.files import write_atomic
+from twin._common.provenance import warning_texts
 from twin.cli.shared import options
 from twin.cli.shared.command import HTML, CommandResult, JsonOption, command, progress
 from twin.machine.machine import DEFAULT, Machine
@@ -63,7 +63,7 @@ def report(
 
         say("drawing", 0.5)
         page = machine_html(found)
-    write_whole(output, page)
+    write_atomic(output, page)
     text = "\n".join([*_first_screen(found), *options.unused(at, errors), ""])
     return CommandResult(text, found.to_dict, met=not found.unmet, after=[f"not met: {text}" for text in found.unmet])
 
@@ -72,7 +72,7 @@ def _first_screen(found: MachineReport) -> list[str]:
     """Return the summary as lines for the terminal."""
     names = {"do": "do", "measure": "measure", "never": "do not", "unknown": "not known"}
     return [
-        *([*texts(found.warnings), ""] if found.warnings else []),
+        *([*warning_texts(found.warnings), ""] if found.warnings else []),
         found.advice.headline,
         *(f"  {line}" for line in found.advice.wrong),
         *(f"{names[step.kind]}: {step.title}. {step.text}" for step in found.advice.steps),

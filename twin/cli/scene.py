@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from twin._common.provenance import texts, to_json
+from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress
 from twin.machine.machine import DEFAULT, Machine
@@ -71,7 +71,7 @@ def scene(
         "machine": loaded.name,
         "calibration": None if errors.path is None else str(errors.path),
         "illustrative": errors.illustrative,
-        "warnings": to_json(errors.warnings),
+        "warnings": warnings_to_json(errors.warnings),
         "tool_length_mm": loaded.tool_length_mm if tool_length is None else tool_length,
         "points": len(run.positions),
         "left_out": run.left_out,
@@ -80,7 +80,7 @@ def scene(
     }
     omitted = f" ({run.left_out} points outside the axis ranges omitted)" if run.left_out else ""
     return CommandResult(
-        "".join(f"{text}\n" for text in texts(errors.warnings)),
+        "".join(f"{text}\n" for text in warning_texts(errors.warnings)),
         lambda: report,
         met=not run.left_out,
         written=f"written: {{}}{omitted}",

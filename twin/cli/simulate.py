@@ -10,14 +10,14 @@ import numpy as np
 import typer
 
 from twin._common.errors import InputError
-from twin._common.provenance import SIMULATED, merged, to_json
+from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import TABLE, CommandResult, JsonOption, command, progress
 from twin.cli.shared.words import three_numbers
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.checks import grouped_notes
 from twin.measurement.instruments import INSTRUMENTS, Air
-from twin.measurement.simulate import Surroundings
+from twin.measurement.simulate import Environment
 from twin.measurement.simulate import simulate as run_simulation
 from twin.measurement.table import load as load_measurements
 
@@ -93,7 +93,7 @@ def simulate(
         "machine": loaded.name,
         "calibration": None if truth.path is None else str(truth.path),
         "illustrative": truth.illustrative,
-        "warnings": to_json(merged([SIMULATED], truth.warnings)),
+        "warnings": warnings_to_json(merge_warnings([SIMULATED], truth.warnings)),
         "instrument": reader.name,
         "seed": seed,
         "noise": noise,
@@ -113,7 +113,7 @@ def simulate(
     )
 
 
-def _surroundings(air: str | None, drift: list[str] | None) -> Surroundings:
+def _surroundings(air: str | None, drift: list[str] | None) -> Environment:
     """Return the air and the drift of a simulation.
 
     Raises:
@@ -126,6 +126,6 @@ def _surroundings(air: str | None, drift: list[str] | None) -> Surroundings:
             raise InputError("--drift cannot be read", expected="STATION=x,y,z in µm/h, each station once", value=entry)
         rates[name] = three_numbers("--drift", text, entry, "x,y,z in µm/h")
     if air is None:
-        return Surroundings(None, rates)
+        return Environment(None, rates)
     temperature, pressure, humidity = three_numbers("--air", air, air, "T,p,RH in °C, hPa and %")
-    return Surroundings(Air(temperature, pressure, humidity / 100.0), rates)
+    return Environment(Air(temperature, pressure, humidity / 100.0), rates)

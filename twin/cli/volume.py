@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from twin._common.provenance import texts
+from twin._common.provenance import warning_texts
 from twin.cli.shared import options
 from twin.cli.shared.command import CommandResult, JsonOption, command, progress
 from twin.kinematics.forward import Kinematics
@@ -69,7 +69,7 @@ def volume(
     total = found.machines * len(found.positions)
     lines = [
         f"{found.machines} machines drawn for {loaded.name} from {errors.path} with seed {seed}",
-        *texts(found.warnings),
+        *warning_texts(found.warnings),
         f"at {len(found.positions)} poses over the volume, tool length {kinematics.tool_length_mm:g} mm: "
         f"{total / 1e6:.1f} million poses in {taken:.1f} s, {total / 1e6 / taken:.1f} million a second\n",
         *_lines(found, programs=loaded.runs_programs),

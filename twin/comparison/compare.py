@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from twin._common.errors import InputError
-from twin._common.provenance import merged
+from twin._common.provenance import merge_warnings
 from twin.comparison.pairs import NotCompared, Pair, joint_covariance, pair_errors
 from twin.comparison.result import Changes, Culprits, ErrorChange
 from twin.comparison.significance import SHARE, holm_adjusted, simultaneous_factor, smallest_set, whiten
@@ -21,7 +21,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions, options_of
 from twin.machine.datum import MEAN_LINES
 from twin.machine.effects import Effect, split_name
-from twin.uncertainty.budget import known_at
+from twin.uncertainty.budget import without_missing_channels
 
 MOSTLY: Final = 0.9
 """Share of the mean square of a change that a line, a parabola or one wave per turn must explain to name the shape."""
@@ -72,7 +72,7 @@ def compare(
     )
     found = Changes(
         machine=machine,
-        warnings=merged(first.warnings, second.warnings),
+        warnings=merge_warnings(first.warnings, second.warnings),
         first=named[0],
         second=named[1],
         errors=errors,
@@ -127,7 +127,7 @@ def _without_missing_channels(
     at: Conditions, first: Calibration, second: Calibration
 ) -> tuple[list[Calibration], tuple[tuple[str, str], ...]]:
     """Return both calibrations without the effects whose channels are not given, and those effects with the options they need."""
-    limited = [known_at(at, side) for side in (first, second)]
+    limited = [without_missing_channels(at, side) for side in (first, second)]
     needs = [(name, options_of([channel])) for _, gone in limited for channel, by in gone.items() for name in by]
     absent = {name for name, _ in needs}
     return [side.where(lambda name: name not in absent) for side, _ in limited], tuple(dict.fromkeys(needs))

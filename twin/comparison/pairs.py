@@ -14,10 +14,10 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect, unit_of
-from twin.machine.iso16907 import acts_as, iso_class
+from twin.machine.iso16907 import error_motion_of, iso_class
 from twin.machine.machine import Axis
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.budget import CURVE_POINTS
@@ -171,7 +171,7 @@ def pair_errors(first: Calibration, second: Calibration) -> tuple[tuple[Pair, ..
             else _numbers(one[name], two[name], axis.name, covariances)
         )
         if isinstance(found, Pair):
-            pairs.append(replace(found, iso_class=iso_class(acts_as(one[name], first.machine), first.machine)))
+            pairs.append(replace(found, iso_class=iso_class(error_motion_of(one[name], first.machine), first.machine)))
         else:
             not_compared.append(found)
     return tuple(pairs), tuple(not_compared)
@@ -251,9 +251,9 @@ def _curve(
         iso_class="",
         first=sides[0],
         second=sides[1],
-        change=locked(change),
-        positions=locked(positions),
-        shape=locked(left * np.sqrt(CURVE_POINTS)),
+        change=read_only(change),
+        positions=read_only(positions),
+        shape=read_only(left * np.sqrt(CURVE_POINTS)),
         notes=tuple(notes),
     )
 
@@ -285,9 +285,9 @@ def _numbers(one: Effect, two: Effect, axis: str, covariances: tuple[Covariance,
         iso_class="",
         first=sides[0],
         second=sides[1],
-        change=locked(change),
-        positions=locked(np.zeros(0)),
-        shape=locked(np.eye(len(change))),
+        change=read_only(change),
+        positions=read_only(np.zeros(0)),
+        shape=read_only(np.eye(len(change))),
         labels=labels,
     )
 
@@ -307,8 +307,8 @@ def _side(effect: Effect, transform: np.ndarray, covariance: Covariance) -> Side
     known = set(names) <= set(covariance.names)
     return Side(
         names,
-        locked(np.array([float(number.value) for number in effect.parameters])),
-        locked(np.asarray(transform)),
+        read_only(np.array([float(number.value) for number in effect.parameters])),
+        read_only(np.asarray(transform)),
         covariance.of(names).matrix if known else None,
     )
 

@@ -10,11 +10,11 @@ from typing import Any, Final, Literal, final
 import numpy as np
 
 from twin._common.json_form import json_form
-from twin._common.provenance import ILLUSTRATIVE, SourceWarning, to_json
+from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warnings_to_json
 from twin.comparison.pairs import NotCompared, Status
 from twin.comparison.significance import FALSE_ALARMS, SHARE
 from twin.comparison.tool import ToolChange
-from twin.display import card, finite, first_rows, measured, note, pairs, readable, table
+from twin.display import card, finite_or_none, first_rows, measured, note, pairs, readable, table
 from twin.machine.machine import Machine
 
 SCHEMA: Final = "twin.comparison/1"
@@ -215,11 +215,11 @@ class Changes:
             "first": self.first,
             "second": self.second,
             "illustrative": self.illustrative,
-            "warnings": to_json(self.warnings),
+            "warnings": warnings_to_json(self.warnings),
             "verdict": self.verdict,
             "seen_by": list(self.seen_by),
             "false_alarms": {"of_all": FALSE_ALARMS, "of_each_look": SHARE},
-            "joint": {"p_value": finite(self.joint_p_value), "dof": self.joint_dof},
+            "joint": {"p_value": finite_or_none(self.joint_p_value), "dof": self.joint_dof},
             "meaning": list(self.meaning),
             "errors": [error.to_dict() for error in self.errors],
             "fewest": {
@@ -229,7 +229,7 @@ class Changes:
                         culprits.errors, culprits.alternatives, culprits.trends, strict=True
                     )
                 ],
-                "left_p_value": finite(culprits.left_p_value),
+                "left_p_value": finite_or_none(culprits.left_p_value),
                 "shows_from": [{"error": name, "size": size, "unit": unit} for name, size, unit in culprits.shows_from],
             },
             "not_compared": [json_form(one, rename={"name": "error"}) for one in self.not_compared],

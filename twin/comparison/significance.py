@@ -21,7 +21,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.distributions import chi2_log_sf, chi2_sf, normal_isf
 from twin.comparison.pairs import Pair
 
@@ -102,10 +102,10 @@ def whiten(change: np.ndarray, covariance: np.ndarray, exact: np.ndarray | None 
             without_variance = (found + none @ (none.T @ (scaled - found))) * safe
     transform = (vectors[:, keep] / np.sqrt(values[keep])).T / safe
     return Whitened(
-        locked(transform),
-        locked(transform @ (change - without_variance)),
-        locked(safe[:, None] * vectors[:, keep]),
-        locked(without_variance),
+        read_only(transform),
+        read_only(transform @ (change - without_variance)),
+        read_only(safe[:, None] * vectors[:, keep]),
+        read_only(without_variance),
     )
 
 
@@ -241,7 +241,9 @@ def _candidates(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) 
             keep = size > DEPENDENT * size.max(initial=0.0) if size.size else np.zeros(0, dtype=bool)
             if np.any(keep):
                 found.append(
-                    ChangeCandidate(i, whole, locked(directions @ right[keep].T / size[keep]), locked(left[:, keep]))
+                    ChangeCandidate(
+                        i, whole, read_only(directions @ right[keep].T / size[keep]), read_only(left[:, keep])
+                    )
                 )
     return found
 
@@ -309,7 +311,9 @@ class _Search:
             for i in np.argsort([gain[0] for gain in gains], kind="stable")
             if self.candidates[i].pair not in taken and mine - (gains[i][1] - 2.0 * gains[i][2]) < ODDS
         )
-        return Culprit(own.pair, locked(estimate), locked(covariance), float(np.exp(gains[which][0])), tuple(rivals))
+        return Culprit(
+            own.pair, read_only(estimate), read_only(covariance), float(np.exp(gains[which][0])), tuple(rivals)
+        )
 
     def _exchange(self) -> None:
         """Exchange each selected candidate for a better one, if there is one."""

@@ -25,7 +25,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.effects import Frame
 from twin.uncertainty.at_tool import ToolUncertainty, radius_95
-from twin.uncertainty.budget import drawn_sides, state_at, volume, within
+from twin.uncertainty.budget import inside_domains, random_approach, state_at, volume
 
 POSES: Final = 400
 Cause = tuple[Frame, Callable[[Mapping[str, Any]], Mapping[int, Any]]]
@@ -265,10 +265,10 @@ def at_tool(
         InputError: no pose is within the domain of all curves.
     """
     machine = first.machine
-    q = within(volume(machine, poses), first, second)
+    q = inside_domains(volume(machine, poses), first, second)
     at = Conditions() if conditions is None else conditions
     meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q)
-    scene = _CommonPoses(first, second, tool_length_mm, at, q, drawn_sides(q), meant, Alignment(meant.point_mm))
+    scene = _CommonPoses(first, second, tool_length_mm, at, q, random_approach(q), meant, Alignment(meant.point_mm))
     progress("at the tool", 0.1)
     whole = scene.displacement_um()
     judged, drawn = known.classes, known.drawn

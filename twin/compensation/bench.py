@@ -20,7 +20,7 @@ from twin.kinematics.inverse import DEFAULT_ROTARY_LIMIT_DEG, Inverse
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.effects import ControlCorrection
-from twin.machine.iso16907 import BASIC, Scope, acts_as, iso_class
+from twin.machine.iso16907 import BASIC, Scope, error_motion_of, iso_class
 from twin.machine.machine import Machine
 from twin.nc.dialect import Dialect
 from twin.uncertainty.at_tool import ToolUncertainty
@@ -152,7 +152,7 @@ class Bench:
 
     @cached_property
     def _acts_as(self) -> dict[str, str]:
-        return {effect.name: acts_as(effect, self.machine) for effect in self.calibration.effects}
+        return {effect.name: error_motion_of(effect, self.machine) for effect in self.calibration.effects}
 
     def outside(self, commands: np.ndarray) -> np.ndarray:
         """(n,) whether commands (mm, degrees) leave an axis's range."""

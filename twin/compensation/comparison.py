@@ -12,7 +12,7 @@ import numpy as np
 
 from twin._common.units import MM
 from twin.compute.batch import BatchFunction
-from twin.compute.native import Taken
+from twin.compute.native import TableRows
 from twin.kinematics.forward import Kinematics
 
 SLACK: Final = 1e-9
@@ -44,11 +44,11 @@ class Commands:
         return np.asarray(self.begin[line] + self.share[which][:, None] * self.way[line])
 
     @property
-    def inputs(self) -> tuple[np.ndarray | Taken, ...]:
+    def inputs(self) -> tuple[np.ndarray | TableRows, ...]:
         """Begin, displacement and fraction of every point."""
         if self.way is None or self.line is None or self.share is None:
             return self.begin, np.zeros(self.begin.shape[1]), np.zeros(1)
-        return Taken(self.begin, self.line), Taken(self.way, self.line), self.share[:, None]
+        return TableRows(self.begin, self.line), TableRows(self.way, self.line), self.share[:, None]
 
 
 @final
@@ -107,7 +107,7 @@ class PoseComparison:
 
     def _inputs(
         self, nominal: Commands, commanded: Commands, approach: np.ndarray | None
-    ) -> Iterator[np.ndarray | Taken]:
+    ) -> Iterator[np.ndarray | TableRows]:
         yield from nominal.inputs
         yield from commanded.inputs
         if self._real.directed:

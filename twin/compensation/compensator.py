@@ -13,9 +13,9 @@ from typing import final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin._common.files import command_files, whole_file
+from twin._common.files import atomic_file, tracked_files
 from twin._common.provenance import program_comments
 from twin.compensation.account import CompensationAccount, Report
 from twin.compensation.bench import Bench, Options, Progress
@@ -27,7 +27,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.nc import dialect_for, dialect_of, find_program, read_program
-from twin.nc.blocks import Program, Reading, Rewrite
+from twin.nc.blocks import Interpretation, Program, Rewrite
 from twin.nc.dialect import Dialect
 
 
@@ -52,7 +52,7 @@ class Compensation:
 
     text: str
     report: Report
-    reading: Reading
+    reading: Interpretation
     rewrites: tuple[Rewrite, ...]
     path: ToolPath
     nominal: np.ndarray
@@ -89,7 +89,7 @@ class Compensator:
         progress: Progress | None = None,
         *,
         into: Dialect | None = None,
-        reading: Reading | None = None,
+        reading: Interpretation | None = None,
     ) -> Compensation:
         """Compensate one program.
 
@@ -136,10 +136,10 @@ class Compensator:
         rows = found.rows
         moves, lines = path.columns.move[rows.motion], found.lines[rows.motion]
         columns = (rows.nominal, rows.exact, rows.commands, moves, lines, rows.backlash_move)
-        return Compensation(text, report, reading, rewrites, path, *map(locked, columns))
+        return Compensation(text, report, reading, rewrites, path, *map(read_only, columns))
 
     def _check(
-        self, program: Program, reading: Reading, found: Corrected, text: str, written: Dialect, *, posted: bool
+        self, program: Program, reading: Interpretation, found: Corrected, text: str, written: Dialect, *, posted: bool
     ) -> None:
         """Read the output back and compare it with the intended positions."""
         axes, tcp = self.bench.space.axes, self.bench.options.tcp and not posted
@@ -176,10 +176,10 @@ class Compensator:
         streams = (
             dialect.in_chunks and target.name == dialect.name and program.is_file() and not self.bench.backlash.axes
         )
-        with command_files() as files, ExitStack() as stack:
+        with tracked_files() as files, ExitStack() as stack:
             for path in self._inputs(program):
                 files.add_input(path)
-            out = stack.enter_context(whole_file(output))
+            out = stack.enter_context(atomic_file(output))
             report = Streamed(self.bench, program, say).run(out) if streams else None
             if report is None:
                 out.seek(0)

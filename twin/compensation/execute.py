@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.compensation.backlash import Backlash
 from twin.compensation.toolpath import PathMotion, Setup, ToolPath, WordSpace, check_domains, follow, outside_range
-from twin.display import card, histogram, note, pairs, several
+from twin.display import card, count_with_noun, histogram, note, pairs
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
@@ -62,9 +62,9 @@ class Execution:
                 f"{np.sqrt(np.mean(off**2)):.2f} µm RMS, {off[worst]:.2f} µm largest (line {self.lines[worst]})",
             ),
             ("tilt of the tool axis", f"{np.sqrt(np.mean(np.sum(self.tilt_urad**2, axis=1))):.1f} µrad RMS"),
-            ("left out", f"{several(self.left_out, 'point')} outside the axis ranges" if self.left_out else ""),
+            ("left out", f"{count_with_noun(self.left_out, 'point')} outside the axis ranges" if self.left_out else ""),
         ]
-        small = f"{several(len(off), 'point')}, {self.ends.sum():,} of them block end points"
+        small = f"{count_with_noun(len(off), 'point')}, {self.ends.sum():,} of them block end points"
         return card(
             "Executed", pairs(rows), histogram(off, "error (µm)", "points"), small=small, wrong=self.left_out > 0
         ).text

@@ -14,16 +14,16 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, final
 
 from twin._common.errors import InputError, OutputError
-from twin._common.files import check_writable, move_into_place, scratch_folder, write_json, write_whole
+from twin._common.files import check_writable, move_into_place, scratch_folder, write_atomic, write_json
 from twin.compensation.bench import Options
 from twin.compensation.compensator import Compensator
-from twin.compute.parallel import Workers, finished
+from twin.compute.parallel import Workers, map_as_completed
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import DIALECTS, find_program
 
-TEXT: Final = ".report.txt"
-JSON: Final = ".report.json"
+TEXT_SUFFIX: Final = ".report.txt"
+JSON_SUFFIX: Final = ".report.json"
 """Suffixes of the reports after the program's name: text and JSON."""
 
 Verdict = Literal["done", "not met", "failed"]
@@ -175,7 +175,7 @@ def outputs(programs: Sequence[Path], folder: Path) -> dict[Path, Path]:
 
 
 def _written(output: Path) -> tuple[Path, Path, Path]:
-    return output, output.with_name(output.name + TEXT), output.with_name(output.name + JSON)
+    return output, output.with_name(output.name + TEXT_SUFFIX), output.with_name(output.name + JSON_SUFFIX)
 
 
 def compensate_files(
@@ -222,7 +222,7 @@ def compensate_files(
                     yield ProgramOutcome(program, None, {}, error)
             tasks = _ProgramTasks(files, travel=own.scheduler is not None)
             say("programs", 0.0)
-            answers = finished(
+            answers = map_as_completed(
                 ProgramCompensator.compensate,
                 worker,
                 tasks,
@@ -269,10 +269,10 @@ class _ProgramTasks(Sequence[ProgramTask]):
 def _keep(answer: ProgramAnswer, made: Path, target: Path) -> None:
     """Write the reports, then the program: wherever a program exists, its reports do too."""
     program, text, data = _written(target)
-    write_whole(text, answer.text)
+    write_atomic(text, answer.text)
     write_json(data, answer.report)
     if answer.data is not None:
-        write_whole(program, answer.data)
+        write_atomic(program, answer.data)
         return
     try:
         move_into_place(made, program)

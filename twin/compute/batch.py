@@ -12,7 +12,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from twin.compute.native import RowFunction, Taken
+from twin.compute.native import RowFunction, TableRows
 
 MANY: Final = 4096
 """Number of rows in a call from which `twin.compute.native.rows` is faster than CasADi's own evaluation."""
@@ -46,24 +46,24 @@ class BatchFunction:
     def _row_function(self) -> RowFunction:
         return RowFunction(self._function)
 
-    def __call__(self, *inputs: np.ndarray | Taken) -> tuple[np.ndarray, ...]:
+    def __call__(self, *inputs: np.ndarray | TableRows) -> tuple[np.ndarray, ...]:
         """Evaluate all rows.
 
         Args:
-            inputs: (rows, entries) each, or (entries,) for one value shared by all rows, or rows of a table (`Taken`).
+            inputs: (rows, entries) each, or (entries,) for one value shared by all rows, or rows of a table (`TableRows`).
 
         Returns:
             One (rows, entries) array per output.
         """
         rows = max((array.shape[0] for array in inputs if len(array.shape) == 2), default=1)
         arrays = [
-            array if isinstance(array, Taken) else np.broadcast_to(np.asarray(array, dtype=float), (rows, width))
+            array if isinstance(array, TableRows) else np.broadcast_to(np.asarray(array, dtype=float), (rows, width))
             for array, width in zip(inputs, self._widths_in, strict=True)
         ]
         outputs = tuple(np.empty((rows, width)) for width in self._widths_out)
         if rows >= MANY and self._row_function(arrays, outputs):
             return outputs
-        columns = [array.written() if isinstance(array, Taken) else np.ascontiguousarray(array) for array in arrays]
+        columns = [array.written() if isinstance(array, TableRows) else np.ascontiguousarray(array) for array in arrays]
         start = 0
         while start < rows:
             left = rows - start

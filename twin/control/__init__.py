@@ -1,26 +1,26 @@
 """Compensation tables for a machine's control, computed from a calibration and checked by reading the files back."""
 
 from twin.control.account import Account
-from twin.control.deliver import account_of, deliver, outputs_of, written_by
+from twin.control.deliver import account_of, outputs_of, write_folder, written_by
 from twin.control.design import Table
-from twin.control.existing import Existing, compared
+from twin.control.existing import Existing, compare_tables
 from twin.control.make import ControlTables, make
-from twin.control.remains import Carried, Remains, VolumeError
+from twin.control.remains import CorrectedShare, RemainingErrors, VolumeError
 from twin.control.request import Request
 
 __all__ = [
     "Account",
-    "Carried",
     "ControlTables",
+    "CorrectedShare",
     "Existing",
-    "Remains",
+    "RemainingErrors",
     "Request",
     "Table",
     "VolumeError",
     "account_of",
-    "compared",
-    "deliver",
+    "compare_tables",
     "make",
     "outputs_of",
+    "write_folder",
     "written_by",
 ]

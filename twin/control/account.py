@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from twin._common.json_form import json_form
-from twin._common.provenance import ILLUSTRATIVE, texts, to_json
+from twin._common.provenance import ILLUSTRATIVE, warning_texts, warnings_to_json
 from twin.control.design import Table
 from twin.control.make import ControlTables
-from twin.control.remains import Carried, Remains
+from twin.control.remains import CorrectedShare, RemainingErrors
 from twin.machine.calibration import Calibration
-from twin.machine.control import Terms
+from twin.machine.control import TableSum
 
 SCHEMA: Final = "twin.control/1"
 DONE_TWICE: Final = (
@@ -40,8 +40,8 @@ class Account:
     """
 
     made: ControlTables
-    remains: Remains
-    carried: tuple[Carried, ...]
+    remains: RemainingErrors
+    carried: tuple[CorrectedShare, ...]
     missing: Mapping[str, tuple[str, ...]]
     errors: Calibration
 
@@ -67,7 +67,7 @@ class Account:
         request = made.request
         where = ", ".join(f"{name} {value:g}" for name, value in required.at.items())
         lines = [f"Compensation tables for {required.machine.name}: {request.kind}"]
-        lines += texts(self.errors.warnings)
+        lines += warning_texts(self.errors.warnings)
         lines += [
             f"calibration: {self.source}",
             f"tool length {required.tool_length_mm:g} mm; positions of the other axes while one moves: {where}",
@@ -108,7 +108,7 @@ class Account:
     def _limits(self) -> list[str]:
         """Return the lines that say for which axis positions and tool lengths the tables are valid."""
         made, found = self.made, list[str]()
-        if isinstance(made.correction, Terms):
+        if isinstance(made.correction, TableSum):
             products = any(len(term.factors) > 1 for term in made.correction.terms)
             found += [
                 "",
@@ -131,7 +131,7 @@ class Account:
             "machine": required.machine.name,
             "calibration": self.source,
             "illustrative": ILLUSTRATIVE in self.errors.warnings,
-            "warnings": to_json(self.errors.warnings),
+            "warnings": warnings_to_json(self.errors.warnings),
             "format": made.request.kind,
             "classes": list(made.request.carried_classes),
             "tool_length_mm": required.tool_length_mm,
@@ -164,7 +164,7 @@ def _row(one: Table) -> dict[str, Any]:
     }
 
 
-def _shares(carried: tuple[Carried, ...]) -> list[str]:
+def _shares(carried: tuple[CorrectedShare, ...]) -> list[str]:
     """Return the error motions in three groups: corrected, corrected in part, not corrected; with the reasons."""
     titles = {"whole": "  corrected", "line": "  corrected in part", "no": "  not corrected"}
     found = []

@@ -23,7 +23,7 @@ from twin.control.design import (
 from twin.control.nodes import RESOLUTION, Nodes, choose_nodes, nodes_at
 from twin.control.request import Request
 from twin.control.required import RequiredCorrections
-from twin.machine.control import Content, ControlCurve, ControlTerm, TableFormat, Terms
+from twin.machine.control import ControlCurve, ControlTerm, TableFormat, TableSum, TableSummary
 from twin.machine.control.curve import BOTH, DOWN, UP, Direction, period_of
 from twin.machine.effects import Effect
 from twin.machine.machine import Axis
@@ -70,12 +70,12 @@ class Planned:
 
 
 @final
-class AxisTables(Design[Terms]):
+class AxisTables(Design[TableSum]):
     """Tables of one axis over another, and products of two of them."""
 
-    correction = Terms
+    correction = TableSum
 
-    def plan(self, required: RequiredCorrections, request: Request, old: Terms | None) -> TablePlan[Terms]:
+    def plan(self, required: RequiredCorrections, request: Request, old: TableSum | None) -> TablePlan[TableSum]:
         """See `Design.plan`. If there are more tables than the control has, those that correct least are left out."""
         form, machine, found = request.form, required.machine, list[Planned]()
         for axis in machine.axes:
@@ -94,12 +94,12 @@ class AxisTables(Design[Terms]):
         most = None if form.tables is None else request.most or form.tables
         within, left_out = _strongest(found, most)
 
-        def compared(back: Terms) -> tuple[Table, ...]:
+        def compared(back: TableSum) -> tuple[Table, ...]:
             return tuple(
                 _table(one, content, back, required, request) for one, content in zip(within, contents, strict=True)
             )
 
-        correction = Terms(tuple(one.term for one in within), machine)
+        correction = TableSum(tuple(one.term for one in within), machine)
         contents = correction.contents()
         return TablePlan(correction, compared, left_out)
 
@@ -228,7 +228,9 @@ def _strongest(found: Sequence[Planned], most: int | None) -> tuple[tuple[Planne
     return tuple(one for i, one in enumerate(found) if i in kept), left_out
 
 
-def _table(one: Planned, content: Content, back: Terms, required: RequiredCorrections, request: Request) -> Table:
+def _table(
+    one: Planned, content: TableSummary, back: TableSum, required: RequiredCorrections, request: Request
+) -> Table:
     """Return one table compared with the file read back; a product at the position where its lever is longest."""
     moved, factors = required.machine.by_name[one.term.axis], one.term.factors
     found = next(term for term in back.terms if term.key == one.term.key)
@@ -242,7 +244,7 @@ def _table(one: Planned, content: Content, back: Terms, required: RequiredCorrec
     return Table(content, one.deviation, rounding, tolerance, float(np.abs(truth - said).max()))
 
 
-def _nodes_of_old_tables(old: Terms, axis: Axis) -> tuple[float, ...] | None:
+def _nodes_of_old_tables(old: TableSum, axis: Axis) -> tuple[float, ...] | None:
     """Return the nodes of the old tables over an axis; None if there are none."""
     curves = [term.factors[0] for term in old.terms if term.factors[0].argument == axis.name]
     if not curves:

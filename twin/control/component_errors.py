@@ -22,18 +22,20 @@ from twin.control.request import Request
 from twin.control.required import RequiredCorrections
 from twin.machine.control import ControlCurve
 from twin.machine.control.curve import period_of
-from twin.machine.control.volumetric import AxisErrors, Volumetric, at_rest
+from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection, rest_geometry
 from twin.machine.effects import Effect
 from twin.machine.machine import Axis
 
 
 @final
-class ComponentErrors(Design[Volumetric]):
+class ComponentErrors(Design[VolumetricCorrection]):
     """Compute the component errors in the error frame of every axis, location errors and squareness included."""
 
-    correction = Volumetric
+    correction = VolumetricCorrection
 
-    def plan(self, required: RequiredCorrections, request: Request, old: Volumetric | None) -> TablePlan[Volumetric]:
+    def plan(
+        self, required: RequiredCorrections, request: Request, old: VolumetricCorrection | None
+    ) -> TablePlan[VolumetricCorrection]:
         """See `Design.plan`."""
         form, planned = request.form, list[tuple[AxisErrors, Nodes, np.ndarray, np.ndarray]]()
         limit = request.tolerance_um * np.array([1.0] * 3 + [URAD_PER_UM] * 3)
@@ -53,9 +55,9 @@ class ComponentErrors(Design[Volumetric]):
             curves = {i: ControlCurve(axis.name, where, tuple(nodes.values[:, i].tolist()), period) for i in used}
             q = check_positions(where[0], where[-1])
             planned.append((AxisErrors(axis.name, curves), nodes, q, truth(q)))
-        correction = Volumetric(tuple(one[0] for one in planned), required.machine, required.tool_length_mm)
+        correction = VolumetricCorrection(tuple(one[0] for one in planned), required.machine, required.tool_length_mm)
 
-        def compared(back: Volumetric) -> tuple[Table, ...]:
+        def compared(back: VolumetricCorrection) -> tuple[Table, ...]:
             contents, read = iter(correction.contents()), {one.axis: one.curves for one in back.errors}
             found = []
             for own, nodes, q, meant in planned:
@@ -78,7 +80,7 @@ class ComponentErrors(Design[Volumetric]):
 
 def _required_values(required: RequiredCorrections, axis: Axis) -> Callable[[np.ndarray], np.ndarray]:
     """Return the function of an axis's component errors at the control's reference point: (n,) positions → (n, 6) µm and µrad."""
-    rest = at_rest(required.machine)
+    rest = rest_geometry(required.machine)
     turn, lever = rest.turns[axis.name], rest.centre(axis) - rest.places[axis.name]
 
     def truth(q: np.ndarray) -> np.ndarray:

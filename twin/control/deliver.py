@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from twin._common.errors import InputError
-from twin._common.files import check_writable, scratch_folder, write_whole
+from twin._common.files import check_writable, scratch_folder, write_atomic
 from twin.control.account import Account
 from twin.control.make import ControlTables, design_of
 from twin.control.remains import corrected_shares, remaining_errors
@@ -58,7 +58,7 @@ def account_of(
     )
 
 
-def deliver(
+def write_folder(
     made: ControlTables, errors: Calibration, known: Calibration, missing: Mapping[str, tuple[str, ...]], folder: Path
 ) -> Account:
     """Write the folder, created if necessary: the control's files first, the calibration that refers to them last.
@@ -86,7 +86,7 @@ def deliver(
         (folder / ADDED).mkdir(exist_ok=True)
         check_writable([folder / ADDED / name for name in made.increment])
         paths = _write(made.increment, folder / ADDED, made.request.form)
-    write_whole(folder / README, account.to_text())
+    write_atomic(folder / README, account.to_text())
     marked = replace(errors, source=f"{errors.source}; the control has compensation tables ({made.request.kind})")
     marked.with_control(_section(made, paths)).save(folder / CALIBRATION)
     return account
@@ -95,7 +95,7 @@ def deliver(
 def _write(files: Mapping[str, str], folder: Path, form: TableFormat[Any]) -> list[Path]:
     """Write the files and return the paths of those that are read back."""
     for name, text in files.items():
-        write_whole(folder / name, text)
+        write_atomic(folder / name, text)
     return [folder / name for name in form.to_read(files)]
 
 

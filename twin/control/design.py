@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.control.request import Request
 from twin.control.required import RequiredCorrections
-from twin.machine.control import Content, Correction
+from twin.machine.control import Correction, TableSummary
 from twin.machine.effects import Effect
 from twin.machine.machine import Axis
 
@@ -49,7 +49,7 @@ class Table:
         read_back_deviation: largest deviation of the table read back from the model, at random positions.
     """
 
-    content: Content
+    content: TableSummary
     deviation: float
     rounding: float
     tolerance: float

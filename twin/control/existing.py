@@ -11,9 +11,9 @@ from typing import Any, final
 import numpy as np
 
 from twin._common.json_form import json_form
-from twin._common.provenance import ILLUSTRATIVE, texts, to_json
+from twin._common.provenance import ILLUSTRATIVE, warning_texts, warnings_to_json
 from twin.control.account import displayed_unit
-from twin.control.remains import Remains, remaining_errors
+from twin.control.remains import RemainingErrors, remaining_errors
 from twin.control.required import RequiredCorrections
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import APPROACH, Conditions
@@ -67,7 +67,7 @@ class Existing:
     calibration: Calibration
     required: RequiredCorrections
     differences: tuple[Difference, ...]
-    remains: Remains | None
+    remains: RemainingErrors | None
 
     @property
     def source(self) -> str:
@@ -89,7 +89,7 @@ class Existing:
             "",
             f"Compared with {self.source}; tool length {self.required.tool_length_mm:g} mm, the other axes at {where}",
         ]
-        lines += [f"  {text}" for text in texts(self.calibration.warnings)]
+        lines += [f"  {text}" for text in warning_texts(self.calibration.warnings)]
         if self.remains is None:
             lines.append(
                 "  This calibration was measured with tables switched on: it requires only what is still to be added, so the "
@@ -120,7 +120,7 @@ class Existing:
             "calibration": self.source,
             "calibration_errors_are_remaining": self.remains is None,
             "illustrative": ILLUSTRATIVE in self.calibration.warnings,
-            "warnings": to_json(self.calibration.warnings),
+            "warnings": warnings_to_json(self.calibration.warnings),
             "tool_length_mm": self.required.tool_length_mm,
             "at": dict(self.required.at),
             "differences": json_form(self.differences),
@@ -128,7 +128,7 @@ class Existing:
         }
 
 
-def compared(
+def compare_tables(
     machine: Machine,
     calibration: Calibration,
     kind: str,

@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin._common.provenance import texts
+from twin._common.provenance import warning_texts
 from twin.control.axis_tables import AxisTables
 from twin.control.component_errors import ComponentErrors
 from twin.control.design import CHECKS, SEED, Design, Table
@@ -18,7 +18,7 @@ from twin.control.required import RequiredCorrections
 from twin.control.spatial_grid import GridDesign
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import APPROACH
-from twin.machine.control import Content, Correction, TableFormat
+from twin.machine.control import Correction, TableFormat, TableSummary
 from twin.machine.machine import Machine
 from twin.uncertainty.budget import volume
 
@@ -79,7 +79,7 @@ def make(machine: Machine, calibration: Calibration, request: Request) -> Contro
     calibration.check_settled()
     form = request.form
     doubts = (f"not checked against public documentation: {one}" for one in form.unchecked)
-    request = replace(request, notes=(*request.notes, *texts(calibration.warnings), *doubts))
+    request = replace(request, notes=(*request.notes, *warning_texts(calibration.warnings), *doubts))
     old = _old_tables(machine, calibration, request)
     required = RequiredCorrections(
         machine, calibration, request.at, request.tool_length_mm, request.classes, request.conditions
@@ -163,6 +163,6 @@ def _compare_sums(whole: Correction, parts: tuple[Correction, Correction], form:
         # The sum is rounded once more than the new part: one digit for each table that corrects the axis.
         rounding = 2.0 * form.rounding[0 if axis.linear else 1] * whole.rounded(name)
         unit, largest = "um" if axis.linear else "urad", float(np.abs(said).max())
-        content = Content(f"old + new, all corrections of {name}", *axis.domain, 0, 0.0, largest, unit)
+        content = TableSummary(f"old + new, all corrections of {name}", *axis.domain, 0, 0.0, largest, unit)
         rows.append(Table(content, 0.0, rounding, float("inf"), float(np.abs(said - meant).max())))
     return rows

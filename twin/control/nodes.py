@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 
 Truth = Callable[[np.ndarray], np.ndarray]
@@ -80,4 +80,4 @@ def nodes_at(truth: Truth, nodes: np.ndarray) -> Nodes:
     seen = truth(dense)
     values = seen[::BETWEEN]
     lines = np.stack([np.interp(dense, nodes, column) for column in values.T], axis=1)
-    return Nodes(locked(nodes), locked(values), locked(MARGIN * np.abs(seen - lines).max(axis=0)))
+    return Nodes(read_only(nodes), read_only(values), read_only(MARGIN * np.abs(seen - lines).max(axis=0)))

@@ -14,10 +14,10 @@ from twin.control.required import RequiredCorrections, step_back
 from twin.display import UNKNOWN
 from twin.kinematics.forward import Kinematics, Poses, rms_and_max
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import APPROACH, Listening
+from twin.machine.conditions import APPROACH, RecordingState
 from twin.machine.effects import ControlCorrection
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
-from twin.uncertainty.budget import drawn_sides, known_volume
+from twin.uncertainty.budget import random_approach, volume_inside_domains
 
 ITERATIONS: Final = 2
 """Iterations of the linear axes' correction: the correctable error converges to a nanometre."""
@@ -79,7 +79,7 @@ class PointUncertainty:
 
 @final
 @dataclass(frozen=True)
-class Remains:
+class RemainingErrors:
     """Error at the tool without tables, with tables, and with tables and a compensated NC program.
 
     Attributes:
@@ -149,7 +149,7 @@ def _or_unknown(value: float) -> str:
     return f"{value:.2f}" if np.isfinite(value) else UNKNOWN
 
 
-def remaining_errors(required: RequiredCorrections, calibration: Calibration) -> Remains:
+def remaining_errors(required: RequiredCorrections, calibration: Calibration) -> RemainingErrors:
     """Return the error at the tool over the volume without tables, with them, and with a compensated program.
 
     Args:
@@ -157,8 +157,8 @@ def remaining_errors(required: RequiredCorrections, calibration: Calibration) ->
         calibration: the same errors with the control's tables; without effects whose channel is not given.
     """
     with_tables = required.kinematics_with(calibration)
-    q = known_volume(calibration)
-    sides, goal = drawn_sides(q), required.nominal.forward(q)
+    q = volume_inside_domains(calibration)
+    sides, goal = random_approach(q), required.nominal.forward(q)
     real = required.kinematics_with(required.calibration)
     uncertainty = PointUncertainty.of(real, q, sides)
     program, limited = None, 0
@@ -166,7 +166,7 @@ def remaining_errors(required: RequiredCorrections, calibration: Calibration) ->
         reached, limited = _with_program(required, with_tables, q, sides, goal)
         program = _volume_error(reached, goal, uncertainty)
     before, tables = (_volume_error(one.forward(q, sides), goal, uncertainty) for one in (real, with_tables))
-    return Remains(len(q), before, tables, program, uncertainty, limited)
+    return RemainingErrors(len(q), before, tables, program, uncertainty, limited)
 
 
 def _with_program(
@@ -192,7 +192,7 @@ def _volume_error(reached: Poses, goal: Poses, uncertainty: PointUncertainty) ->
 
 @final
 @dataclass(frozen=True)
-class Carried:
+class CorrectedShare:
     """One error of the calibration and whether the tables correct it.
 
     Attributes:
@@ -208,7 +208,9 @@ class Carried:
     why: str
 
 
-def corrected_shares(required: RequiredCorrections, request: Request, design: Design[Any]) -> tuple[Carried, ...]:
+def corrected_shares(
+    required: RequiredCorrections, request: Request, design: Design[Any]
+) -> tuple[CorrectedShare, ...]:
     """Return every error of the calibration with the share of it that the tables correct.
 
     Args:
@@ -234,7 +236,7 @@ def corrected_shares(required: RequiredCorrections, request: Request, design: De
             )
         else:
             share = design.share(required, effect, others, request)
-        found.append(Carried(effect.name, iso_class, *share))
+        found.append(CorrectedShare(effect.name, iso_class, *share))
     return tuple(found)
 
 
@@ -243,7 +245,7 @@ class _RecordingState(dict[str, Any]):
     """One pose with every channel an effect reads; it records the axes and channels that are read."""
 
     def __init__(self, required: RequiredCorrections) -> None:
-        self._source = Listening(required.machine)
+        self._source = RecordingState(required.machine)
         self.used: set[str] = set()
         super().__init__(self._source)
 

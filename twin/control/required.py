@@ -18,9 +18,9 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.effects import Effect
-from twin.machine.iso16907 import acts_as, iso_class
+from twin.machine.iso16907 import error_motion_of, iso_class
 from twin.machine.machine import Axis, Machine
-from twin.uncertainty.budget import drawn_sides, known_volume
+from twin.uncertainty.budget import random_approach, volume_inside_domains
 
 
 @final
@@ -76,7 +76,7 @@ class RequiredCorrections:
 
     def class_of(self, effect: Effect) -> str:
         """Return the basic class (ISO/TR 16907) of an effect."""
-        return iso_class(acts_as(effect, self.machine), self.machine)
+        return iso_class(error_motion_of(effect, self.machine), self.machine)
 
     def range_of(self, axis: Axis) -> tuple[float, float]:
         """Return the range in which the axis moves and its errors are known; one turn for an unlimited axis."""
@@ -120,8 +120,8 @@ class RequiredCorrections:
         if len(self.machine.linear) == 3:
             return 0.0
         alone = self.kinematics_with(self.calibration.where(lambda name: name == effect.name))
-        q = known_volume(self.calibration)
-        sides, goal = drawn_sides(q), self.nominal.forward(q).point_mm
+        q = volume_inside_domains(self.calibration)
+        sides, goal = random_approach(q), self.nominal.forward(q).point_mm
         off = alone.forward(q, sides).point_mm - goal
         uncorrected = off + (_derivatives(alone, q, sides) @ step_back(alone, q, sides, goal)[:, :, None])[:, :, 0]
         size = float(np.linalg.norm(off))

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from twin._common.provenance import SIMULATED, SourceWarning, merged, to_json
+from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, warnings_to_json
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
 from twin.measurement.table import Measurements
@@ -338,7 +338,7 @@ class DiagnosisResult:
     @property
     def warnings(self) -> tuple[SourceWarning, ...]:
         """Return the warnings on the origin of the readings and of the calibration."""
-        return merged(self.calibration.warnings, (SIMULATED,) if self.data.simulated else ())
+        return merge_warnings(self.calibration.warnings, (SIMULATED,) if self.data.simulated else ())
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON (``schema: twin.diagnosis/1``)."""
@@ -381,7 +381,7 @@ class DiagnosisResult:
             "scatter": self.noise_source,
             "set_aside": [{"line": note.line, "reason": note.text} for note in self.data.set_aside],
             "notices": list(self.data.notices),
-            "warnings": to_json(self.warnings),
+            "warnings": warnings_to_json(self.warnings),
         }
 
 

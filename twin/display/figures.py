@@ -36,7 +36,7 @@ HEADROOM: Final = 1.15
 DEG: Final = np.pi / 180.0
 
 
-def blank(width: float, height: float, layout: str | None = "constrained") -> Figure:
+def new_figure(width: float, height: float, layout: str | None = "constrained") -> Figure:
     """Return an empty figure of a size in inches.
 
     Args:
@@ -49,19 +49,19 @@ def blank(width: float, height: float, layout: str | None = "constrained") -> Fi
     return figure
 
 
-def dress(plot: Axes) -> None:
+def style_axes(plot: Axes) -> None:
     """Add a pale grid behind the data and hide the top and right spines."""
     plot.grid(color="#dddddd", linewidth=0.6)
     plot.set_axisbelow(True)
     plot.spines[["top", "right"]].set_visible(False)
 
 
-def dots(plot: Axes, x: Any, y: Any, colour: str, marker: str = "o", size: float = 4.0, **more: Any) -> None:
+def plot_markers(plot: Axes, x: Any, y: Any, colour: str, marker: str = "o", size: float = 4.0, **more: Any) -> None:
     """Draw markers without a line; ``more`` as for `Axes.plot`."""
     plot.plot(x, y, color=colour, marker=marker, markersize=size, linestyle="", **more)
 
 
-def paper(alpha: float, pad: float) -> dict[str, Any]:
+def text_box_style(alpha: float, pad: float) -> dict[str, Any]:
     """Return the properties of the white box behind a text in a picture."""
     return {"facecolor": "white", "edgecolor": "none", "alpha": alpha, "pad": pad}
 

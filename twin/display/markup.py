@@ -8,7 +8,17 @@ from functools import cache
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final, final
 
-from twin.display.numbers import UNKNOWN, compact, expanded, figure, fixed, place, readable, tied, with_half
+from twin.display.numbers import (
+    UNKNOWN,
+    compact,
+    expanded,
+    figure,
+    fixed,
+    place,
+    readable,
+    with_half,
+    with_joined_units,
+)
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -54,7 +64,7 @@ def templates() -> Environment:
     found.globals |= {
         one.__name__: one for one in (compact, expanded, figure, fixed, isfinite, place, readable, with_half)
     }
-    found.filters["tied"] = lambda text: tied(str(text), "&nbsp;")
+    found.filters["with_joined_units"] = lambda text: with_joined_units(str(text), "&nbsp;")
     found.globals["page"] = found.get_template(PARTS).module
     return found
 
@@ -150,7 +160,7 @@ def spans(values: Iterable[tuple[str, float, float, str]]) -> Html:
     )
 
 
-def framed(page: str, height_px: int) -> Html:
+def in_iframe(page: str, height_px: int) -> Html:
     """Return a page in an iframe of full width, which isolates its scripts."""
     return part("framed", page, height_px)
 

@@ -17,7 +17,7 @@ TIED: Final = re.compile(r"(\d) (µm|µrad|mm|°|%|ppm)")
 _ROUND: Final = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 
 
-def finite(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
     """Return a number for JSON, or None (null) if it is not finite."""
     return float(value) if isfinite(value) else None
 
@@ -110,7 +110,7 @@ def readable(unit: str) -> str:
     return "°" if plain == "deg" else plain
 
 
-def several(count: int, one: str) -> str:
+def count_with_noun(count: int, one: str) -> str:
     """Return a count with its noun: ``1 row``, ``1,234 rows``."""
     return f"{count:,} {one}{'' if count == 1 else 's'}"
 
@@ -135,7 +135,7 @@ def ceiling(value: float) -> float:
     return next(digit * power for digit in _ROUND if digit * power >= value * (1.0 - 1e-12))
 
 
-def tied(text: str, space: str) -> str:
+def with_joined_units(text: str, space: str) -> str:
     """Return a text with the given space between numbers and their units."""
     return TIED.sub(rf"\1{space}\2", text)
 

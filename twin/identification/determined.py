@@ -14,7 +14,7 @@ from twin.identification.solve import FitSolution, solve
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.numerics.curves import Basis, bases_for
-from twin.numerics.observability import UNSEEN, Determinability
+from twin.numerics.observability import NOT_DETERMINED, Determinability
 
 MOST_FUNCTIONS: Final = 13
 """Largest number of functions of a curve: degree 12, or six harmonics."""
@@ -115,7 +115,7 @@ def _partition(unknowns: Unknowns, solution: FitSolution) -> tuple[Unknowns, lis
     A curve of which only higher orders are undetermined is cut below them.
     """
     count = len(unknowns)
-    unseen = solution.spectrum.remaining_variance[:count] > UNSEEN
+    unseen = solution.spectrum.remaining_variance[:count] > NOT_DETERMINED
     silent = solution.spectrum.null_space[:count]
     shared = silent @ silent.T
     entity = np.array([column.entity for column in unknowns.columns])

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import MM
 from twin.identification.setup import SetUp
@@ -45,7 +45,7 @@ RADIANS: Final = 180.0 / np.pi
 Change = tuple[Measurements, str]
 
 
-def fitting(machine: Machine, data: Measurements, *, lengths_only: bool) -> tuple[Measurements, SetUp]:
+def agreeing_rows(machine: Machine, data: Measurements, *, lengths_only: bool) -> tuple[Measurements, SetUp]:
     """Return the rows whose command agrees with the measured motion, and the set-up estimated with the nominal machine.
 
     Args:
@@ -227,7 +227,7 @@ def _swapped_or_mirrored(machine: Machine, data: Measurements) -> Iterator[Chang
         if i in moving or j in moving:
             swapped = np.array(data.positions)
             swapped[:, [i, j]] = swapped[:, [j, i]]
-            yield replace(data, positions=locked(swapped)), f"columns {names[i]} and {names[j]} look swapped"
+            yield replace(data, positions=read_only(swapped)), f"columns {names[i]} and {names[j]} look swapped"
     for i in moving:
         yield _scaled(data, "positions", [i], -1.0), f"column {names[i]} appears to have the wrong sign"
 
@@ -251,7 +251,7 @@ def _units(machine: Machine, data: Measurements, *, single: bool) -> Iterator[Ch
 def _scaled(data: Measurements, field: str, columns: list[int], factor: float) -> Measurements:
     values = np.array(getattr(data, field))
     values[:, columns] *= factor
-    changed: dict[str, Any] = {field: locked(values)}
+    changed: dict[str, Any] = {field: read_only(values)}
     return replace(data, **changed)
 
 

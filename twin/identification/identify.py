@@ -9,12 +9,12 @@ from typing import final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.units import MM
 from twin.identification.determined import DeterminedModel, Wanted, determined_models
-from twin.identification.inputs import PreparedData, prepared
+from twin.identification.inputs import PreparedData, prepare
 from twin.identification.orders import Choice, choose
-from twin.identification.outliers import explained, many_outliers_notice
+from twin.identification.outliers import many_outliers_notice, outlier_notes
 from twin.identification.priors import prior_precision
 from twin.identification.result import Identification, residuals_of
 from twin.identification.robust import FinalEstimate, RobustStart, robust_start, without_outliers
@@ -66,7 +66,7 @@ def identify(
     # On a shared computer the threads of a linear algebra library wait for each other longer than they work.
     with threadpool_limits(limits=1, user_api="blas"):
         say("placing the stations", 0.0)
-        placed = prepared(machine, data, instrument)
+        placed = prepare(machine, data, instrument)
         from_repeats = covariance_from_repeats(placed.data, placed.instrument) if spread == "repeats" else None
         say("choosing the curves", 0.1)
         model = _best([_model(one, placed) for one in determined_models(machine, placed, wanted, from_repeats)])
@@ -115,10 +115,10 @@ def _result(
         choice=model.choice,
         spread=spread,
         data=data,
-        used=locked(used),
-        residual_mm=locked(np.where(network.read, residual / MM, np.nan)),
-        whitened=locked(whitened),
-        set_aside=(*data.set_aside, *explained(network, residual, whitened, rows.bad)),
+        used=read_only(used),
+        residual_mm=read_only(np.where(network.read, residual / MM, np.nan)),
+        whitened=read_only(whitened),
+        set_aside=(*data.set_aside, *outlier_notes(network, residual, whitened, rows.bad)),
         notices=(*data.notices, *many_outliers_notice(rows), *unknown_reference(solution, unknowns)),
         converged=solution.converged,
         network=network,

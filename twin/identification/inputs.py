@@ -9,12 +9,12 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.units import MM
-from twin.identification.fitting import WRONG_COLUMN_SHARE, fitting, miss_limit, other_unit
+from twin.identification.fitting import WRONG_COLUMN_SHARE, agreeing_rows, miss_limit, other_unit
 from twin.identification.setup import SetUp
 from twin.identification.start import initial_setup, nominal_carriers
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
-from twin.measurement.instruments import Instrument, usual
+from twin.measurement.instruments import Instrument, default_instrument
 from twin.measurement.table import POINT_COLUMNS, Measurements
 
 FEWEST_ROWS: Final = 3
@@ -39,7 +39,7 @@ class PreparedData(NamedTuple):
     setup: SetUp
 
 
-def prepared(machine: Machine, data: Measurements, instrument: Instrument | None) -> PreparedData:
+def prepare(machine: Machine, data: Measurements, instrument: Instrument | None) -> PreparedData:
     """Return the instrument, the rows whose command agrees with the readings, and the initial set-up.
 
     Args:
@@ -49,13 +49,13 @@ def prepared(machine: Machine, data: Measurements, instrument: Instrument | None
 
     Raises:
         InputError: a sensor that does not follow its target; a single column that is no coordinate and no length; readings that do
-            not belong to the instrument; commands that do not agree with the readings (`fitting`).
+            not belong to the instrument; commands that do not agree with the readings (`agreeing_rows`).
     """
     data = _check_sensors(machine, data)
     reader, notices = _instrument(machine, data, instrument)
     assumed = any(text.startswith(ASSUMED) for text in notices)
     try:
-        agreeing, setup = fitting(machine, data, lengths_only=reader.lengths_only)
+        agreeing, setup = agreeing_rows(machine, data, lengths_only=reader.lengths_only)
     except InputError as error:
         if not assumed:
             raise
@@ -213,11 +213,11 @@ def _instrument(
             )
         return instrument, ()
     if len(read) > 1 or np.isfinite(data.station_pose).all():
-        return instrument or usual(lengths_only=False), ()
+        return instrument or default_instrument(lengths_only=False), ()
     column = POINT_COLUMNS[read[0]]
     if _follows_as_coordinate(machine, data):
         notice = f"only {column} is given: taken as the coordinate of all targets along a line"
-        return instrument or usual(lengths_only=False), () if read == [0] else (notice,)
+        return instrument or default_instrument(lengths_only=False), () if read == [0] else (notice,)
     unit = other_unit(machine, data, lengths_only=False)
     if unit is not None or read != [0] or instrument is not None or not _may_be_length(machine, data):
         named = "" if instrument is None else f" that {instrument.name} read"
@@ -227,7 +227,7 @@ def _instrument(
             row=0,
             value=f"{data.point_mm[0, read[0]]:g}",
         )
-    return usual(lengths_only=True), (
+    return default_instrument(lengths_only=True), (
         f"{ASSUMED}x_mm is a length from an unknown zero, read by a tracking interferometer: only x_mm is given, and it does not "
         "follow the commands as a coordinate. Otherwise name the instrument, or give y_mm and z_mm.",
     )

@@ -14,7 +14,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.units import MM
 from twin.identification.setup import SetUp
 from twin.identification.unknowns import Unknowns
@@ -25,10 +25,10 @@ from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import cross_matrix
 
-PIECE: Final = 1024
+CHUNK: Final = 1024
 """Number of points in a chunk."""
 VIEW_CHUNK: Final = 8192
-"""Number of points in a chunk of a `View`, whose results are all kept."""
+"""Number of points in a chunk of a `LinearisedReadings`, whose results are all kept."""
 
 
 @final
@@ -55,7 +55,7 @@ class WhitenedRows:
 
 @final
 @dataclass(frozen=True)
-class View:
+class LinearisedReadings:
     """Some points in their stations' frames; metres, derivatives whitened.
 
     Attributes:
@@ -80,9 +80,9 @@ class View:
     by_error: np.ndarray
     by_place: np.ndarray
 
-    def part(self, some: slice | np.ndarray) -> View:
+    def part(self, some: slice | np.ndarray) -> LinearisedReadings:
         """Return some of these points."""
-        return View(*(own[some] for own in self.arrays()))
+        return LinearisedReadings(*(own[some] for own in self.arrays()))
 
     def arrays(self) -> list[np.ndarray]:
         """Return all arrays in order."""
@@ -118,10 +118,10 @@ class Network:
         self.data = data
         self.instrument = instrument
         self.unknowns = unknowns
-        self.read = locked(np.isfinite(data.point_mm))
-        self.readings = locked(np.where(self.read, data.point_mm, 0.0) * MM)
+        self.read = read_only(np.isfinite(data.point_mm))
+        self.readings = read_only(np.where(self.read, data.point_mm, 0.0) * MM)
         self.covariance = stated_covariance(data, instrument) if covariance is None else covariance
-        self.whitening = locked(_whitening(self.covariance, self.read))
+        self.whitening = read_only(_whitening(self.covariance, self.read))
         self._observation = Observation(machine)
         self._q = np.asarray(data.positions) * machine.scale
         known = Calibration.zero(machine) if base is None else base
@@ -132,8 +132,8 @@ class Network:
     def with_variance_factor(self, factor: float) -> Network:
         """Return the same problem with all variances of the readings multiplied by a factor."""
         other = copy(self)
-        other.covariance = locked(self.covariance * factor)
-        other.whitening = locked(self.whitening / np.sqrt(factor))
+        other.covariance = read_only(self.covariance * factor)
+        other.whitening = read_only(self.whitening / np.sqrt(factor))
         return other
 
     def _order(self, setup: SetUp) -> tuple[np.ndarray, np.ndarray]:
@@ -162,9 +162,9 @@ class Network:
 
     @cached_property
     def row_chunks(self) -> list[np.ndarray]:
-        """All rows, in chunks of `PIECE`."""
+        """All rows, in chunks of `CHUNK`."""
         points = len(self.data)
-        return [np.arange(start, min(start + PIECE, points)) for start in range(0, points, PIECE)]
+        return [np.arange(start, min(start + CHUNK, points)) for start in range(0, points, CHUNK)]
 
     def residual(self, theta: np.ndarray, setup: SetUp) -> np.ndarray:
         """Return (n, 3) whitened residuals, zero where nothing was read."""
@@ -192,13 +192,13 @@ class Network:
             predicted[:, 0] -= setup.dead[self._order(setup)[0][rows]]
         return np.where(self.read[rows], self.readings[rows] - predicted, 0.0)
 
-    def view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> View:
+    def view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> LinearisedReadings:
         """Return some points in their stations' frames, with every derivative an effect may need."""
         first = self._view(theta, setup, rows[:VIEW_CHUNK])
         if len(rows) <= VIEW_CHUNK:
             return first
         # In chunks, because the intermediate results need more memory than the result.
-        found = View(*(np.empty((len(rows), *own.shape[1:]), own.dtype) for own in first.arrays()))
+        found = LinearisedReadings(*(np.empty((len(rows), *own.shape[1:]), own.dtype) for own in first.arrays()))
         for start in range(0, len(rows), VIEW_CHUNK):
             some = slice(start, start + VIEW_CHUNK)
             part = first if start == 0 else self._view(theta, setup, rows[some])
@@ -206,7 +206,7 @@ class Network:
                 whole[some] = own
         return found
 
-    def _view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> View:
+    def _view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> LinearisedReadings:
         station, target = (of[rows] for of in self._order(setup))
         carried = self._observation.carried(
             self._q[rows],
@@ -219,7 +219,7 @@ class Network:
         whitening = self.whitening[rows]
         by_seen = whitening @ self.instrument.jacobian(seen)
         by_base = by_seen @ setup.rotation[station].transpose(0, 2, 1)
-        return View(
+        return LinearisedReadings(
             rows=rows,
             residual=np.einsum("nij,nj->ni", whitening, self._residuals(seen, setup, rows)),
             points=carried.points,
@@ -245,7 +245,7 @@ class Network:
         self.fill_setup_columns(view, setup, columns[machine:-1].transpose(1, 2, 0))
         return WhitenedRows(rows, columns)
 
-    def fill_setup_columns(self, view: View, setup: SetUp, into: np.ndarray) -> None:
+    def fill_setup_columns(self, view: LinearisedReadings, setup: SetUp, into: np.ndarray) -> None:
         """Write the derivatives with respect to the set-up's unknowns into (k, 3, unknowns) of zeros."""
         station, target = (of[view.rows] for of in self._order(setup))
         for kind, i, at in setup.slots:
@@ -270,7 +270,7 @@ def stated_covariance(data: Measurements, instrument: Instrument) -> np.ndarray:
     found[given] = 0.0
     for i in range(3):
         found[given, i, i] = (np.nan_to_num(data.u_mm[given, i], nan=0.0) * MM) ** 2
-    return locked(found)
+    return read_only(found)
 
 
 def _whitening(covariance: np.ndarray, read: np.ndarray) -> np.ndarray:

@@ -19,8 +19,8 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.linalg.lapack import dpstrf
 
-from twin._common.arrays import locked
-from twin._common.threads import side_by_side
+from twin._common.arrays import read_only
+from twin._common.threads import map_chunks
 from twin.identification.network import Network
 from twin.identification.robust import RobustStart
 from twin.identification.solve import FitSolution
@@ -66,7 +66,7 @@ class Folds:
         inside = np.flatnonzero(interior)
         count = min(POSE_FOLDS, len(inside))
         group[inside] = np.arange(len(inside)) % max(count, 1)
-        return cls(locked(round_of), locked(group[pose]), rounds, count if count > 1 else 0)
+        return cls(read_only(round_of), read_only(group[pose]), rounds, count if count > 1 else 0)
 
     def held_out(self) -> list[np.ndarray]:
         """Return (rounds, poses + 1) masks of cells, one for each fold; the last column contains positions that are never held out."""
@@ -288,7 +288,7 @@ def _cells(network: Network, solution: FitSolution, weight: np.ndarray, folds: F
                 normal[cell] += rows @ rows.T
         return normal
 
-    normal = np.sum(side_by_side(network.row_chunks, summed), axis=0)
+    normal = np.sum(map_chunks(network.row_chunks, summed), axis=0)
     normal = normal.reshape(folds.rounds, folds.poses + 1, size, size)
     count = np.bincount(cell_of, np.sum(network.read * (weight > 0.0)[:, None], axis=1), minlength=cells)
     return normal, count.reshape(folds.rounds, folds.poses + 1)

@@ -15,11 +15,11 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.distributions import chi2_isf
 from twin._common.units import MM
 from twin.identification.network import Network
-from twin.identification.spread import repeats
+from twin.identification.spread import repeat_groups
 from twin.measurement.checks import RowNote
 
 FALSE_ALARM: Final = 0.01
@@ -91,8 +91,8 @@ def assess_rows(network: Network, whitened: np.ndarray) -> RowAssessment:
     redescending, convex = (1.0 + each / 9.0) ** -2, np.minimum(1.0, HUBER / np.sqrt(np.maximum(each, 1e-12)))
     overall = float(np.sqrt(np.mean(noise)))
     return RowAssessment(
-        bad=locked(distance > limit * (1.0 + (TAIL**2 - 1.0) * share)),
-        weight=locked((1.0 - share) * redescending + share * convex),
+        bad=read_only(distance > limit * (1.0 + (TAIL**2 - 1.0) * share)),
+        weight=read_only((1.0 - share) * redescending + share * convex),
         noise=overall if overall > NOISE_OF_FIT else 1.0,
         misfit_um=misfit,
     )
@@ -131,10 +131,12 @@ def _misfit(squares: np.ndarray, values: np.ndarray, median: np.ndarray) -> floa
     return float(10.0**high)
 
 
-def explained(network: Network, difference: np.ndarray, whitened: np.ndarray, bad: np.ndarray) -> tuple[RowNote, ...]:
+def outlier_notes(
+    network: Network, difference: np.ndarray, whitened: np.ndarray, bad: np.ndarray
+) -> tuple[RowNote, ...]:
     """Return a note for each outlier: its size and direction, and the residuals of repeats of the same point."""
     data = network.data
-    group = repeats(data)
+    group = repeat_groups(data)
     notes = []
     for row in np.flatnonzero(bad):
         off = difference[row]

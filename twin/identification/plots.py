@@ -28,13 +28,13 @@ from twin.display.figures import (
     RUN,
     SHADE,
     THIRD,
-    blank,
-    dots,
-    dress,
     heading,
     legend_below,
-    paper,
+    new_figure,
+    plot_markers,
     polar_ticks,
+    style_axes,
+    text_box_style,
 )
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification.result import THESIS_FUNCTIONS, Identification
@@ -83,7 +83,7 @@ def plot_motions(
     half = not one.linear and one.lower is not None
     turn = all(np.ptp(curves[name].domain) <= TURN + 1e-9 for name in names)
     polar = not one.linear and thesis is None and turn
-    figure = blank(12.0, (6.4 if half else 8.8) if polar else 7.4)
+    figure = new_figure(12.0, (6.4 if half else 8.8) if polar else 7.4)
     points = _thesis_points(thesis, one) if thesis is not None else {}
     dotted = _in_datum(truth, one) if truth is not None else {}
     for name in names:
@@ -108,10 +108,10 @@ def plot_orders(found: Identification, names: Sequence[str] = (), *, title: str 
     """
     choice = found.choice
     shown = list(names) or sorted(choice.by_curve, key=lambda name: -_loss(choice.by_curve[name]))[:4]
-    figure = blank(12.0, 4.8)
+    figure = new_figure(12.0, 4.8)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
-    dress(left)
-    dress(right)
+    style_axes(left)
+    style_axes(right)
     _same_for_all(left, found)
     _one_by_one(right, found, shown)
     for plot in (left, right):
@@ -131,7 +131,7 @@ def _same_for_all(plot: Axes, found: Identification) -> None:
     if THESIS_FUNCTIONS in choice.uniform:
         error = choice.uniform[THESIS_FUNCTIONS]
         label = f"degree 8 everywhere: {error:.3f}"
-        dots(plot, THESIS_FUNCTIONS, error, BACKWARD, "s", 9, markerfacecolor="none", label=label)
+        plot_markers(plot, THESIS_FUNCTIONS, error, BACKWARD, "s", 9, markerfacecolor="none", label=label)
     plot.axhline(choice.held_out, color=THIRD, linestyle="--", label=f"chosen curve by curve: {choice.held_out:.3f}")
     plot.axhline(1.0, color=RUN, linewidth=0.8, linestyle=":", label="noise of the readings alone")
     plot.set_yscale("log")
@@ -148,9 +148,9 @@ def _one_by_one(plot: Axes, found: Identification, names: Sequence[str]) -> None
         scores, count = choice.by_curve[name], choice.counts[name]
         looks: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 4, "linestyle": style}
         plot.plot(list(scores), list(scores.values()), **looks, label=name)
-        dots(plot, count, scores[count], colour, "o", 13, markerfacecolor="none")
+        plot_markers(plot, count, scores[count], colour, "o", 13, markerfacecolor="none")
     plot.axvline(THESIS_FUNCTIONS, color=RUN, linewidth=0.9, linestyle=":", label="degree 8")
-    dots(plot, [], [], RUN, "o", 11, markerfacecolor="none", label="chosen")
+    plot_markers(plot, [], [], RUN, "o", 11, markerfacecolor="none", label="chosen")
     low = choice.held_out
     high = max(max(value for n, value in choice.by_curve[name].items() if n >= choice.counts[name]) for name in names)
     plot.set_ylim(low - 0.06 * (high - low), high + 0.1 * (high - low))
@@ -170,14 +170,14 @@ def plot_residuals(found: Identification, *, title: str = "") -> Figure:
     data, machine = found.data, found.calibration.machine
     moved = [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
     columns = max(-(-(len(moved) + 1) // 2), 1)
-    figure = blank(4.0 * columns, 7.0)
+    figure = new_figure(4.0 * columns, 7.0)
     panels = figure.subplots(2, columns, squeeze=False).ravel()
     read = found.network.read & found.used[:, None]
     for plot, i in zip(panels, moved, strict=False):
-        dress(plot)
+        style_axes(plot)
         _by_position(plot, found, read, i)
     last = panels[len(moved)]
-    dress(last)
+    style_axes(last)
     _by_target(last, found, read)
     for plot in panels[len(moved) + 1 :]:
         plot.set_visible(False)
@@ -198,7 +198,7 @@ def _by_position(plot: Axes, found: Identification, read: np.ndarray, i: int) ->
     for k, (colour, marker) in enumerate(zip((FORWARD, BACKWARD, THIRD), "osD", strict=True)):
         rows = mine & read[:, k]
         x, label = at[rows] + (k - 1) * width, f"whitened, {'xyz'[k]} of the station"
-        dots(plot, x, found.whitened[rows, k], colour, marker, 2.5, alpha=0.35, label=label)
+        plot_markers(plot, x, found.whitened[rows, k], colour, marker, 2.5, alpha=0.35, label=label)
     places = np.unique(at[mine])
     of = [read & (mine & (at == place))[:, None] for place in places]
     count = np.array([max(np.count_nonzero(one), 1) for one in of])
@@ -243,7 +243,7 @@ def plot_correlation(found: Identification, *, title: str = "") -> Figure:
     """
     names, values = correlation(found)
     size = max(5.0, 2.2 + 0.22 * len(names))
-    figure = blank(size + 1.0, size)
+    figure = new_figure(size + 1.0, size)
     plot = figure.subplots()
     picture = plot.imshow(values, cmap="Blues", vmin=0.0, vmax=1.0)
     plot.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
@@ -284,7 +284,7 @@ def plot_uncertainty(found: UncertaintyMap, horizontal: str, vertical: str, *, t
     columns = [found.axes.index(vertical), found.axes.index(horizontal)]
     order = np.lexsort(found.positions[keep][:, columns[::-1]].T)
     values = found.uncertainty.expanded_um[keep][order].reshape(len(up), len(across))
-    figure = blank(8.4, 5.4)
+    figure = new_figure(8.4, 5.4)
     plot = figure.subplots()
     filled = plot.contourf(across, up, values, levels=10, cmap="cividis")
     lines = plot.contour(filled, levels=np.asarray(filled.levels)[::2], colors="white", linewidths=0.7)
@@ -300,7 +300,7 @@ def plot_uncertainty(found: UncertaintyMap, horizontal: str, vertical: str, *, t
 def _along(
     plot: Axes, found: Identification, name: str, points: _Points | None, dotted: tuple[np.ndarray, np.ndarray] | None
 ) -> None:
-    dress(plot)
+    style_axes(plot)
     curve = found.calibration.curves[name]
     _interval(plot, found, name, 1.8, 1.0)
     if dotted is not None:
@@ -338,7 +338,7 @@ def _polar(plot: PolarAxes, found: Identification, name: str, dotted: tuple[np.n
     plot.set_xticks(np.arange(curve.domain[0], curve.domain[1] + (0.0 if full else 1.0), 30.0) * DEG)
     plot.tick_params(labelsize=8)
     for tick, label in ticks:  # by hand, above the curves
-        looks: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6, "bbox": paper(0.8, 0.5)}
+        looks: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6, "bbox": text_box_style(0.8, 0.5)}
         plot.text((105.0 if full else 98.0) * DEG, tick, label, fontsize=7, **looks)
     plot.set_title(f"{name} [{readable(curve.unit)}]", loc="left", fontweight="bold", fontsize=10)
 

@@ -18,14 +18,14 @@ from typing import Final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.identification.network import Network
 from twin.identification.robust import RobustStart
 from twin.identification.solve import FitSolution
 
-DECAYS: Final = locked(np.array([0.02, 0.05, 0.15, 0.3, 0.5, 0.7, 0.9, 1.0]))
+DECAYS: Final = read_only(np.array([0.02, 0.05, 0.15, 0.3, 0.5, 0.7, 0.9, 1.0]))
 """Decay ratios of the grid: from a nearly straight line to a curve as rough as its highest function."""
-SIZES: Final = locked(np.geomspace(1e-5, 0.3, 24))
+SIZES: Final = read_only(np.geomspace(1e-5, 0.3, 24))
 """Standard deviations of a curve's first function in the grid, relative to its plausible size: 0.01 µm to 300 µm if that is 1 mm."""
 ITERATIONS: Final = 6
 FEWEST_DOF: Final = 10

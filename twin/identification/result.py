@@ -9,9 +9,9 @@ from typing import Any, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.json_form import json_form
-from twin._common.provenance import texts, to_json
+from twin._common.provenance import warning_texts, warnings_to_json
 from twin._common.units import MM
 from twin.display import card, note, pairs, table
 from twin.display.numbers import COVERAGE_FACTOR
@@ -24,7 +24,7 @@ from twin.identification.table import TableTilt
 from twin.identification.unidentified import Unidentified
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
-from twin.machine.datum import MEANING
+from twin.machine.datum.conditions import EXPLANATION
 from twin.machine.display import errors_html, standard_uncertainty
 from twin.machine.effects import unit_of
 from twin.measurement.checks import ASSUMED, assumptions, grouped_notes
@@ -112,8 +112,8 @@ class Identification:
         return replace(
             self,
             calibration=calibration,
-            residual_mm=locked(np.where(read, residual / MM, np.nan)),
-            whitened=locked(whitened),
+            residual_mm=read_only(np.where(read, residual / MM, np.nan)),
+            whitened=read_only(whitened),
             misfit=misfit(whitened, read, self.data, self.solution.determined, self.used),
         )
 
@@ -128,7 +128,7 @@ class Identification:
         """
         other = Network(self.network.machine, data, self.network.instrument, self.network.unknowns)
         residual = other.residuals_m(self.solution.theta, self.setup.of(data), np.arange(len(data)))
-        return locked(np.where(other.read, residual / MM, np.nan))
+        return read_only(np.where(other.read, residual / MM, np.nan))
 
     def interval(self, name: str, q: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return an error motion and its standard uncertainty.
@@ -144,7 +144,7 @@ class Identification:
         values = curve(q)
         effect = next(e for e in self.calibration.effects if e.name == name)
         u = standard_uncertainty(effect, self.calibration.covariance, np.asarray(q, dtype=float))
-        return locked(np.asarray(values)), locked(u)
+        return read_only(np.asarray(values)), read_only(u)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one entry for each error: name, unit, order, peak over the range, largest standard uncertainty, held-out errors."""
@@ -215,7 +215,7 @@ class Identification:
             "set_aside": [{"line": note.line, "reason": note.text} for note in self.set_aside],
             "notices": self.notices,
             "converged": self.converged,
-            "warnings": to_json(self.calibration.warnings),
+            "warnings": warnings_to_json(self.calibration.warnings),
         }
         return dict(json_form(found))
 
@@ -252,7 +252,7 @@ class Identification:
         lines = [
             f"{self.calibration.machine.name}: {int(self.used.sum())} points of {len(self.setup.targets)} targets from "
             f"{stations} station{'s' * (stations > 1)}, {self.solution.determined:.0f} parameters determined",
-            *texts(self.calibration.warnings),
+            *warning_texts(self.calibration.warnings),
             *assumptions(self.notices),
             "",
             f"residuals: {self._rms_text()}; {_fit_text(fit)}",
@@ -269,7 +269,7 @@ class Identification:
         lines += [
             "  The degree is chosen by prediction of held-out data; 0: nothing above the noise. The intervals include possible",
             "  components of higher degree.",
-            f"  {MEANING[self.calibration.datum]}",
+            f"  {EXPLANATION[self.calibration.datum]}",
         ]
         if self.unidentified:
             lines += ["", "not identifiable from these data:"]

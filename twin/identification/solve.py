@@ -21,14 +21,14 @@ from typing import Final, final
 import numpy as np
 from scipy.linalg.lapack import dtpqrt
 
-from twin._common.arrays import locked
-from twin._common.threads import side_by_side
+from twin._common.arrays import read_only
+from twin._common.threads import map_chunks
 from twin._common.units import MM, URAD
 from twin.identification.network import Network
 from twin.identification.setup import SetUp
 from twin.identification.unknowns import UnknownNumber, Unknowns
 from twin.machine.effects import unit_of
-from twin.numerics.observability import WEAKEST, Determinability, Spectrum, Unknown, decompose
+from twin.numerics.observability import SINGULAR_VALUE_TOLERANCE, Determinability, Spectrum, Unknown, decompose
 
 DATUM_WEIGHT: Final = 1e9
 """Weight of a condition of the datum when it is added as an observation."""
@@ -91,12 +91,12 @@ class FitSolution:
     @cached_property
     def basis(self) -> np.ndarray:
         """All directions that the datum allows, (p, f), scaled by the priors, strongest first."""
-        return locked(np.concatenate([self.spectrum.directions, self.spectrum.null_space], axis=1))
+        return read_only(np.concatenate([self.spectrum.directions, self.spectrum.null_space], axis=1))
 
     @cached_property
     def stiffness(self) -> np.ndarray:
         """Precision of the estimate along each direction, (f,), prior included."""
-        return locked(self.spectrum.values**2 + self.noise**2 * _with_prior(self.spectrum.values, self.noise))
+        return read_only(self.spectrum.values**2 + self.noise**2 * _with_prior(self.spectrum.values, self.noise))
 
     @property
     def unseen(self) -> np.ndarray:
@@ -134,7 +134,7 @@ class FitSolution:
         conditions = np.zeros((len(datum), len(scale)))
         conditions[:, :machine] = datum
         whole = np.concatenate([self.triangle[:, :-1] * scale, DATUM_WEIGHT * conditions])[:, kept]
-        return int(np.count_nonzero(np.linalg.svd(whole, compute_uv=False) > WEAKEST))
+        return int(np.count_nonzero(np.linalg.svd(whole, compute_uv=False) > SINGULAR_VALUE_TOLERANCE))
 
     def determinability(self, unknowns: Unknowns, readings: int) -> Determinability:
         """Return what the readings determine, with names and the user's units.
@@ -143,10 +143,10 @@ class FitSolution:
             unknowns: unknowns of the machine.
             readings: number of readings.
         """
-        return Determinability(named(unknowns, self.setup), self.spectrum, WEAKEST, readings)
+        return Determinability(all_unknowns(unknowns, self.setup), self.spectrum, SINGULAR_VALUE_TOLERANCE, readings)
 
 
-def named(unknowns: Unknowns, setup: SetUp) -> tuple[Unknown, ...]:
+def all_unknowns(unknowns: Unknowns, setup: SetUp) -> tuple[Unknown, ...]:
     """Return every unknown of a machine and its set-up with a name for the user.
 
     Args:
@@ -157,10 +157,10 @@ def named(unknowns: Unknowns, setup: SetUp) -> tuple[Unknown, ...]:
         Unknown(_name(column, unknowns), unit_of(column.entity), size)
         for column, size in zip(unknowns.columns, unknowns.plausible.tolist(), strict=True)
     ]
-    return (*found, *named_setup(setup))
+    return (*found, *setup_unknowns(setup))
 
 
-def named_setup(setup: SetUp) -> tuple[Unknown, ...]:
+def setup_unknowns(setup: SetUp) -> tuple[Unknown, ...]:
     """Return every unknown of a set-up with a name for the user."""
     found = []
     for name, size in zip(setup.names, setup.plausible, strict=True):
@@ -199,7 +199,7 @@ def solve(
     """
     problem = _Problem.of(network, setup, noise, precision)
     iterate = _Iterate(theta, setup)
-    weakest = LEAST_STRENGTH if precision is not None else WEAKEST
+    weakest = LEAST_STRENGTH if precision is not None else SINGULAR_VALUE_TOLERANCE
     taken, halved, before, last = 0, 0, np.inf, iterate
     newton_steps: list[np.ndarray] = []
     steps_taken: list[np.ndarray] = []
@@ -307,7 +307,7 @@ class _Problem:
         basis = np.concatenate([all_directions.directions, all_directions.null_space], axis=1)
         seen = int(np.count_nonzero(all_directions.values > self.noise))
         return left, Spectrum(
-            all_directions.scale, all_directions.values, locked(basis[:, :seen]), locked(basis[:, seen:])
+            all_directions.scale, all_directions.values, read_only(basis[:, :seen]), read_only(basis[:, seen:])
         )
 
     def solution(
@@ -334,7 +334,7 @@ class _Problem:
 
 def _with_prior(strength: np.ndarray, noise: float) -> np.ndarray:
     """Return (f,) one for each direction on which the prior acts: if the model fits, those that the readings do not determine."""
-    return np.ones_like(strength) if noise > 1.0 else (strength <= WEAKEST).astype(float)
+    return np.ones_like(strength) if noise > 1.0 else (strength <= SINGULAR_VALUE_TOLERANCE).astype(float)
 
 
 def factor(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray) -> np.ndarray:
@@ -357,7 +357,7 @@ def factor(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray
             found = _append_rows(found, both.reshape(size, -1).T)
         return found
 
-    whole, *others = side_by_side(network.row_chunks, summed)
+    whole, *others = map_chunks(network.row_chunks, summed)
     for part in others:
         whole = _append_rows(whole, np.asfortranarray(np.triu(part)))
     return np.triu(whole)

@@ -7,7 +7,7 @@ from typing import Literal, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf, f_sf
 from twin._common.units import MM
 from twin.identification.network import Network
@@ -63,7 +63,7 @@ def misfit(
     """
     chi2 = float(np.sum(whitened[used] ** 2))
     dof = float(np.count_nonzero(read[used])) - determined
-    group = repeats(data)
+    group = repeat_groups(data)
     pure_chi2, pure_dof = 0.0, 0
     order = np.flatnonzero(used)
     for pattern in np.unique(read[order], axis=0):
@@ -81,7 +81,7 @@ def misfit(
     return FitStatistics(chi2, max(dof, 0.0), p_value, pure_chi2, pure_dof, lack_p)
 
 
-def repeats(data: Measurements) -> np.ndarray:
+def repeat_groups(data: Measurements) -> np.ndarray:
     """Return (n,) the index of the point that each row repeats: same command, target, station and directions of approach."""
     keys = np.concatenate([np.round(data.positions, 6), data.approach], axis=1)
     _, pose = np.unique(keys, axis=0, return_inverse=True)
@@ -102,7 +102,7 @@ def covariance_from_repeats(data: Measurements, instrument: Instrument) -> np.nd
         InputError: fewer than ten degrees of freedom of repeats.
     """
     points = np.where(np.isfinite(data.point_mm), data.point_mm, 0.0) * MM
-    group = repeats(data)
+    group = repeat_groups(data)
     size = np.bincount(group)
     dof = int(np.sum(np.maximum(size - 1, 0)))
     if dof < 10:
@@ -113,7 +113,7 @@ def covariance_from_repeats(data: Measurements, instrument: Instrument) -> np.nd
         )
     mean = np.stack([np.bincount(group, points[:, i]) / size for i in range(3)], axis=1)
     deviations = np.where(size[group, None] > 1, points - mean[group], 0.0)
-    return locked(instrument.pooled(points, deviations, dof))
+    return read_only(instrument.pooled(points, deviations, dof))
 
 
 def covariance_of(network: Network, solution: FitSolution, weight: np.ndarray, spread: Spread) -> np.ndarray:

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.units import MM
 from twin.identification.setup import SetUp
 from twin.machine.machine import Machine
@@ -238,7 +238,9 @@ def _with_fitted_rotations(equations: _Equations, rotation: np.ndarray, weight: 
     of_stations, place = np.split(full, [equations.station_unknowns])
     origin = of_stations.reshape(-1, 12)[:, 9:] - _rotate_each(rotation, equations.centre)
     origin = np.where(initial.station_known[:, None], initial.origin, origin)
-    setup = replace(initial, rotation=locked(rotation), origin=locked(origin), place=locked(place.reshape(-1, 3)))
+    setup = replace(
+        initial, rotation=read_only(rotation), origin=read_only(origin), place=read_only(place.reshape(-1, 3))
+    )
     return InitialSetUp(setup, np.where(equations.whole, misfit, 0.0))
 
 
@@ -300,7 +302,7 @@ def _by_lengths(initial: SetUp, lengths: _Lengths) -> InitialSetUp:
         # From one target, so that on the tool side its unknown place only shifts the station.
         of = of[lengths.target[of] == np.bincount(lengths.target[of]).argmax()]
         origin[i], dead[i] = _multilateration(points[of], lengths.length[of])
-    setup = replace(initial, origin=locked(origin), dead=locked(dead))
+    setup = replace(initial, origin=read_only(origin), dead=read_only(dead))
     for _ in range(SWEEPS):
         setup, change, misfit = lengths.step(setup)
         if change < 1e-9:

@@ -8,7 +8,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.json_form import json_form
 from twin._common.units import URAD
 from twin.machine.calibration import Calibration
@@ -68,9 +68,9 @@ class TableTilt:
         covariance = jacobian @ matrix @ jacobian.T
         return cls(
             tuple(at.items()),
-            locked(np.asarray(value).ravel() / URAD),
-            locked(np.sqrt(np.diag(covariance))),
-            locked(covariance),
+            read_only(np.asarray(value).ravel() / URAD),
+            read_only(np.sqrt(np.diag(covariance))),
+            read_only(covariance),
             tuple(name for name in names if name not in found),
         )
 

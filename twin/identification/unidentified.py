@@ -15,7 +15,7 @@ from twin.identification.unknowns import Unknowns
 from twin.machine.effects import split_name
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
-from twin.numerics.observability import UNSEEN
+from twin.numerics.observability import NOT_DETERMINED
 
 SAYS_LESS: Final = "these data determine it no better than its prior"
 
@@ -37,7 +37,7 @@ class Unidentified:
 def held_by_prior(model: DeterminedModel, solution: FitSolution) -> list[str]:
     """Return the names of the errors in the estimate that the readings, with their noise, determine no better than the prior."""
     unknowns = model.network.unknowns
-    unseen = solution.unseen[: len(unknowns)] > UNSEEN
+    unseen = solution.unseen[: len(unknowns)] > NOT_DETERMINED
     return [name for name in unknowns.entities if name in model.confounded or unknowns.lowest_unseen(name, unseen)]
 
 

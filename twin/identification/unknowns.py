@@ -19,7 +19,7 @@ from typing import final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.units import UM
 from twin.machine.calibration import Calibration
 from twin.machine.datum.conditions import along, turning_patterns
@@ -30,7 +30,7 @@ from twin.machine.motion_curve import Curve
 from twin.measurement.table import CARRIERS, Measurements
 from twin.numerics.covariance import Covariance
 from twin.numerics.curves import Basis, CurveSpace
-from twin.numerics.observability import UNSEEN
+from twin.numerics.observability import NOT_DETERMINED
 
 
 @final
@@ -89,7 +89,7 @@ class Unknowns:
             + [UnknownNumber(offset_name(name), 0) for name in self.offsets]
         )
         self.index = {column: i for i, column in enumerate(self.columns)}
-        self.plausible = locked(
+        self.plausible = read_only(
             np.array([machine.plausible(column.entity) for column in self.columns], dtype=float).reshape(-1)
         )
         self._frames = {(frame.axis, frame.role): i for i, frame in enumerate(machine.frames)}
@@ -100,7 +100,7 @@ class Unknowns:
     ) -> Unknowns:
         """Return all unknowns that a table's positions can determine; arguments as of `spaces_for`."""
         spaces, constants = spaces_for(machine, data.positions, bases=bases, most=most, wanted=wanted)
-        return cls(machine, spaces, constants, axes_told(machine, data))
+        return cls(machine, spaces, constants, axes_with_known_places(machine, data))
 
     def __len__(self) -> int:
         return len(self.columns)
@@ -121,7 +121,7 @@ class Unknowns:
 
     def without_unseen_offset(self, unseen: np.ndarray) -> Unknowns:
         """Return these without the least determined constant of a curve; the same object if all are determined."""
-        name = offset_unseen(self, unseen)
+        name = least_determined_offset(self, unseen)
         if name is None:
             return self
         offsets = [one for one in self.offsets if one != name]
@@ -197,7 +197,7 @@ class Unknowns:
                                 row[self.index[UnknownNumber(space.name, k)]] = inner[k]
                     if np.abs(row).max(initial=0.0) > 1e-9:
                         rows.append(row / np.linalg.norm(row))
-        return locked(np.array(rows).reshape(len(rows), len(self)))
+        return read_only(np.array(rows).reshape(len(rows), len(self)))
 
     def calibration(
         self, theta: np.ndarray, kept: Sequence[int], source: str, covariance: np.ndarray | None
@@ -230,7 +230,7 @@ class Unknowns:
             if space.name in self.offsets:
                 block[:, self.index[UnknownNumber(offset_name(space.name), 0)]] = written[:, 0]
             unit = unit_of(space.name)
-            own = None if covariance is None else locked(_symmetric(block @ covariance @ block.T))
+            own = None if covariance is None else read_only(_symmetric(block @ covariance @ block.T))
             values = tuple(float(v) for v in block @ theta)
             curves[space.name] = Curve(space.name, unit, space.domain, space.basis.name, values, own)
             rows += list(block)
@@ -244,7 +244,9 @@ class Unknowns:
                 names.append(name)
         matrix = np.array(rows).reshape(-1, len(self))
         joint = (
-            None if covariance is None else Covariance(tuple(names), locked(_symmetric(matrix @ covariance @ matrix.T)))
+            None
+            if covariance is None
+            else Covariance(tuple(names), read_only(_symmetric(matrix @ covariance @ matrix.T)))
         )
         squareness = {name: value for name, value in constants.items() if name in self.machine.squareness_names}
         location = {name: value for name, value in constants.items() if name in self.machine.location_names}
@@ -305,7 +307,7 @@ def offset_name(name: str) -> str:
     return f"{name} constant"
 
 
-def offset_unseen(unknowns: Unknowns, unseen: np.ndarray) -> str | None:
+def least_determined_offset(unknowns: Unknowns, unseen: np.ndarray) -> str | None:
     """Return the curve whose constant is determined least, or None if all are determined.
 
     Stations, locations or another constant can compensate it. One at a time: of two confounded constants, one may stay.
@@ -316,10 +318,10 @@ def offset_unseen(unknowns: Unknowns, unseen: np.ndarray) -> str | None:
     """
     of = {name: float(unseen[unknowns.index[UnknownNumber(offset_name(name), 0)]]) for name in unknowns.offsets}
     worst = max(of, key=lambda name: round(of[name], 6), default=None)
-    return worst if worst is not None and of[worst] > UNSEEN else None
+    return worst if worst is not None and of[worst] > NOT_DETERMINED else None
 
 
-def axes_told(machine: Machine, data: Measurements) -> tuple[str, ...]:
+def axes_with_known_places(machine: Machine, data: Measurements) -> tuple[str, ...]:
     """Return the axes next to a carrier on which every target's place and every station's pose is given."""
     found = []
     for side in CARRIERS:

@@ -13,7 +13,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import MM, URAD
 from twin.compute.batch import BatchFunction
@@ -64,7 +64,7 @@ class Poses:
         """
         if len(nominal) != len(self):
             raise InputError("the number of nominal poses differs", expected=f"{len(self)} poses", value=len(nominal))
-        return locked(tilt(np.einsum("nij,ni->nj", nominal.rotation, self.axis)) / URAD)
+        return read_only(tilt(np.einsum("nij,ni->nj", nominal.rotation, self.axis)) / URAD)
 
     def __len__(self) -> int:
         return len(self.point_mm)
@@ -230,7 +230,7 @@ class Kinematics:
         """
         q = self.check(positions)
         rotation, point = self.reached(q * self.machine.scale, approach)
-        return Poses(locked(point / MM), locked(rotation.reshape(-1, 3, 3).transpose(0, 2, 1)))
+        return Poses(read_only(point / MM), read_only(rotation.reshape(-1, 3, 3).transpose(0, 2, 1)))
 
     def error_frames(self, positions: Any, approach: Any = None) -> np.ndarray:
         """Return (n, frames, 6) error frames at commands: metres and rotation vectors in radians, in the order of ``machine.frames``.
@@ -240,7 +240,7 @@ class Kinematics:
         """
         q = self.check(positions)
         (errors,) = BatchFunction(self.errors)(*self.rows(q * self.machine.scale, approach))
-        return locked(errors.reshape(len(q), -1, 6))
+        return read_only(errors.reshape(len(q), -1, 6))
 
     def sensitivities(self, positions: Any, approach: Any = None) -> Sensitivities:
         """Return the derivatives of the pose by the commands and by every error motion.
@@ -252,7 +252,7 @@ class Kinematics:
         command, error = self._sensitivities(*self.rows(q * self.machine.scale, approach))
         shape = (len(q), -1, 6)
         return Sensitivities(
-            locked(command.reshape(shape).transpose(0, 2, 1)), locked(error.reshape(shape).transpose(0, 2, 1))
+            read_only(command.reshape(shape).transpose(0, 2, 1)), read_only(error.reshape(shape).transpose(0, 2, 1))
         )
 
     def check(self, positions: Any) -> np.ndarray:

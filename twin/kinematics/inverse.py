@@ -15,11 +15,11 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM
 from twin.compute.native import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, InverseProblem, Solver
-from twin.display import card, first_rows, fixed, note, pairs, several, table
+from twin.display import card, count_with_noun, first_rows, fixed, note, pairs, table
 from twin.kinematics.forward import Kinematics, Poses
 from twin.kinematics.newton import Steps
 
@@ -76,7 +76,7 @@ class Solution:
         ``singular``: the point is reached, but the orientation is not within the allowed motion of the rotary axes. ``out of range``: a
         command leaves an axis's range or a curve's domain, or no solution was found.
         """
-        return locked(_STATUS[self.code])
+        return read_only(_STATUS[self.code])
 
     def where(self, status: Status) -> np.ndarray:
         """Return (n,) whether each pose has that status."""
@@ -103,7 +103,7 @@ class Solution:
         )
         headers = [*(f"axis {i + 1}" for i in range(axes)), "status"]
         caption = note("commands in command order, mm and degrees")
-        title = f"Solution for {several(len(self.code), 'pose')}"
+        title = f"Solution for {count_with_noun(len(self.code), 'pose')}"
         return card(title, summary, table(headers, rows, right=range(axes)), rest, caption, wrong=not met).text
 
 
@@ -178,9 +178,9 @@ class Inverse:
             )
         )
         return Solution(
-            locked(found.positions),
-            locked(found.code),
-            locked(found.distance),
-            locked(found.axis_angle_rad),
+            read_only(found.positions),
+            read_only(found.code),
+            read_only(found.distance),
+            read_only(found.axis_angle_rad),
             found.iterations,
         )

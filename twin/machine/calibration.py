@@ -12,11 +12,19 @@ from typing import Any, final
 import numpy as np
 import yaml
 
-from twin._common.arrays import locked
-from twin._common.errors import InputError, nearest
-from twin._common.files import write_whole
-from twin._common.provenance import ILLUSTRATIVE, PARTLY_UNKNOWN, SIMULATED, UNKNOWN, UNSETTLED, SourceWarning, texts
-from twin._common.yaml_files import LARGEST, Place, line_of, load_yaml
+from twin._common.arrays import read_only
+from twin._common.errors import InputError, closest_name
+from twin._common.files import write_atomic
+from twin._common.provenance import (
+    ILLUSTRATIVE,
+    PARTLY_UNKNOWN_UNCERTAINTY,
+    SIMULATED,
+    UNKNOWN_UNCERTAINTY,
+    UNSETTLED_ESTIMATE,
+    SourceWarning,
+    warning_texts,
+)
+from twin._common.yaml_files import MAX_VALUE, EntryPath, line_of, load_yaml
 from twin.display import card, note
 from twin.machine.calibration_file import CalibrationFile, ControlEntry, CovarianceEntry, CurveEntry, effects_of
 from twin.machine.control import ControlSection, TableEntry, read_tables
@@ -31,11 +39,11 @@ from twin.machine.effects import (
     Squareness,
     split_name,
 )
-from twin.machine.effects.empirical import check_ranges, state_name
+from twin.machine.effects.empirical import channel_name, check_ranges
 from twin.machine.effects.entries import entry_of, payload_entries
 from twin.machine.empirical_entry import entry_of_empirical
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve, added, conversion_of
+from twin.machine.motion_curve import Curve, conversion_of, sum_of_curves
 from twin.numerics.covariance import Covariance, not_a_covariance
 from twin.numerics.curves import Basis, basis_named
 
@@ -138,7 +146,7 @@ class Calibration:
 
     def save(self, path: str | Path) -> None:
         """Write the file atomically."""
-        write_whole(Path(path), self.to_yaml(Path(path).parent))
+        write_atomic(Path(path), self.to_yaml(Path(path).parent))
 
     def to_yaml(self, folder: Path | None = None) -> str:
         """Return the text of the calibration file; reading it gives the same calibration.
@@ -309,7 +317,7 @@ class Calibration:
         for effect in effects:
             if isinstance(effect, ErrorMotion):
                 motions.setdefault(effect.name, []).append(effect)
-                curves[effect.name] = added(curves.get(effect.name), effect)
+                curves[effect.name] = sum_of_curves(curves.get(effect.name), effect)
             elif isinstance(effect, Squareness):
                 squareness[effect.name] = squareness.get(effect.name, 0.0) + effect.angle_urad
             elif isinstance(effect, AxisLocation):
@@ -349,11 +357,11 @@ class Calibration:
         """Warnings about the origin of the numbers; every file made from them repeats these."""
         found = [ILLUSTRATIVE] if self.illustrative else []
         found += [SIMULATED] if self.simulated else []
-        found += [] if self.settled else [UNSETTLED]
+        found += [] if self.settled else [UNSETTLED_ESTIMATE]
         numbers = {parameter.name for effect in self.effects for parameter in effect.parameters}
         known = numbers.intersection(self.covariance.names)
         if known != numbers:
-            found.append(PARTLY_UNKNOWN if known else UNKNOWN)
+            found.append(PARTLY_UNKNOWN_UNCERTAINTY if known else UNKNOWN_UNCERTAINTY)
         return tuple(found)
 
     def _repr_html_(self) -> str:
@@ -364,7 +372,10 @@ class Calibration:
         small = "no errors (nominal machine)" if self.empty else ""
         title = f"Calibration of {self.machine.name}"
         # The card itself marks illustrative numbers, and `about` lists what has no uncertainty.
-        warnings = (note(text, loud=True) for text in texts([w for w in self.warnings if w in (SIMULATED, UNSETTLED)]))
+        warnings = (
+            note(text, loud=True)
+            for text in warning_texts([w for w in self.warnings if w in (SIMULATED, UNSETTLED_ESTIMATE)])
+        )
         return card(title, *warnings, errors, about, small=small, illustrative=self.illustrative).text
 
     @cached_property
@@ -377,7 +388,7 @@ class Calibration:
         found = self.outside_domains(positions)
         for effect in self.empirical:
             for column, outside in effect.outside(self.state(positions)).items():
-                found[:, self.machine.names.index(state_name(column))] |= outside
+                found[:, self.machine.names.index(channel_name(column))] |= outside
         return found
 
     def outside_domains(self, positions: np.ndarray) -> np.ndarray:
@@ -421,24 +432,26 @@ class _Check:
     """Checks of a calibration file that need the machine."""
 
     path: Path
-    lines: Mapping[Place, int]
+    lines: Mapping[EntryPath, int]
     machine: Machine
 
-    def fail(self, place: Place, what: str, expected: str, value: object, meant: str | None = None) -> InputError:
+    def fail(self, place: EntryPath, what: str, expected: str, value: object, meant: str | None = None) -> InputError:
         line = line_of(place, self.lines)
-        return InputError(what, expected=expected, file=self.path, line=line, value=value, nearest=meant)
+        return InputError(what, expected=expected, file=self.path, line=line, value=value, closest_name=meant)
 
-    def name(self, place: Place, name: str, allowed: tuple[str, ...]) -> None:
+    def name(self, place: EntryPath, name: str, allowed: tuple[str, ...]) -> None:
         if name not in allowed:
             what = f"{self.machine.name} has no such entry under {place[0]}"
-            raise self.fail(place, what, f"one of {', '.join(allowed)}", name, nearest(name, allowed))
+            raise self.fail(place, what, f"one of {', '.join(allowed)}", name, closest_name(name, allowed))
 
     def datum(self, stated: str | None, calibration: Calibration) -> None:
         if stated is None:
             return
         known = next((datum for datum in DATUMS if datum == stated), None)
         if known is None:
-            raise self.fail(("datum",), "no such datum", f"one of {', '.join(DATUMS)}", stated, nearest(stated, DATUMS))
+            raise self.fail(
+                ("datum",), "no such datum", f"one of {', '.join(DATUMS)}", stated, closest_name(stated, DATUMS)
+            )
         found = violation(calibration._numbers, known)
         if found is not None:
             curve, what, amount = found
@@ -448,7 +461,7 @@ class _Check:
             raise self.fail(("datum",), wrong, expected, f"{amount:.4g} {unit}")
 
     def curve(self, name: str, entry: CurveEntry) -> Curve:
-        place: Place = ("curves", name)
+        place: EntryPath = ("curves", name)
         self.name(place, name, self.machine.motion_names)
         component, _, axis_name = split_name(name)
         axis = self.machine.by_name[axis_name]
@@ -483,7 +496,7 @@ class _Check:
             knots=entry.knots,
         )
 
-    def basis(self, place: Place, entry: CurveEntry) -> Basis:
+    def basis(self, place: EntryPath, entry: CurveEntry) -> Basis:
         part = "basis"
         try:
             kind = basis_named(entry.basis)
@@ -496,7 +509,7 @@ class _Check:
             raise self.fail((*place, "knots"), "knots that do not fit this curve", misfit, list(entry.knots))
         return basis
 
-    def covariance(self, place: Place, entry: CurveEntry) -> np.ndarray | None:
+    def covariance(self, place: EntryPath, entry: CurveEntry) -> np.ndarray | None:
         if entry.covariance is None:
             return None
         count = len(entry.coefficients)
@@ -508,7 +521,7 @@ class _Check:
         problem = not_a_covariance(matrix)
         if problem is not None:
             raise self.fail(place, "not a covariance", "a positive semi-definite matrix", problem)
-        return locked(matrix)
+        return read_only(matrix)
 
     def control(self, entry: ControlEntry) -> ControlSection:
         folder = self.path.parent
@@ -522,7 +535,7 @@ class _Check:
         for name in entry.parameters:
             if name not in known:
                 what = "a covariance of a parameter that is not in this file"
-                raise self.fail(("covariance",), what, "its parameters", name, nearest(name, known))
+                raise self.fail(("covariance",), what, "its parameters", name, closest_name(name, known))
             if entry.parameters.count(name) > 1:
                 raise self.fail(("covariance",), "a parameter given twice", "each parameter once", name)
         try:
@@ -531,8 +544,8 @@ class _Check:
             raise self.fail(
                 ("covariance", "lower"), "not a covariance", "the lower triangle, one row per line", error
             ) from None
-        if np.any(np.abs(found.matrix) > LARGEST):
-            raise self.fail(("covariance", "lower"), "too large a number", f"at most {LARGEST:g}", "")
+        if np.any(np.abs(found.matrix) > MAX_VALUE):
+            raise self.fail(("covariance", "lower"), "too large a number", f"at most {MAX_VALUE:g}", "")
         for curve in calibration.curves.values():
             names = [f"{curve.name}[{k}]" for k in range(len(curve.coefficients))]
             whole = set(names) <= set(entry.parameters)

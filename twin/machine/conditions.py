@@ -13,7 +13,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.errors import InputError, nearest
+from twin._common.errors import InputError, closest_name
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
 from twin.machine.machine import Machine
@@ -59,7 +59,7 @@ class Conditions:
                     "temperature of neither an axis nor a sensor of the model",
                     expected=f"one of {', '.join(known)}",
                     value=name,
-                    nearest=nearest(name, known),
+                    closest_name=closest_name(name, known),
                 )
             if not low <= value <= high:
                 raise InputError(
@@ -96,16 +96,16 @@ def needed(calibration: Calibration) -> dict[str, tuple[str, ...]]:
     """Return the channels, other than positions and directions of approach, that a calibration needs, each with its effects."""
     return {
         name: by
-        for name, by in asked(calibration.effects, calibration.machine).items()
+        for name, by in required_channels(calibration.effects, calibration.machine).items()
         if not name.startswith(APPROACH)
     }
 
 
-def asked(effects: Sequence[Effect], machine: Machine) -> dict[str, tuple[str, ...]]:
+def required_channels(effects: Sequence[Effect], machine: Machine) -> dict[str, tuple[str, ...]]:
     """Return the channels, other than positions, that the effects need, each with the names of its effects."""
     found: dict[str, tuple[str, ...]] = {}
     for effect in effects:
-        state = Listening(machine)
+        state = RecordingState(machine)
         effect.components(state)
         for name in state.asked:
             found[name] = (*found.get(name, ()), effect.name)
@@ -113,7 +113,7 @@ def asked(effects: Sequence[Effect], machine: Machine) -> dict[str, tuple[str, .
 
 
 @final
-class Listening(dict[str, Any]):
+class RecordingState(dict[str, Any]):
     """State of one pose inside the ranges that answers any request for a channel and records its name.
 
     Args:

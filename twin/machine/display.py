@@ -17,6 +17,7 @@ from twin.display import (
     Html,
     card,
     chips,
+    count_with_noun,
     graph,
     joined,
     measured,
@@ -24,7 +25,6 @@ from twin.display import (
     pairs,
     plain,
     readable,
-    several,
     span,
     strip,
     table,
@@ -97,7 +97,7 @@ def motion_html(motion: ErrorMotion, covariance: np.ndarray | None, *, source: s
         q, _values(motion, q), half, f"{axis} ({across})", f"{motion.name} ({readable(unit_of(motion.name))})"
     )
     band = "band: 95 % interval" if covariance is not None else f"uncertainty {UNKNOWN}: no covariance"
-    small = f"{motion.basis.name}, {several(len(names), 'coefficient')}"
+    small = f"{motion.basis.name}, {count_with_noun(len(names), 'coefficient')}"
     return card(motion.name, drawn, note(band), note(source), small=small, illustrative=illustrative)
 
 

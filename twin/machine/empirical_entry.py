@@ -26,10 +26,10 @@ from typing import Any, Final, Literal, final
 import numpy as np
 import pinocchio as pin
 
-from twin._common.errors import InputError, nearest
+from twin._common.errors import InputError, closest_name
 from twin.machine.effects import Empirical, Frame
 from twin.machine.effects.base import rest_orientation
-from twin.machine.effects.empirical import FrameRotation, state_name
+from twin.machine.effects.empirical import FrameRotation, channel_name
 from twin.machine.effects.waves import APPROACH, Kind, Waves
 from twin.machine.machine import ErrorFrame, Machine
 
@@ -96,7 +96,10 @@ def empirical_named(
         if name not in known:
             expected = f"{known[0]} … {known[-1]}"
             raise InputError(
-                f"no such parameter of {NAME} {where}", expected=expected, value=name, nearest=nearest(name, known)
+                f"no such parameter of {NAME} {where}",
+                expected=expected,
+                value=name,
+                closest_name=closest_name(name, known),
             )
         if abs(value) > MAX_COEFFICIENT_UM:
             expected = f"at most {MAX_COEFFICIENT_UM:g} µm"
@@ -143,7 +146,7 @@ def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, Fram
     return Frame(last.axis, last.role), FrameRotation(constant, axis.name, 0.5 * (start - half), quarter - constant)
 
 
-def where_of(side: str, columns: Sequence[Waves], taken: Sequence[str]) -> str:
+def unused_place(side: str, columns: Sequence[Waves], taken: Sequence[str]) -> str:
     """Return the place of a new effect, with a number if the place is already in use.
 
     Args:
@@ -180,7 +183,7 @@ def entry_of_empirical(effect: Empirical) -> dict[str, Any]:
     }
 
 
-def usable(column: str, machine: Machine) -> bool:
+def available_in_programs(column: str, machine: Machine) -> bool:
     """Return whether a column is available when a program is compensated: positions, directions of approach, temperatures; not time."""
     axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
     return column in axes or column.removeprefix(APPROACH) in machine.names or _temperature(column)
@@ -193,15 +196,15 @@ def _temperature(column: str) -> bool:
 def _waves(where: str, given: ColumnSpec, machine: Machine) -> Waves:
     """Return one column after checking it."""
     name, what = given.column, f"{given.column} of {NAME} {where}"
-    axis = machine.by_name.get(state_name(name))
-    if not usable(name, machine):
+    axis = machine.by_name.get(channel_name(name))
+    if not available_in_programs(name, machine):
         columns = [f"{axis_entry.name}_{axis_entry.unit}" for axis_entry in machine.axes]
         columns += [f"{APPROACH}{axis_name}" for axis_name in machine.names]
         raise InputError(
             f"no such column for {NAME} {where}",
             expected=f"{', '.join(columns)} or T_<sensor>_degC",
             value=name,
-            nearest=nearest(name, columns),
+            closest_name=closest_name(name, columns),
         )
     allowed: tuple[Kind, ...] = ("half_waves",)
     if name.startswith(APPROACH):

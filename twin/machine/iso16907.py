@@ -12,9 +12,9 @@ from typing import Final, final, get_args
 
 import numpy as np
 
-from twin._common.errors import InputError, nearest
+from twin._common.errors import InputError, closest_name
 from twin.display import card, pairs
-from twin.machine.conditions import Listening
+from twin.machine.conditions import RecordingState
 from twin.machine.control import BasicClass
 from twin.machine.effects import ControlCorrection, Effect, split_name
 from twin.machine.machine import DIRECTIONS, Machine
@@ -55,7 +55,7 @@ def iso_class(name: str, machine: Machine) -> str:
     return "R-POS" if component - 3 == along else "R-ANG"
 
 
-def acts_as(effect: Effect, machine: Machine) -> str:
+def error_motion_of(effect: Effect, machine: Machine) -> str:
     """Return the error motion to which an effect contributes: E_YY for backlash of Y.
 
     The name of an error motion, squareness or location is returned unchanged; for corrections of the control it is ``control``.
@@ -68,7 +68,7 @@ def acts_as(effect: Effect, machine: Machine) -> str:
         return effect.name
     if isinstance(effect, ControlCorrection):
         return CONTROL
-    rates = effect.derivatives(Listening(machine))[0]
+    rates = effect.derivatives(RecordingState(machine))[0]
     largest = max(rates, key=lambda component: float(np.max(np.abs(rates[component]))))
     average = "0" if effect.frame.role == "location" else ""
     return f"E_{DIRECTIONS[largest]}{average}{effect.frame.axis}"
@@ -109,7 +109,7 @@ class Scope:
                     "no such class of ISO/TR 16907",
                     expected=f"some of {' '.join(NAMES)}",
                     value=name,
-                    nearest=nearest(upper, NAMES),
+                    closest_name=closest_name(upper, NAMES),
                 )
             found.update(COMBINED.get(upper, (upper,)))
         if not found:

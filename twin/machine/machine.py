@@ -21,10 +21,10 @@ from typing import Final, Literal, final
 import numpy as np
 import pinocchio as pin
 
-from twin._common.arrays import locked
-from twin._common.errors import InputError, nearest
+from twin._common.arrays import read_only
+from twin._common.errors import InputError, closest_name
 from twin._common.units import DEG, MM
-from twin._common.yaml_files import Place, line_of, load_yaml
+from twin._common.yaml_files import EntryPath, line_of, load_yaml
 from twin.display import Cell, card, chain, pairs, span, table
 from twin.machine.machine_file import (
     SCHEMA,
@@ -190,7 +190,7 @@ class Machine:
     @cached_property
     def scale(self) -> np.ndarray:
         """Metres per millimetre or radians per degree (axes,), in command order."""
-        return locked(np.array([axis.scale for axis in self.axes]))
+        return read_only(np.array([axis.scale for axis in self.axes]))
 
     @cached_property
     def limits(self) -> np.ndarray:
@@ -201,7 +201,7 @@ class Machine:
             else (axis.lower * axis.scale, axis.upper * axis.scale)
             for axis in self.axes
         ]
-        return locked(np.array(rows))
+        return read_only(np.array(rows))
 
     @property
     def linear(self) -> tuple[int, ...]:
@@ -349,7 +349,7 @@ class Machine:
         joint = next(candidate.joint for candidate in self.frames if candidate.axis == name)
         return joint in self.model.supports[self.model.frames[frame].parentJoint].tolist()
 
-    def _check_paths(self, path: Path, lines: Mapping[Place, int]) -> None:
+    def _check_paths(self, path: Path, lines: Mapping[EntryPath, int]) -> None:
         for index, axis in enumerate(self.axes):
             if not any(self._carries(axis.name, frame) for frame in (self.tool_frame, self.work_frame)):
                 raise InputError(
@@ -384,7 +384,7 @@ def find_bundled(name: str | Path, suffix: str, expected: str) -> Path:
         "not found",
         expected=f"{expected}, or one that comes with twin ({', '.join(known)})",
         file=path,
-        nearest=nearest(path.name, meant),
+        closest_name=closest_name(path.name, meant),
     )
 
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from twin._common.errors import InputError
 from twin._common.units import DEG
-from twin._common.yaml_files import Place, line_of
+from twin._common.yaml_files import EntryPath, line_of
 from twin.machine.urdf_file import read_urdf
 
 SCHEMA = "twin.machine/1"
@@ -107,15 +107,15 @@ def load_urdf(path: Path) -> pin.Model:
         ) from error
 
 
-def check_entries(entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[Place, int]) -> None:
+def check_entries(entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[EntryPath, int]) -> None:
     """Raise `InputError` unless the axes and frames of a machine file are in its URDF, each once, with a range."""
     joints = [name for name in source.names if name != "universe"]
     seen: set[str] = set()
     used: set[str] = set()
     for index, entry in enumerate(entries.axes):
-        place: Place = ("axes", index)
+        place: EntryPath = ("axes", index)
 
-        def fail(key: str, what: str, expected: str, value: object, place: Place = place) -> InputError:
+        def fail(key: str, what: str, expected: str, value: object, place: EntryPath = place) -> InputError:
             return InputError(what, expected=expected, file=path, line=line_of((*place, key), lines), value=value)
 
         if entry.name in seen:
@@ -148,7 +148,7 @@ def check_entries(entries: MachineFile, source: pin.Model, path: Path, lines: Ma
     _check_frames(entries, source, path, lines)
 
 
-def _check_frames(entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[Place, int]) -> None:
+def _check_frames(entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[EntryPath, int]) -> None:
     bodies = [frame.name for frame in source.frames if frame.type == pin.FrameType.BODY]
     for key in ("tool", "work"):
         if getattr(entries.frames, key) not in bodies:
@@ -171,7 +171,7 @@ def _check_frames(entries: MachineFile, source: pin.Model, path: Path, lines: Ma
 
 
 def turns_in_machine_frame(
-    entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[Place, int]
+    entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[EntryPath, int]
 ) -> dict[str, np.ndarray]:
     """Return the rotation of every axis's error frame in the machine frame, all joints at zero.
 

@@ -7,7 +7,7 @@ from typing import Any, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.machine.display import motion_html
 from twin.machine.effects import ErrorMotion, unit_of
@@ -97,11 +97,11 @@ class Curve:
             basis=basis,
             knots=(),
             coefficients=tuple(float(v) for v in matrix @ self.coefficients),
-            covariance=None if self.covariance is None else locked(matrix @ self.covariance @ matrix.T),
+            covariance=None if self.covariance is None else read_only(matrix @ self.covariance @ matrix.T),
         )
 
 
-def added(curve: Curve | None, motion: ErrorMotion) -> Curve:
+def sum_of_curves(curve: Curve | None, motion: ErrorMotion) -> Curve:
     """Return the sum of two curves over the same domain, in the basis of the first.
 
     Raises:

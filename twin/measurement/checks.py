@@ -12,7 +12,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.machine.machine import Axis
 
@@ -330,4 +330,4 @@ def place_by_name(
                 value=", ".join(f"{value:g}" for value in values[other[0]]),
             )
         found[of] = values[stated[0]]
-    return locked(found)
+    return read_only(found)

@@ -9,7 +9,7 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.csv_tables import Cells
 from twin.machine.machine import Machine
 from twin.measurement.instruments.base import SIDES
@@ -48,7 +48,7 @@ class TableColumns(NamedTuple):
         if self.kind == "words":
             return cells.words(self.columns[0], self.default)
         columns = [getattr(cells, self.kind)(name) for name in self.columns]
-        return columns[0] if self.field in ONE_DIMENSIONAL else locked(np.stack(columns, axis=1))
+        return columns[0] if self.field in ONE_DIMENSIONAL else read_only(np.stack(columns, axis=1))
 
     def written(self, values: np.ndarray) -> dict[str, Sequence[str]]:
         """Return the columns of a file from the field, without those that have no value."""

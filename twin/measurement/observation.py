@@ -21,7 +21,7 @@ from twin.machine.effects import assemble
 from twin.machine.effects.empirical import check_ranges
 from twin.machine.machine import Machine
 from twin.measurement.instruments.base import SIDES
-from twin.measurement.table import CARRIERS, Measurements, state_of
+from twin.measurement.table import CARRIERS, Measurements, machine_state
 
 
 @final
@@ -82,7 +82,7 @@ class Observation:
         Raises:
             InputError: as `points_mm`.
         """
-        state = state_of(data, self.machine)
+        state = machine_state(data, self.machine)
         if check:
             check_ranges(calibration.empirical, state, data.lines, data.source)
             calibration.check(data.positions)

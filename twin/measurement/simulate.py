@@ -9,7 +9,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM
 from twin.machine.calibration import Calibration
@@ -45,7 +45,7 @@ class Station:
     @property
     def pose(self) -> np.ndarray:
         """Pose as a row of `Measurements.station_pose`: (6,) mm and degrees."""
-        return locked(np.array([*self.origin_mm, *(angle / DEG for angle in self.rotation_rad)]))
+        return read_only(np.array([*self.origin_mm, *(angle / DEG for angle in self.rotation_rad)]))
 
     def to_station_mm(self, points_mm: np.ndarray) -> np.ndarray:
         """Return (n, 3) points of the base frame in the station's frame."""
@@ -54,7 +54,7 @@ class Station:
 
 @final
 @dataclass(frozen=True)
-class Setting:
+class Placement:
     """Stations and places of the reflectors: known in a simulation, to be identified in an evaluation.
 
     Attributes:
@@ -66,7 +66,7 @@ class Setting:
     places_mm: Mapping[str, tuple[float, float, float]]
 
     @classmethod
-    def draw(cls, plan: Measurements, rng: np.random.Generator) -> Setting:
+    def draw(cls, plan: Measurements, rng: np.random.Generator) -> Placement:
         """Return the stations and places that the plan gives, with a plausible random draw of the others.
 
         Stations stand in front of the machine; targets sit around the spindle nose and on the table.
@@ -109,7 +109,7 @@ class Setting:
 
 @final
 @dataclass(frozen=True)
-class Surroundings:
+class Environment:
     """Ambient influences on the readings; none by default.
 
     Attributes:
@@ -171,10 +171,10 @@ def simulate(
     instrument: Instrument,
     rng: np.random.Generator,
     *,
-    setting: Setting | None = None,
+    setting: Placement | None = None,
     noise: bool = True,
-    surroundings: Surroundings | None = None,
-) -> tuple[Measurements, Setting]:
+    surroundings: Environment | None = None,
+) -> tuple[Measurements, Placement]:
     """Simulate the measurement of a plan.
 
     Args:
@@ -194,9 +194,9 @@ def simulate(
     Raises:
         InputError: a position outside the domain of a curve; a drift of an unknown station, or without ``time_s``.
     """
-    around = Surroundings() if surroundings is None else surroundings
+    around = Environment() if surroundings is None else surroundings
     around.check(plan)
-    placed = Setting.draw(plan, rng) if setting is None else setting
+    placed = Placement.draw(plan, rng) if setting is None else setting
     places = np.array([placed.places_mm[target] for target in plan.target])
     base = Observation(machine).points_mm(calibration, plan, places)
     readings = np.empty((len(plan), 3))
@@ -214,9 +214,9 @@ def simulate(
         readings[rows] = found / MM
     measured = replace(
         plan,
-        point_mm=locked(readings),
-        place_mm=locked(np.full((len(plan), 3), np.nan)),
-        station_pose=locked(np.full((len(plan), 6), np.nan)),
+        point_mm=read_only(readings),
+        place_mm=read_only(np.full((len(plan), 3), np.nan)),
+        station_pose=read_only(np.full((len(plan), 6), np.nan)),
         source="simulated",
         set_aside=(),
         notices=(),

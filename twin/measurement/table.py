@@ -15,11 +15,11 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
-from twin._common.csv_tables import Cells, not_understood, read_table
-from twin._common.errors import InputError, nearest
-from twin._common.files import write_whole
-from twin.display import Cell, card, note, pairs, several, spans
+from twin._common.arrays import read_only
+from twin._common.csv_tables import Cells, read_table, unused_column_note
+from twin._common.errors import InputError, closest_name
+from twin._common.files import write_atomic
+from twin.display import Cell, card, count_with_noun, note, pairs, spans
 from twin.machine.machine import Machine
 from twin.measurement.checks import (
     LARGEST_MM,
@@ -52,7 +52,7 @@ FEWEST_POINTS: Final = 3
 """Least number of points of a station from which its pose can be determined."""
 SMALLEST_U_MM: Final = 1e-9
 """Stated standard uncertainty below which a row is set aside, so that weights stay finite; no instrument is that good."""
-NOT_GIVEN: Final = locked(np.zeros(0))
+NOT_GIVEN: Final = read_only(np.zeros(0))
 """Placeholder for a column that a table does not have."""
 
 
@@ -133,7 +133,7 @@ class Measurements:
         for name, (shape, value) in blank.items():
             if getattr(self, name) is NOT_GIVEN:
                 kind = object if isinstance(value, str) else float
-                object.__setattr__(self, name, locked(np.full(shape, value, dtype=kind)))
+                object.__setattr__(self, name, read_only(np.full(shape, value, dtype=kind)))
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -162,7 +162,7 @@ class Measurements:
         ]
         aside = [note(f"set aside, {text}", loud=True) for text in grouped_notes(self.set_aside)]
         notices = [note(notice) for notice in self.notices]
-        return card(several(len(self), "reading"), pairs(rows), *aside, *notices, small=self.source).text
+        return card(count_with_noun(len(self), "reading"), pairs(rows), *aside, *notices, small=self.source).text
 
     def error(
         self,
@@ -171,17 +171,17 @@ class Measurements:
         expected: str,
         row: int | np.integer[Any] | None = None,
         value: object = None,
-        nearest: str | None = None,
+        closest_name: str | None = None,
     ) -> InputError:
         """Return an `InputError` about this table, with its file and the line of a row."""
         line = None if row is None else int(self.lines[row])
-        return InputError(what, expected=expected, file=self.source, line=line, value=value, nearest=nearest)
+        return InputError(what, expected=expected, file=self.source, line=line, value=value, closest_name=closest_name)
 
     def select(self, rows: np.ndarray) -> Measurements:
         """Return the table with some of its rows (indices or a mask)."""
-        picked: dict[str, Any] = {name: locked(values[rows]) for name, values in self.arrays().items()}
+        picked: dict[str, Any] = {name: read_only(values[rows]) for name, values in self.arrays().items()}
         for name in BY_COLUMN_NAME:
-            some = {key: locked(values[rows]) for key, values in getattr(self, name).items()}
+            some = {key: read_only(values[rows]) for key, values in getattr(self, name).items()}
             picked[name] = MappingProxyType(some)
         return replace(self, **picked)
 
@@ -191,7 +191,7 @@ class Measurements:
 
     def save(self, path: str | Path, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> None:
         """Write the table atomically; columns without any value are left out. Arguments as `to_csv`."""
-        write_whole(Path(path), self.to_csv(machine, comment=comment, planned=planned))
+        write_atomic(Path(path), self.to_csv(machine, comment=comment, planned=planned))
 
     def to_csv(self, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> str:
         """Return the table as text, which reads back as the same measurements. Without any coordinate it is a plan.
@@ -246,7 +246,7 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
             raise InputError(
                 f"column {name} is missing",
                 expected=f"columns {', '.join(needed)}",
-                nearest=nearest(name, [one for one in header if one not in needed]),
+                closest_name=closest_name(name, [one for one in header if one not in needed]),
                 file=path,
                 line=rows[0][0] - 1 if rows else 1,
             )
@@ -259,10 +259,10 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
     unknown_columns = [name for name in header if name not in known and name not in channels]
     values: dict[str, Any] = {part.field: part.read(reader) for part in parts if part.columns}
     if plan:
-        values["point_mm"] = locked(np.zeros((len(rows), 3)))
+        values["point_mm"] = read_only(np.zeros((len(rows), 3)))
     table = Measurements(
         source=str(path),
-        lines=locked(np.array([line for line, _ in rows], dtype=int)),
+        lines=read_only(np.array([line for line, _ in rows], dtype=int)),
         **values,
         place_mm=_places(reader, PLACE_COLUMNS, planned=plan),
         station_pose=_places(reader, STATION_COLUMNS, planned=plan),
@@ -270,7 +270,7 @@ def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measureme
         channels=MappingProxyType(channels),
         notices=(
             *(f"the file says: {text}" for text in simulated_notes),
-            *(not_understood(name, sorted(known)) for name in unknown_columns),
+            *(unused_column_note(name, sorted(known)) for name in unknown_columns),
         ),
         simulated=bool(simulated_notes),
     )
@@ -289,10 +289,10 @@ def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray
     if planned:
         planned_places = np.stack([reader.numbers(f"{PLANNED}{name}") for name in names], axis=1)
         found = np.where(np.isfinite(found).any(axis=1, keepdims=True), found, planned_places)
-    return locked(found)
+    return read_only(found)
 
 
-def joined(tables: Sequence[Measurements]) -> Measurements:
+def join_tables(tables: Sequence[Measurements]) -> Measurements:
     """Join tables of one machine, for example the rounds of an export. Line numbers remain those of each file.
 
     Raises:
@@ -302,13 +302,13 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
         raise InputError("no measurements", expected="at least one table")
     first = tables[0]
     merged: dict[str, Any] = {
-        name: locked(np.concatenate([table.arrays()[name] for table in tables])) for name in first.arrays()
+        name: read_only(np.concatenate([table.arrays()[name] for table in tables])) for name in first.arrays()
     }
     for field_name in BY_COLUMN_NAME:
         every = [getattr(table, field_name) for table in tables]
         merged[field_name] = MappingProxyType(
             {
-                name: locked(
+                name: read_only(
                     np.concatenate([o.get(name, np.full(len(t), np.nan)) for o, t in zip(every, tables, strict=True)])
                 )
                 for name in dict.fromkeys(name for own in every for name in own)
@@ -325,7 +325,7 @@ def joined(tables: Sequence[Measurements]) -> Measurements:
     return _with_known_places(table)
 
 
-def state_of(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
+def machine_state(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
     """Return the positions and every channel that has no gaps, by name: ``approach_X``, ``time_s``, ``T_X_degC``, ``spindle_rpm``."""
     found = {axis.name: np.asarray(data.positions[:, i]) for i, axis in enumerate(machine.axes)}
     for i, axis in enumerate(machine.axes):
@@ -349,7 +349,7 @@ def _check_names(table: Measurements) -> None:
                     expected=" or ".join(sides),
                     row=row,
                     value=one,
-                    nearest=nearest(one, sides),
+                    closest_name=closest_name(one, sides),
                 )
             if not name[row]:
                 raise table.error(f"no {columns[1]} in this row", expected=f"the {columns[1]}'s name", row=row)

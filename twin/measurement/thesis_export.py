@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.files import read_lines
 from twin.machine.machine import Machine
@@ -66,11 +66,11 @@ def load_export(
     words = partial(np.full, len(points), dtype=object)
     table = Measurements(
         source=str(path),
-        lines=locked(np.array(lines)),
-        positions=locked(np.tile(commands, (len(targets), 1))),
-        target=locked(np.repeat(np.array(targets, dtype=object), len(commands))),
-        carrier=locked(words(carrier)),
-        round=locked(words(round_name)),
-        point_mm=locked(np.array(points)),
+        lines=read_only(np.array(lines)),
+        positions=read_only(np.tile(commands, (len(targets), 1))),
+        target=read_only(np.repeat(np.array(targets, dtype=object), len(commands))),
+        carrier=read_only(words(carrier)),
+        round=read_only(words(round_name)),
+        point_mm=read_only(np.array(points)),
     )
     return without_unusable_rows(table, machine)

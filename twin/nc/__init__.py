@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from twin._common.errors import InputError, nearest
-from twin._common.files import note_input, read_bytes
+from twin._common.errors import InputError, closest_name
+from twin._common.files import read_bytes, register_input
 from twin.nc.apt.dialect import Apt
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
@@ -57,7 +57,7 @@ def find_program(path: str | Path) -> Path:
         "no such program",
         expected=f"a file, or a program that comes with twin: {' '.join(names)}",
         file=path,
-        nearest=nearest(path.name, [*names, *_beside(path)]),
+        closest_name=closest_name(path.name, [*names, *_beside(path)]),
     )
 
 
@@ -75,7 +75,7 @@ def dialect_of(path: Path) -> Dialect:
     Raises:
         InputError: it cannot be read, or its suffix is unknown.
     """
-    note_input(path)
+    register_input(path)
     try:
         with path.open("rb") as stream:
             return dialect_for(path, stream.read(200))

@@ -129,7 +129,7 @@ class Notice(NamedTuple):
 
 
 @final
-class Left(NamedTuple):
+class LostPositions(NamedTuple):
     """Axes whose position is unknown after a line, beyond its own moves.
 
     Attributes:
@@ -145,12 +145,12 @@ class Left(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Reading:
+class Interpretation:
     """The result of interpreting a program: its moves in order, notices, and the lines after which axis positions are unknown."""
 
     moves: tuple[Move, ...]
     notices: tuple[Notice, ...] = ()
-    lost_positions: tuple[Left, ...] = ()
+    lost_positions: tuple[LostPositions, ...] = ()
 
 
 @final

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from twin.nc.blocks import AxisWords, Program, Reading, Rewrite
+from twin.nc.blocks import AxisWords, Interpretation, Program, Rewrite
 from twin.nc.emit import OutputState
 from twin.nc.text import Style, format_number, read_lines
 
@@ -40,7 +40,7 @@ class Dialect(ABC):
     in_chunks: bool = False
 
     @abstractmethod
-    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
+    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
         """Interpret a program.
 
         Args:
@@ -53,7 +53,7 @@ class Dialect(ABC):
         """
 
     @abstractmethod
-    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
+    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, rewrites: Iterable[Rewrite]) -> str:
         """Return the text with some moves replaced and every other byte kept.
 
         Moves without a rewrite keep their text. A rewritten block gets every axis word whose value differs from the last value in
@@ -110,7 +110,7 @@ class Dialect(ABC):
         return other.name == self.name or self.cutter_locations
 
     def posted(
-        self, program: Program, reading: Reading, rewrites: Iterable[Rewrite], axes: AxisWords, into: Dialect
+        self, program: Program, reading: Interpretation, rewrites: Iterable[Rewrite], axes: AxisWords, into: Dialect
     ) -> str:
         """Return a program of cutter locations as axis words of another language.
 

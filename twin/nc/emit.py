@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from twin.nc.blocks import AxisWords, Reading, Rewrite
+from twin.nc.blocks import AxisWords, Interpretation, Rewrite
 from twin.nc.text import Grid, Style, format_number, grid
 
 Vector = tuple[float, float, float]
@@ -99,7 +99,7 @@ class OutputState:
 
 
 def rewrites_by_line(
-    reading: Reading, rewrites: Iterable[Rewrite], axes: AxisWords
+    reading: Interpretation, rewrites: Iterable[Rewrite], axes: AxisWords
 ) -> dict[int, dict[int, tuple[Rewrite, list[list[float]]]]]:
     """Return rewrites by line, and within a line by the index of their move, with positions as lists.
 

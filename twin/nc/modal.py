@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
 from twin.nc.block import AxisWord, Block
-from twin.nc.blocks import Arc, AxisWords, Left, Notice
+from twin.nc.blocks import Arc, AxisWords, LostPositions, Notice
 from twin.nc.text import number, unit_vector
 
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
@@ -44,7 +44,7 @@ class Interpreter:
         self.position: list[float] = [math.nan] * len(self.names)
         self.vector: tuple[float, float, float] | None = None
         self.notices: list[Notice] = []
-        self.lost_positions: list[Left] = []
+        self.lost_positions: list[LostPositions] = []
         self.tcp = tcp
         self.tcp_word = ""
         self.tcp_on = frozenset(tcp_on)
@@ -123,7 +123,7 @@ class Interpreter:
         """
         axes = tuple(which)
         if moved is not None:
-            self.lost_positions.append(Left(self._line, axes, moved))
+            self.lost_positions.append(LostPositions(self._line, axes, moved))
         block.unknown_axes = tuple(sorted({*block.unknown_axes, *axes})) if block.unknown_axes else axes
         for axis in axes:
             self.position[axis] = math.nan

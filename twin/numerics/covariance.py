@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 
 ROUNDING = 1e-9
 """Tolerance for a negative eigenvalue due to the rounding of printed digits, relative to the largest."""
@@ -30,7 +30,7 @@ class Covariance:
     @classmethod
     def none(cls) -> Covariance:
         """Return an empty covariance."""
-        return cls((), locked(np.zeros((0, 0))))
+        return cls((), read_only(np.zeros((0, 0))))
 
     @classmethod
     def of_blocks(cls, blocks: Sequence[Covariance]) -> Covariance:
@@ -42,7 +42,7 @@ class Covariance:
             end = start + len(block.names)
             matrix[start:end, start:end] = block.matrix
             start = end
-        return cls(names, locked(matrix))
+        return cls(names, read_only(matrix))
 
     def of(self, names: Sequence[str]) -> Covariance:
         """Return the covariance of some names, in the order given.
@@ -52,7 +52,7 @@ class Covariance:
         """
         index = {name: i for i, name in enumerate(self.names)}
         rows = [index[name] for name in names]
-        return Covariance(tuple(names), locked(self.matrix[np.ix_(rows, rows)]))
+        return Covariance(tuple(names), read_only(self.matrix[np.ix_(rows, rows)]))
 
     def where(self, keep: Callable[[str], bool]) -> Covariance:
         """Return the covariance of the names for which ``keep`` is true."""
@@ -66,7 +66,7 @@ class Covariance:
         for covariance in (self, other):
             rows = [index[name] for name in covariance.names]
             matrix[np.ix_(rows, rows)] += covariance.matrix
-        return Covariance(names, locked(matrix))
+        return Covariance(names, read_only(matrix))
 
     def transformed(self, name: str, matrix: np.ndarray) -> Covariance:
         """Transform the parameters ``name[0]`` … ``name[k−1]`` into ``name[0]`` … ``name[m−1]`` by an (m, k) matrix.
@@ -86,7 +86,7 @@ class Covariance:
                 transform[len(others) :, column] = matrix[:, index_of[n]]
         names = (*(self.names[column] for column in others), *(f"{name}[{k}]" for k in range(new_count)))
         found = transform @ self.matrix @ transform.T
-        return Covariance(names, locked((found + found.T) / 2.0))
+        return Covariance(names, read_only((found + found.T) / 2.0))
 
     def to_text(self) -> str:
         """Return the lower triangle as text, one row on each line, in full precision."""
@@ -116,7 +116,7 @@ class Covariance:
         defect = not_a_covariance(matrix)
         if defect is not None:
             raise ValueError(defect)
-        return cls(tuple(names), locked(matrix))
+        return cls(tuple(names), read_only(matrix))
 
 
 def not_a_covariance(matrix: np.ndarray) -> str | None:

@@ -61,21 +61,21 @@ def pieces(points: int, size: int = PIECE) -> list[slice]:
     return [slice(start, min(start + size, points)) for start in range(0, points, size)]
 
 
-def given(values: np.ndarray) -> Functions:
+def tabulated(values: np.ndarray) -> Functions:
     """Return functions given by a table of values (n, count)."""
     return Functions(len(values), values.shape[1], lambda rows: np.asarray(values[rows]))
 
 
 @final
 class CachingState(dict[str, Any]):
-    """State of the readings with a cache for quantities that several effects derive from it (`once`)."""
+    """State of the readings with a cache for quantities that several effects derive from it (`cached_in_state`)."""
 
     def __init__(self, state: Mapping[str, Any]) -> None:
         super().__init__(state)
         self.known: dict[Hashable, Any] = {}
 
 
-def once(state: Mapping[str, Any], key: Hashable, make: Callable[[], T]) -> T:
+def cached_in_state(state: Mapping[str, Any], key: Hashable, make: Callable[[], T]) -> T:
     """Return a quantity derived from a state, cached if the state is a `CachingState`.
 
     Args:
@@ -129,7 +129,7 @@ def functions_of_state(
     order = [(k, i) for k, shape in enumerate(first) for i in shape]
     own = [[(i, n) for n, (of, i) in enumerate(order) if of == k] for k in range(len(first))]
     if whole:
-        return given(np.stack([np.broadcast_to(first[k][i], points) for k, i in order], axis=1)), own
+        return tabulated(np.stack([np.broadcast_to(first[k][i], points) for k, i in order], axis=1)), own
 
     def values(rows: Rows) -> np.ndarray:
         shape_values = shapes(_StateSubset(state, rows))

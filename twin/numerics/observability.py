@@ -21,12 +21,12 @@ from typing import Final, final
 import numpy as np
 from scipy.optimize import linprog
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 
-WEAKEST: Final = 1.0
+SINGULAR_VALUE_TOLERANCE: Final = 1.0
 """Directions with smaller singular values, in plausible units, count as not observable."""
-UNSEEN: Final = 0.25
+NOT_DETERMINED: Final = 0.25
 """An unknown is not determined if more than this share of its prior variance remains."""
 LEAST_SHARE_NAMED: Final = 0.01
 """The text of a direction omits unknowns that alone would change the readings by less than this share of the largest change."""
@@ -98,7 +98,11 @@ class Spectrum:
 
 
 def decompose(
-    matrix: np.ndarray, scale: np.ndarray, *, free: np.ndarray | None = None, tolerance: float = WEAKEST
+    matrix: np.ndarray,
+    scale: np.ndarray,
+    *,
+    free: np.ndarray | None = None,
+    tolerance: float = SINGULAR_VALUE_TOLERANCE,
 ) -> tuple[np.ndarray, Spectrum]:
     """Decompose whitened derivatives into observable directions and null space.
 
@@ -117,10 +121,10 @@ def decompose(
     all_values = np.zeros(allowed.shape[1])
     all_values[: len(values)] = values
     return left[:, :observable], Spectrum(
-        locked(np.array(scale)),
-        locked(all_values),
-        locked(allowed @ right[:observable].T),
-        locked(allowed @ right[observable:].T),
+        read_only(np.array(scale)),
+        read_only(all_values),
+        read_only(allowed @ right[:observable].T),
+        read_only(allowed @ right[observable:].T),
     )
 
 
@@ -276,8 +280,8 @@ class Determinability:
 
     @property
     def determined(self) -> np.ndarray:
-        """(p,) whether at most a share `UNSEEN` of the prior variance remains."""
-        return np.asarray(self.remaining_variance <= UNSEEN)
+        """(p,) whether at most a share `NOT_DETERMINED` of the prior variance remains."""
+        return np.asarray(self.remaining_variance <= NOT_DETERMINED)
 
     @property
     def u(self) -> np.ndarray:
@@ -360,7 +364,7 @@ def determinability(
     jacobian: np.ndarray,
     unknowns: Sequence[Unknown],
     *,
-    tolerance: float = WEAKEST,
+    tolerance: float = SINGULAR_VALUE_TOLERANCE,
     free: np.ndarray | None = None,
     measurements: int | None = None,
 ) -> Determinability:

@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 
 SERIES_TERMS: Final = 9
@@ -74,7 +74,7 @@ def rotation_log(matrix: Any) -> np.ndarray:
     r = _matrix(matrix)
     flat = r.reshape(-1, 3, 3)
     vectors = Rotation.from_matrix(flat).as_rotvec() if len(flat) else np.zeros((0, 3))
-    return locked(vectors.reshape(r.shape[:-1]))
+    return read_only(vectors.reshape(r.shape[:-1]))
 
 
 def fused_angles(matrix: Any) -> Any:
@@ -98,7 +98,7 @@ def fused_angles(matrix: Any) -> Any:
         return ca.vertcat(ca.atan2(-y, z), ca.atan2(x, z), ca.atan2(-matrix[0, 1], matrix[1, 1]))
     r = _matrix(matrix)
     turn = np.arctan2(-r[..., 0, 1], r[..., 1, 1])
-    return locked(np.concatenate([tilt(r[..., 2]), turn[..., None]], axis=-1))
+    return read_only(np.concatenate([tilt(r[..., 2]), turn[..., None]], axis=-1))
 
 
 def tilt(axis: Any) -> np.ndarray:
@@ -122,7 +122,7 @@ def tilt(axis: Any) -> np.ndarray:
             expected="a positive z component",
             value=float(np.min(z)),
         )
-    return locked(np.stack([np.arctan2(-y, z), np.arctan2(x, z)], axis=-1))
+    return read_only(np.stack([np.arctan2(-y, z), np.arctan2(x, z)], axis=-1))
 
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
@@ -191,4 +191,4 @@ def _stacked(rows: list[list[Any]]) -> Any:
     if any(isinstance(one, ca.SX) for row in rows for one in row):
         return ca.vertcat(*[ca.horzcat(*row) for row in rows])
     flat = np.stack(np.broadcast_arrays(*[one for row in rows for one in row]), axis=-1)
-    return locked(flat.reshape(*flat.shape[:-1], 3, 3))
+    return read_only(flat.reshape(*flat.shape[:-1], 3, 3))

@@ -29,7 +29,7 @@ def highest_frequency(q: np.ndarray, span: float) -> float:
     return _alias_free(places, span, min(1.0 / SHORTEST_PERIOD, max(len(places) - 1, 1) / span))
 
 
-def sampling(q: np.ndarray) -> float | None:
+def sampling_frequency(q: np.ndarray) -> float | None:
     """Return the sampling frequency, in 1/mm, of evenly spaced positions; None if the spacing is uneven and there is no aliasing."""
     places = np.unique(np.round(q, 3))
     span = float(np.ptp(places))

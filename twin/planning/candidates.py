@@ -9,7 +9,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
@@ -50,7 +50,7 @@ ANY_STATE: Final = (Session("as it is"),)
 
 @final
 @dataclass(frozen=True)
-class Candidates:
+class CandidateReadings:
     """Candidate readings in all sessions.
 
     Attributes:
@@ -63,12 +63,12 @@ class Candidates:
     session: np.ndarray
     sessions: tuple[Session, ...] = ANY_STATE
 
-    def select(self, rows: np.ndarray) -> Candidates:
+    def select(self, rows: np.ndarray) -> CandidateReadings:
         """Return the candidates with these indices; an index may repeat."""
         return replace(self, plan=self.plan.select(rows), session=self.session[rows])
 
 
-def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None = None) -> Candidates:
+def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None = None) -> CandidateReadings:
     """Return every possible reading, one row each; the direction of approach of each axis is drawn per pose.
 
     Args:
@@ -95,7 +95,7 @@ def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int
         rows += mine
     pose = np.array([row[0] for row in rows])
     table = plan_table(machine, kit, positions[pose], [r[2] for r in rows], [r[1] for r in rows], sides[pose])
-    return Candidates(table, np.zeros(len(table), dtype=int))
+    return CandidateReadings(table, np.zeros(len(table), dtype=int))
 
 
 def _safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None) -> np.ndarray:
@@ -156,22 +156,22 @@ def plan_table(
     n = len(target)
 
     def nothing(*more: int) -> np.ndarray:
-        return locked(np.full((n, *more), np.nan))
+        return read_only(np.full((n, *more), np.nan))
 
     return Measurements(
         source=source,
-        lines=locked(np.arange(1, n + 1)),
-        positions=locked(np.array(positions, dtype=float).reshape(n, len(machine.axes))),
+        lines=read_only(np.arange(1, n + 1)),
+        positions=read_only(np.array(positions, dtype=float).reshape(n, len(machine.axes))),
         readback=nothing(len(machine.axes)),
-        target=locked(np.array(target, dtype=object)),
-        carrier=locked(np.array([kit.targets[name].carrier for name in target], dtype=object)),
-        station=locked(np.array(station, dtype=object)),
-        round=locked(np.full(n, "1", dtype=object)),
+        target=read_only(np.array(target, dtype=object)),
+        carrier=read_only(np.array([kit.targets[name].carrier for name in target], dtype=object)),
+        station=read_only(np.array(station, dtype=object)),
+        round=read_only(np.full(n, "1", dtype=object)),
         point_mm=nothing(3),
         u_mm=nothing(3),
         time_s=nothing(),
-        approach=locked(np.array(approach, dtype=float).reshape(n, len(machine.axes))),
-        place_mm=locked(np.array([kit.targets[name].place_mm for name in target]).reshape(n, 3)),
-        station_pose=locked(np.array([kit.stations[name].pose for name in station]).reshape(n, 6)),
+        approach=read_only(np.array(approach, dtype=float).reshape(n, len(machine.axes))),
+        place_mm=read_only(np.array([kit.targets[name].place_mm for name in target]).reshape(n, 3)),
+        station_pose=read_only(np.array([kit.stations[name].pose for name in station]).reshape(n, 6)),
         temperature_degC=MappingProxyType({}),
     )

@@ -16,7 +16,7 @@ import numpy as np
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 from twin.planning.aims import Aim
-from twin.planning.candidates import Candidates
+from twin.planning.candidates import CandidateReadings
 from twin.planning.task import Say
 
 RECOMPUTED_AFTER: Final = 50
@@ -54,7 +54,7 @@ class DesignProblem:
     """
 
     instrument: Instrument
-    candidates: Candidates
+    candidates: CandidateReadings
     prior: np.ndarray
     rows: np.ndarray
     aim: Aim

@@ -13,12 +13,12 @@ import pinocchio as pin
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
-from twin._common.errors import InputError, nearest
+from twin._common.errors import InputError, closest_name
 from twin._common.units import DEG
-from twin._common.yaml_files import Place, load_yaml
+from twin._common.yaml_files import EntryPath, load_yaml
 from twin.machine.machine import Machine, find_bundled
 from twin.measurement.instruments import INSTRUMENTS, Instrument
-from twin.measurement.simulate import Setting, Station
+from twin.measurement.simulate import Placement, Station
 from twin.uncertainty.budget import volume
 
 SCHEMA: Final = "twin.kit/1"
@@ -157,9 +157,9 @@ class Kit:
         return min(int(np.isfinite(one.read(np.ones((1, 3)))).sum()) for one in self.instruments)
 
     @property
-    def setting(self) -> Setting:
+    def setting(self) -> Placement:
         """Stations and target positions for a simulation."""
-        return Setting(self.stations, {name: target.place_mm for name, target in self.targets.items()})
+        return Placement(self.stations, {name: target.place_mm for name, target in self.targets.items()})
 
     @classmethod
     def load(cls, path: str | Path, machine: Machine) -> Kit:
@@ -171,9 +171,11 @@ class Kit:
         file = Path(path)
         entries, lines = load_yaml(file, _KitFile, SCHEMA)
 
-        def fail(place: Place, what: str, expected: str, value: object, known: Iterable[str] = ()) -> InputError:
-            meant = nearest(str(value), known)
-            return InputError(what, expected=expected, file=file, line=lines.get(place), value=value, nearest=meant)
+        def fail(place: EntryPath, what: str, expected: str, value: object, known: Iterable[str] = ()) -> InputError:
+            meant = closest_name(str(value), known)
+            return InputError(
+                what, expected=expected, file=file, line=lines.get(place), value=value, closest_name=meant
+            )
 
         # Checks beyond the schema.
         by_name = {one.name: one for one in INSTRUMENTS}

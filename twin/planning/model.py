@@ -15,22 +15,22 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.units import MM
-from twin.identification.network import PIECE, Network
+from twin.identification.network import CHUNK, Network
 from twin.identification.setup import SetUp
-from twin.identification.solve import free_directions, named
-from twin.identification.unknowns import Unknowns, axes_told, offset_unseen, spaces_for
+from twin.identification.solve import all_unknowns, free_directions
+from twin.identification.unknowns import Unknowns, axes_with_known_places, least_determined_offset, spaces_for
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.effects import split_name
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
 from twin.measurement.instruments import Instrument
-from twin.measurement.simulate import Setting, simulate
+from twin.measurement.simulate import Placement, simulate
 from twin.measurement.table import Measurements
 from twin.numerics.curves import Basis, CurveSpace, bases_for
-from twin.numerics.observability import UNSEEN, Determinability, determinability
+from twin.numerics.observability import NOT_DETERMINED, Determinability, determinability
 from twin.numerics.spatial import rotation_exp
 
 FALL: Final = 0.7
@@ -87,7 +87,7 @@ class PlanModel:
     plan: Measurements
     instrument: Instrument
     unknowns: Unknowns
-    setting: Setting
+    setting: Placement
     setup: SetUp
     plausible: np.ndarray
     free: np.ndarray
@@ -99,7 +99,7 @@ class PlanModel:
         cls,
         machine: Machine,
         plan: Measurements,
-        setting: Setting,
+        setting: Placement,
         instrument: Instrument,
         expected: Calibration,
         known: Collection[str] = (),
@@ -120,7 +120,7 @@ class PlanModel:
         while True:
             model = cls._with_constants(machine, plan, setting, instrument, expected, known, offsets)
             unseen = (
-                offset_unseen(model.unknowns, model.determinability.remaining_variance)
+                least_determined_offset(model.unknowns, model.determinability.remaining_variance)
                 if model.unknowns.offsets
                 else None
             )
@@ -133,7 +133,7 @@ class PlanModel:
         cls,
         machine: Machine,
         plan: Measurements,
-        setting: Setting,
+        setting: Placement,
         instrument: Instrument,
         expected: Calibration,
         known: Collection[str],
@@ -150,7 +150,11 @@ class PlanModel:
         )
         evaluated = as_evaluated(plan, known)
         unknowns = Unknowns(
-            machine, spaces, constants, axes_told(machine, evaluated), None if offsets is None else sorted(offsets)
+            machine,
+            spaces,
+            constants,
+            axes_with_known_places(machine, evaluated),
+            None if offsets is None else sorted(offsets),
         )
         setup = setup_of(evaluated, setting, instrument)
         plausible = np.concatenate([unknowns.plausible, setup.plausible])
@@ -181,8 +185,8 @@ class PlanModel:
         )
         network = Network(self.machine, readings, self.instrument, self.unknowns)
         found = np.empty((len(readings), 3, self.free.shape[1]))
-        for start in range(0, len(readings), PIECE):
-            piece = network.chunk(self.linearised_at, self.setup, np.arange(start, min(start + PIECE, len(readings))))
+        for start in range(0, len(readings), CHUNK):
+            piece = network.chunk(self.linearised_at, self.setup, np.arange(start, min(start + CHUNK, len(readings))))
             found[piece.rows] = (piece.jacobian * self.plausible) @ self.free
         return found
 
@@ -215,7 +219,7 @@ class PlanModel:
         # Derivatives with respect to the coordinates, transformed back to the unknowns; zero outside the free directions.
         return determinability(
             triangle @ self.free.T / self.plausible,
-            named(self.unknowns, self.setup),
+            all_unknowns(self.unknowns, self.setup),
             free=self.free,
             measurements=int(np.count_nonzero(np.any(flat != 0.0, axis=1))),
         )
@@ -232,7 +236,7 @@ class PlanModel:
             columns = [column for column in self.unknowns.columns if column.entity == name]
             lowest = [names[column] for column in (columns if space is None else columns[: len(space.groups()[0])])]
             worst = max(lowest, key=lambda one: unseen[one])
-            if unseen[worst] > UNSEEN:
+            if unseen[worst] > NOT_DETERMINED:
                 direction = self.determinability.null_direction_of(worst)
                 found.append(
                     NotIdentifiable(name, VAGUE if direction is None else str(direction.shortened(MOST_NAMED)))
@@ -278,12 +282,12 @@ def as_evaluated(plan: Measurements, known: Collection[str]) -> Measurements:
     target = np.array([name in known for name in plan.target])[:, None]
     return replace(
         plan,
-        station_pose=locked(np.where(station, plan.station_pose, np.nan)),
-        place_mm=locked(np.where(target, plan.place_mm, np.nan)),
+        station_pose=read_only(np.where(station, plan.station_pose, np.nan)),
+        place_mm=read_only(np.where(target, plan.place_mm, np.nan)),
     )
 
 
-def setup_of(plan: Measurements, setting: Setting, instrument: Instrument) -> SetUp:
+def setup_of(plan: Measurements, setting: Placement, instrument: Instrument) -> SetUp:
     """Return the set-up at the planned poses and positions; known are only those the plan gives to an evaluation."""
     known = SetUp.from_table(plan, lengths_only=instrument.lengths_only)
     return replace(

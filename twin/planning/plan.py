@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument
-from twin.measurement.simulate import Setting
+from twin.measurement.simulate import Placement
 from twin.measurement.table import Measurements
 from twin.planning.aims import aim_of
 from twin.planning.candidates import candidates
@@ -96,11 +96,11 @@ def judge(
     """
     if not np.any(np.ptp(table.positions, axis=0) > 0.0):
         raise InputError("no axis moves", expected="two or more positions of an axis", file=table.source)
-    setting = Setting.draw(table, np.random.default_rng(0))
+    setting = Placement.draw(table, np.random.default_rng(0))
     placed = replace(
         table,
-        station_pose=locked(np.array([setting.stations[name].pose for name in table.station])),
-        place_mm=locked(np.array([setting.places_mm[name] for name in table.target])),
+        station_pose=read_only(np.array([setting.stations[name].pose for name in table.station])),
+        place_mm=read_only(np.array([setting.places_mm[name] for name in table.target])),
     )
     reader = INSTRUMENTS[0] if instrument is None else instrument
     sizes = Calibration.default(machine) if expected is None else expected

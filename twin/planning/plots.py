@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from twin._common.errors import InputError
-from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, blank, dots, dress, heading
+from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, heading, new_figure, plot_markers, style_axes
 from twin.identification.result import Identification
 from twin.machine.calibration import Calibration
 from twin.machine.effects import split_name
@@ -50,26 +50,26 @@ def plot_places(table: Measurements, machine: Machine, *, title: str = "") -> Fi
             file=table.source,
         )
     points = Observation(machine).points_mm(Calibration.zero(machine), table, table.place_mm)
-    figure = blank(12.0, 6.2)
+    figure = new_figure(12.0, 6.2)
     for plot, (i, j, view) in zip(figure.subplots(1, 2), VIEWS, strict=True):
         for name in dict.fromkeys(table.station):
             rows = table.station == name
             eye = table.station_pose[rows][0][[i, j]]
             for point in points[rows][:, [i, j]]:
                 plot.plot(*np.stack([eye, point]).T, color=RUN, linewidth=0.3, alpha=0.5, zorder=1)
-            dots(plot, eye[0], eye[1], BOTH, "D", 8, zorder=4)
+            plot_markers(plot, eye[0], eye[1], BOTH, "D", 8, zorder=4)
             words = f"{name}: {np.count_nonzero(rows)} readings"
             plot.annotate(words, eye, textcoords="offset points", xytext=(8, 8), fontsize=9)
         for side, colour, marker in SIDES:
             of = table.carrier == side
             if np.any(of):
                 label = f"reflectors on the {side} side"
-                dots(plot, points[of, i], points[of, j], colour, marker, 3.5, label=label, zorder=3)
+                plot_markers(plot, points[of, i], points[of, j], colour, marker, 3.5, label=label, zorder=3)
         plot.set_aspect("equal", adjustable="datalim")
         plot.margins(0.12)
         plot.set(xlabel=f"{'xyz'[i]} [mm]", ylabel=f"{'xyz'[j]} [mm]")
         plot.set_title(view, loc="left", fontsize=10)
-        dress(plot)
+        style_axes(plot)
     figure.axes[0].legend(loc="upper left", fontsize=9, frameon=True)
     heading(figure, title or "Stations and reflectors of the plan")
     return figure
@@ -91,7 +91,7 @@ def plot_uncertainties(
     if not 1 <= len(forecasts) <= len(STYLES):
         raise InputError("number of plans for one figure", expected=f"1 to {len(STYLES)}", value=len(forecasts))
     every = list(dict.fromkeys(name for one in forecasts.values() for name in one.errors))
-    figure = blank(12.0, 5.8)
+    figure = new_figure(12.0, 5.8)
     below = 0
     for plot, (limit, unit) in zip(figure.subplots(2, 1), PANELS, strict=True):
         names = [name for name in every if below <= split_name(name)[0] < limit]
@@ -120,7 +120,7 @@ def _marks(
 ) -> None:
     """Draw the value of each name above its tick."""
     known = [(k, values[name]) for k, name in enumerate(names) if name in values]
-    dots(plot, [k for k, _ in known], [value for _, value in known], colour, marker, size, **more)
+    plot_markers(plot, [k for k, _ in known], [value for _, value in known], colour, marker, size, **more)
 
 
 def _stated(found: Identification) -> dict[str, float]:

@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any, Final, final
 
 from twin._common.json_form import json_form
-from twin._common.provenance import SourceWarning, texts
-from twin.display import bar, card, note, pairs, several, table
+from twin._common.provenance import SourceWarning, warning_texts
+from twin.display import bar, card, count_with_noun, note, pairs, table
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
@@ -242,7 +242,7 @@ class Plan:
                 title="stations compared (after a first choice of readings), best first",
             ),
             *(note(notice, loud=notice.startswith(("RETRACT", "THE URDF"))) for notice in self.notices()),
-            small=f"{several(len(self.table), 'reading')}, {self.minutes:.0f} minutes",
+            small=f"{count_with_noun(len(self.table), 'reading')}, {self.minutes:.0f} minutes",
             wrong=not self.complete,
         ).text
 
@@ -252,7 +252,7 @@ class Plan:
             f"{self.machine.name}: {len(self.table)} readings with {self.instrument.name} from {', '.join(self.stations)}, "
             f"{self.minutes:.0f} minutes",
             *self.comment().splitlines()[1:3],
-            *(f"expected errors: {text}" for text in texts(self.warnings)),
+            *(f"expected errors: {text}" for text in warning_texts(self.warnings)),
             "",
             *([] if self.separation is None else [*self.separation.lines(), ""]),
             *([] if self.forecast is None else [*self.forecast.to_text().splitlines(), ""]),

@@ -9,10 +9,10 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
-from twin.planning.candidates import Candidates
+from twin.planning.candidates import CandidateReadings
 from twin.planning.clearance import Clearance
 from twin.planning.kit import Kit
 from twin.planning.sight import Sight
@@ -62,7 +62,7 @@ def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
     return sum(clock.spent.values())
 
 
-def route(task: Task, chosen: Candidates, stations: Sequence[str], *, clear: bool = True) -> Route:
+def route(task: Task, chosen: CandidateReadings, stations: Sequence[str], *, clear: bool = True) -> Route:
     """Order the readings by session and station, in two passes, each time continuing with the reading that is reached first.
 
     Args:
@@ -97,9 +97,9 @@ def route(task: Task, chosen: Candidates, stations: Sequence[str], *, clear: boo
     order = np.array(clock.order)
     ordered = replace(
         plan.select(order),
-        lines=locked(np.arange(1, len(order) + 1)),
-        round=locked(np.array(clock.rounds, dtype=object)),
-        time_s=locked(np.round(clock.times, 1)),
+        lines=read_only(np.arange(1, len(order) + 1)),
+        round=read_only(np.array(clock.rounds, dtype=object)),
+        time_s=read_only(np.round(clock.times, 1)),
     )
     return Route(ordered, MappingProxyType(clock.spent), tuple(clock.blocked), tuple(begun))
 

@@ -18,23 +18,23 @@ from typing import Final, final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin._common.arrays import locked
-from twin._common.errors import InputError, nearest
-from twin.diagnosis.candidates.candidate import Candidate, Cell
+from twin._common.arrays import read_only
+from twin._common.errors import InputError, closest_name
+from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
-from twin.diagnosis.problem.problem import TOLD_APART, Problem
-from twin.identification.fitting import fitting
+from twin.diagnosis.problem.problem import RANK_TOLERANCE, Problem
+from twin.identification.fitting import agreeing_rows
 from twin.identification.network import Network
 from twin.identification.setup import SetUp
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import TIME
 from twin.machine.machine import Machine
-from twin.measurement.instruments import Instrument, usual
+from twin.measurement.instruments import Instrument, default_instrument
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.planning.aims import LinearAim
-from twin.planning.candidates import ANY_STATE, Candidates, Session, candidates
+from twin.planning.candidates import ANY_STATE, CandidateReadings, Session, candidates
 from twin.planning.design import DesignProblem, covariance_of
 from twin.planning.fill import fill
 from twin.planning.kit import Kit
@@ -139,14 +139,14 @@ def separate(
         filled = fill(task, [question.problem(one, every, cells) for one in task.kit.instruments])
         chosen = filled.route.plan
         last = question.cells(chosen)
-        in_order = Candidates(chosen, np.zeros(len(chosen), dtype=int))
+        in_order = CandidateReadings(chosen, np.zeros(len(chosen), dtype=int))
         final = question.problem(filled.station_choices[0].problem.instrument, in_order, last)
         aim = f"separate {causes[0].text} from {causes[1].text}"
         separation = _separation(causes, last, covariance_of(final.prior, final.rows))
         return Plan.of(task, aim, filled, separation=separation)
 
 
-CauseForm = tuple[Candidate, Cell]
+CauseForm = tuple[Candidate, Variant]
 """A cause and the form of it that is planned for."""
 
 
@@ -170,7 +170,9 @@ class _Question:
         first, second = (cause_form(one, self.task.machine, plan, self.task.expected) for one in self.causes)
         return first, second
 
-    def problem(self, instrument: Instrument, every: Candidates, cells: tuple[CauseForm, CauseForm]) -> DesignProblem:
+    def problem(
+        self, instrument: Instrument, every: CandidateReadings, cells: tuple[CauseForm, CauseForm]
+    ) -> DesignProblem:
         """Return the derivatives with respect to set-up, calibration errors and the two causes, with their prior precision."""
         problem = self._planned(instrument, every.plan)
         columns = [problem.signature(cell.columns) for _, cell in cells]
@@ -208,15 +210,15 @@ class _Question:
     def _earlier_precision(self, instrument: Instrument, after: Measurements) -> np.ndarray:
         """Return the precision (k, k) of calibration errors and causes from earlier readings, their set-up projected out."""
         lengths_only = bool(np.isnan(after.point_mm[:, 1:]).all())
-        kept, setup = fitting(self.task.machine, after, lengths_only=lengths_only)
-        reader = instrument if lengths_only or not instrument.lengths_only else usual(lengths_only=False)
+        kept, setup = agreeing_rows(self.task.machine, after, lengths_only=lengths_only)
+        reader = instrument if lengths_only or not instrument.lengths_only else default_instrument(lengths_only=False)
         problem = self._problem(kept, reader, setup)
         columns = [problem.signature(cell.columns) for _, cell in self.cells(kept)]
         own, calibration_errors = np.split(problem.nuisance, [len(problem.setup)], axis=1)
         rest = np.concatenate([calibration_errors, *columns], axis=1)
         # Part of a set-up may be undetermined: a frame and everything read in it can move together.
         basis, strength, _ = np.linalg.svd(own, full_matrices=False)
-        basis = basis[:, strength > TOLD_APART * strength[0]]
+        basis = basis[:, strength > RANK_TOLERANCE * strength[0]]
         projected = rest - basis @ (basis.T @ rest)
         return np.asarray(projected.T @ projected)
 
@@ -266,16 +268,16 @@ def _sessions(causes: Sequence[NamedCause]) -> tuple[Session, ...]:
     return tuple(found)
 
 
-def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> Candidates:
+def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> CandidateReadings:
     """Return every candidate reading in every session."""
     n = len(plain)
     session = np.repeat(np.arange(len(sessions)), n)
     every = plain.select(np.tile(np.arange(n), len(sessions)))
     names = dict.fromkeys(name for one in sessions for name in one.temperatures)
-    temperatures = {name: locked(np.array([one.temperatures[name] for one in sessions])[session]) for name in names}
+    temperatures = {name: read_only(np.array([one.temperatures[name] for one in sessions])[session]) for name in names}
     starts = np.array([one.start_s for one in sessions])
-    timed = replace(every, time_s=locked(starts[session]), temperature_degC=MappingProxyType(temperatures))
-    return Candidates(timed, session, sessions)
+    timed = replace(every, time_s=read_only(starts[session]), temperature_degC=MappingProxyType(temperatures))
+    return CandidateReadings(timed, session, sessions)
 
 
 def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibration: Calibration) -> CauseForm:
@@ -297,7 +299,10 @@ def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibratio
             expected = f"{one.effect} at one of {', '.join(places)}"
         texts = [f"{c.effect} {c.where}" for c in tried.candidates if c.origin == "machine"]
         raise InputError(
-            "not a cause that a plan can separate", expected=expected, value=one.text, nearest=nearest(one.text, texts)
+            "not a cause that a plan can separate",
+            expected=expected,
+            value=one.text,
+            closest_name=closest_name(one.text, texts),
         )
     names = {name for cell in found.variants for name in cell.fixed}
     linear = {name for name, _ in found.names} | {"size", "amplitude", "phase", "cos", "sin"}
@@ -310,10 +315,10 @@ def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibratio
             f"{one.text} has no such parameter",
             expected=", ".join(sorted(names | linear)),
             value=strange[0],
-            nearest=nearest(strange[0], names | linear),
+            closest_name=closest_name(strange[0], names | linear),
         )
 
-    def off(cell: Cell) -> float:
+    def off(cell: Variant) -> float:
         if any(name in names and name not in cell.fixed for name in one.numbers):
             return np.inf
         wanted = {name: value for name, value in one.numbers.items() if name in cell.fixed}

@@ -10,7 +10,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.errors import InputError, nearest
+from twin._common.errors import InputError, closest_name
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
@@ -144,6 +144,6 @@ def _names_to_minimise(machine: Machine, reduce: str | Sequence[str]) -> tuple[s
     for pattern in patterns or ("",):
         if not fnmatch.filter(names, pattern):
             expected = f"{', '.join(AIMS)}, or errors among {', '.join(names)}"
-            meant = nearest(pattern, (*AIMS, *names))
-            raise InputError("no such uncertainty to minimise", expected=expected, value=pattern, nearest=meant)
+            meant = closest_name(pattern, (*AIMS, *names))
+            raise InputError("no such uncertainty to minimise", expected=expected, value=pattern, closest_name=meant)
     return patterns

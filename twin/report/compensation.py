@@ -7,7 +7,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.json_form import json_form
 from twin.compute.parallel import Workers
 from twin.kinematics.forward import rms_and_max
@@ -162,7 +162,7 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
         nominal_poses = draw_machines(real, trials=MACHINES, poses=MACHINE_POSES, seed=seed, workers=Workers(1))
         spreads = (nominal_poses.as_it_is[0], nominal_poses.compensated[0])
     return CompensationForecast(
-        before=ErrorDistribution("uncompensated", locked(np.sort(before))),
+        before=ErrorDistribution("uncompensated", read_only(np.sort(before))),
         without_tables=without_tables,
         exact=exact,
         with_uncertainty=with_uncertainty,
@@ -179,7 +179,7 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
 
 
 def _distribution(name: str, error_um: np.ndarray) -> ErrorDistribution:
-    return ErrorDistribution(name, locked(np.sort(np.linalg.norm(error_um, axis=1))))
+    return ErrorDistribution(name, read_only(np.sort(np.linalg.norm(error_um, axis=1))))
 
 
 def _commanded(found: Budget) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,10 +13,10 @@ from twin._common.json_form import json_form
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics, Poses
 from twin.machine.effects import split_name
-from twin.machine.iso16907 import acts_as, iso_class
+from twin.machine.iso16907 import error_motion_of, iso_class
 from twin.report.words import named
 from twin.uncertainty.at_tool import ToolUncertainty, radius_95
-from twin.uncertainty.budget import BudgetRow, drawn_sides, error_budget, known_volume
+from twin.uncertainty.budget import BudgetRow, error_budget, random_approach, volume_inside_domains
 
 JSON_NAMES: Final = MappingProxyType(
     {
@@ -146,11 +146,11 @@ def budget(kinematics: Kinematics) -> Budget:
     rows, classes = error_budget(
         machine, calibration, tool_length_mm=kinematics.tool_length_mm, conditions=kinematics.conditions
     )
-    q = known_volume(calibration)
-    sides = drawn_sides(q)
+    q = volume_inside_domains(calibration)
+    sides = random_approach(q)
     meant, reached = nominal_machine(kinematics).forward(q), kinematics.forward(q, sides)
     share = _Shares(kinematics, q, sides)
-    acts = {effect.name: acts_as(effect, machine) for effect in calibration.effects}
+    acts = {effect.name: error_motion_of(effect, machine) for effect in calibration.effects}
     errors = [_contribution(row, share, [row.name], acts[row.name]) for row in rows]
     by_class = [
         _contribution(row, share, [name for name, motion in acts.items() if iso_class(motion, machine) == row.name], "")

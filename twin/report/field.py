@@ -10,7 +10,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.json_form import json_form
 from twin.kinematics.forward import Kinematics
 from twin.report.contributions import nominal_machine
@@ -137,9 +137,11 @@ class Field:
         """Return the plane at the given grid level of the fixed axes."""
         across, up = (i for i in range(len(places)) if i not in at)
         levels = tuple(at.get(i, slice(None)) for i in range(len(places)))
-        error, u = (locked(values.reshape(self.counts)[levels].T.copy()) for values in (self.size_um, self.u_um))
+        error, u = (read_only(values.reshape(self.counts)[levels].T.copy()) for values in (self.size_um, self.u_um))
         fixed = {self.spread[i]: float(places[i][level]) for i, level in at.items()}
-        return Slice(self.spread[across], self.spread[up], fixed, locked(places[across]), locked(places[up]), error, u)
+        return Slice(
+            self.spread[across], self.spread[up], fixed, read_only(places[across]), read_only(places[up]), error, u
+        )
 
     def edges(self) -> tuple[tuple[str, np.ndarray, np.ndarray], ...]:
         """Return the edges of the grid's box, each with a label and its end points, mm; one edge per axis has a label."""
@@ -209,10 +211,10 @@ def field(kinematics: Kinematics) -> Field:
     return Field(
         axes=machine.names,
         spread=spread,
-        positions=locked(q),
+        positions=read_only(q),
         counts=counts,
         point_mm=meant.point_mm,
-        error_um=locked(error),
+        error_um=read_only(error),
         u_um=u.expanded_um,
         complete=u.complete,
     )

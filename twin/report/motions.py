@@ -8,7 +8,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.json_form import json_form
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
@@ -140,11 +140,13 @@ def _motion(kinematics: Kinematics, name: str) -> Motion | None:
         axis=axis.name,
         linear=axis.linear,
         unit=unit_of(name),
-        position=locked(q),
-        value=locked(value),
-        half=locked(COVERAGE_FACTOR * combined_uncertainty(parts, calibration.covariance, state, component, q.shape)),
-        ways=locked(ways) if np.any(ways[0] != ways[1]) else None,
-        corrected=locked(value + taken) if np.any(taken) else None,
+        position=read_only(q),
+        value=read_only(value),
+        half=read_only(
+            COVERAGE_FACTOR * combined_uncertainty(parts, calibration.covariance, state, component, q.shape)
+        ),
+        ways=read_only(ways) if np.any(ways[0] != ways[1]) else None,
+        corrected=read_only(value + taken) if np.any(taken) else None,
         order=None if curve is None else curve.family.order(len(curve.coefficients)),
         basis="" if curve is None else curve.basis,
         source="" if curve is None else curve.source,

@@ -25,12 +25,12 @@ from twin.display.figures import (
     RUN,
     SHADE,
     THIRD,
-    blank,
-    dots,
-    dress,
     legend_below,
-    paper,
+    new_figure,
+    plot_markers,
     polar_ticks,
+    style_axes,
+    text_box_style,
 )
 from twin.report.compensation import CompensationForecast
 from twin.report.contributions import Contribution
@@ -77,7 +77,7 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
     at = np.arange(len(shown))[::-1]
     colours = [FORWARD] * (len(shown) - 1) + [BOTH]
     plot.barh(at, [one.rms_um for one in shown], height=0.62, color=colours, label="RMS over the volume")
-    dots(plot, [one.max_um for one in shown], at, BACKWARD, "D", label="largest")
+    plot_markers(plot, [one.max_um for one in shown], at, BACKWARD, "D", label="largest")
     whisker: dict[str, Any] = {"color": "#777777", "linewidth": 1.6}
     for y, one in zip(at, shown, strict=True):
         if np.isfinite(one.u_rms_um):
@@ -113,7 +113,7 @@ def plot_constants(found: Sequence[Constant]) -> Figure:
     groups = [[one for one in found if one.unit == unit] for unit in ("urad", "um")]
     groups = [group for group in groups if group]
     heights = [len(group) + 1.2 for group in groups]
-    drawing = blank(WIDTH, 0.35 + 0.3 * sum(heights))
+    drawing = new_figure(WIDTH, 0.35 + 0.3 * sum(heights))
     plots = drawing.subplots(len(groups), 1, squeeze=False, height_ratios=heights).ravel()
     for plot, group in zip(plots, groups, strict=True):
         _dress(plot)
@@ -121,7 +121,7 @@ def plot_constants(found: Sequence[Constant]) -> Figure:
         for y, one in zip(at, group, strict=True):
             if one.known:
                 plot.plot([one.value - one.half, one.value + one.half], [y, y], color=FORWARD, linewidth=2.0)
-            dots(plot, one.value, y, FORWARD, "o", 6, markerfacecolor=FORWARD if one.known else "white")
+            plot_markers(plot, one.value, y, FORWARD, "o", 6, markerfacecolor=FORWARD if one.known else "white")
         plot.axvline(0.0, color=BOTH, linewidth=0.8)
         plot.set_yticks(at, [one.name + ("" if one.known else " ?") for one in group])
         plot.set(ylim=(-0.6, len(group) - 0.4), xlabel=f"value and 95 % interval [{readable(group[0].unit)}]")
@@ -134,7 +134,7 @@ def plot_squareness(one: Constant) -> Figure:
     Args:
         one: a squareness error.
     """
-    drawing = blank(2.3, 2.3)
+    drawing = new_figure(2.3, 2.3)
     plot = drawing.subplots()
     plot.set_axis_off()
     plot.set_aspect("equal")
@@ -161,7 +161,7 @@ def plot_field(field: Field) -> Figure:
     rows = field.drawn
     points, errors, size = field.point_mm[rows], field.error_um[rows], field.size_um[rows]
     factor, top = chosen_factor(points, errors), scale_top_um(float(size.max(initial=0.0)))
-    drawing = blank(6.4, 4.9)
+    drawing = new_figure(6.4, 4.9)
     plot: Any = drawing.add_subplot(projection="3d")
     colours = viridis(np.clip(size / top, 0.0, 1.0))
     arrows = factor * errors * 1e-3
@@ -172,7 +172,7 @@ def plot_field(field: Field) -> Figure:
     for text, a, b in field.edges():
         plot.plot(*np.stack([a, b]).T, color="#9aa3ad", linewidth=0.7)
         if text:
-            plot.text(*((a + b) / 2.0), text, fontsize=8, ha="center", zorder=50, bbox=paper(0.8, 0.5))
+            plot.text(*((a + b) / 2.0), text, fontsize=8, ha="center", zorder=50, bbox=text_box_style(0.8, 0.5))
     plot.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
     plot.tick_params(labelsize=7)
     if len(points) > 1:
@@ -195,7 +195,7 @@ def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure
     high = float(np.ptp(one.up)) / float(np.ptp(one.across))
     wide = min(SIDE, MOST_HIGH / high)
     height = wide * high + 0.72
-    drawing = blank(WIDTH, height, layout=None)
+    drawing = new_figure(WIDTH, height, layout=None)
     plot = drawing.add_axes((0.72 / WIDTH, 0.55 / height, wide / WIDTH, wide * high / height))
     _dress(plot)
     levels = np.linspace(0.0, top, 9)
@@ -260,7 +260,7 @@ def _along(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
 
 def _polar(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
     low, high = float(motion.position[0]), float(motion.position[-1])
-    drawing = blank(WIDTH, 4.3 if high - low > 200.0 else 3.2)
+    drawing = new_figure(WIDTH, 4.3 if high - low > 200.0 else 3.2)
     plot = cast(PolarAxes, drawing.add_subplot(projection="polar"))
     q = motion.position * DEG
     lines = _curves(plot, motion, DEG, "from below (+)", (1.6, 1.3))
@@ -274,7 +274,7 @@ def _polar(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
     plot.set_yticks([tick for tick, _ in ticks], [text for _, text in ticks], fontsize=7.5)
     plot.set_rlabel_position(100.0 if full else (low + high) / 2.0)
     for label in plot.get_yticklabels():
-        label.set_bbox(paper(0.8, 0.4))
+        label.set_bbox(text_box_style(0.8, 0.4))
     plot.set_xticks(np.arange(np.ceil(low / 30.0) * 30.0, high + (0.0 if full else 1.0), 30.0) * DEG)
     plot.tick_params(axis="x", labelsize=8)
     legend_below(drawing, columns=2, size=8)
@@ -311,7 +311,7 @@ def _scale(top: float) -> ScalarMappable:
 
 def _plot(width: float, height: float, *, left: float = 0.72, legend: int = 1) -> Axes:
     """Return one plot with fixed margins for labels and a legend of ``legend`` lines: automatic layout is as slow as drawing."""
-    drawing = blank(width, height, layout=None)
+    drawing = new_figure(width, height, layout=None)
     below = 0.52 + LINE * legend
     plot = drawing.add_axes(
         (left / width, below / height, (width - left - 0.12) / width, (height - below - 0.14) / height)
@@ -328,7 +328,7 @@ def _legend(plot: Axes, *, columns: int) -> None:
 
 
 def _dress(plot: Axes) -> None:
-    dress(plot)
+    style_axes(plot)
     plot.tick_params(labelsize=LETTERS - 0.5)
     plot.xaxis.label.set_fontsize(LETTERS)
     plot.yaxis.label.set_fontsize(LETTERS)

@@ -15,22 +15,22 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.json_form import json_form
 from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import first_component
 from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.wording.panels import groups_of, means
+from twin.diagnosis.wording.panels import group_means, group_numbers
 from twin.identification.network import Network
 from twin.identification.setup import SetUp
 from twin.identification.solve import solve
 from twin.identification.unknowns import Unknowns
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import APPROACH, asked
+from twin.machine.conditions import APPROACH, required_channels
 from twin.machine.effects import Effect, split_name, unit_of
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements, state_of
+from twin.measurement.table import Measurements, machine_state
 
 LEGIBLE: Final = 5.0
 """An estimate is omitted if its interval exceeds the curve's largest value by this factor."""
@@ -116,8 +116,8 @@ def compare_points(data: Measurements, machine: Machine, calibration: Calibratio
     Raises:
         InputError: data that do not fit the machine, or positions outside the curves.
     """
-    given = state_of(data, machine)
-    needed = asked(calibration.effects, machine)
+    given = machine_state(data, machine)
+    needed = required_channels(calibration.effects, machine)
     absent = {name for channel, by in needed.items() if channel not in given for name in by}
     held = calibration.where(lambda name: name not in absent)
     evaluated = {effect.name for effect in held.effects}
@@ -138,8 +138,8 @@ def compare_points(data: Measurements, machine: Machine, calibration: Calibratio
         rms_before_um=_rms(nominal_residual, read),
         rms_after_um=_rms(residual, read),
         scatter=placed.noise.source,
-        before_um=locked(np.linalg.norm(nominal_residual, axis=1) / UM),
-        after_um=locked(np.linalg.norm(residual, axis=1) / UM),
+        before_um=read_only(np.linalg.norm(nominal_residual, axis=1) / UM),
+        after_um=read_only(np.linalg.norm(residual, axis=1) / UM),
         stops=MappingProxyType(_estimates(network, placed.setup, held)),
         rows=tuple((note.line, note.text) for note in network.data.set_aside),
         notices=network.data.notices,
@@ -154,7 +154,7 @@ def _rms(residual: np.ndarray, read: np.ndarray) -> float:
 def _estimates(network: Network, setup: SetUp, calibration: Calibration) -> dict[str, tuple[PositionEstimates, ...]]:
     machine, data = network.machine, network.data
     view = network.view(np.zeros(0), setup, np.arange(len(data)))
-    state = state_of(data, machine)
+    state = machine_state(data, machine)
     found: dict[str, tuple[PositionEstimates, ...]] = {}
     for name in machine.motion_names:
         component, _, axis = split_name(name)
@@ -208,6 +208,6 @@ def _estimates_of_side(
     rows = rows & (weight > 0.0)
     if np.count_nonzero(rows) < FEWEST:
         return PositionEstimates(name, side, np.zeros(0), np.zeros(0), np.zeros(0))
-    at, mean, half = means(q[rows], value[rows], weight[rows], groups_of(q[rows]))
+    at, mean, half = group_means(q[rows], value[rows], weight[rows], group_numbers(q[rows]))
     legible = half <= LEGIBLE * max(float(np.abs(mean).max(initial=0.0)), 1.0)
-    return PositionEstimates(name, side, locked(at[legible]), locked(mean[legible]), locked(half[legible]))
+    return PositionEstimates(name, side, read_only(at[legible]), read_only(mean[legible]), read_only(half[legible]))

@@ -12,13 +12,13 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
-from twin._common.provenance import SIMULATED, SourceWarning, merged, to_json
+from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, warnings_to_json
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.control import ControlSection
-from twin.machine.datum import MEAN_LINES, MEANING
+from twin.machine.datum import EXPLANATION, MEAN_LINES
 from twin.machine.display import uncertainty_of
 from twin.machine.effects import split_name, unit_of
 from twin.machine.machine import Axis, Machine
@@ -34,7 +34,7 @@ from twin.report.sources import Sources, sources
 from twin.report.tables import TablesLeft, tables_left
 from twin.report.words import named
 from twin.uncertainty.at_tool import DEFINITION
-from twin.uncertainty.budget import known_at
+from twin.uncertainty.budget import without_missing_channels
 
 SCHEMA: Final = "twin.report/1"
 SEED: Final = 0
@@ -163,7 +163,7 @@ class MachineReport:
     @property
     def warnings(self) -> tuple[SourceWarning, ...]:
         """Warnings about the source of the numbers: of the calibration and of the readings compared with it."""
-        return merged(self.calibration.warnings, (SIMULATED,) if self.simulated else ())
+        return merge_warnings(self.calibration.warnings, (SIMULATED,) if self.simulated else ())
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -191,7 +191,7 @@ class MachineReport:
                     "datum": calibration.datum,
                     "illustrative": self.illustrative,
                     "simulated_readings": self.simulated,
-                    "warnings": to_json(self.warnings),
+                    "warnings": warnings_to_json(self.warnings),
                 },
                 "tool_length_mm": self.kinematics.tool_length_mm,
                 "conditions": self.kinematics.conditions.channels,
@@ -257,7 +257,7 @@ def machine_report(
     identification = None if identified is None else Identified.load(identified, calibration)
     calibration, datum = _in_mean_lines(calibration)
     origin = sources(calibration, identified, [path for path, _ in measured], seed, made)
-    known, left_out = known_at(at, calibration)
+    known, left_out = without_missing_channels(at, calibration)
     real = Kinematics(machine, known, tool_length_mm=tool_length_mm, conditions=at)
     error_budget, error_motions, error_field, outcome = _over_the_volume(real, seed, tell)
     found = tuple(_comparisons(measured, known, tell))
@@ -315,10 +315,10 @@ def _in_mean_lines(calibration: Calibration) -> tuple[Calibration, str]:
     try:
         found = calibration.in_datum(MEAN_LINES, named)
     except InputError as error:
-        return calibration, f"{MEANING[given]}; not converted: {error.what}"
+        return calibration, f"{EXPLANATION[given]}; not converted: {error.what}"
     if found is calibration:
-        return calibration, MEANING[given]
-    return replace(found, path=calibration.path), f"{MEANING[MEAN_LINES]}; converted from: {given}"
+        return calibration, EXPLANATION[given]
+    return replace(found, path=calibration.path), f"{EXPLANATION[MEAN_LINES]}; converted from: {given}"
 
 
 def _constants(real: Kinematics, error_budget: Budget) -> tuple[Constant, ...]:

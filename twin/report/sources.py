@@ -14,7 +14,7 @@ from typing import Any, Final, final
 from twin._common.json_form import json_form
 from twin.compute.parallel.versions import versions
 from twin.machine.calibration import Calibration
-from twin.machine.control.section import digest
+from twin.machine.control.section import file_sha256
 from twin.uncertainty.budget import SEED
 
 MORE: Final = ("matplotlib", "meshcat")
@@ -85,7 +85,7 @@ def sources(
     tables = () if calibration.control is None else calibration.control.tables
     return Sources(
         files=(
-            *(Source(role, str(path), digest(path)) for role, path in files),
+            *(Source(role, str(path), file_sha256(path)) for role, path in files),
             *(Source(f"table in the control ({one.format})", str(one.file), one.sha256) for one in tables),
         ),
         programs=MappingProxyType(

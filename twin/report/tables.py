@@ -8,10 +8,10 @@ from typing import Any, final
 
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
-from twin.control import Carried, Remains, Request, account_of, make
+from twin.control import CorrectedShare, RemainingErrors, Request, account_of, make
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.control import FORMATS, Terms
+from twin.machine.control import FORMATS, TableSum
 
 
 @final
@@ -30,8 +30,8 @@ class TablesLeft:
     kind: str
     at: Mapping[str, float]
     tool_length_mm: float
-    remains: Remains
-    carried: tuple[Carried, ...]
+    remains: RemainingErrors
+    carried: tuple[CorrectedShare, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
@@ -55,7 +55,7 @@ def tables_left(
         return ()
     found = []
     for form in FORMATS:
-        if form.correction is not Terms:
+        if form.correction is not TableSum:
             continue
         request = Request(form.name, tool_length_mm=real.tool_length_mm, conditions=real.conditions)
         try:

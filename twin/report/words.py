@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from twin.diagnosis.wording.words import capital, plain
+from twin.diagnosis.wording.words import capital, cause_title
 from twin.machine.effects import split_name
-from twin.machine.effects.names import motion
+from twin.machine.effects.names import motion_in_words
 from twin.machine.machine import Machine
 
 CLASSES: Final[Mapping[str, str]] = MappingProxyType(
@@ -43,14 +43,14 @@ def named(name: str, machine: Machine) -> str:
         return name
     if effect == "control":
         return f"Table in the control: {where}"
-    return plain(effect, where.partition("[")[0])
+    return cause_title(effect, where.partition("[")[0])
 
 
 def _of_motion(name: str, machine: Machine) -> str:
     component, average, axis = split_name(name)
     one, direction = machine.by_name[axis], "xyz"[component % 3]
     if average:
-        return plain("squareness", name) if one.linear else capital(motion(name))
+        return cause_title("squareness", name) if one.linear else capital(motion_in_words(name))
     along = max(range(3), key=lambda i: abs(one.direction[i]))
     if one.linear and component < 3:
         return f"Positioning of {axis}" if component == along else f"Straightness of {axis} in {direction}"

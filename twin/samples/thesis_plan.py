@@ -18,8 +18,8 @@ from typing import Final
 
 import numpy as np
 
-from twin._common.arrays import locked
-from twin._common.files import write_whole
+from twin._common.arrays import read_only
+from twin._common.files import write_atomic
 from twin._common.units import DEG
 from twin.machine.machine import Machine
 from twin.measurement.simulate import Station
@@ -97,19 +97,19 @@ def plan(machine: Machine, station: Station | None = None) -> Measurements:
     n = len(names)
     return Measurements(
         source="thesis plan",
-        lines=locked(np.arange(1, n + 1)),
-        positions=locked(np.array(positions)),
-        readback=locked(np.full((n, len(machine.axes)), np.nan)),
-        target=locked(np.array(names, dtype=object)),
-        carrier=locked(np.array(carriers, dtype=object)),
-        station=locked(np.full(n, "1", dtype=object)),
-        round=locked(np.array(rounds, dtype=object)),
-        point_mm=locked(np.full((n, 3), np.nan)),
-        u_mm=locked(np.full((n, 3), np.nan)),
-        time_s=locked(SECONDS_A_POINT * np.arange(n)),
-        approach=locked(np.array(approach) + 0.0),
-        place_mm=locked(np.array(places)),
-        station_pose=locked(np.tile(pose, (n, 1))),
+        lines=read_only(np.arange(1, n + 1)),
+        positions=read_only(np.array(positions)),
+        readback=read_only(np.full((n, len(machine.axes)), np.nan)),
+        target=read_only(np.array(names, dtype=object)),
+        carrier=read_only(np.array(carriers, dtype=object)),
+        station=read_only(np.full(n, "1", dtype=object)),
+        round=read_only(np.array(rounds, dtype=object)),
+        point_mm=read_only(np.full((n, 3), np.nan)),
+        u_mm=read_only(np.full((n, 3), np.nan)),
+        time_s=read_only(SECONDS_A_POINT * np.arange(n)),
+        approach=read_only(np.array(approach) + 0.0),
+        place_mm=read_only(np.array(places)),
+        station_pose=read_only(np.tile(pose, (n, 1))),
         temperature_degC=MappingProxyType({}),
     )
 
@@ -122,7 +122,7 @@ def text() -> str:
 
 def main() -> None:
     """Write the plan into this folder."""
-    write_whole(PLANS[0], text())
+    write_atomic(PLANS[0], text())
 
 
 if __name__ == "__main__":

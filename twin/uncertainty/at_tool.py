@@ -23,13 +23,13 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
-from twin._common.errors import InputError, nearest
-from twin.display import UNKNOWN, Html, card, histogram, note, pairs, several
+from twin._common.arrays import read_only
+from twin._common.errors import InputError, closest_name
+from twin.display import UNKNOWN, Html, card, count_with_noun, histogram, note, pairs
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.numerics.covariance import Covariance
-from twin.uncertainty.budget import POSES, drawn_sides, state_at, volume, within
+from twin.uncertainty.budget import POSES, inside_domains, random_approach, state_at, volume
 
 DEFINITION: Final = "U: radius within which the point lies with 95 % probability (normal distribution assumed)"
 RADIUS: Final = (1.73085, -0.15300, 0.04808, -0.01687, 0.00799, -0.00311)
@@ -100,7 +100,7 @@ class PoseUncertainty:
     @cached_property
     def expanded_um(self) -> np.ndarray:
         """U (n,) of the point, µm: see `DEFINITION`."""
-        return locked(radius_95(self.covariance[:, :3, :3]))
+        return read_only(radius_95(self.covariance[:, :3, :3]))
 
     @cached_property
     def axis_expanded_urad(self) -> np.ndarray:
@@ -109,10 +109,10 @@ class PoseUncertainty:
         zero = np.zeros_like(x)
         # δa = ω × a: a rotation about the tool axis has no effect.
         lever = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
-        return locked(radius_95(lever @ self.covariance[:, 3:, 3:] @ lever.transpose(0, 2, 1)))
+        return read_only(radius_95(lever @ self.covariance[:, 3:, 3:] @ lever.transpose(0, 2, 1)))
 
     def _repr_html_(self) -> str:
-        return card("Uncertainty of the tool point", *self.shown(), small=several(len(self.axis), "pose")).text
+        return card("Uncertainty of the tool point", *self.shown(), small=count_with_noun(len(self.axis), "pose")).text
 
     def shown(self, *more: tuple[str, str]) -> list[Html]:
         """Return the parts of the HTML display: U, its distribution, and the errors not included."""
@@ -136,12 +136,12 @@ class PoseUncertainty:
     def where(self, keep: np.ndarray) -> PoseUncertainty:
         """Return the uncertainty of the selected poses, (n,) booleans."""
         return PoseUncertainty(
-            locked(self.covariance[keep]), locked(self.axis[keep]), self.parameters, self.without_uncertainty
+            read_only(self.covariance[keep]), read_only(self.axis[keep]), self.parameters, self.without_uncertainty
         )
 
     @cached_property
     def _standard(self) -> np.ndarray:
-        return locked(np.sqrt(np.einsum("nii->ni", self.covariance)))
+        return read_only(np.sqrt(np.einsum("nii->ni", self.covariance)))
 
 
 @final
@@ -179,7 +179,7 @@ class UncertaintyMap:
 
     def _repr_html_(self) -> str:
         place = ", ".join(f"{name} {value:.0f}" for name, value in self.where.items()).replace("-", "−")
-        small = several(len(self.positions), "pose")
+        small = count_with_noun(len(self.positions), "pose")
         shown = self.uncertainty.shown(("largest at (mm, °)", place))
         return card("U of the tool point over the volume", *shown, small=small).text
 
@@ -228,7 +228,7 @@ class ToolUncertainty:
 
     def _repr_html_(self) -> str:
         known = (
-            several(len(self.parameters), "parameter")
+            count_with_noun(len(self.parameters), "parameter")
             if self.parameters
             else f"{UNKNOWN}: no covariance in the calibration"
         )
@@ -265,7 +265,7 @@ class ToolUncertainty:
                     root = error[part][:, :, rows] @ spread
                     covariance[start:][part] = root @ root.transpose(0, 2, 1)
         axis = self.kinematics.forward(q, sides).axis if len(q) else np.zeros((0, 3))
-        return PoseUncertainty(locked(covariance), axis, len(self.parameters), self.without_uncertainty)
+        return PoseUncertainty(read_only(covariance), axis, len(self.parameters), self.without_uncertainty)
 
     def over_volume(self, poses: int = POSES) -> UncertaintyMap:
         """Return U over poses spread evenly over the ranges (`twin.uncertainty.budget.volume`), inside the domains of the curves."""
@@ -297,7 +297,7 @@ class ToolUncertainty:
                     "no such rotary axis",
                     expected=f"some of {', '.join(turning)}",
                     value=name,
-                    nearest=nearest(name, turning),
+                    closest_name=closest_name(name, turning),
                 )
         size = dict(zip((axis.name for axis in linear), counts, strict=True))
         ranges = zip(machine.limits / machine.scale[:, None], self.kinematics.calibration.domains(), strict=True)
@@ -310,8 +310,10 @@ class ToolUncertainty:
 
     def _map(self, positions: np.ndarray) -> UncertaintyMap:
         """Return U at some poses, with random directions of approach: a reversal counts as ± half its size."""
-        inside = within(positions, self.kinematics.calibration)
-        return UncertaintyMap(self.kinematics.machine.names, locked(inside), self.at(inside, drawn_sides(inside)))
+        inside = inside_domains(positions, self.kinematics.calibration)
+        return UncertaintyMap(
+            self.kinematics.machine.names, read_only(inside), self.at(inside, random_approach(inside))
+        )
 
     def rates(self, positions: np.ndarray, approach: np.ndarray) -> list[tuple[int, list[int], np.ndarray]]:
         """Return the derivatives of the error frames' components with respect to the uncertain parameters.

@@ -14,7 +14,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.conditions import APPROACH, Conditions
 from twin.machine.display import standard_uncertainty
 from twin.machine.effects import Effect, unit_of
-from twin.machine.iso16907 import acts_as, iso_class
+from twin.machine.iso16907 import error_motion_of, iso_class
 from twin.machine.machine import Machine
 
 POSES: Final = 2000
@@ -57,7 +57,7 @@ def volume(machine: Machine, poses: int = POSES, seed: int = SEED) -> np.ndarray
     return latin_hypercube(np.array([axis.domain for axis in machine.axes]), poses, np.random.default_rng(seed))
 
 
-def known_volume(calibration: Calibration) -> np.ndarray:
+def volume_inside_domains(calibration: Calibration) -> np.ndarray:
     """Return the poses (n, axes) of `volume` that lie inside the domain of every curve of a calibration."""
     q = volume(calibration.machine)
     return np.asarray(q[~calibration.outside(q).any(axis=1)])
@@ -70,12 +70,12 @@ def latin_hypercube(ranges: np.ndarray, count: int, rng: np.random.Generator) ->
     return np.asarray(lower + (cells + rng.random(cells.shape)) / count * (upper - lower))
 
 
-def drawn_sides(positions: np.ndarray) -> np.ndarray:
+def random_approach(positions: np.ndarray) -> np.ndarray:
     """Return random directions of approach (n, axes), +1 or −1, from a fixed seed."""
     return np.asarray(np.random.default_rng(SEED).choice([-1.0, 1.0], np.shape(positions)))
 
 
-def within(positions: np.ndarray, *calibrations: Calibration) -> np.ndarray:
+def inside_domains(positions: np.ndarray, *calibrations: Calibration) -> np.ndarray:
     """Return the positions (n, axes) that lie inside the domain of every curve of all calibrations.
 
     Raises:
@@ -110,14 +110,14 @@ def error_budget(
 
     Args:
         machine: the machine.
-        calibration: its errors, without effects whose channel the conditions do not give (`known_at`).
+        calibration: its errors, without effects whose channel the conditions do not give (`without_missing_channels`).
         tool_length_mm: tool length; None: that of the machine file.
         conditions: temperatures and time.
     """
-    q = known_volume(calibration)
+    q = volume_inside_domains(calibration)
     nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q)
-    sides = drawn_sides(q)
-    classes = {effect.name: iso_class(acts_as(effect, machine), machine) for effect in calibration.effects}
+    sides = random_approach(q)
+    classes = {effect.name: iso_class(error_motion_of(effect, machine), machine) for effect in calibration.effects}
 
     def at_tool(limited: Calibration) -> tuple[float, float, tuple[float, float], tuple[float, float]]:
         real = Kinematics(machine, limited, tool_length_mm=tool_length_mm, conditions=conditions)
@@ -140,7 +140,9 @@ def error_budget(
     return tuple(rows), tuple(totals)
 
 
-def known_at(conditions: Conditions, calibration: Calibration) -> tuple[Calibration, dict[str, tuple[str, ...]]]:
+def without_missing_channels(
+    conditions: Conditions, calibration: Calibration
+) -> tuple[Calibration, dict[str, tuple[str, ...]]]:
     """Return the calibration without effects whose channel is not given, and the effects left out by channel."""
     missing = conditions.missing(calibration)
     left_out = {name for by in missing.values() for name in by}

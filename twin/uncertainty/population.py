@@ -20,21 +20,21 @@ import casadi as ca
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
-from twin._common.provenance import SourceWarning, to_json
+from twin._common.provenance import SourceWarning, warnings_to_json
 from twin._common.units import MM, UM
 from twin.compute.batch import BatchFunction
-from twin.compute.parallel import Workers, in_order
-from twin.display import card, histogram, note, pairs, several, table
+from twin.compute.parallel import Workers, map_in_order
+from twin.display import card, count_with_noun, histogram, note, pairs, table
 from twin.display.numbers import COVERAGE, COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
-from twin.uncertainty.budget import drawn_sides, volume, within
+from twin.uncertainty.budget import inside_domains, random_approach, volume
 
 SCHEMA: Final = "twin.volume/1"
 TRIALS: Final = 100_000
@@ -205,7 +205,7 @@ class Population:
             ),
         ]
         headers = ("machines", "error at the tool, µm", "mean", "95 % of the machines", "maximum")
-        small = f"{self.machines:,} drawn at {several(len(self.positions), 'pose')}, seed {self.seed}"
+        small = f"{self.machines:,} drawn at {count_with_noun(len(self.positions), 'pose')}, seed {self.seed}"
         parts = (
             pairs(rows),
             table(headers, spread, right=(2, 3, 4)),
@@ -236,7 +236,7 @@ class Population:
             "poses": len(self.positions),
             "seed": self.seed,
             "definition": DEFINITION,
-            "warnings": to_json(self.warnings),
+            "warnings": warnings_to_json(self.warnings),
             "without_uncertainty": list(self.without_uncertainty),
             "by_draws": summary(self.by_draws_um),
             "first_order": summary(self.first_order_um),
@@ -446,14 +446,14 @@ def _drawn(
             expected="a calibration with a covariance, as `twin identify` writes it",
             file=calibration.path,
         )
-    q = within(volume(kinematics.machine, poses), calibration)
-    sides = drawn_sides(q)
+    q = inside_domains(volume(kinematics.machine, poses), calibration)
+    sides = random_approach(q)
     say("preparing", 0.0)
     draws = Draws(
         kinematics.machine, calibration, kinematics.tool_length_mm, kinematics.conditions, q, sides, seed
     ).pilot()
     tasks = [(i, min(TRIALS_PER_TASK, trials - start)) for i, start in enumerate(range(0, trials, TRIALS_PER_TASK))]
-    parts = in_order(Draws.part, draws, tasks, workers, name=lambda task: f"machines of task {task[0]}")
+    parts = map_in_order(Draws.part, draws, tasks, workers, name=lambda task: f"machines of task {task[0]}")
     total = next(parts)
     for part in parts:
         say("drawing", total.machines / trials)
@@ -479,7 +479,7 @@ def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) 
     )
     ends = np.abs(interval - first.standard_um[:, :, None] * np.array([-COVERAGE_FACTOR, COVERAGE_FACTOR]))
     tolerance = np.maximum(numerical_tolerance(first.standard_um, digits), NUMERICAL_UM)
-    within = np.all(ends + 2.0 * noise <= tolerance[:, :, None], axis=(1, 2))
+    inside_domains = np.all(ends + 2.0 * noise <= tolerance[:, :, None], axis=(1, 2))
     beyond = np.any(ends - 2.0 * noise > tolerance[:, :, None], axis=(1, 2))
     mean = total.sums / trials
     variance = np.einsum("nii->ni", total.squares) / trials - mean**2
@@ -491,17 +491,19 @@ def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) 
     ]
     return Population(
         axes=draws.machine.names,
-        positions=locked(draws.positions),
+        positions=read_only(draws.positions),
         machines=trials,
         seed=draws.seed,
         first_order_um=first.expanded_um,
-        by_draws_um=locked(points.quantile(COVERAGE).reshape(n, POINT)[:, 3].copy()),
-        standard_um=locked(np.sqrt(np.maximum(variance, 0.0) * trials / (trials - 1.0))),
-        bias_um=locked(mean),
-        interval_um=locked(interval),
-        difference_um=locked(ends.max(axis=2)),
-        tolerance_um=locked(tolerance),
-        validated=tuple(True if good else False if bad else None for good, bad in zip(within, beyond, strict=True)),
+        by_draws_um=read_only(points.quantile(COVERAGE).reshape(n, POINT)[:, 3].copy()),
+        standard_um=read_only(np.sqrt(np.maximum(variance, 0.0) * trials / (trials - 1.0))),
+        bias_um=read_only(mean),
+        interval_um=read_only(interval),
+        difference_um=read_only(ends.max(axis=2)),
+        tolerance_um=read_only(tolerance),
+        validated=tuple(
+            True if good else False if bad else None for good, bad in zip(inside_domains, beyond, strict=True)
+        ),
         as_it_is=(spreads[0], spreads[1]),
         compensated=(spreads[2], spreads[3]),
         without_uncertainty=tool.without_uncertainty,
@@ -544,7 +546,7 @@ def _sufficiency_text(validated: Sequence[bool | None]) -> str:
         "no": validated.count(False),
         "too few draws to decide": validated.count(None),
     }
-    return ", ".join(f"{words} at {several(count, 'pose')}" for words, count in counts.items() if count)
+    return ", ".join(f"{words} at {count_with_noun(count, 'pose')}" for words, count in counts.items() if count)
 
 
 def numerical_tolerance(standard: np.ndarray, digits: int) -> np.ndarray:

@@ -21,9 +21,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from twin._common.errors import InputError
-from twin._common.files import check_writable, command_files, write_json
+from twin._common.files import check_writable, tracked_files, write_json
 from twin.cli.shared.installation import NOT_ALL_MET
-from twin.cli.shared.terminal import echo, tell_error
+from twin.cli.shared.terminal import echo, print_error
 from twin.cli.shared.words import positive, usable_number
 
 registered = typer.Typer()
@@ -104,7 +104,7 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
                 if value is not None and POSITIVE in hints[parameter]:
                     positive(option, value)
             outputs = _selected_paths(values, paths, outputs=True)
-            with command_files() as files:
+            with tracked_files() as files:
                 for path in _selected_paths(values, paths, outputs=False):
                     if path.exists():
                         files.add_input(path)
@@ -162,7 +162,7 @@ def _report(result: CommandResult, outputs: Sequence[Path], json_file: Path | No
     for line in result.after:
         echo(line)
     for line in result.errors:
-        tell_error(line)
+        print_error(line)
     status = result.status if result.status is not None else 0 if result.met else NOT_ALL_MET
     if status:
         raise typer.Exit(status)

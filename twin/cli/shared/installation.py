@@ -16,7 +16,7 @@ from time import perf_counter
 from types import MappingProxyType
 from typing import Final, Literal, NoReturn, final
 
-from twin.cli.shared.terminal import accept_any_text, echo, tell_error
+from twin.cli.shared.terminal import accept_any_text, echo, print_error
 
 BAD_INPUT: Final = 2
 NOT_ALL_MET: Final = 3
@@ -107,7 +107,7 @@ def can_start() -> bool:
     return not _not_installed() and not (broken().keys() & NEEDED.keys()) - NEEDED_LATER
 
 
-def end(error: BaseException) -> NoReturn:
+def exit_with_import_error(error: BaseException) -> NoReturn:
     """Exit with status 2 after a failed import, and name the packages in one line.
 
     Raises:
@@ -122,11 +122,11 @@ def end(error: BaseException) -> NoReturn:
     found += [f"{', '.join(some)} cannot be imported ({reason})" for reason, some in names.items()]
     if not found:
         raise error
-    tell_error(f"twin: {'; '.join(found)}; expected working packages: run twin doctor")
+    print_error(f"twin: {'; '.join(found)}; expected working packages: run twin doctor")
     sys.exit(BAD_INPUT)
 
 
-def end_with_findings() -> NoReturn:
+def exit_with_findings() -> NoReturn:
     """Print the checks of `twin doctor` that need no packages, and exit with the status of a failed check.
 
     Raises:

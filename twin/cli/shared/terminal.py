@@ -54,7 +54,7 @@ def echo(text: object = "", *, end: str = "\n") -> None:
     print(printable(str(text)), end=end)
 
 
-def tell_error(text: str) -> None:
+def print_error(text: str) -> None:
     """Print one line to the standard error, with control characters escaped; ignore a failure to write."""
     with suppress(OSError):
         print(printable(text, one_line=True), file=sys.stderr, flush=True)
@@ -78,7 +78,7 @@ def discard_output() -> None:
         os.close(null)
 
 
-def line_of_failure(error: OSError) -> str:
+def os_error_message(error: OSError) -> str:
     """Return the message of an operating system error, in one line."""
     place = "standard output or TMPDIR" if error.filename is None else str(error.filename)
     return f"{place}: cannot be read or written: {error.strerror or error}; expected free space and permission"

@@ -7,13 +7,13 @@ from typing import Any
 
 import typer
 
-from twin._common.errors import is_it
+from twin._common.errors import did_you_mean
 
 # Not every version of typer exports the parser's exception classes; this is their common base.
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 
-def line_of_usage(error: Any) -> str:
+def usage_message(error: Any) -> str:
     """Return the message of a usage error, in one line.
 
     Args:
@@ -24,7 +24,7 @@ def line_of_usage(error: Any) -> str:
     return f"{_message(error, context)}; expected what `{path} --help` lists"
 
 
-def help_of(error: Any) -> str | None:
+def help_text(error: Any) -> str | None:
     """Return the help text if the command line was empty; None otherwise."""
     if type(error).__name__ != "NoArgsIsHelpError":
         return None
@@ -36,13 +36,13 @@ def _message(error: Any, context: Any) -> str:
     option = getattr(error, "option_name", None)
     if option is not None and context is not None and type(error).__name__ == "NoSuchOption":
         known = [name for one in context.command.params for name in (*one.opts, *one.secondary_opts)]
-        return f"no such option: {option!r}{is_it(option, [name for name in known if name.startswith('-')])}"
+        return f"no such option: {option!r}{did_you_mean(option, [name for name in known if name.startswith('-')])}"
     command = re.search(r"No such command '([^']*)'", text)
     if command is not None and context is not None:
         known = context.command.list_commands(context)
-        return f"no such command: {command[1]!r}{is_it(command[1], known)}"
+        return f"no such command: {command[1]!r}{did_you_mean(command[1], known)}"
     choice = re.search(r"'([^']*)' is not one of (.*)$", text)
     if choice is not None:
         known = re.findall(r"'([^']*)'", choice[2])
-        text = text.replace("Value error, ", "") + is_it(choice[1], known)
+        text = text.replace("Value error, ", "") + did_you_mean(choice[1], known)
     return text[0].lower() + text[1:] if text else "cannot be used"

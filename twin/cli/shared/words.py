@@ -28,7 +28,7 @@ LARGEST: Final = 1e12
 """Limits of a number on the command line in any unit: below the size of an atom, above the seconds since 1970."""
 
 
-def gathered(arguments: list[str]) -> list[str]:
+def repeat_options(arguments: list[str]) -> list[str]:
     """Return the arguments with an option of several words repeated for each word: ``--scope L-POS L-STR``, ``--at X=1 Y=2``."""
     patterns = MANY_WORDS
     out: list[str] = []
@@ -50,7 +50,7 @@ def gathered(arguments: list[str]) -> list[str]:
     return [*out, gathering] if gathering and fresh else out
 
 
-def told_word_by_word() -> None:
+def expand_bash_line() -> None:
     """Rewrite bash's command line for the parser: an option with several words is repeated before each of them."""
     if os.environ.get(VARIABLE) != "complete_bash" or WORDS not in os.environ:
         return
@@ -62,7 +62,7 @@ def told_word_by_word() -> None:
     before, current = line[1:position], line[position] if position < len(line) else ""
     if any(mark in " ".join(line) for mark in "\"'\\"):
         return  # splitting at spaces would break quoted words
-    words = gathered(before)
+    words = repeat_options(before)
     if len(words) >= 2 and words[-2] in MANY_WORDS and not current.startswith("-") and not Path(current).exists():
         words.append(words[-2])
     os.environ[WORDS] = " ".join([line[0] if line else "twin", *words, current])

@@ -7,7 +7,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import every
+from twin._common.arrays import rows_all_true
 from twin._common.units import URAD
 from twin.compensation.account.interpolation import interpolated
 from twin.compensation.account.notes import approach_notes, condition_notes, reversal_notes, setup_notes
@@ -233,7 +233,7 @@ class CompensationAccount:
         compensated = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is reported separately
         moved = self._bench.nominal_comparison.poses(Commands(rows.nominal), Commands(compensated))
         keep = ~rows.untouched & ~rows.backlash_move & moved.known
-        keep &= every(~self._bench.real.outside_domain(rows.nominal))
+        keep &= rows_all_true(~self._bench.real.outside_domain(rows.nominal))
         if not np.any(keep):
             return
         if not keep.all():

@@ -10,7 +10,7 @@ import numpy as np
 from twin.compensation.account.report import LineNote, ReversalNote
 from twin.compensation.bench import Bench, CorrectionAim
 from twin.compensation.solving import Corrected
-from twin.machine.conditions import TIME, Listening
+from twin.machine.conditions import TIME, RecordingState
 
 WARM_UP_S: Final = 600.0
 """Time over which the further change of a thermal effect is reported, s."""
@@ -36,7 +36,7 @@ def condition_notes(bench: Bench) -> Iterator[LineNote]:
     if conditions.time_s is None:
         return
     for effect in bench.calibration.effects:
-        now, later = Listening(bench.machine), Listening(bench.machine)
+        now, later = RecordingState(bench.machine), RecordingState(bench.machine)
         now[TIME], later[TIME] = np.array([conditions.time_s]), np.array([conditions.time_s]) + WARM_UP_S
         before, after = effect.components(now), effect.components(later)
         grown = np.sqrt(sum((after[i] - before[i]) ** 2 for i in before if i < 3))

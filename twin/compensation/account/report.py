@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from twin._common.json_form import json_form
-from twin._common.provenance import ILLUSTRATIVE, SourceWarning, texts
+from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts
 from twin.compensation.account.shortfalls import SHOWN, Shortfall, line_numbers
 from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections
-from twin.display import bar, card, note, pairs, readable, several, table
+from twin.display import bar, card, count_with_noun, note, pairs, readable, table
 from twin.machine.conditions import TIME
 from twin.uncertainty.at_tool import DEFINITION
 
@@ -225,12 +225,16 @@ class Report:
         outside = self._lines_of(lambda shortfall: shortfall.lines if shortfall.kind == "range" else ())
         hint = "; is the work offset missing?" if 2 * outside > self.moves else ""
         if self.nothing_corrected:
-            return f"NOTHING CORRECTED: {outside:,} of {several(self.moves, 'block')} would leave the range of an axis{hint}"
+            return f"NOTHING CORRECTED: {outside:,} of {count_with_noun(self.moves, 'block')} would leave the range of an axis{hint}"
         missed = self._lines_of(lambda shortfall: shortfall.missed)
         if missed:
             return f"NOT ALL CORRECTED: {missed:,} of {self.cutting:,} cutting blocks remain out of tolerance{hint}"
         left = self._lines_of(lambda shortfall: shortfall.lines)
-        return f"corrected, except {left:,} of {several(self.moves, 'block')} (listed below)" if left else "corrected"
+        return (
+            f"corrected, except {left:,} of {count_with_noun(self.moves, 'block')} (listed below)"
+            if left
+            else "corrected"
+        )
 
     def _lines_of(self, lines: Callable[[Shortfall], Sequence[int]]) -> int:
         return len({line for shortfall in self.not_corrected for line in lines(shortfall)})
@@ -293,7 +297,7 @@ class Report:
             ("", self.uncertainty.unknown or ""),
             ("control", "" if self.control is None else self.control.sentence),
             ("method", self._how),
-            ("program", f"{several(self.moves, 'move')}: {blocks}"),
+            ("program", f"{count_with_noun(self.moves, 'move')}: {blocks}"),
             ("largest shift of an axis", self._largest_moves),
             ("error of rounding", f"up to {self.rounding_um:.2f} µm at a block end point"),
         ]
@@ -315,7 +319,7 @@ class Report:
         out = [
             f"{self.program} on {self.machine}: {self.headline}",
             f"  calibration   {self.calibration}",
-            *(f"                {text}" for text in texts(self.warnings)),
+            *(f"                {text}" for text in warning_texts(self.warnings)),
             *(f"  {one.label:<14}{one.headline}" for one in self.uncertainty),
             *([] if unknown is None else [f"  {unknown}"]),
             *([] if self.control is None else [f"  control       {self.control.sentence}"]),

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, NamedTuple, final
 
 import numpy as np
 
-from twin.display import readable, several
+from twin.display import count_with_noun, readable
 
 SHOWN: Final = 8
 """Line numbers printed before the rest is counted; the JSON report has all."""
@@ -44,7 +44,8 @@ class Shortfall:
     def text(self) -> str:
         """Summary in one line."""
         size = f"{self.worst:{'.2f' if self.unit in ('um', 'urad') else '.4g'}} {readable(self.unit)}"
-        return f"{several(len(self.lines), 'block')} ({line_numbers(self.lines)}): {self.reason}; worst {size} (line {self.worst_line})"
+        blocks = f"{count_with_noun(len(self.lines), 'block')} ({line_numbers(self.lines)})"
+        return f"{blocks}: {self.reason}; worst {size} (line {self.worst_line})"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON report."""

@@ -15,7 +15,7 @@ from twin.compensation.fewer_blocks.report import PathReport, RunReport, Toleran
 from twin.compensation.fewer_blocks.run_refitter import RefittedRun, RunRefitter
 from twin.compensation.fewer_blocks.verify import Executed, execute_words, path_distance_mm
 from twin.compensation.toolpath import ToolPath
-from twin.nc.blocks import Program, Reading
+from twin.nc.blocks import Interpretation, Program
 from twin.nc.dialect import Dialect
 
 
@@ -38,7 +38,7 @@ class RefitJob:
     """
 
     program: Program
-    reading: Reading
+    reading: Interpretation
     path: ToolPath
     fitted: tuple[RefittedRun, ...]
     shares: ToleranceShares

@@ -17,7 +17,7 @@ from twin._common.errors import OutputError
 from twin.compensation.bench import Bench
 from twin.compensation.fewer_blocks.runs import Run
 from twin.compensation.toolpath import WordSpace, turns_tool
-from twin.nc.blocks import Move, Program, Reading, Rewrite
+from twin.nc.blocks import Interpretation, Move, Program, Rewrite
 from twin.nc.dialect import Dialect
 
 
@@ -53,13 +53,13 @@ class Shortened(NamedTuple):
     """
 
     program: Program
-    reading: Reading
+    reading: Interpretation
 
 
 def shortened(
     program: Program,
     dialect: Dialect,
-    reading: Reading,
+    reading: Interpretation,
     runs: Sequence[RunEndPoints],
     bench: Bench,
     *,
@@ -110,7 +110,7 @@ def shortened(
     )
     found = dialect.moves(left, space.axes, tcp=bench.options.tcp)
     moves = tuple(_exactly(move, exact, space, posted=posted) if move.line in exact else move for move in found.moves)
-    return Shortened(left, Reading(moves, found.notices, found.lost_positions))
+    return Shortened(left, Interpretation(moves, found.notices, found.lost_positions))
 
 
 def rounded(words: np.ndarray, tcp: np.ndarray, space: WordSpace, increment: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from typing import Final, Literal, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.compensation.fewer_blocks.distance import largest_distance, lengths
 from twin.numerics.curves.fg_bernstein import FGBernstein
 
@@ -55,7 +55,7 @@ def _solver(basis: FGBernstein) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     count = NODES_A_POINT * (basis.degree + 1)
     nodes = (1.0 - np.cos(np.pi * (np.arange(count) + 0.5) / count)) / 2.0
     inverse = basis.least_squares(nodes, np.eye(count))
-    return locked(nodes), inverse, locked(inverse @ inverse.T)
+    return read_only(nodes), inverse, read_only(inverse @ inverse.T)
 
 
 @lru_cache(maxsize=512)
@@ -304,7 +304,7 @@ class Fitter:
         at = line.at[first] + way * np.linspace(0.0, 1.0, count + 1)
         input_line, input_at, limit = line.dense_tool[part], line.dense_at[part], self.allowed
         off = largest_distance(curve, at, input_line, input_at, limit, limit)
-        return CurvePiece(first, last, basis, locked(control), off) if off <= self.allowed else None
+        return CurvePiece(first, last, basis, read_only(control), off) if off <= self.allowed else None
 
 
 def _second(basis: FGBernstein, start: np.ndarray, slope: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from twin._common.csv_tables import cells_of
+from twin._common.csv_tables import split_cells
 from twin._common.errors import InputError
 from twin._common.files import read_lines
 from twin.nc.blocks import AxisWords, Program
@@ -82,7 +82,7 @@ def _table(path: Path, axes: AxisWords) -> tuple[tuple[str, ...], list[int], np.
     for number, text in enumerate(read_lines(path), start=1):
         if not text.strip() or text.lstrip().startswith("#"):
             continue
-        cells = [cell.strip() for cell in cells_of(text, path, number)]
+        cells = [cell.strip() for cell in split_cells(text, path, number)]
         if header is None:
             header = tuple(cells)
             if header not in known:

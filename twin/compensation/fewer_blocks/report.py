@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from twin._common.json_form import json_form
-from twin._common.provenance import ILLUSTRATIVE, SourceWarning, texts
+from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts
 from twin.compensation.account import NO_ERRORS, LineNote, Report, grouped
-from twin.display import UNKNOWN, bar, card, note, pairs, several, table
+from twin.display import UNKNOWN, bar, card, count_with_noun, note, pairs, table
 
 SCHEMA = "twin.path/1"
 SHOWN = 8
@@ -217,7 +217,7 @@ class PathReport:
         cells = [(words, f"{share:.3f}", f"{most:.3f}", bar(most / shares.tolerance)) for words, share, most in rows]
         u = self.expanded_um
         facts = [
-            ("blocks", f"{self.blocks:,} in {several(len(self.runs), 'run')}, now {self.blocks_out:,}"),
+            ("blocks", f"{self.blocks:,} in {count_with_noun(len(self.runs), 'run')}, now {self.blocks_out:,}"),
             (
                 "U of a point of the path (k = 2)",
                 f"{u:.2g} µm" if u == u else f"{UNKNOWN}: the calibration has no covariance",
@@ -245,7 +245,7 @@ class PathReport:
         calibration = ["  not compensated: executed on the machine without errors"]
         if self.compensation is not None:
             calibration = [f"  calibration   {self.calibration}"]
-            calibration += [f"                {text}" for text in texts(self.warnings)]
+            calibration += [f"                {text}" for text in warning_texts(self.warnings)]
         fit_share = max((run.fit_share_um for run in self.runs), default=0.0)
         added = 0 if self.compensation is None else self.compensation.added
         more = f" (+{added} by splitting and backlash moves in the compensation)" if added else ""

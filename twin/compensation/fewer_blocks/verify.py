@@ -11,7 +11,7 @@ from twin.compensation.backlash import Backlash
 from twin.compensation.fewer_blocks.distance import largest_distance, lengths
 from twin.compensation.toolpath import PathMotion, WordSpace, follow
 from twin.kinematics.forward import Kinematics
-from twin.nc.blocks import Program, Reading
+from twin.nc.blocks import Interpretation, Program
 
 PLACES: Final = 7
 """Points per block at which the path is evaluated; deliberately no multiple of the numbers used by fit and chords."""
@@ -48,7 +48,7 @@ class Executed:
 
 
 def execute_words(
-    program: Program, reading: Reading, space: WordSpace, real: Kinematics, dense: np.ndarray
+    program: Program, reading: Interpretation, space: WordSpace, real: Kinematics, dense: np.ndarray
 ) -> Executed:
     """Execute a program as its control would, on straight lines in words.
 

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from twin._common.arrays import every
+from twin._common.arrays import rows_all_true
 from twin.compensation.comparison import Commands
 from twin.compensation.solving.pieces import Pieces
 from twin.compensation.solving.rows import SAME, Rows, Ways, even_cuts, repeat_with_index, spacings
@@ -204,7 +204,7 @@ class PathErrors:
         pieces = self._pieces
         begin = np.full_like(pieces.start, np.nan)
         begin[1:] = end_words[self._ends_of(rows)[:-1]]
-        separate = np.flatnonzero(~self._follows & every(np.isfinite(pieces.start)))
+        separate = np.flatnonzero(~self._follows & rows_all_true(np.isfinite(pieces.start)))
         if separate.size:
             sides = rows.approach[np.searchsorted(rows.motion, separate)]
             rows = pieces.solve(np.searchsorted(pieces.legs.motion, separate), np.zeros(len(separate)), sides)
@@ -235,7 +235,7 @@ class PathErrors:
         """(motions,) whether each begins where the one before ends, in words of the same mode."""
         start, end, tcp = self._pieces.start, self._pieces.end, self._pieces.tcp
         follows = np.zeros(len(start), dtype=bool)
-        follows[1:] = (tcp[1:] == tcp[:-1]) & every(start[1:] == end[:-1])
+        follows[1:] = (tcp[1:] == tcp[:-1]) & rows_all_true(start[1:] == end[:-1])
         return follows
 
 

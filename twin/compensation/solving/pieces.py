@@ -12,7 +12,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import every
+from twin._common.arrays import rows_all_true
 from twin.compensation.bench import Bench, CorrectionAim
 from twin.compensation.solving.legs import Legs, turning_points
 from twin.compensation.solving.rows import Rows
@@ -65,7 +65,7 @@ class Pieces:
         self.straight[[i for i, move in columns.special.items() if move.arc is not None]] = False
         self.by_vector = np.zeros(len(columns), dtype=bool)
         self.by_vector[[i for i, move in columns.special.items() if move.vector is not None and not posted]] = True
-        self.interpolated = ~columns.rapid & every(np.isfinite(self.start))
+        self.interpolated = ~columns.rapid & rows_all_true(np.isfinite(self.start))
         # From outside the range there is no nominal path; such a start is reported with its own block.
         self.interpolated &= ~bench.outside(self.space.commands(self.start, self.tcp))
         turning = turning_points(bench, path.motions, np.flatnonzero(self.interpolated), aim.backlash.axes)
@@ -187,7 +187,7 @@ class Pieces:
         limits, increment = self.bench.limits, self.increment
         wanted = rows.exact + rows.overshoot
         clipped = np.clip(wanted, limits[:, 0], limits[:, 1])
-        clamped = ~every(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.bench.increment)
+        clamped = ~rows_all_true(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.bench.increment)
         tcp_out = self.tcp_out[rows.motion]
         out = self.space.words(clipped, tcp_out)
         printed = np.round(out / increment) * increment

@@ -13,7 +13,7 @@ from twin.compensation.bench import Bench, CorrectionAim
 from twin.compensation.toolpath import Follower, MotionColumns
 from twin.nc.blocks import Notice
 from twin.nc.columns import MoveColumns
-from twin.nc.iso.stream import IsoReader, Stretch
+from twin.nc.iso.stream import Chunk, IsoReader
 from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
 
 STRETCH_BYTES: Final = 1 << 18
@@ -82,7 +82,7 @@ class ProgramFile:
 class ReadStretch(NamedTuple):
     """A stretch as read: its lines and its moves."""
 
-    stretch: Stretch
+    stretch: Chunk
     moves: MoveColumns
 
 
@@ -163,7 +163,7 @@ class PartReader:
         return ProgramPart(read, MotionColumns.joined(motions), len(motions[0]), self._aim)
 
     def _read(self, data: bytes) -> ReadStretch:
-        stretch = Stretch(data, self.lines, self._bench.space.axes.names)
+        stretch = Chunk(data, self.lines, self._bench.space.axes.names)
         self.lines += len(stretch)
         moves = self._reader.read(stretch)
         self._notices += self._reader.notices()

@@ -13,7 +13,7 @@ from twin.compensation.stream.parts import ProgramFile, ProgramPart, ReadStretch
 from twin.nc.header import HEAD_LINES
 from twin.nc.iso.bulk import NewPositions
 from twin.nc.iso.dialect import Iso
-from twin.nc.iso.stream import IsoReader, IsoRewriter, Stretch
+from twin.nc.iso.stream import Chunk, IsoReader, IsoRewriter
 
 ISO: Final = Iso()
 
@@ -66,10 +66,10 @@ class PartWriter:
             newline, style = self._begins
             self._rewriter = IsoRewriter(self._name, self._axes, newline, style, tcp=bool(moves.tcp[0]))
             if self._pending:
-                stretch = Stretch(b"".join(self._pending) + stretch.scan.data, 0, self._axes.names)
+                stretch = Chunk(b"".join(self._pending) + stretch.scan.data, 0, self._axes.names)
                 self._pending = []
         data = stretch.scan.data if idle else self._rewriter.write(stretch, moves, new)
-        written = Stretch(data, self._lines, self._axes.names)
+        written = Chunk(data, self._lines, self._axes.names)
         try:
             read_back = self._checker.read(written)
         except InputError as error:

@@ -10,14 +10,14 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ToolPath
 from twin.compensation.toolpath.words import WordSpace
-from twin.nc.blocks import Kind, Left, Move, Notice, Program, Reading
+from twin.nc.blocks import Interpretation, Kind, LostPositions, Move, Notice, Program
 from twin.nc.columns import MoveColumns
 
 TextOf = Callable[[int], str]
 """Function from a line's index in the program to its text."""
 
 
-def follow(program: Program, reading: Reading, space: WordSpace) -> ToolPath:
+def follow(program: Program, reading: Interpretation, space: WordSpace) -> ToolPath:
     """Return a program as motions with known end points.
 
     Raises:
@@ -51,9 +51,9 @@ class Follower:
         self._words = np.full(len(space.axes.names), np.nan)
         self._tcp: bool | None = None
         self._assumed = False
-        self._left: list[Left] = []
+        self._left: list[LostPositions] = []
 
-    def follow(self, reading: Reading, text_of: TextOf) -> dict[int, PathMotion]:
+    def follow(self, reading: Interpretation, text_of: TextOf) -> dict[int, PathMotion]:
         """Return the motions by the index of their move.
 
         Raises:
@@ -66,7 +66,7 @@ class Follower:
         steps = ((i, self._step(move, vectors.get(i), text_of)) for i, move in enumerate(moves))
         return {i: motion for i, motion in steps if motion is not None}
 
-    def columns(self, moves: MoveColumns, left: Sequence[Left], text_of: TextOf) -> MotionColumns:
+    def columns(self, moves: MoveColumns, left: Sequence[LostPositions], text_of: TextOf) -> MotionColumns:
         """Return the motions of the next moves; consecutive plain ones are converted together.
 
         Args:
@@ -98,7 +98,7 @@ class Follower:
             at += 1
         return MotionColumns.joined([*parts, MotionColumns.of(single, len(self._words))])
 
-    def _enter(self, with_vector: Mapping[int, Move], left: Sequence[Left]) -> dict[int, np.ndarray]:
+    def _enter(self, with_vector: Mapping[int, Move], left: Sequence[LostPositions]) -> dict[int, np.ndarray]:
         """Register the next moves, and return the rotary solutions of the tool vectors among them."""
         self._left = [*left[::-1], *self._left]
         if not with_vector:

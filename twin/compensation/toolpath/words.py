@@ -16,7 +16,7 @@ from typing import final
 import numpy as np
 import pinocchio as pin
 
-from twin._common.arrays import every
+from twin._common.arrays import rows_all_true
 from twin._common.errors import InputError
 from twin.display import card, pairs
 from twin.kinematics.branches import Branches
@@ -163,7 +163,7 @@ def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
     """Return (n,) whether commands (mm, degrees) leave an axis's range; True for NaN."""
     limits = machine.limits / machine.scale[:, None]
     slack = 1e-9
-    return ~every((commands >= limits[:, 0] - slack) & (commands <= limits[:, 1] + slack))
+    return ~rows_all_true((commands >= limits[:, 0] - slack) & (commands <= limits[:, 1] + slack))
 
 
 def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np.ndarray) -> None:

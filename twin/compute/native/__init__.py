@@ -29,7 +29,7 @@ exactly the true effects in 56, 64 and 68 % (one effect at λ = 30, one at 60, t
 effect it raises a false alarm in 12 %, `twin` in none.
 """
 
-from twin.compute.native.loading import in_use
+from twin.compute.native.loading import solver_description
 from twin.compute.native.problem import (
     CONVERGED,
     OUT_OF_RANGE,
@@ -39,7 +39,7 @@ from twin.compute.native.problem import (
     InverseProblem,
     StepFunctions,
 )
-from twin.compute.native.rows import RowFunction, Taken
+from twin.compute.native.rows import RowFunction, TableRows
 from twin.compute.native.solver import Solver
 
 __all__ = [
@@ -52,6 +52,6 @@ __all__ = [
     "RowFunction",
     "Solver",
     "StepFunctions",
-    "Taken",
-    "in_use",
+    "TableRows",
+    "solver_description",
 ]

@@ -14,7 +14,7 @@ from typing import Final, TypeVar
 from twin.compute.native import compiler, store
 from twin.compute.native.compiler import CompilerError
 
-SWITCH: Final = "TWIN_NATIVE"
+SWITCH_VARIABLE: Final = "TWIN_NATIVE"
 """Environment variable: 0 switches the compiled code off."""
 WORTH_COMPILING: Final = 50_000
 """Number of rows in one call from which compiled code is used, after compiling it if necessary.
@@ -40,7 +40,7 @@ def cpp_text(name: str) -> str:
 
 def enabled() -> bool:
     """Return whether compiled code may be used."""
-    return os.environ.get(SWITCH, "") != "0"
+    return os.environ.get(SWITCH_VARIABLE, "") != "0"
 
 
 def library(source: str) -> ctypes.CDLL | None:
@@ -79,10 +79,10 @@ def map_row_chunks(rows: int, work: Callable[[slice], Part]) -> list[Part]:
         return list(pool.map(work, parts))
 
 
-def in_use() -> str:
+def solver_description() -> str:
     """Return a description of the solver for large batches; compiles a few lines to find out."""
     if not enabled():
-        return f"NumPy ({SWITCH}=0)"
+        return f"NumPy ({SWITCH_VARIABLE}=0)"
     tool = compiler.find_compiler()
     if tool is None:
         return "NumPy (no C++ compiler found)"

@@ -34,7 +34,7 @@ class _RowsJob(ctypes.Structure):
 
 @final
 @dataclass(frozen=True)
-class Taken:
+class TableRows:
     """Rows taken from a shorter table by index, without copying.
 
     Attributes:
@@ -67,7 +67,7 @@ class RowFunction:
         self._function = function
         self._library: ctypes.CDLL | None = None
 
-    def __call__(self, inputs: Sequence[np.ndarray | Taken], outputs: tuple[np.ndarray, ...]) -> bool:
+    def __call__(self, inputs: Sequence[np.ndarray | TableRows], outputs: tuple[np.ndarray, ...]) -> bool:
         """Fill the outputs.
 
         Args:
@@ -159,10 +159,10 @@ class _Column:
         line: (rows,) index of each row among these; None: the row itself.
     """
 
-    def __init__(self, given: np.ndarray | Taken, entry: int) -> None:
-        table = given.table if isinstance(given, Taken) else given
+    def __init__(self, given: np.ndarray | TableRows, entry: int) -> None:
+        table = given.table if isinstance(given, TableRows) else given
         self.values = table[:, entry]
-        self.line = np.ascontiguousarray(given.line, dtype=np.int64) if isinstance(given, Taken) else None
+        self.line = np.ascontiguousarray(given.line, dtype=np.int64) if isinstance(given, TableRows) else None
 
     def part(self, rows: int | None = None) -> np.ndarray:
         """Return the first n rows, or all."""
@@ -174,9 +174,9 @@ def _steps(columns: list[np.ndarray]) -> np.ndarray:
     return np.array([column.strides[0] // column.itemsize for column in columns], dtype=np.int64)
 
 
-def _far(given: np.ndarray | Taken) -> bool:
+def _far(given: np.ndarray | TableRows) -> bool:
     """Return whether a number is larger than the C++ accepts as an angle."""
-    values = given.table if isinstance(given, Taken) else given
+    values = given.table if isinstance(given, TableRows) else given
     if not values.size or (values.max() <= LARGEST_ANGLE and values.min() >= -LARGEST_ANGLE):
         return False
     return bool(np.fmax.reduce(np.abs(values), axis=None) > LARGEST_ANGLE)

@@ -34,7 +34,7 @@ authority are accepted, on both sides.
 From a script: `twin.draw_machines(kinematics, trials=…, workers=twin.Workers(8))`, `twin.compensate_files(…)`.
 """
 
-from twin.compute.parallel.run import Workers, finished, in_order
+from twin.compute.parallel.run import Workers, map_as_completed, map_in_order
 from twin.compute.parallel.tls import Tls
 
-__all__ = ["Tls", "Workers", "finished", "in_order"]
+__all__ = ["Tls", "Workers", "map_as_completed", "map_in_order"]

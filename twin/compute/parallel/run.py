@@ -76,7 +76,7 @@ class Workers:
             raise InputError("a scheduler needs Dask, which is not installed", expected="pip install 'twin[cluster]'")
 
 
-def finished(
+def map_as_completed(
     function: Callable[[Shared, Task], Result],
     shared: Shared,
     tasks: Sequence[Task],
@@ -121,7 +121,7 @@ def finished(
             yield index, result
 
 
-def in_order(
+def map_in_order(
     function: Callable[[Shared, Task], Result],
     shared: Shared,
     tasks: Sequence[Task],
@@ -129,13 +129,13 @@ def in_order(
     *,
     name: Callable[[Task], str] = str,
 ) -> Iterator[Result]:
-    """Run tasks as `finished` and yield their results in the order of the tasks.
+    """Run tasks as `map_as_completed` and yield their results in the order of the tasks.
 
     Sums over the results are then reproducible to the last bit.
     """
     early: dict[int, Result] = {}
     following = 0
-    with closing(finished(function, shared, tasks, workers, name=name)) as found:
+    with closing(map_as_completed(function, shared, tasks, workers, name=name)) as found:
         for index, result in found:
             early[index] = result  # type: ignore[assignment]  # no refusal: those were raised
             while following in early:

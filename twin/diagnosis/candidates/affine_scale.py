@@ -10,11 +10,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Cell
+from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Variant
 from twin.diagnosis.candidates.signatures import STRAINS, Column, SignatureTerm, strain_displacements
 from twin.machine.effects.specification import NOTHING, REST, Advice, Specification
 from twin.measurement.table import Measurements
-from twin.numerics.functions import given
+from twin.numerics.functions import tabulated
 
 NAMES: Final = (
     ("scale_x", "ppm"),
@@ -84,11 +84,11 @@ def _candidate(data: Measurements, alignment: _Alignment) -> Candidate | None:
     kept = [k for k, (i, j) in enumerate(STRAINS) if extended[i] and extended[j]]
     if not kept:
         return None
-    variants = [Cell(_columns(alignment.mask, kept, np.zeros(3)))]
+    variants = [Variant(_columns(alignment.mask, kept, np.zeros(3)))]
     if alignment.centred:
         # An instrument aligned anew in a round may have its origin anywhere: the centre of the readings is tried.
         centre = [np.nanmean(data.point_mm[alignment.mask, i]) if extended[i] else 0.0 for i in range(3)]
-        variants.append(Cell(_columns(alignment.mask, kept, MM * np.array(centre))))
+        variants.append(Variant(_columns(alignment.mask, kept, MM * np.array(centre))))
     names = tuple(NAMES[k] for k in kept)
     return Candidate(AFFINE_SCALE, alignment.where, names, tuple(variants), float(len(variants)))
 
@@ -103,7 +103,7 @@ def _has_extent(points: np.ndarray) -> np.ndarray:
 
 
 def _columns(mask: np.ndarray, kept: list[int], centre: np.ndarray) -> tuple[Column, ...]:
-    function = given(mask[:, None].astype(float))
+    function = tabulated(mask[:, None].astype(float))
     at_centre = strain_displacements(centre[None])[0]
     return tuple(
         Column(

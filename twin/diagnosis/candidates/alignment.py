@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Cell
+from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Variant
 from twin.diagnosis.candidates.signatures import Freedom, masked_columns
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
 
@@ -82,14 +82,14 @@ def _frame_shifts(inputs: CandidateInputs) -> list[Candidate]:
         for station, mask in changed:
             where = f"round {name}" if single else f"station {station} from round {name}"
             columns = masked_columns(FRAME, mask, UM)
-            found.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (Cell(columns),), 1.0))
+            found.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (Variant(columns),), 1.0))
     return found
 
 
 def _target_shifts(inputs: CandidateInputs) -> list[Candidate]:
     """Return target shifts from each round on."""
     return [
-        Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (Cell(masked_columns(PLACE, mask, UM)),), 1.0)
+        Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (Variant(masked_columns(PLACE, mask, UM)),), 1.0)
         for name, later in _later(inputs)
         for target, mask in _changed(later, inputs.data.target)
     ]

@@ -13,7 +13,7 @@ from twin.diagnosis.candidates.signatures import Column
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect, Specification
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements, state_of
+from twin.measurement.table import Measurements, machine_state
 from twin.numerics.curves import CurveSpace
 from twin.numerics.functions import CachingState
 
@@ -27,7 +27,7 @@ STRAIGHT: Final = np.inf
 
 @final
 @dataclass(frozen=True)
-class Cell:
+class Variant:
     """One variant of a candidate: columns at fixed values of its non-linear parameters.
 
     Attributes:
@@ -55,10 +55,10 @@ class Drift:
     straight: bool
 
     @property
-    def variants(self) -> tuple[Cell, ...]:
+    def variants(self) -> tuple[Variant, ...]:
         """Variants: a straight line, then exponentials."""
-        bent = (Cell(self.columns(constant), {"time_constant": constant}) for constant in self.constants)
-        return (Cell(self.columns(STRAIGHT)), *bent)
+        bent = (Variant(self.columns(constant), {"time_constant": constant}) for constant in self.constants)
+        return (Variant(self.columns(STRAIGHT)), *bent)
 
 
 @final
@@ -82,7 +82,7 @@ class Candidate:
     specification: Specification
     where: str
     names: tuple[tuple[str, str], ...]
-    variants: tuple[Cell, ...]
+    variants: tuple[Variant, ...]
     tests: float
     build: Build | None = None
     units: Units | None = None
@@ -146,7 +146,7 @@ class CandidateInputs:
     @cached_property
     def state(self) -> Mapping[str, Any]:
         """Positions and channels of all readings."""
-        return CachingState(state_of(self.data, self.machine))
+        return CachingState(machine_state(self.data, self.machine))
 
 
 @final

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateInputs, CandidateSource, Catalogue, Cell
+from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateInputs, CandidateSource, Catalogue, Variant
 from twin.diagnosis.candidates.flaws import mistakes
 from twin.diagnosis.candidates.signatures import component_column, first_component
 from twin.machine.effects import Effect, ErrorMotion, unit_of
@@ -59,11 +59,11 @@ def _candidate(inputs: CandidateInputs, axis: Axis, component: int) -> Candidate
     component_index = first_component(inputs.machine, axis.name) + component
     columns = tuple(component_column([(component_index, functions, k, 1.0)]) for k in range(functions.count))
     variants = [
-        Cell(columns[first : degree + 1], {"first": float(first)})
+        Variant(columns[first : degree + 1], {"first": float(first)})
         for degree in range(fixed_by_datum, count)
         for first in (0, fixed_by_datum)
     ]
-    single_mistakes = [Cell((columns[space.count + k],), {"stops": stops}) for k, stops in enumerate(patterns)]
+    single_mistakes = [Variant((columns[space.count + k],), {"stops": stops}) for k, stops in enumerate(patterns)]
     tests = float(count - fixed_by_datum + min(len(single_mistakes), 2))
     names = tuple((f"g{k}", unit_of(name)) for k in range(count))
     build = _builder(space, patterns, wrapped=axis.lower is None)

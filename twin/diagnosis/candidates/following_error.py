@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Cell
+from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Variant
 from twin.diagnosis.candidates.signatures import along_command, tabulated_column
 from twin.machine.effects.specification import NOTHING, Advice, Drawing, Specification
 
@@ -59,7 +59,7 @@ def following_errors(inputs: CandidateInputs) -> Catalogue:
         difference = np.where(np.isfinite(reported), (reported - inputs.data.positions[:, i]) * axis.scale / UM, 0.0)
         if np.abs(difference).max() >= LEAST_UM:
             column = tabulated_column({i: difference * part for i, part in along_command(inputs.machine, axis)})
-            found.append(Candidate(FOLLOWING_ERROR, axis.name, (("share", "1"),), (Cell((column,)),), 1.0))
+            found.append(Candidate(FOLLOWING_ERROR, axis.name, (("share", "1"),), (Variant((column,)),), 1.0))
     return Catalogue(tuple(found), tuple(missing))
 
 

@@ -11,13 +11,13 @@ from twin.diagnosis.candidates.candidate import (
     CandidateInputs,
     CandidateSource,
     Catalogue,
-    Cell,
     Drift,
     Missing,
+    Variant,
 )
 from twin.diagnosis.candidates.signatures import Column, component_column, first_component, unit_columns
 from twin.machine.effects import MACHINE_EFFECTS, GravityCompliance, Payload, Specification
-from twin.machine.effects.places import single
+from twin.machine.effects.places import single_parameter_form
 from twin.machine.effects.specification import Forms
 from twin.machine.machine import Machine
 
@@ -53,7 +53,9 @@ def _candidate(
         return Candidate(
             specification, where, forms.names, drift.variants, forms.tests or 1.0, forms.build, forms.units, drift=drift
         )
-    variants = tuple(Cell(columns, fixed) for columns, fixed in zip(_columns(forms, inputs), forms.trials, strict=True))
+    variants = tuple(
+        Variant(columns, fixed) for columns, fixed in zip(_columns(forms, inputs), forms.trials, strict=True)
+    )
     tests = float(max(len(variants), 1)) if forms.tests is None else forms.tests
     return Candidate(specification, where, forms.names, variants, tests, forms.build, forms.units, forms.space)
 
@@ -64,10 +66,10 @@ def _single(specification: Specification, where: str, inputs: CandidateInputs) -
     if make is None:
         raise TypeError(f"{specification.name} has neither forms nor a constructor")
     unit = make(inputs.machine, where, {name: 1.0}, ()).parameters[0].unit
-    return single((name, unit), lambda value: make(inputs.machine, where, {name: value}, ()))
+    return single_parameter_form((name, unit), lambda value: make(inputs.machine, where, {name: value}, ()))
 
 
-def variant_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machine, state: Mapping[str, Any]) -> Cell:
+def variant_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machine, state: Mapping[str, Any]) -> Variant:
     """Return the variant of a candidate at given values of its non-linear parameters.
 
     Args:
@@ -77,10 +79,10 @@ def variant_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machin
         state: positions and channels of all readings.
     """
     if candidate.drift is not None:
-        return Cell(candidate.drift.columns(fixed.get("time_constant", STRAIGHT)), fixed)
+        return Variant(candidate.drift.columns(fixed.get("time_constant", STRAIGHT)), fixed)
     if candidate.units is None:
         raise TypeError(f"{candidate.effect}: columns exist only at the values tried")
-    return Cell(tuple(unit_columns(candidate.units(fixed), machine, state)), fixed)
+    return Variant(tuple(unit_columns(candidate.units(fixed), machine, state)), fixed)
 
 
 def _columns(forms: Forms, inputs: CandidateInputs) -> list[tuple[Column, ...]]:

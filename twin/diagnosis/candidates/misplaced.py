@@ -14,7 +14,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateInputs, CandidateSource, Catalogue, Cell
+from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateInputs, CandidateSource, Catalogue, Variant
 from twin.diagnosis.candidates.signatures import (
     Column,
     SignatureTerm,
@@ -25,10 +25,10 @@ from twin.diagnosis.candidates.signatures import (
 )
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect, ErrorMotion, split_name
-from twin.machine.effects.specification import Advice, Found, Specification
+from twin.machine.effects.specification import Advice, FittedCause, Specification
 from twin.machine.machine import DIRECTIONS, Axis
 from twin.numerics.functions import Functions
-from twin.numerics.functions import given as tabulated
+from twin.numerics.functions import tabulated as tabulated
 
 BASE: Final = "the base"
 
@@ -43,7 +43,7 @@ def _title(where: str) -> str:
     return f"calibration: errors of {axis} assigned to {joint if joint.startswith('the ') else f'joint {joint}'}"
 
 
-def _evidence(of: Found) -> str:
+def _evidence(of: FittedCause) -> str:
     curve, _, other = of.where.partition(" as ")
     if other:
         return f"the calibration's curve {curve} is the machine's {other}"
@@ -205,7 +205,7 @@ def _scaled(motion: ErrorMotion, name: str, factor: float) -> ErrorMotion:
 
 
 def _candidate(where: str, column: Column, build: Build | None = None) -> Candidate:
-    return Candidate(MISPLACED, where, (("share", "1"),), (Cell((column,)),), 1.0, build)
+    return Candidate(MISPLACED, where, (("share", "1"),), (Variant((column,)),), 1.0, build)
 
 
 def _values(motion: ErrorMotion, state: Mapping[str, Any]) -> np.ndarray:

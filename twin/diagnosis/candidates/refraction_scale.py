@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Cell
+from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Variant
 from twin.diagnosis.candidates.signatures import masked_columns
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
 
@@ -34,7 +34,7 @@ REFRACTION_SCALE: Final = Specification(
 def refraction_scale(inputs: CandidateInputs) -> Catalogue:
     """Return one candidate for all readings."""
     columns = masked_columns([("length", 0)], np.ones(len(inputs.data)), PPM, PLAUSIBLE)
-    return Catalogue((Candidate(REFRACTION_SCALE, "—", (("scale", "ppm"),), (Cell(columns),), 1.0),))
+    return Catalogue((Candidate(REFRACTION_SCALE, "—", (("scale", "ppm"),), (Variant(columns),), 1.0),))
 
 
 SOURCE: Final = CandidateSource((REFRACTION_SCALE,), refraction_scale)

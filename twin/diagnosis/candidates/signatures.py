@@ -13,11 +13,11 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.identification.network import View
+from twin.identification.network import LinearisedReadings
 from twin.machine.effects import Effect
 from twin.machine.effects.base import along
 from twin.machine.machine import Axis, Machine
-from twin.numerics.functions import Functions, Rows, functions_of_state, given, pieces
+from twin.numerics.functions import Functions, Rows, functions_of_state, pieces, tabulated
 from twin.numerics.spatial import cross_matrix
 
 LARGEST: Final = 1000.0
@@ -29,7 +29,7 @@ STRAINS: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 Freedom = tuple[str, int]
 """A degree of freedom: what moves, and the index of the direction along or about which it moves."""
 
-_DERIVATIVES: Final[Mapping[str, Callable[[View, Rows], np.ndarray]]] = {
+_DERIVATIVES: Final[Mapping[str, Callable[[LinearisedReadings, Rows], np.ndarray]]] = {
     # All error frames, six components each.
     "error": lambda view, rows: view.by_error[rows],
     # The target, along an axis of the base frame and about one through its origin.
@@ -65,7 +65,7 @@ class ReadingDerivatives:
         rows: the readings wanted.
     """
 
-    def __init__(self, view: View, rows: Rows) -> None:
+    def __init__(self, view: LinearisedReadings, rows: Rows) -> None:
         self._view = view
         self._rows = rows
         self._cache: dict[str, np.ndarray] = {}
@@ -176,7 +176,7 @@ def base_column(direction: int, functions: Functions, index: int) -> Column:
 
 def tabulated_column(parts: Mapping[int, np.ndarray]) -> Column:
     """Return a column from tabulated values (n,) in error components, in µm or µrad."""
-    functions = given(np.stack([np.asarray(values, dtype=float) for values in parts.values()], axis=1))
+    functions = tabulated(np.stack([np.asarray(values, dtype=float) for values in parts.values()], axis=1))
     return component_column([(at, functions, k, 1.0) for k, at in enumerate(parts)])
 
 
@@ -191,7 +191,7 @@ def masked_columns(
         weight: metres or radians for each unit of the parameter.
         scale: largest plausible value of the parameter.
     """
-    function = given(mask[:, None].astype(float))
+    function = tabulated(mask[:, None].astype(float))
     return tuple(Column((SignatureTerm(freedom, function, 0, weight),), scale) for freedom in freedoms)
 
 

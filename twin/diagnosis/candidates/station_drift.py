@@ -11,7 +11,7 @@ from twin._common.units import UM
 from twin.diagnosis.candidates.candidate import STRAIGHT, Candidate, CandidateInputs, CandidateSource, Catalogue, Drift
 from twin.diagnosis.candidates.signatures import LARGEST, Column, SignatureTerm
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
-from twin.machine.effects.thermal_drift import constants, course
+from twin.machine.effects.thermal_drift import drift_course, drift_time_constants
 from twin.numerics.functions import Functions, Rows
 
 STATION_DRIFT: Final = Specification(
@@ -24,7 +24,7 @@ STATION_DRIFT: Final = Specification(
         f"{REST} Better, measure again from a stable stand.",
         NOTHING,
     ),
-    evidence=lambda of: f"station {of.where} drifts during the measurement{course(of)}",
+    evidence=lambda of: f"station {of.where} drifts during the measurement{drift_course(of)}",
     nonlinear=("time_constant",),
     varies="with time",
     drawing=Drawing(columns=lambda where: ("time_s",), by_state=True, shared="station"),
@@ -54,7 +54,7 @@ def drift_of_station(time_s: np.ndarray, mask: np.ndarray) -> Drift:
         mask: (n,) whether a reading was taken from the station.
     """
     hours = (time_s - time_s.min()) / 3600.0
-    tried = constants(time_s)
+    tried = drift_time_constants(time_s)
 
     def columns_at(several: Sequence[float]) -> list[tuple[Column, ...]]:
         tau = np.array(several) / 3600.0

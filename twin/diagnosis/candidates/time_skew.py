@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Cell
+from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Variant
 from twin.diagnosis.candidates.signatures import along_command, tabulated_column
 from twin.machine.effects.specification import NOTHING, REST, Advice, Specification
 from twin.machine.machine import Machine
@@ -70,7 +70,7 @@ def time_skews(inputs: CandidateInputs) -> Catalogue:
         if axis.name in moving:
             displacement = moving[axis.name] * axis.scale / UM
             column = tabulated_column({i: displacement * part for i, part in along_command(machine, axis)})
-            found.append(Candidate(TIME_SKEW, axis.name, (("delay", "s"),), (Cell((column,)),), 1.0))
+            found.append(Candidate(TIME_SKEW, axis.name, (("delay", "s"),), (Variant((column,)),), 1.0))
         elif not np.any(np.isfinite(inputs.data.feed_mm_min)):
             missing.append((TIME_SKEW.name, axis.name, "feed_mm_min"))
     return Catalogue(tuple(found), tuple(missing))

@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 from scipy.linalg import block_diag
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.diagnosis.candidates.candidate import STRAIGHT
 from twin.diagnosis.candidates.signatures import Column, effect_columns
 from twin.diagnosis.estimate.drift_fit import fit_drift, over_forms
@@ -18,7 +18,7 @@ from twin.diagnosis.problem.forms import Form, pseudo_inverse
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.result import Quantity
 from twin.machine.effects import Effect
-from twin.measurement.table import state_of
+from twin.measurement.table import machine_state
 from twin.numerics.covariance import Covariance
 
 STEPS: Final = 12
@@ -128,7 +128,7 @@ def estimate(
     """
     if not forms:
         return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
-    state = state_of(problem.network.data, problem.network.machine)
+    state = machine_state(problem.network.data, problem.network.machine)
     parts = _initial_parts(problem, forms)
     inverse = _gauss_newton(problem, parts, state)
     signature = np.stack([part.signature(problem, state) for part in parts], axis=1)
@@ -236,7 +236,7 @@ def _reported(
     spread = transform @ inverse @ transform.T
     if any(part.moments is not None for part in parts):
         spread += block_diag(*drift_moments)
-    covariance = Covariance(tuple(names), locked((spread + spread.T) / 2.0))
+    covariance = Covariance(tuple(names), read_only((spread + spread.T) / 2.0))
     effects = tuple(part.effects for part in parts)
     return Estimate(tuple(quantities), effects, covariance, signature, explained, tuple(wald))
 

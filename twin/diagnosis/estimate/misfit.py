@@ -13,7 +13,7 @@ import numpy as np
 
 from twin._common.distributions import chi2_sf, f_sf
 from twin.diagnosis.problem.problem import Problem
-from twin.identification.spread import repeats
+from twin.identification.spread import repeat_groups
 
 LACK_OF_FIT: Final = 0.01
 """p-value below which there is a lack of fit."""
@@ -44,7 +44,7 @@ def lacks_fit(problem: Problem, residual: np.ndarray, parameters: int, noise_dof
     rest = problem.project(residual)
     dof = problem.dof - parameters
     found = [(float(residual @ rest), dof)]
-    group = repeats(problem.network.data)
+    group = repeat_groups(problem.network.data)
     size = np.bincount(group)
     if size.max() > 1:
         means = np.stack([np.bincount(group, rest[i::3]) for i in range(3)], axis=1) / np.sqrt(size)[:, None]

@@ -13,7 +13,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf, f_sf
 from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import LARGEST
@@ -28,7 +28,7 @@ from twin.diagnosis.problem.problem import Problem, rms, unwhiten, unwhitened_um
 from twin.diagnosis.result import Trend, Unexplained, Verdict
 from twin.diagnosis.selection.structure import Findings
 from twin.diagnosis.selection.unnamed import PatternTest, scan_patterns
-from twin.identification.solve import named_setup
+from twin.identification.solve import setup_unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
 from twin.numerics.covariance import Covariance
@@ -85,10 +85,10 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
         calibration=calibration,
         extended=extended,
         data=replace(network.data, notices=(*network.data.notices, *reported.notices)),
-        residual_um=locked(residual),
-        after_um=locked(after),
-        directions=locked(unwhiten(problem, problem.view.by_base)),
-        precision=locked(np.einsum("nki,nkj->nij", weights, weights) * UM**2),
+        residual_um=read_only(residual),
+        after_um=read_only(after),
+        directions=read_only(unwhiten(problem, problem.view.by_base)),
+        precision=read_only(np.einsum("nki,nkj->nij", weights, weights) * UM**2),
     )
 
 
@@ -259,7 +259,7 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
         if size > strongest.get(key, (-1.0, 0))[0]:
             strongest[key] = size, i
     own = [i for _, i in strongest.values()]
-    setup = named_setup(problem.setup)
+    setup = setup_unknowns(problem.setup)
     count, doubt = len(setup), len(problem.prior)
     # The whole in the directions of the basis, and the part of the causes orthogonal to it.
     values, vectors = np.linalg.eigh(found.gram[np.ix_(own, own)])

@@ -16,7 +16,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.distributions import normal_sf
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.candidates.following_error import FOLLOWING_ERROR, READ_BACK
@@ -31,7 +31,7 @@ from twin.diagnosis.selection.payload import Load, axis_of_form, loaded_joints, 
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Payload
 from twin.machine.effects.gravity_compliance import PAYLOAD, payloads_of
-from twin.machine.effects.payload import SIDES, SOUGHT_MM
+from twin.machine.effects.payload import CENTRE_RANGE_MM, SIDES
 from twin.machine.effects.waves import APPROACH
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
@@ -114,7 +114,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         share=float(np.clip(explained / sized.excess, 0.0, 1.0)),
         equivalent=equal,
         evidence=text,
-        pattern_um=locked(unwhitened_um(found.problem, sized.estimate.signature[:, k])),
+        pattern_um=read_only(unwhitened_um(found.problem, sized.estimate.signature[:, k])),
         effects=() if doubt else sized.estimate.effects[k],
         promised=not doubt,
         bounded=_bounded(form, quantities),
@@ -221,7 +221,7 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
                     share=0.0,
                     equivalent=(),
                     evidence=f"{text}, and the readings follow the commands: positions were reported before {axis.name} had settled",
-                    pattern_um=locked(
+                    pattern_um=read_only(
                         unwhitened_um(
                             candidates.problem, candidates.problem.signature(form.variant.columns)[:, 0] / scale
                         )
@@ -325,13 +325,13 @@ def _load_cause(candidates: Candidates, load: Load, payload: Payload, variances:
         share=float(np.clip((explained - own) / excess, 0.0, 1.0)),
         equivalent=(),
         evidence=text,
-        pattern_um=locked(unwhitened_um(candidates.problem, (candidates.problem.signature(columns) / size) @ shape)),
+        pattern_um=read_only(unwhitened_um(candidates.problem, (candidates.problem.signature(columns) / size) @ shape)),
         bounded=at_bound,
     )
 
 
 def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quantity, ...]:
-    units, sizes = ("kg", "mm", "mm", "mm"), (heaviest, *[SOUGHT_MM] * 3)
+    units, sizes = ("kg", "mm", "mm", "mm"), (heaviest, *[CENTRE_RANGE_MM] * 3)
     return tuple(
         Quantity(name, value, unit, float(own) * size)
         for (name, value), unit, own, size in zip(payload.numbers.items(), units, u, sizes, strict=True)

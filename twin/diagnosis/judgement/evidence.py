@@ -14,8 +14,8 @@ from twin.diagnosis.result import readable_unit
 from twin.diagnosis.selection.left_out import predicts_held_out
 from twin.diagnosis.wording.words import listed
 from twin.machine.calibration import Calibration
-from twin.machine.effects.specification import Found
-from twin.numerics.waves import SHORTEST_PERIOD, sampling
+from twin.machine.effects.specification import FittedCause
+from twin.numerics.waves import SHORTEST_PERIOD, sampling_frequency
 
 ALIKE: Final = 9.0
 """χ² (three standard deviations) by which a period must fit worse than the best to be ruled out."""
@@ -27,7 +27,7 @@ def evidence(form: Form, found: Estimate, k: int) -> str:
     sizes = [q for q in found.quantities[k] if q.name not in {*specification.nonlinear, *form.variant.fixed}]
     size = max(sizes, key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
     numbers = {q.name: q.value for q in found.quantities[k]}
-    what = Found(form.candidate.where, size.value, readable_unit(size.unit), numbers, found.effects[k])
+    what = FittedCause(form.candidate.where, size.value, readable_unit(size.unit), numbers, found.effects[k])
     text = specification.evidence(what)
     return f"{text} ({abs(size.value) / size.u:.0f} standard uncertainties)" if size.u > 0.0 else text
 
@@ -90,7 +90,7 @@ def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) ->
         return []
     network = candidates.problem.network
     q = network.data.positions[:, network.machine.names.index(form.candidate.where)]
-    span, even = float(np.ptp(q)), sampling(q)
+    span, even = float(np.ptp(q)), sampling_frequency(q)
     if even is not None:
         own = 1.0 / form.variant.fixed["period"]
         aliases = (1.0 / max(abs(even - own), 1e-9), 1.0 / (even + own))

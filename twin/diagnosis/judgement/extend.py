@@ -12,7 +12,7 @@ from typing import Final, Literal, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.diagnosis.judgement.held_out import held_out_patterns
 from twin.diagnosis.judgement.sizes import SizedCauses
@@ -23,7 +23,7 @@ from twin.diagnosis.selection.likelihood import Likelihood
 from twin.diagnosis.selection.unnamed import PatternTest
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Empirical
-from twin.machine.empirical_entry import acting_frame, usable, where_of
+from twin.machine.empirical_entry import acting_frame, available_in_programs, unused_place
 from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 
@@ -90,7 +90,7 @@ def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
     if reason is not None:
         return _not_extended(extension)
     names = tuple(parameter.name for effect in effects for parameter in effect.parameters)
-    matrix = locked(covariance[np.ix_(kept, kept)])
+    matrix = read_only(covariance[np.ix_(kept, kept)])
     return EmpiricalExtension(
         extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, stays)
     )
@@ -111,7 +111,7 @@ def _term(pattern_test: PatternTest, machine: Machine, size: float, taken: Seque
     columns = pattern.waves(pattern_test.level)
     along = _along(pattern_test)
     reason = None
-    unknown = [one.column for one in columns if not usable(one.column, machine)]
+    unknown = [one.column for one in columns if not available_in_programs(one.column, machine)]
     if unknown:
         reason = f"it depends on {' and '.join(unknown)}, which a later program does not know"
     elif size == 0.0:
@@ -122,7 +122,7 @@ def _term(pattern_test: PatternTest, machine: Machine, size: float, taken: Seque
         except InputError as error:
             reason = error.what
     ranges = {one.column: one.range for one in columns if one.range is not None}
-    return Term(where_of(pattern.side, columns, taken), along, pattern.names, ranges, size, reason)
+    return Term(unused_place(pattern.side, columns, taken), along, pattern.names, ranges, size, reason)
 
 
 def _along(pattern_test: PatternTest) -> Literal["base", "tool", "work"]:

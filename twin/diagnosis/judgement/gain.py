@@ -17,9 +17,9 @@ from twin.identification.solve import solve
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
-from twin.machine.effects.empirical import Empirical, state_name
+from twin.machine.effects.empirical import Empirical, channel_name
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements, state_of
+from twin.measurement.table import Measurements, machine_state
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.budget import volume
 
@@ -122,7 +122,7 @@ def error_at_tool(
     rng = np.random.default_rng(16907)
     sides = rng.choice([-1.0, 1.0], (len(machine.axes), len(positions)))
     rows = rng.integers(0, len(data), len(positions))
-    measured = state_of(data, machine)
+    measured = machine_state(data, machine)
     state: dict[str, Any] = {name: values[rows] for name, values in measured.items()}
     state |= {f"approach_{name}": own for name, own in zip(machine.names, sides, strict=True)}
     state |= {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
@@ -160,7 +160,7 @@ def _inside(positions: np.ndarray, machine: Machine, effects: Sequence[Effect]) 
             for effect in effects
             if isinstance(effect, Empirical)
             for column, own in effect.ranges.items()
-            if state_name(column) == axis.name
+            if channel_name(column) == axis.name
         ]
         span = np.ptp(positions[:, i])
         if ranges and span > 0.0:

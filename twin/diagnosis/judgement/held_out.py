@@ -22,7 +22,7 @@ from twin.diagnosis.selection.left_out import (
 from twin.diagnosis.selection.likelihood import Likelihood
 from twin.diagnosis.selection.payload import restore_payloads, select_on_part
 from twin.diagnosis.selection.structure import Findings, refit_on_part
-from twin.machine.effects.empirical import state_name
+from twin.machine.effects.empirical import channel_name
 from twin.machine.effects.waves import APPROACH
 
 
@@ -69,7 +69,7 @@ def held_out_patterns(found: Findings, forms: Sequence[Form], written: Collectio
     network, candidates = problem.network, found.candidates
     names = {name for k in written for name in structure.pattern_tests[k].pattern.names}
     # The approach direction of an axis is held out by the positions of that axis.
-    axes = {state_name(name).removeprefix(APPROACH) for name in names}
+    axes = {channel_name(name).removeprefix(APPROACH) for name in names}
     moving = [i for i, name in enumerate(network.machine.names) if name in axes]
     split = folds_at_positions(network.data, moving) if moving else folds_in_time(network.data)
     if split is None:

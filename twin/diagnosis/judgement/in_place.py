@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.units import MM
 from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.problem.forms import DEVIANCE_RULED_OUT, Candidates, Form
@@ -23,7 +23,7 @@ from twin.diagnosis.selection.search import excess_ratio
 from twin.diagnosis.selection.structure import Findings
 from twin.identification.network import Network
 from twin.machine.effects import Effect, assemble
-from twin.measurement.table import state_of
+from twin.measurement.table import machine_state
 from twin.uncertainty.budget import volume
 
 RIVALS: Final = 2
@@ -227,7 +227,7 @@ def _possible(problem: Problem) -> Any:
     approach = np.where(np.any(data.approach != 0, axis=0), rng.choice([-1.0, 1.0], (POSES, len(machine.axes))), 0.0)
     # Target, time and temperatures are those of a measured row; its reading is not used.
     some = data.select(rows)
-    return replace(some, positions=locked(positions), approach=locked(approach))
+    return replace(some, positions=read_only(positions), approach=read_only(approach))
 
 
 def _prediction(problem: Problem, forms: Sequence[Form], plan: Any) -> np.ndarray | None:
@@ -247,7 +247,7 @@ def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan:
     view = other.view(np.zeros(0), problem.setup, np.arange(len(plan)))
     by_setup = np.zeros((len(plan), 3, len(problem.setup)))
     other.fill_setup_columns(view, problem.setup, by_setup)
-    frames = assemble(effects, network.machine.frames, state_of(plan, network.machine))
+    frames = assemble(effects, network.machine.frames, machine_state(plan, network.machine))
     errors = np.stack([np.broadcast_to(np.asarray(v, dtype=float), len(plan)) for row in frames for v in row], axis=1)
     return np.asarray(by_setup @ moved + np.einsum("nij,nj->ni", view.by_error, errors))
 

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.distributions import f_log_sf
 from twin.diagnosis.estimate.estimate import Estimate, estimate
 from twin.diagnosis.estimate.misfit import MANY_ROUNDS
@@ -64,7 +64,7 @@ class SizedCauses:
         wanted = {parameter.name for effect in self.effects for parameter in effect.parameters}
         names, matrix = self.estimate.covariance.names, self.estimate.covariance.matrix
         at = [i for i, name in enumerate(names) if name in wanted]
-        return Covariance(tuple(names[i] for i in at), locked(np.array(matrix[np.ix_(at, at)])))
+        return Covariance(tuple(names[i] for i in at), read_only(np.array(matrix[np.ix_(at, at)])))
 
     def others(self, form: Form) -> list[Form]:
         """Return all causes but one."""

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import special
 
 from twin._common.distributions import chi2_isf, chi2_log_sf, f_isf, f_log_sf
-from twin.diagnosis.candidates.candidate import Candidate, Cell
+from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
@@ -61,7 +61,7 @@ class Form:
     """
 
     candidate: Candidate
-    variant: Cell
+    variant: Variant
     columns: np.ndarray
     log_tests: float
     index: int
@@ -101,7 +101,7 @@ class Candidates:
     def __init__(
         self,
         problem: Problem,
-        forms: Sequence[tuple[Candidate, Cell, float]],
+        forms: Sequence[tuple[Candidate, Variant, float]],
         dof: float = float("inf"),
         parts: np.ndarray | None = None,
         level: float | None = None,
@@ -252,7 +252,7 @@ class Candidates:
         other.set_problem(part)
         return other
 
-    def refine(self, form: Form, variant: Cell) -> None:
+    def refine(self, form: Form, variant: Variant) -> None:
         """Replace the variant of a form by one with fitted non-linear parameters, until `set_problem` is called.
 
         Args:

@@ -11,13 +11,13 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.signature_products import signatures_of
-from twin.identification.network import Network, View
+from twin.identification.network import LinearisedReadings, Network
 from twin.identification.setup import SetUp
-from twin.identification.spread import repeats
+from twin.identification.spread import repeat_groups
 from twin.measurement.instruments.base import along_and_across
 from twin.measurement.table import Measurements
 
@@ -44,7 +44,7 @@ class ReadingNoise:
 
 
 def from_repeats(
-    data: Measurements, view: View, read: np.ndarray, known: tuple[Candidate, ...], seen: np.ndarray
+    data: Measurements, view: LinearisedReadings, read: np.ndarray, known: tuple[Candidate, ...], seen: np.ndarray
 ) -> ReadingNoise | None:
     """Return the noise along and across the beam estimated from repeats; None if they are too few.
 
@@ -55,7 +55,7 @@ def from_repeats(
         known: the candidate causes.
         seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
     """
-    group = repeats(data)
+    group = repeat_groups(data)
     size = np.bincount(group)
     repeated = size[group] > 1
     if np.sum(np.maximum(size - 1, 0)) < LEAST_DOF // 2:
@@ -75,11 +75,11 @@ def from_repeats(
     np.add.at(total, group, values)
     values = (values - total[group] / size[group][:, None, None]) * repeated[:, None, None]
     dof = float(np.sum(np.where(repeated, 1.0 - 1.0 / size[group], 0.0)))
-    return _estimated(values, dof, view, read, seen, "repeats")
+    return _estimated(values, dof, view, read, seen, "repeat_groups")
 
 
 def from_residuals(
-    network: Network, setup: SetUp, view: View, known: tuple[Candidate, ...], seen: np.ndarray
+    network: Network, setup: SetUp, view: LinearisedReadings, known: tuple[Candidate, ...], seen: np.ndarray
 ) -> ReadingNoise | None:
     """Return the noise along and across the beam from the residuals of a regression on the main form of every cause.
 
@@ -115,7 +115,7 @@ def _main_columns(candidate: Candidate) -> tuple[Column, ...]:
 
 
 def _estimated(
-    values: np.ndarray, dof_each: float, view: View, read: np.ndarray, seen: np.ndarray, source: str
+    values: np.ndarray, dof_each: float, view: LinearisedReadings, read: np.ndarray, seen: np.ndarray, source: str
 ) -> ReadingNoise | None:
     """Return the noise along and across the beam, after regression; None with fewer than `LEAST_DOF` degrees of freedom.
 
@@ -135,7 +135,7 @@ def _estimated(
         found = np.zeros((len(seen), 3, 3))
         found[:, 0, 0] = np.sum(residual[:, 0] ** 2) / dof
         return ReadingNoise(
-            locked(found), dof, f"{source}: {np.sqrt(found[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)"
+            read_only(found), dof, f"{source}: {np.sqrt(found[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)"
         )
     if not read.all():
         # An instrument that measures two coordinates is no tracker: the same noise in both.
@@ -145,7 +145,7 @@ def _estimated(
             return None
         sigma = float(np.sqrt(np.sum(residual**2) / dof))
         text = f"{source}: {sigma * 1e6:.2g} µm a coordinate ({dof:.0f} degrees of freedom)"
-        return ReadingNoise(locked(np.tile(sigma**2 * np.eye(3), (len(seen), 1, 1))), dof, text)
+        return ReadingNoise(read_only(np.tile(sigma**2 * np.eye(3), (len(seen), 1, 1))), dof, text)
     beam = view.seen / np.linalg.norm(view.seen, axis=1, keepdims=True)
     along_u = across_u = 1.0
     for _ in range(ITERATIONS):
@@ -170,7 +170,7 @@ def _estimated(
         f"({dof_along + dof_across:.0f} degrees of freedom)"
     )
     return ReadingNoise(
-        locked(along_and_across(seen, np.full(n, along_u), np.full(n, across_u))), dof_along + dof_across, text
+        read_only(along_and_across(seen, np.full(n, along_u), np.full(n, across_u))), dof_along + dof_across, text
     )
 
 

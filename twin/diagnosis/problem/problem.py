@@ -16,16 +16,16 @@ from typing import Final, final
 import numpy as np
 from scipy.linalg import block_diag
 
-from twin._common.threads import side_by_side
+from twin._common.threads import map_chunks
 from twin.diagnosis.candidates.signatures import Column, effect_columns
 from twin.diagnosis.problem.signature_products import PointBlock, Signatures
-from twin.identification.network import Network, View
+from twin.identification.network import LinearisedReadings, Network
 from twin.identification.setup import SetUp
 from twin.machine.calibration import Calibration
-from twin.measurement.table import state_of
+from twin.measurement.table import machine_state
 from twin.numerics.functions import Rows, pieces
 
-TOLD_APART: Final = 1e-9
+RANK_TOLERANCE: Final = 1e-9
 """Relative tolerance of the numerical rank: smaller singular values of the nuisance derivatives count as zero."""
 LOST: Final = 1e-12
 """Share of a direction in the remaining points below which they do not determine it."""
@@ -73,7 +73,7 @@ class Problem:
         self.setup = setup
         self.calibration = calibration
         self.random = tuple(random)
-        self.view: View = network.view(np.zeros(0), setup, np.arange(len(network.data)))
+        self.view: LinearisedReadings = network.view(np.zeros(0), setup, np.arange(len(network.data)))
         self.residual = self.view.residual.reshape(-1)
         uncertain, root = self._calibration_columns(calibration)
         if random:
@@ -121,7 +121,7 @@ class Problem:
 
     def orthonormal_on(self, points: np.ndarray) -> np.ndarray:
         """Return the factor (directions, k) that makes the basis orthonormal over a subset of the points (their numbers)."""
-        own = self.prior @ np.linalg.pinv(self.nuisance_coordinates, rcond=TOLD_APART)
+        own = self.prior @ np.linalg.pinv(self.nuisance_coordinates, rcond=RANK_TOLERANCE)
         return _root(own.T @ own + self._gram(points))
 
     def set_residual(self, residual: np.ndarray) -> None:
@@ -233,7 +233,7 @@ class Problem:
                 whole[rows, len(self.setup) :] = _flat(own.at(PointBlock(self.view, run))) @ root
             triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, whole[rows]]), mode="r"))
         _, values, vectors = np.linalg.svd(triangle, full_matrices=False)
-        kept = values > TOLD_APART * values[0] if len(values) else np.zeros(0, dtype=bool)
+        kept = values > RANK_TOLERANCE * values[0] if len(values) else np.zeros(0, dtype=bool)
         factor, back = vectors[kept].T / values[kept], values[kept, None] * vectors[kept]
         # A second factor removes the rounding errors of the first between weak directions.
         beside = self.prior @ factor
@@ -246,14 +246,14 @@ class Problem:
             return found
 
         runs = [slice(3 * run.start, 3 * run.stop) for run in pieces(n)]
-        lower = np.linalg.cholesky(beside.T @ beside + sum(side_by_side(runs, gram_of)))
+        lower = np.linalg.cholesky(beside.T @ beside + sum(map_chunks(runs, gram_of)))
         orthonormal = np.linalg.solve(lower, factor.T).T
 
         def rotate(own: Sequence[slice]) -> None:
             for rows in own:
                 whole[rows, : orthonormal.shape[1]] = whole[rows] @ orthonormal
 
-        side_by_side(runs, rotate)
+        map_chunks(runs, rotate)
         return whole[:, : orthonormal.shape[1]], np.asarray(lower.T @ back)
 
     def _calibration_columns(self, calibration: Calibration | None) -> tuple[list[Column], np.ndarray]:
@@ -263,7 +263,7 @@ class Problem:
         covariance = calibration.covariance
         known = set(covariance.names)
         machine = self.network.machine
-        state = state_of(self.network.data, machine)
+        state = machine_state(self.network.data, machine)
         found: dict[str, Column] = {}
         for effect in calibration.effects:
             names = [parameter.name for parameter in effect.parameters]

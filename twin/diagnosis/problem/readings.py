@@ -8,19 +8,19 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.distributions import chi2_isf
 from twin._common.units import MM
 from twin.diagnosis.candidates.candidate import Catalogue
 from twin.diagnosis.candidates.catalogue import catalogue
 from twin.diagnosis.problem.noise import LEAST_DOF, ReadingNoise, from_repeats, from_residuals
 from twin.diagnosis.problem.problem import Problem
-from twin.identification.inputs import prepared
+from twin.identification.inputs import prepare
 from twin.identification.network import Network, stated_covariance
-from twin.identification.outliers import explained, outliers
+from twin.identification.outliers import outlier_notes, outliers
 from twin.identification.setup import SetUp
 from twin.identification.solve import solve
-from twin.identification.spread import repeats
+from twin.identification.spread import repeat_groups
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -74,7 +74,7 @@ class Readings:
             notes: notes on the rows that are left out.
         """
         network = self.network
-        covariance = locked(np.array(self.noise.covariance[rows]))
+        covariance = read_only(np.array(self.noise.covariance[rows]))
         data = network.data.select(rows)
         fewer = Network(
             network.machine,
@@ -95,7 +95,7 @@ class Readings:
         kept, network = self, self.network
         if np.any(bad):
             difference = network.residuals_m(np.zeros(0), self.setup, np.arange(len(network.data)))
-            notes = explained(network, difference, network.residual(np.zeros(0), self.setup), bad)
+            notes = outlier_notes(network, difference, network.residual(np.zeros(0), self.setup), bad)
             kept = self.select_rows(np.flatnonzero(~bad), notes)
         known = catalogue(network.machine, kept.network.data, self.calibration)
         return DiagnosisTask(Problem(kept.network, self.setup, self.calibration), known, kept.noise)
@@ -115,7 +115,7 @@ def readings(
     Raises:
         InputError: data that cannot be a measurement of this machine.
     """
-    reader, data, setup = prepared(machine, data, instrument)
+    reader, data, setup = prepare(machine, data, instrument)
     no_unknowns = Unknowns(machine, (), ())
     covariance = stated_covariance(data, reader)
     has_u = bool(np.isfinite(data.u_mm).any())
@@ -149,7 +149,7 @@ def _isotropic_from_repeats(data: Measurements, stated: np.ndarray) -> np.ndarra
     The instrument's noise model is not suitable for this test: it is many times smaller along the beam than across, and data with
     isotropic noise would appear full of outliers.
     """
-    group = repeats(data)
+    group = repeat_groups(data)
     size = np.bincount(group)
     if np.sum(np.maximum(size - 1, 0)) < LEAST_DOF // 2:
         return None
@@ -161,7 +161,7 @@ def _isotropic_from_repeats(data: Measurements, stated: np.ndarray) -> np.ndarra
     sigma = float(np.sqrt(np.median(np.sum(deviation**2, axis=1)) / chi2_isf(0.5, dimensions)))
     if sigma <= 0.0:
         return None
-    return locked(np.where(stated != 0.0, 1.0, 0.0) * np.eye(3) * sigma**2)
+    return read_only(np.where(stated != 0.0, 1.0, 0.0) * np.eye(3) * sigma**2)
 
 
 def _setup_without_outliers(network: Network, setup: SetUp) -> tuple[SetUp, np.ndarray]:

@@ -8,9 +8,9 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.threads import side_by_side
+from twin._common.threads import map_chunks
 from twin.diagnosis.candidates.signatures import Column, Freedom, ReadingDerivatives, SignatureTerm
-from twin.identification.network import View
+from twin.identification.network import LinearisedReadings
 from twin.numerics.functions import Functions, Rows, pieces
 
 BLOCK_WIDTH: Final = 64
@@ -48,7 +48,7 @@ class PointBlock:
         rows: the block's rows in the view.
     """
 
-    def __init__(self, view: View, rows: Rows) -> None:
+    def __init__(self, view: LinearisedReadings, rows: Rows) -> None:
         self.rows = rows
         self._points = view.rows[rows]
         self.derivatives = ReadingDerivatives(view, rows)
@@ -72,7 +72,7 @@ class Signatures:
         parts: (n,) number of the part each point belongs to, from 0; a single part if None.
     """
 
-    def __init__(self, view: View, columns: Sequence[Column], parts: np.ndarray | None = None) -> None:
+    def __init__(self, view: LinearisedReadings, columns: Sequence[Column], parts: np.ndarray | None = None) -> None:
         self.view = view
         self._parts = np.zeros(len(view.rows), dtype=int) if parts is None else parts
         self.columns = list(columns)
@@ -129,7 +129,7 @@ class Signatures:
             return found
 
         runs, part_of, count = self._runs_of(rows)
-        return np.asarray(sum(side_by_side(range(len(runs)), partial)))
+        return np.asarray(sum(map_chunks(range(len(runs)), partial)))
 
     def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:
         """Return the inner products within groups of columns: (parts, groups, w, w) for each array (groups, w).
@@ -177,7 +177,7 @@ class Signatures:
             return found
 
         runs, part_of, count = self._runs_of(rows)
-        values = np.asarray(sum(side_by_side(range(len(runs)), partial)))
+        values = np.asarray(sum(map_chunks(range(len(runs)), partial)))
         # The matrices are symmetric.
         values[:, ~lower] = values[:, transposed]
         return [values[:, own] for own in places]
@@ -320,6 +320,6 @@ def _pair_codes(groups: Sequence[np.ndarray], count: int) -> _PairCodes:
     return pairs, lower, own, transposed
 
 
-def signatures_of(view: View, columns: Sequence[Column]) -> np.ndarray:
+def signatures_of(view: LinearisedReadings, columns: Sequence[Column]) -> np.ndarray:
     """Return signatures (points, 3, columns) of a few columns at all points of a view."""
     return Signatures(view, columns).at(PointBlock(view, slice(None)))

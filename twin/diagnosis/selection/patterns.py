@@ -20,7 +20,7 @@ from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import Column, SignatureTerm
 from twin.machine.effects.waves import APPROACH, Waves, terms
 from twin.machine.machine import Axis, Machine
-from twin.measurement.table import CARRIERS, Measurements, state_of
+from twin.measurement.table import CARRIERS, Measurements, machine_state
 from twin.numerics.functions import Functions, Rows
 
 ALONE: Final = 16
@@ -157,7 +157,7 @@ def patterns(machine: Machine, data: Measurements) -> list[Pattern]:
 
 
 def _channels(machine: Machine, data: Measurements) -> list[Channel]:
-    state = dict(state_of(data, machine))
+    state = dict(machine_state(data, machine))
     if len(set(data.round)) > 2:
         rounds = list(dict.fromkeys(data.round))
         state["round"] = np.array([float(rounds.index(name)) for name in data.round])

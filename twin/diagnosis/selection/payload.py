@@ -20,10 +20,10 @@ from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
 from twin.diagnosis.selection.search import Selection, select, within_limits
 from twin.machine.effects import Payload
-from twin.machine.effects.gravity_compliance import FREE, GRAVITY_COMPLIANCE, payloads_of
-from twin.machine.effects.payload import MASS, SIDES, SOUGHT_MM, Side, heaviest_kg, side_of
+from twin.machine.effects.gravity_compliance import GRAVITY_COMPLIANCE, UNKNOWN_PAYLOAD, payloads_of
+from twin.machine.effects.payload import CENTRE_RANGE_MM, MASS, SIDES, Side, max_payload_kg, side_of
 from twin.machine.machine import Axis
-from twin.measurement.table import state_of
+from twin.measurement.table import machine_state
 
 ROUNDS: Final = 4
 """Largest number of repeated searches."""
@@ -87,7 +87,7 @@ class Load:
 
     def shares_of(self, payload: Payload) -> np.ndarray:
         """Return a payload as (4,) shares of its bounds."""
-        return np.array([payload.mass_kg / self.heaviest, *(one / SOUGHT_MM for one in payload.centre_mm)])
+        return np.array([payload.mass_kg / self.heaviest, *(one / CENTRE_RANGE_MM for one in payload.centre_mm)])
 
     def covariances(self, shares: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (k,) factors on the uncertainties of the compliances due to the payload, and (4,) variances of the payload.
@@ -163,14 +163,14 @@ def select_on_part(part: Candidates, forms: Sequence[Form]) -> Selection:
 
 def _exclude_free_payloads(candidates: Candidates) -> None:
     """Exclude the forms with a free payload for each joint."""
-    candidates.exclude_forms([form for form in candidates.forms if FREE in form.variant.fixed])
+    candidates.exclude_forms([form for form in candidates.forms if UNKNOWN_PAYLOAD in form.variant.fixed])
 
 
 def loaded_joints(candidates: Candidates, forms: Sequence[Form], side: Side) -> Load | None:
     """Return the deflecting joints of a side if any of them has a payload, free or fixed; else None."""
-    free = {form.key: form for form in candidates.forms if FREE in form.variant.fixed}
+    free = {form.key: form for form in candidates.forms if UNKNOWN_PAYLOAD in form.variant.fixed}
     joints = [form for form in forms if form.key in free and side_of(axis_of_form(candidates, form)) == side]
-    if not any(FREE in form.variant.fixed or MASS in form.variant.fixed for form in joints):
+    if not any(UNKNOWN_PAYLOAD in form.variant.fixed or MASS in form.variant.fixed for form in joints):
         return None
     own = [free[form.key] for form in joints]
     every = [*(form for form in forms if form not in joints), *own]
@@ -182,19 +182,19 @@ def loaded_joints(candidates: Candidates, forms: Sequence[Form], side: Side) -> 
     along = gram[np.ix_(at, rest)] @ inverse
     size = np.concatenate([[column.scale for column in form.variant.columns] for form in own])
     left = (gram[np.ix_(at, at)] - along @ gram[np.ix_(rest, at)]) / np.outer(size, size)
-    heaviest = heaviest_kg(candidates.problem.network.machine)
+    heaviest = max_payload_kg(candidates.problem.network.machine)
     return Load(side, heaviest, tuple(joints), tuple(own), left, (slope[at] - along @ slope[rest]) / size)
 
 
 def _add_payload(candidates: Candidates, payload: Payload) -> bool:
     """Put a payload into the load of every joint of its side; return whether that changed anything."""
     machine = candidates.problem.network.machine
-    state = state_of(candidates.problem.network.data, machine)
+    state = machine_state(candidates.problem.network.data, machine)
     numbers = payload.numbers
-    size = Payload.of_shares(payload.side, heaviest_kg(machine), np.ones(4)).numbers
+    size = Payload.of_shares(payload.side, max_payload_kg(machine), np.ones(4)).numbers
     moved = False
     for form in list(candidates.forms):
-        joint = form.candidate.specification is GRAVITY_COMPLIANCE and FREE not in form.variant.fixed
+        joint = form.candidate.specification is GRAVITY_COMPLIANCE and UNKNOWN_PAYLOAD not in form.variant.fixed
         if not joint or side_of(axis_of_form(candidates, form)) != payload.side:
             continue
         before = form.variant.fixed

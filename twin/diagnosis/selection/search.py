@@ -11,7 +11,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Candidate, Cell
+from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.problem.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
 from twin.diagnosis.problem.readings import DiagnosisTask
 from twin.diagnosis.selection.left_out import choose_folds
@@ -290,7 +290,7 @@ def _better(
 
 def priced_forms(
     candidates: Sequence[Candidate], critical_values: dict[str, float]
-) -> list[tuple[Candidate, Cell, float]]:
+) -> list[tuple[Candidate, Variant, float]]:
     """Return all forms of all candidates, with their corrections for multiple testing."""
     return [(c, variant, critical_values[c.effect]) for c in candidates for variant in c.variants]
 

@@ -10,14 +10,14 @@ import numpy as np
 
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.result import Cause, DiagnosisResult
-from twin.diagnosis.wording.words import column, plain, side
+from twin.diagnosis.wording.words import cause_title, column, side
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.effects import Effect
-from twin.machine.effects.names import axis_of, motion
+from twin.machine.effects.names import axis_of, motion_in_words
 from twin.machine.effects.specification import Drawing
 from twin.machine.effects.waves import APPROACH
 from twin.machine.machine import DIRECTIONS, Machine
-from twin.measurement.table import state_of
+from twin.measurement.table import machine_state
 
 STOPS: Final = 24
 """Number of distinct positions up to which each forms a group."""
@@ -173,7 +173,7 @@ def cause_panels(found: DiagnosisResult, cause: Cause) -> list[Panel]:
     rows = _affected(found, cause)
     if not np.any(rows):
         return []
-    title = plain(cause.effect, cause.where)
+    title = cause_title(cause.effect, cause.where)
     if not drawing_of(cause).by_state:
         return [_against_prediction(title, cause.pattern_um[rows], found.after_um[rows], found.precision[rows])]
     predicted, left = directed(found, cause.pattern_um), directed(found, found.after_um)
@@ -258,7 +258,7 @@ def directed(found: DiagnosisResult, values_um: np.ndarray) -> dict[str, np.ndar
 def _single(effect: Effect, found: DiagnosisResult) -> tuple[int, np.ndarray] | None:
     """Return the only component of an effect and its (n,) value at each reading; None for several components."""
     machine = found.calibration.machine
-    parts = effect.components(state_of(found.data, machine))
+    parts = effect.components(machine_state(found.data, machine))
     largest = {i: float(np.abs(np.asarray(v, dtype=float)).max(initial=0.0)) for i, v in parts.items()}
     most = max(largest.values(), default=0.0)
     strong = [i for i, size in largest.items() if size > 1e-6 * most]
@@ -282,7 +282,11 @@ def _own_unit(found: DiagnosisResult, cause: Cause, effect: Effect, component: i
     error = f"E_{DIRECTIONS[component]}{mark}{frame}"
     unit = "µm" if component < 3 else "µrad"
     drawn = drawing_of(cause)
-    label = f"shift of the tool side along {cause.where[0].lower()}" if drawn.of_base else f"{motion(error)}, {error}"
+    label = (
+        f"shift of the tool side along {cause.where[0].lower()}"
+        if drawn.of_base
+        else f"{motion_in_words(error)}, {error}"
+    )
     panels = []
     for x in _scales_of_cause(found, cause):
         at = x.values[rows]
@@ -293,7 +297,7 @@ def _own_unit(found: DiagnosisResult, cause: Cause, effect: Effect, component: i
             for name, of in ((name, of[rows]) for name, of in _split(found, cause))
             if np.count_nonzero(of) >= FEWEST
         )
-        panels.append(Panel(plain(cause.effect, cause.where), x.label, f"{label} [{unit}]", series, x.ticks))
+        panels.append(Panel(cause_title(cause.effect, cause.where), x.label, f"{label} [{unit}]", series, x.ticks))
     return panels
 
 
@@ -371,7 +375,7 @@ def _folded(whole: Scale, name: str, period: float, unit: str) -> Scale:
     return Scale(f"{name} within its period of {period:.4g} {unit} [{unit}]", np.mod(whole.values, period))
 
 
-def groups_of(x: np.ndarray) -> np.ndarray:
+def group_numbers(x: np.ndarray) -> np.ndarray:
     """Return (n,) group numbers: one group per position, or bins of neighbouring positions."""
     distinct = np.unique(np.round(x, 3))
     if len(distinct) <= STOPS:
@@ -380,7 +384,7 @@ def groups_of(x: np.ndarray) -> np.ndarray:
     return np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
 
 
-def means(
+def group_means(
     x: np.ndarray, y: np.ndarray, weight: np.ndarray, groups: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return by group: mean x, weighted mean y, and half the 95 % interval of that mean from the spread of the readings."""
@@ -401,5 +405,5 @@ def _reach(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     keep = np.isfinite(y)
     if np.count_nonzero(keep) < FEWEST:
         return 0.0, np.inf
-    _, mean, half = means(x[keep], y[keep], np.ones(np.count_nonzero(keep)), groups_of(x[keep]))
+    _, mean, half = group_means(x[keep], y[keep], np.ones(np.count_nonzero(keep)), group_numbers(x[keep]))
     return float(np.max(np.abs(mean) + half, initial=0.0)), float(np.median(half)) if len(half) else np.inf

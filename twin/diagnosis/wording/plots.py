@@ -21,13 +21,13 @@ from twin.diagnosis.wording.panels import (
     Panel,
     cause_panels,
     directed,
-    groups_of,
-    means,
+    group_means,
+    group_numbers,
     residual_panels,
     scales_of,
 )
-from twin.diagnosis.wording.words import plain
-from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, blank, dress, heading
+from twin.diagnosis.wording.words import cause_title
+from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, heading, new_figure, style_axes
 
 WIDE: Final = 3
 """Panels in a row."""
@@ -72,7 +72,7 @@ def plot_cause(found: DiagnosisResult, cause: int = 0, *, title: str = "") -> Fi
     if not 0 <= cause < len(found.causes):
         raise InputError("no such cause", expected=f"less than {len(found.causes)}", value=cause)
     one = found.causes[cause]
-    return _drawn(cause_panels(found, one), title or f"{plain(one.effect, one.where)}: fitted (line), measured (dots)")
+    return _drawn(cause_panels(found, one), title or f"{cause_title(one.effect, one.where)}: fitted (line), measured (dots)")
 
 
 def plot_ranking(found: DiagnosisResult, *, title: str = "") -> Figure:
@@ -83,7 +83,7 @@ def plot_ranking(found: DiagnosisResult, *, title: str = "") -> Figure:
         title: heading; a default if empty.
     """
     rows = found.ranking[::-1]
-    figure = blank(9.0, 0.9 + 0.34 * max(len(rows), 1))
+    figure = new_figure(9.0, 0.9 + 0.34 * max(len(rows), 1))
     plot = figure.add_subplot()
     named = {(cause.effect, cause.where) for cause in found.causes}
     doubted = {key for cause in found.causes for key in cause.equivalent}
@@ -95,7 +95,7 @@ def plot_ranking(found: DiagnosisResult, *, title: str = "") -> Figure:
         at = [i for i, (effect, where, *_) in enumerate(rows) if (effect, where) in of]
         if at:
             plot.barh(at, [rows[i][2] for i in at], color=colour, label=label)
-    plot.set_yticks(range(len(rows)), [plain(effect, where) for effect, where, *_ in rows], fontsize=9)
+    plot.set_yticks(range(len(rows)), [cause_title(effect, where) for effect, where, *_ in rows], fontsize=9)
     plot.set_xlabel("χ² explained by this cause alone [1]")
     plot.spines[["top", "right"]].set_visible(False)
     if rows:
@@ -125,7 +125,7 @@ def plot_unexplained(found: DiagnosisResult, *, title: str = "") -> Figure | Non
         total, *_ = np.histogram2d(x.values[of], y.values[of], edges, weights=values[of])
         maps[name] = np.where(count >= FEWEST, total / np.maximum(count, 1.0), np.nan)
     direction = max(maps, key=lambda name: float(np.nansum(maps[name] ** 2)))
-    figure = blank(4.2, 3.1)
+    figure = new_figure(4.2, 3.1)
     plot = figure.add_subplot()
     most = float(np.nanmax(np.abs(maps[direction]), initial=1e-9))
     plot.set_facecolor(NOTHING)
@@ -139,7 +139,7 @@ def plot_unexplained(found: DiagnosisResult, *, title: str = "") -> Figure | Non
 
 def plot_panel(panel: Panel) -> Figure:
     """Plot one panel as a figure without a title."""
-    figure = blank(4.2, 3.1)
+    figure = new_figure(4.2, 3.1)
     draw(figure.add_subplot(), panel, titled=False)
     return figure
 
@@ -152,7 +152,7 @@ def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
         panel: what to draw.
         titled: whether its title is drawn too.
     """
-    dress(plot)
+    style_axes(plot)
     plot.axhline(0.0, color=RUN, linewidth=0.8)
     entries = [entry for k in range(len(panel.series)) for entry in _draw_series(plot, panel, k)]
     if panel.ticks:
@@ -175,8 +175,8 @@ def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
     one, count = panel.series[k], len(panel.series)
     lone = count == 1 and one.predicted is not None
     colour, marker, style = STYLES[DIRECTIONS.index(one.name) if one.name in DIRECTIONS else k % len(STYLES)]
-    groups = groups_of(one.x)
-    centre, mean, half = means(one.x, one.y, one.weight, groups)
+    groups = group_numbers(one.x)
+    centre, mean, half = group_means(one.x, one.y, one.weight, groups)
     # Shifted, so that the series do not hide each other.
     offset = 0.0 if lone else 0.008 * (float(np.ptp(one.x)) or 1.0) * (k - 0.5 * (count - 1))
     looks: dict[str, Any] = {"marker": marker, "markersize": 4.0, "linewidth": 0.0, "elinewidth": 1.0}
@@ -187,7 +187,9 @@ def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
         return [(dots, one.name)]
     order = np.argsort(one.x)
     x, predicted = (
-        (one.x[order], one.predicted[order]) if one.smooth else means(one.x, one.predicted, one.weight, groups)[:2]
+        (one.x[order], one.predicted[order])
+        if one.smooth
+        else group_means(one.x, one.predicted, one.weight, groups)[:2]
     )
     colour, style = (BACKWARD, "-") if lone else (colour, style)
     (line,) = plot.plot(x, predicted, color=colour, linestyle=style, linewidth=2.0, alpha=0.75)
@@ -197,7 +199,7 @@ def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
 def _drawn(panels: Sequence[Panel], title: str) -> Figure:
     across = min(max(len(panels), 1), WIDE)
     down = -(-max(len(panels), 1) // across)
-    figure = blank(max(4.4 * across, 6.4), 3.5 * down + 0.4)
+    figure = new_figure(max(4.4 * across, 6.4), 3.5 * down + 0.4)
     titled = any(panel.title not in title for panel in panels)
     for k, panel in enumerate(panels):
         draw(figure.add_subplot(down, across, k + 1), panel, titled=titled)

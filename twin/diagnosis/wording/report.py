@@ -12,7 +12,7 @@ from html import escape
 from pathlib import Path
 from typing import Final, final
 
-from twin._common.provenance import texts
+from twin._common.provenance import warning_texts
 from twin.diagnosis.result import Cause, DiagnosisResult, Quantity, readable_unit
 from twin.diagnosis.wording import panels, verdict, words
 from twin.diagnosis.wording.plots import plot_panel, plot_unexplained
@@ -59,7 +59,7 @@ def diagnosis_html(diagnosis: DiagnosisResult) -> str:
         colour=COLOURS[mood],
         machine=machine,
         source=Path(diagnosis.data.source).name,
-        badges=(*texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)),
+        badges=(*warning_texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)),
         first_facts=verdict.facts(diagnosis),
         ranked=_ranked(diagnosis),
         several=len({(cause.effect, cause.where) for cause in diagnosis.causes}) > 1,
@@ -98,7 +98,7 @@ def _picture(panel: panels.Panel, caption: str) -> Html:
 
 def _listed_causes(keys: Sequence[tuple[str, str]]) -> Html:
     """Return causes in words with their symbols, as HTML."""
-    named = [(escape(words.lower(words.plain(*key))), escape(words.symbol(*key))) for key in keys]
+    named = [(escape(words.lower(words.cause_title(*key))), escape(words.symbol(*key))) for key in keys]
     return Html(listed([f"{name} <span class=symbol>{sign}</span>" for name, sign in named]))
 
 

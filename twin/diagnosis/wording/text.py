@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from textwrap import wrap
 from typing import Final
 
-from twin._common.provenance import texts
+from twin._common.provenance import warning_texts
 from twin.diagnosis.result import Cause, DiagnosisResult, readable_unit
 from twin.diagnosis.wording.verdict import facts, headline, sentence
 from twin.diagnosis.wording.words import (
+    cause_title,
     coefficient,
     grouped,
     held_out_words,
@@ -21,12 +22,11 @@ from twin.diagnosis.wording.words import (
     missing,
     odds,
     percent,
-    plain,
     probability,
     separating_points,
     symbol,
 )
-from twin.display.numbers import tied
+from twin.display.numbers import with_joined_units
 from twin.measurement.checks import assumptions, grouped_notes
 
 WIDTH: Final = 100
@@ -44,7 +44,7 @@ def diagnosis_text(diagnosis: DiagnosisResult) -> str:
     lines = _wrapped(
         f"{diagnosis.verdict.upper()}. {headline(diagnosis)[0].removesuffix(' Found:').removesuffix('.')}."
     )
-    for text in (*texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)):
+    for text in (*warning_texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)):
         lines += _wrapped(text, hang=2)
     for cause in diagnosis.causes:
         lines += ["", *_cause(cause)]
@@ -102,10 +102,10 @@ def diagnosis_brief(diagnosis: DiagnosisResult) -> str:
     rows = [("cause", "size", "share of the excess", "alternatives")] if diagnosis.causes else []
     rows += [
         (
-            f"<b>{_e(plain(one.effect, one.where))}</b> <small>{_e(symbol(one.effect, one.where))}</small>",
+            f"<b>{_e(cause_title(one.effect, one.where))}</b> <small>{_e(symbol(one.effect, one.where))}</small>",
             _e(_numbers(one)),
             percent(one.share),
-            _e(listed([plain(*key) for key in one.equivalent], most=3)) or "none",
+            _e(listed([cause_title(*key) for key in one.equivalent], most=3)) or "none",
         )
         for one in diagnosis.causes
     ]
@@ -122,7 +122,7 @@ def diagnosis_brief(diagnosis: DiagnosisResult) -> str:
 
 def _cause(cause: Cause) -> list[str]:
     lines = _wrapped(
-        f"{plain(cause.effect, cause.where)} ({symbol(cause.effect, cause.where)}, {cause.origin})", hang=2
+        f"{cause_title(cause.effect, cause.where)} ({symbol(cause.effect, cause.where)}, {cause.origin})", hang=2
     )
     lines += _wrapped(sentence(cause), start=4, hang=4)
     if cause.parameters:
@@ -134,10 +134,10 @@ def _cause(cause: Cause) -> list[str]:
     if cause.probability is not None:
         lines += _wrapped(likelihood_words(cause.probability, not cause.equivalent), start=4, hang=6)
     for rival in cause.rivals[:1]:
-        name = f"{plain(rival.effect, rival.where)} ({symbol(rival.effect, rival.where)})"
+        name = f"{cause_title(rival.effect, rival.where)} ({symbol(rival.effect, rival.where)})"
         lines += _wrapped(f"next best, ruled out: {name}, {odds(rival.log_odds)}", start=4, hang=6)
     if cause.equivalent:
-        names = [f"{plain(*key)} ({symbol(*key)})" for key in cause.equivalent]
+        names = [f"{cause_title(*key)} ({symbol(*key)})" for key in cause.equivalent]
         lines += _wrapped(f"fits these readings equally well: {listed(names)}", start=4, hang=6)
     return lines
 
@@ -177,7 +177,7 @@ def _listing(title: str, items: Sequence[str]) -> list[str]:
 
 def _wrapped(text: str, *, start: int = 0, hang: int = 0) -> list[str]:
     indents = {"initial_indent": " " * start, "subsequent_indent": " " * hang}
-    lines = wrap(tied(text, HARD), WIDTH, **indents, break_long_words=False, break_on_hyphens=False)  # type: ignore[arg-type]
+    lines = wrap(with_joined_units(text, HARD), WIDTH, **indents, break_long_words=False, break_on_hyphens=False)  # type: ignore[arg-type]
     return [line.replace(HARD, " ") for line in lines]
 
 

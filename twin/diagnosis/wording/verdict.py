@@ -12,13 +12,13 @@ from twin.diagnosis.result import Cause, DiagnosisResult, Extension
 from twin.diagnosis.wording.words import (
     advice,
     capital,
+    cause_title,
     column,
     held_out_words,
     kind,
     listed,
     lower,
     percent,
-    plain,
     separating_points,
     side,
 )
@@ -98,7 +98,7 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     else:
         for one in causes[:SHOWN]:
             look = advice(one.effect, one.where).look
-            found.append((plain(one.effect, one.where), f"{look} {to_do(one)}"))
+            found.append((cause_title(one.effect, one.where), f"{look} {to_do(one)}"))
         if any(one.origin == "instrument" for one in causes):
             found.append(("Caution", "Do not compensate for errors of the instrument."))
     return [fact for fact in [*found, *extended(diagnosis)] if fact[1]]
@@ -247,9 +247,9 @@ def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     causes, found = diagnosis.causes[:SHOWN], []
     certain = [one for one in causes if not one.equivalent]
     for one in causes:
-        name = plain(one.effect, one.where)
+        name = cause_title(one.effect, one.where)
         if one.equivalent:
-            names = listed([lower(plain(*key)) for key in one.equivalent], most=4)
+            names = listed([lower(cause_title(*key)) for key in one.equivalent], most=4)
             found.append(
                 (
                     f"{name}, or instead" if len(causes) > 1 else "Or instead",

@@ -33,7 +33,7 @@ def symbol(effect: str, where: str) -> str:
     return effect if where == "—" else f"{effect} {where}"
 
 
-def plain(effect: str, where: str) -> str:
+def cause_title(effect: str, where: str) -> str:
     """Return the name of a cause in words, without symbols."""
     known = SPECIFICATIONS.get(effect)
     return f"{capital(effect.replace('_', ' '))} {where}" if known is None else capital(known.title(where))
@@ -185,7 +185,7 @@ def _split_key(name: str) -> tuple[str, str]:
 
 
 def _name_and_symbol(effect: str, where: str) -> str:
-    return f"{plain(effect, where)} ({symbol(effect, where)})"
+    return f"{cause_title(effect, where)} ({symbol(effect, where)})"
 
 
 def probability(p: float) -> str:

@@ -10,10 +10,10 @@ from typing import Annotated, Final, Literal, final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import MM, UM, URAD
-from twin._common.yaml_files import Place, line_of, load_yaml
+from twin._common.yaml_files import EntryPath, line_of, load_yaml
 from twin.machine.machine import Axis, Machine
 from twin.measurement.instruments.multi_axis import MultiAxis
 
@@ -49,7 +49,7 @@ class _Uncertainty(_Strict):
     def of(self, installation: Sequence[str]) -> np.ndarray:
         """Return (p,) the standard uncertainties of an installation's parameters, by their names; metres, radians, one."""
         angles = {"beam": self.angle_urad, "mirror": self.mirror_urad}
-        return locked(
+        return read_only(
             np.array(
                 [
                     self.scale_ppm * PPM
@@ -133,17 +133,17 @@ class AxisLayout:
         try:
             beams = MultiAxis(
                 beams=tuple(entries.beams),
-                source=locked(np.array([one.source_mm for one in entries.beams.values()]) * MM),
-                direction=locked(np.array(directions)),
-                mirror=locked(np.array([mirrors.index(one.mirror) for one in entries.beams.values()])),
+                source=read_only(np.array([one.source_mm for one in entries.beams.values()]) * MM),
+                direction=read_only(np.array(directions)),
+                mirror=read_only(np.array([mirrors.index(one.mirror) for one in entries.beams.values()])),
                 mirrors=mirrors,
-                normal=locked(np.array(normals)),
-                distance=locked(np.array([one.distance_mm for one in entries.mirrors.values()]) * MM),
+                normal=read_only(np.array(normals)),
+                distance=read_only(np.array([one.distance_mm for one in entries.mirrors.values()]) * MM),
                 planar=False,
             )
         except InputError as error:
             names = [name for name in entries.beams if error.what.startswith(f"beam {name} ")]
-            place: Place = ("beams", names[0]) if names else ("beams",)
+            place: EntryPath = ("beams", names[0]) if names else ("beams",)
             raise check.fail(place, error.what, error.expected, error.value) from None
         halved = entries.reading == "displacement"
         return cls(
@@ -151,7 +151,7 @@ class AxisLayout:
             axis=axis,
             beams=beams,
             reference_mm=entries.reference_mm,
-            place=locked(np.array(entries.place_mm) * MM),
+            place=read_only(np.array(entries.place_mm) * MM),
             halved=halved,
             noise=entries.uncertainty.noise_um * UM * (2.0 if halved else 1.0),
             installation_u=entries.uncertainty.of(beams.installation),
@@ -172,9 +172,9 @@ class AxisLayout:
 @dataclass(frozen=True)
 class _Entries:
     path: Path
-    lines: Mapping[Place, int]
+    lines: Mapping[EntryPath, int]
 
-    def fail(self, place: Place, what: str, expected: str, value: object) -> InputError:
+    def fail(self, place: EntryPath, what: str, expected: str, value: object) -> InputError:
         return InputError(
             f"`{'.'.join(str(part) for part in place)}`: {what}",
             expected=expected,
@@ -183,7 +183,7 @@ class _Entries:
             value=value,
         )
 
-    def unit(self, place: Place, vector: _Vector) -> np.ndarray:
+    def unit(self, place: EntryPath, vector: _Vector) -> np.ndarray:
         length = float(np.linalg.norm(vector))
         if length == 0.0:
             raise self.fail(place, "the vector is zero", "a vector that is not zero", list(vector))

@@ -12,7 +12,7 @@ from typing import Final, Literal, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf
 from twin._common.errors import InputError
 from twin._common.units import UM, URAD
@@ -135,13 +135,13 @@ def error_motions(layout: AxisLayout, readings: BeamReadings, *, spread: Spread 
         joint[6 * g : 6 * g + 6, 6 * g : 6 * g + 6] += each[g]
     return Motions(
         axis=layout.axis.name,
-        position_mm=locked(np.array(state[:, 0])),
-        approach=locked(np.array(state[:, 1])),
-        count=locked(count),
-        values=locked(mean),
-        covariance=locked((joint + joint.T) / 2.0),
-        u_installation=locked(common),
-        repeatability=locked(np.sqrt(np.diag(pooled))),
+        position_mm=read_only(np.array(state[:, 0])),
+        approach=read_only(np.array(state[:, 1])),
+        count=read_only(count),
+        values=read_only(mean),
+        covariance=read_only((joint + joint.T) / 2.0),
+        u_installation=read_only(common),
+        repeatability=read_only(np.sqrt(np.diag(pooled))),
         chi2=_chi2(layout, found),
         dof=int(np.count_nonzero(np.isfinite(found.residual))) - 6 * len(readings),
         spread=spread,
@@ -320,7 +320,9 @@ def _fitted(
     residual = right - whitened @ theta
     unknowns = Unknowns(machine, [space for space in chosen.values() if space.count > space.first], [])
     at = [places[column.entity] + column.index for column in unknowns.columns]
-    calibration, _ = unknowns.calibration(theta[at], list(range(len(at))), source, locked(covariance[np.ix_(at, at)]))
+    calibration, _ = unknowns.calibration(
+        theta[at], list(range(len(at))), source, read_only(covariance[np.ix_(at, at)])
+    )
     reversal = {}
     if side:
         for name, space in chosen.items():

@@ -14,10 +14,10 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
-from twin._common.csv_tables import Cells, not_understood, read_table
+from twin._common.arrays import read_only
+from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError
-from twin._common.files import write_whole
+from twin._common.files import write_atomic
 from twin._common.units import MM
 from twin.identification.axis_run.layout import AxisLayout
 from twin.measurement.checks import LARGEST_MM, RowNote, outside_axis_range
@@ -76,7 +76,7 @@ class BeamReadings:
 
     def save(self, path: str | Path, layout: AxisLayout, *, comment: str = "") -> None:
         """Write the table atomically."""
-        write_whole(Path(path), self.to_csv(layout, comment=comment))
+        write_atomic(Path(path), self.to_csv(layout, comment=comment))
 
 
 def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
@@ -107,15 +107,15 @@ def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
     cells = Cells(path, {name: i for i, name in enumerate(header)}, rows)
     table = BeamReadings(
         source=str(path),
-        lines=locked(np.array([line for line, _ in rows], dtype=int)),
+        lines=read_only(np.array([line for line, _ in rows], dtype=int)),
         position_mm=cells.numbers(position),
-        change_mm=locked(np.stack([cells.numbers(name) for name in layout.columns], axis=1)),
+        change_mm=read_only(np.stack([cells.numbers(name) for name in layout.columns], axis=1)),
         round=cells.words("round", "1"),
         approach=cells.signs("approach"),
         time_s=cells.numbers("time_s"),
         notices=(
             *(f"the file says: {text}" for text in simulated_comments(comments)),
-            *(not_understood(name, sorted(known)) for name in header if name not in known),
+            *(unused_column_note(name, sorted(known)) for name in header if name not in known),
         ),
         simulated=bool(simulated_comments(comments)),
     )
@@ -142,7 +142,7 @@ def _usable(table: BeamReadings, layout: AxisLayout) -> BeamReadings:
     if not np.any(keep):
         raise InputError(f"no usable row: {notes[0].text}", expected="readings", file=table.source, line=notes[0].line)
     rows: dict[str, Any] = {
-        field.name: locked(getattr(table, field.name)[keep])
+        field.name: read_only(getattr(table, field.name)[keep])
         for field in fields(table)
         if isinstance(getattr(table, field.name), np.ndarray)
     }

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from twin._common.json_form import json_form
-from twin._common.provenance import texts, to_json
+from twin._common.provenance import warning_texts, warnings_to_json
 from twin.identification.axis_run.layout import AxisLayout
 from twin.identification.axis_run.motions import NAMES, AxisCurves, Motions
 from twin.identification.axis_run.readings import BeamReadings
@@ -73,7 +73,7 @@ def to_dict(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves
                 layout.beams.installation, installation.installation, layout.installation_u, installation_u, strict=True
             )
         ],
-        "warnings": to_json(curves.calibration.warnings),
+        "warnings": warnings_to_json(curves.calibration.warnings),
         "notices": [*readings.notices, *notices(motions, curves)],
         "set_aside": [{"line": note.line, "reason": note.text} for note in readings.set_aside],
     }
@@ -85,7 +85,7 @@ def to_text(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves
     lines = [
         f"{layout.name}: {motions.axis}, {len(readings)} rows, {len(np.unique(motions.position_mm))} positions, "
         f"counters zeroed at {layout.reference_mm:g} mm",
-        *texts(curves.calibration.warnings),
+        *warning_texts(curves.calibration.warnings),
         f"misfit: chi² {motions.chi2:.0f} for {motions.dof} degrees of freedom (p = {motions.p_value:.2g})",
         "",
         "error motion      range   functions   held out   u, largest   of it installation   reversal",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.units import MM
 from twin.identification.axis_run.layout import AxisLayout
 from twin.identification.axis_run.readings import BeamReadings
@@ -97,12 +97,12 @@ def simulate_run(
     change = change + noise_draw if noise else change
     readings = BeamReadings(
         source="simulated",
-        lines=locked(np.arange(1, n + 1)),
-        position_mm=locked(positions),
-        change_mm=locked(change / MM / (2.0 if layout.halved else 1.0)),
-        round=locked(np.full(n, "1", dtype=object) if rounds is None else np.array(rounds, dtype=object)),
-        approach=locked(np.zeros(n) if approach is None else np.array(approach, dtype=float)),
-        time_s=locked(np.full(n, np.nan)),
+        lines=read_only(np.arange(1, n + 1)),
+        position_mm=read_only(positions),
+        change_mm=read_only(change / MM / (2.0 if layout.halved else 1.0)),
+        round=read_only(np.full(n, "1", dtype=object) if rounds is None else np.array(rounds, dtype=object)),
+        approach=read_only(np.zeros(n) if approach is None else np.array(approach, dtype=float)),
+        time_s=read_only(np.full(n, np.nan)),
         simulated=True,
     )
-    return readings, locked(true_installation)
+    return readings, read_only(true_installation)

@@ -34,7 +34,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.polynomial import Polynomial, polynomial
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM, URAD
 from twin.identification.thesis.three_point import REFLECTORS, three_point
@@ -325,7 +325,9 @@ def _averaged(name: str, component: int, run: _AxisPoints, values: np.ndarray) -
     unit, scale = ("um", UM) if component < 3 else ("urad", URAD)
     deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(len(run.position), np.nan)
     mean = values.mean(axis=0)
-    return PointwiseMotion(name, unit, locked(np.array(run.position)), locked(mean / scale), locked(deviation / scale))
+    return PointwiseMotion(
+        name, unit, read_only(np.array(run.position)), read_only(mean / scale), read_only(deviation / scale)
+    )
 
 
 def _fitted(

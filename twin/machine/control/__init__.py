@@ -59,8 +59,8 @@ explains how to test a table before machining.
     tables.shift("X", {"X": 100.0, "Y": 0.0, "Z": -50.0, "B": 0.0, "C": 0.0})    # µm
 """
 
-from twin.machine.control.correction import BasicClass, Content, Correction
-from twin.machine.control.curve import ControlCurve, ControlTerm, Terms
+from twin.machine.control.correction import BasicClass, Correction, TableSummary
+from twin.machine.control.curve import ControlCurve, ControlTerm, TableSum
 from twin.machine.control.format import TableFormat
 from twin.machine.control.formats import FORMATS, format_named, read_tables
 from twin.machine.control.section import ControlSection, TableEntry
@@ -68,14 +68,14 @@ from twin.machine.control.section import ControlSection, TableEntry
 __all__ = [
     "FORMATS",
     "BasicClass",
-    "Content",
     "ControlCurve",
     "ControlSection",
     "ControlTerm",
     "Correction",
     "TableEntry",
     "TableFormat",
-    "Terms",
+    "TableSum",
+    "TableSummary",
     "format_named",
     "read_tables",
 ]

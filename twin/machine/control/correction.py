@@ -15,7 +15,7 @@ BasicClass = Literal["L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS", "R-RAX", "R-PO
 
 @final
 @dataclass(frozen=True)
-class Content:
+class TableSummary:
     """Summary of one table of a control: its nodes (mm, degrees) and its largest value in ``unit`` (``um``, ``urad``)."""
 
     name: str
@@ -27,7 +27,7 @@ class Content:
     unit: str
 
     @classmethod
-    def over(cls, name: str, at: Sequence[float], largest: float, unit: str) -> Content:
+    def over(cls, name: str, at: Sequence[float], largest: float, unit: str) -> TableSummary:
         """Return the summary of a table with nodes at the positions ``at``."""
         step = at[1] - at[0] if len(at) > 1 else 0.0
         return cls(name, at[0], at[-1], len(at), step, largest, unit)
@@ -67,7 +67,7 @@ class Correction(ABC):
         """
 
     @abstractmethod
-    def contents(self) -> tuple[Content, ...]:
+    def contents(self) -> tuple[TableSummary, ...]:
         """Return the summaries of all its tables."""
 
     @abstractmethod

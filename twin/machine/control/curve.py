@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from twin._common.units import TURN
-from twin.machine.control.correction import Content, Correction
+from twin.machine.control.correction import Correction, TableSummary
 from twin.machine.machine import Axis, Machine
 from twin.numerics.elementary import floor, fmax
 
@@ -121,7 +121,7 @@ class ControlTerm:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Terms(Correction):
+class TableSum(Correction):
     """Sum of tables of one axis each, and of products of such tables.
 
     Attributes:
@@ -146,12 +146,14 @@ class Terms(Correction):
                 total = total + term(positions)
         return total
 
-    def contents(self) -> tuple[Content, ...]:
+    def contents(self) -> tuple[TableSummary, ...]:
         """See `Correction.contents`."""
         units = {axis.name: "um" if axis.linear else "urad" for axis in self.machine.axes}
-        return tuple(Content.over(term.name, term.factors[0].at, term.peak, units[term.axis]) for term in self.terms)
+        return tuple(
+            TableSummary.over(term.name, term.factors[0].at, term.peak, units[term.axis]) for term in self.terms
+        )
 
-    def plus(self, old: Terms) -> Terms:
+    def plus(self, old: TableSum) -> TableSum:
         """Add values to a table that exists already, append other tables; see `Correction.plus`."""
         singles: dict[tuple[str, str], list[ControlTerm]] = {}
         products: list[ControlTerm] = []
@@ -168,7 +170,7 @@ class Terms(Correction):
                 values = np.sum([curve.values for curve in curves if curve.direction in (0, side)], axis=0)
                 whole = replace(curves[0], values=tuple(values.tolist()), direction=side)
                 found.append(ControlTerm(terms[0].axis, (whole,)))
-        return Terms((*found, *products), self.machine)
+        return TableSum((*found, *products), self.machine)
 
     def rounded(self, axis: str) -> int:
         """See `Correction.rounded`."""

@@ -50,16 +50,16 @@ class TableEntry:
         Raises:
             InputError: the file cannot be read.
         """
-        return cls(file, kind, tuple(classes), digest(file))
+        return cls(file, kind, tuple(classes), file_sha256(file))
 
     def check(self) -> None:
         """Raise `InputError` if the file has changed since it was recorded or cannot be read."""
-        if digest(self.file) != self.sha256:
+        if file_sha256(self.file) != self.sha256:
             raise InputError(
                 "not the control table with which the calibration was written: the active corrections are unknown",
                 expected=f"the file with sha256 {self.sha256[:12]}…, or a `control:` section with the tables active now",
                 file=self.file,
-                value=digest(self.file)[:12] + "…",
+                value=file_sha256(self.file)[:12] + "…",
             )
 
 
@@ -116,7 +116,7 @@ class ControlSection:
         return tuple(entry for entry in self.tables if entry.format == kind)
 
 
-def digest(file: Path) -> str:
+def file_sha256(file: Path) -> str:
     """Return the SHA-256 of a file.
 
     Raises:

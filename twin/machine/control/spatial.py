@@ -10,8 +10,8 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from twin._common.arrays import locked
-from twin.machine.control.correction import Content, Correction
+from twin._common.arrays import read_only
+from twin.machine.control.correction import Correction, TableSummary
 from twin.machine.control.curve import ControlCurve
 from twin.machine.machine import Machine
 
@@ -35,7 +35,7 @@ class CorrectionGrid(Correction):
     values: np.ndarray
 
     def __post_init__(self) -> None:
-        locked(self.values)
+        read_only(self.values)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -60,11 +60,11 @@ class CorrectionGrid(Correction):
             found = found + weight * table[tuple(index)]
         return found
 
-    def contents(self) -> tuple[Content, ...]:
+    def contents(self) -> tuple[TableSummary, ...]:
         """See `Correction.contents`."""
         peaks = np.abs(self.values).max(axis=(0, 1, 2))
         return tuple(
-            Content.over(f"d{name} over the box", nodes, float(peak), "um")
+            TableSummary.over(f"d{name} over the box", nodes, float(peak), "um")
             for name, nodes, peak in zip(self.axes, self.at, peaks, strict=True)
         )
 

@@ -10,12 +10,12 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import MM
 from twin.compute.batch import BatchFunction
 from twin.machine.chain import frame_pose, joint_in_base
-from twin.machine.control.correction import Content, Correction
+from twin.machine.control.correction import Correction, TableSummary
 from twin.machine.control.curve import ControlCurve
 from twin.machine.machine import DIRECTIONS, Axis, Machine
 
@@ -60,7 +60,7 @@ class RestGeometry:
         return self.nose if axis.linear else self.places[axis.name]
 
 
-def at_rest(machine: Machine) -> RestGeometry:
+def rest_geometry(machine: Machine) -> RestGeometry:
     """Return the geometry of the nominal machine with all axes at zero."""
     pairs = _poses(machine)(np.zeros(len(machine.axes)))
     turns, places = ([np.array(part) for part in pairs[k::2]] for k in (0, 1))
@@ -98,7 +98,7 @@ def check_linear(machine: Machine) -> np.ndarray:
                 expected="linear axes that keep their direction",
                 file=machine.path,
             )
-    return locked(inverse)
+    return read_only(inverse)
 
 
 def _directions(machine: Machine, q: np.ndarray) -> np.ndarray:
@@ -123,7 +123,7 @@ def _correction_function(machine: Machine) -> tuple[ca.Function, BatchFunction]:
     frame with all axes at zero.
     """
     q, errors = ca.SX.sym("q", len(machine.axes)), ca.SX.sym("errors", 6, len(machine.axes))
-    length, rest, parts = ca.SX.sym("length"), at_rest(machine), _poses(machine)(q)
+    length, rest, parts = ca.SX.sym("length"), rest_geometry(machine), _poses(machine)(q)
     tip = parts[-1] - parts[-2][:, 2] * length
     total = ca.SX(3, 1)
     for i, axis in enumerate(machine.axes):
@@ -140,7 +140,7 @@ def _correction_function(machine: Machine) -> tuple[ca.Function, BatchFunction]:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Volumetric(Correction):
+class VolumetricCorrection(Correction):
     """Correction that the control calculates from component errors and the active tool.
 
     Attributes:
@@ -164,7 +164,7 @@ class Volumetric(Correction):
         """See `Correction.axes`."""
         return tuple(self.machine.axes[i].name for i in self.machine.linear) if self.errors else ()
 
-    def with_tool(self, tool_length_mm: float) -> Volumetric:
+    def with_tool(self, tool_length_mm: float) -> VolumetricCorrection:
         """See `Correction.with_tool`: this control uses the length of the active tool."""
         return self if tool_length_mm == self.tool_length_mm else replace(self, tool_length_mm=tool_length_mm)
 
@@ -184,15 +184,15 @@ class Volumetric(Correction):
         (found,) = batch(flat[:, : len(q)], flat[:, len(q) :], np.array([length]))
         return found[:, row].reshape(rows.shape[:-1])
 
-    def contents(self) -> tuple[Content, ...]:
+    def contents(self) -> tuple[TableSummary, ...]:
         """See `Correction.contents`."""
         return tuple(
-            Content.over(f"E_{DIRECTIONS[i]}{axis_errors.axis}", curve.at, curve.peak, "um" if i < 3 else "urad")
+            TableSummary.over(f"E_{DIRECTIONS[i]}{axis_errors.axis}", curve.at, curve.peak, "um" if i < 3 else "urad")
             for axis_errors in self.errors
             for i, curve in axis_errors.curves.items()
         )
 
-    def plus(self, old: Volumetric) -> Volumetric:
+    def plus(self, old: VolumetricCorrection) -> VolumetricCorrection:
         """Add all components of an axis on the nodes of the curve with the most nodes; see `Correction.plus`."""
         found: list[AxisErrors] = []
         for name in self.machine.names:

@@ -38,7 +38,7 @@ conditions of the datum hold, in the order of `twin.machine.datum.conditions`; t
 approximation (`twin.machine.datum.links`), and the curves are fitted to them (`twin.machine.datum.convert`).
 """
 
-from twin.machine.datum.conditions import AS_GIVEN, DATUMS, END_POINTS, MEAN_LINES, MEANING, Datum
+from twin.machine.datum.conditions import AS_GIVEN, DATUMS, END_POINTS, EXPLANATION, MEAN_LINES, Datum
 from twin.machine.datum.convert import Converted, convert, datum_of, violation
 from twin.machine.datum.links import Numbers
 
@@ -46,7 +46,7 @@ __all__ = [
     "AS_GIVEN",
     "DATUMS",
     "END_POINTS",
-    "MEANING",
+    "EXPLANATION",
     "MEAN_LINES",
     "Converted",
     "Datum",

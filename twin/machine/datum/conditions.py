@@ -20,7 +20,7 @@ from typing import Final, Literal, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.machine.datum.links import DatumLink
 from twin.machine.machine import DIRECTIONS, Axis
 
@@ -29,7 +29,7 @@ MEAN_LINES: Final = "mean lines"
 END_POINTS: Final = "end points"
 AS_GIVEN: Final = "as given"
 DATUMS: Final[tuple[Datum, ...]] = (MEAN_LINES, END_POINTS, AS_GIVEN)
-MEANING: Final[Mapping[Datum, str]] = {
+EXPLANATION: Final[Mapping[Datum, str]] = {
     "mean lines": "datum mean lines: no mean in a curve, no slope in a straightness, if squareness or a location can absorb it "
     "(twin doc datum)",
     "end points": "datum end points: as mean lines, but every straightness is zero at both ends of its range (twin doc datum)",
@@ -116,7 +116,7 @@ def _of_rotary(i: int, link: DatumLink) -> list[Condition]:
         found.append(Condition(f"E_{letter}{name}", "mean", group, ((i, c, link.weights),)))
     for first, what, group in ((0, "fixed shift", shift), (3, "fixed tilt", tilt)):
         for k, pattern in enumerate(turning_patterns(link.axis)):
-            weights = [(i, first + c, locked(link.weights * part(link.nodes))) for c, part in enumerate(pattern)]
+            weights = [(i, first + c, read_only(link.weights * part(link.nodes))) for c, part in enumerate(pattern)]
             across = [c for c in range(3) if not along(link.axis, DIRECTIONS[c])]
             found.append(Condition(f"E_{DIRECTIONS[first + across[k]]}{name}", what, group, tuple(weights)))
     return found
@@ -125,10 +125,10 @@ def _of_rotary(i: int, link: DatumLink) -> list[Condition]:
 def _line(link: DatumLink, datum: Datum) -> tuple[np.ndarray, np.ndarray]:
     """Return the weights (n,) of the height and of the slope, over half the range, of a curve's reference line."""
     if datum != END_POINTS:
-        return link.weights, locked(3.0 * link.weights * link.u)
+        return link.weights, read_only(3.0 * link.weights * link.u)
     ends = np.zeros((2, len(link.nodes)))
     ends[:, 0], ends[:, -1] = (0.5, -0.5), (0.5, 0.5)
-    return locked(ends[0]), locked(ends[1])
+    return read_only(ends[0]), read_only(ends[1])
 
 
 def _tilt_of_turn(link: DatumLink, component: int) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.machine.datum.conditions import (
     AS_GIVEN,
@@ -78,7 +78,7 @@ class Converted:
         # With a root of the matrix, so that no variance becomes negative by rounding.
         values, vectors = np.linalg.eigh(known.matrix)
         root = through[keep] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-        return Covariance(tuple(names[i] for i in keep), locked(root @ root.T))
+        return Covariance(tuple(names[i] for i in keep), read_only(root @ root.T))
 
 
 def datum_of(numbers: Numbers) -> Datum:
@@ -190,7 +190,7 @@ def _linear(gauge: _Gauge, old: Numbers, new: Numbers) -> Converted:
         rows.append(row)
         into.append(name)
     return Converted(
-        new, tuple(into), locked(np.concatenate(rows) if rows else np.zeros((0, len(names)))), tuple(names)
+        new, tuple(into), read_only(np.concatenate(rows) if rows else np.zeros((0, len(names)))), tuple(names)
     )
 
 

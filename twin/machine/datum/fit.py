@@ -11,7 +11,7 @@ from twin._common.errors import InputError
 from twin.machine.datum.links import DatumLink, Numbers
 from twin.machine.effects import unit_of
 from twin.machine.motion_curve import Curve, conversion_of
-from twin.numerics.curves import Basis, bases_for, of_legendre
+from twin.numerics.curves import Basis, bases_for, legendre_in_basis
 
 FIT_TOLERANCE: Final = 3e-5
 """Largest difference of a converted curve from the converted values, µm or µrad: 0.03 nm."""
@@ -78,7 +78,7 @@ def functions(basis: Basis, domain: tuple[float, float], link: DatumLink, count:
 
 def fit(basis: Basis, domain: tuple[float, float], link: DatumLink, count: int) -> np.ndarray:
     """Return the matrix (count, n) from values at the nodes to coefficients, by least squares over the range."""
-    legendre = of_legendre(basis, count) if domain == link.domain else None
+    legendre = legendre_in_basis(basis, count) if domain == link.domain else None
     if legendre is not None:
         polynomials = np.polynomial.legendre.legvander(link.u, count - 1) * (2.0 * np.arange(count) + 1.0)
         return np.asarray(legendre @ (polynomials * link.weights[:, None]).T)

@@ -15,7 +15,7 @@ from typing import Final, final
 import numpy as np
 import pinocchio as pin
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.units import UM, URAD
 from twin.machine.effects import AxisLocation, Squareness, split_name
 from twin.machine.effects.base import Effect
@@ -203,7 +203,7 @@ def _link(
 def _rule() -> tuple[np.ndarray, np.ndarray]:
     """Return points and weights of the Gauss-Legendre rule from −1 to 1."""
     x, w = np.polynomial.legendre.leggauss(NODES)
-    return locked(x), locked(w)
+    return read_only(x), read_only(w)
 
 
 def _path(model: pin.Model, joints: list[int], start: int, end: int) -> pin.SE3:

@@ -144,13 +144,13 @@ class Empirical(Effect):
         """Return, by column with a range, whether (n,) values leave it by more than rounding. Other columns are omitted."""
         found = {}
         for column in self.columns:
-            name = state_name(column.column)
+            name = channel_name(column.column)
             if column.range is not None and name in positions:
                 found[column.column] = column.outside(np.asarray(positions[name], dtype=float))
         return found
 
     def _functions(self, positions: Mapping[str, Any]) -> list[Any]:
-        own = [column.values(channel(positions, state_name(column.column), self.name)) for column in self.columns]
+        own = [column.values(channel(positions, channel_name(column.column), self.name)) for column in self.columns]
         if len(own) == 1:
             return own[0]
         found = []
@@ -184,13 +184,13 @@ def check_ranges(
                 raise InputError(
                     f"{column} is outside the range over which {effect.name.replace(':', ' ', 1)} was measured",
                     expected=f"{low:g} to {high:g}, or a calibration without that effect (its cause is unknown)",
-                    value=float(np.atleast_1d(state[state_name(column)])[row]),
+                    value=float(np.atleast_1d(state[channel_name(column)])[row]),
                     file=file,
                     line=None if lines is None else int(lines[row]),
                 )
 
 
-def state_name(column: str) -> str:
+def channel_name(column: str) -> str:
     """Return the name that effects use for a column of the table: ``X_mm`` → ``X``; ``approach_X`` and ``T_bed_degC`` unchanged."""
     if column.startswith(APPROACH) or column.endswith("_degC"):
         return column

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from twin._common.errors import InputError, nearest
+from twin._common.errors import InputError, closest_name
 from twin.machine.effects.base import Effect
 from twin.machine.effects.cross_axis import CROSS_AXIS
 from twin.machine.effects.error_motion import ANGULAR_ERROR_MOTION, POSITIONING, ROTARY_ERROR_MOTION, STRAIGHTNESS
@@ -79,7 +79,10 @@ def effect_named(
     if specification is None or specification.make is None:
         known = list(specifications)
         raise InputError(
-            "no such effect", expected=f"one of {', '.join(known)}", value=effect, nearest=nearest(effect, known)
+            "no such effect",
+            expected=f"one of {', '.join(known)}",
+            value=effect,
+            closest_name=closest_name(effect, known),
         )
     values = specification.numbers_of(where, numbers)
     if not specification.open_places and where not in specification.places(machine):

@@ -13,12 +13,12 @@ from twin.compute.batch import BatchFunction
 from twin.machine.chain import gravity_load
 from twin.machine.effects import places
 from twin.machine.effects.base import AlongAxis, Frame, Parameter, along
-from twin.machine.effects.payload import MASS, SIDES, SOUGHT_MM, Payload, heaviest_kg, loads, side_of
+from twin.machine.effects.payload import CENTRE_RANGE_MM, MASS, SIDES, Payload, loads, max_payload_kg, side_of
 from twin.machine.effects.specification import EXTENDED, Advice, Drawing, Forms, SharedColumns, Specification, State
 from twin.machine.machine import Axis, Machine
-from twin.numerics.functions import given
+from twin.numerics.functions import tabulated
 
-FREE: Final = "payload"
+UNKNOWN_PAYLOAD: Final = "payload"
 """Fixed parameter of a form with an unknown payload: each of its four loads has a free coefficient."""
 UNLOADED: Final = 1e-6
 """N or N·m: loads below this are rounding errors."""
@@ -100,7 +100,7 @@ def _free_payload(machine: Machine, axis: Axis, values: np.ndarray) -> tuple[Pay
     if values[0] == 0.0 or values[1] == 0.0:
         return ()
     shares = [values[1] / values[0], *(values[2:] / values[1])]
-    return (Payload.of_shares(side_of(axis), heaviest_kg(machine), shares),)
+    return (Payload.of_shares(side_of(axis), max_payload_kg(machine), shares),)
 
 
 def _forms(machine: Machine, where: str, state: State, known: Sequence[Payload] | None) -> Forms:
@@ -113,14 +113,16 @@ def _forms(machine: Machine, where: str, state: State, known: Sequence[Payload] 
     axis, payloads = machine.by_name[where], tuple(known or ())
     load = np.stack(loads_of(machine)(state)[where], axis=1)
     first = 1 + 4 * SIDES.index(side_of(axis))
-    free = load[:, first : first + 4] * heaviest_kg(machine) * [1.0, *[1e-3 * SOUGHT_MM] * 3]
-    functions = given(np.column_stack([load @ loads(payloads), load[:, 0], free]))
+    free = load[:, first : first + 4] * max_payload_kg(machine) * [1.0, *[1e-3 * CENTRE_RANGE_MM] * 3]
+    functions = tabulated(np.column_stack([load @ loads(payloads), load[:, 0], free]))
     trials: tuple[Mapping[str, float], ...] = ({},)
     if known is None and np.any(np.abs(load[:, 0]) > UNLOADED):
-        trials = ({}, {FREE: 1.0})
+        trials = ({}, {UNKNOWN_PAYLOAD: 1.0})
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[GravityCompliance, ...]:
-        carried = _free_payload(machine, axis, values) if FREE in fixed else payloads_of(axis, fixed) or payloads
+        carried = (
+            _free_payload(machine, axis, values) if UNKNOWN_PAYLOAD in fixed else payloads_of(axis, fixed) or payloads
+        )
         return (gravity_compliance(machine, where, float(values[0]), carried),)
 
     def units(fixed: Mapping[str, float]) -> tuple[GravityCompliance, ...]:

@@ -14,7 +14,7 @@ from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDED, Advice, Drawing, Forms, SharedColumns, Specification, State
 from twin.machine.machine import DIRECTIONS, Machine
 from twin.numerics.elementary import cos, sin
-from twin.numerics.functions import Functions, once
+from twin.numerics.functions import Functions, cached_in_state
 from twin.numerics.waves import highest_order, waves
 
 MAX_ORDER: Final = 30
@@ -94,7 +94,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
     component, _, name = split_name(where)
     axis = machine.by_name[name]
     # The six error motions of an axis share these functions.
-    most, teeth, functions = once(state, ("turns", name), lambda: _turns(state, name))
+    most, teeth, functions = cached_in_state(state, ("turns", name), lambda: _turns(state, name))
     tried = range(1, (teeth if component == 3 + int(np.argmax(np.abs(axis.direction))) else most) + 1)
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Harmonic, ...]:

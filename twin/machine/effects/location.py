@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any, Final, final
 
 from twin.machine.effects.base import Effect, Frame, Parameter
-from twin.machine.effects.names import motion, split_name, unit_of
-from twin.machine.effects.places import single
+from twin.machine.effects.names import motion_in_words, split_name, unit_of
+from twin.machine.effects.places import single_parameter_form
 from twin.machine.effects.specification import EXTENDING, NOT_TWICE, Advice, Drawing, Specification
 
 
@@ -39,7 +39,7 @@ class AxisLocation(Effect):
 AXIS_LOCATION: Final = Specification(
     name="axis_location",
     kind="machine",
-    title=motion,
+    title=motion_in_words,
     family="locations of rotary axes",
     advice=Advice(
         "Set-up: position and orientation of rotary axis {axis} in the control's kinematics, and how they were measured.",
@@ -49,7 +49,7 @@ AXIS_LOCATION: Final = Specification(
     evidence=lambda fit: f"{fit.where}: the axis average line differs from the model by {fit.measure}",
     limits={"um": 20_000.0, "urad": 20_000.0},
     places=lambda machine: machine.location_names,
-    forms=lambda machine, where, state, payloads: single(
+    forms=lambda machine, where, state, payloads: single_parameter_form(
         ("offset", unit_of(where)), lambda value: AxisLocation(where, value)
     ),
     constant=True,

@@ -31,7 +31,7 @@ def direction_of(name: str) -> str:
     return "xyz"[split_name(name)[0] % 3]
 
 
-def motion(name: str) -> str:
+def motion_in_words(name: str) -> str:
     """Describe an error motion in words: ``E_ZY`` → error of Y in z; ``E_BX`` → tilt of X about y."""
     component, average, axis = split_name(name)
     direction = direction_of(name)

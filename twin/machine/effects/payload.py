@@ -19,7 +19,7 @@ MASS: Final = NUMBERS[0]
 HEAVIEST_KG: Final = 1e5
 FARTHEST_MM: Final = 1e4
 """Largest mass and distance accepted in a calibration file."""
-SOUGHT_MM: Final = 500.0
+CENTRE_RANGE_MM: Final = 500.0
 """Search range of a payload's centre of gravity along each axis of the frame that carries it, ± mm."""
 
 
@@ -48,7 +48,7 @@ class Payload:
     def of_shares(cls, side: Side, heaviest: float, shares: Sequence[float] | np.ndarray) -> Payload:
         """Create a payload from its mass as a fraction of ``heaviest`` and its centre as fractions of the search range."""
         share, x, y, z = (float(value) for value in shares)
-        return cls(side, heaviest * share, (SOUGHT_MM * x, SOUGHT_MM * y, SOUGHT_MM * z))
+        return cls(side, heaviest * share, (CENTRE_RANGE_MM * x, CENTRE_RANGE_MM * y, CENTRE_RANGE_MM * z))
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -87,7 +87,7 @@ def side_of(axis: Axis) -> Side:
     return "tool" if axis.side == "tool" else "work"
 
 
-def heaviest_kg(machine: Machine) -> float:
+def max_payload_kg(machine: Machine) -> float:
     """Return the largest payload considered, kg: ten times the mass of the moving parts in the URDF.
 
     Robots and tables carry about their own weight.

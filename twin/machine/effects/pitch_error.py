@@ -23,7 +23,7 @@ from twin.machine.effects.specification import (
 )
 from twin.machine.machine import Axis, Machine
 from twin.numerics.elementary import cos, sin
-from twin.numerics.functions import once
+from twin.numerics.functions import cached_in_state
 from twin.numerics.waves import highest_frequency, waves
 
 LONGEST_PERIOD: Final = 0.5
@@ -87,7 +87,7 @@ def _frequencies(q: np.ndarray) -> np.ndarray:
 
 
 def _tried(state: State, where: str) -> np.ndarray:
-    return once(state, ("frequencies", where), lambda: _frequencies(state[where]))
+    return cached_in_state(state, ("frequencies", where), lambda: _frequencies(state[where]))
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:

@@ -29,7 +29,7 @@ def approach(where: str) -> tuple[str, ...]:
     return (f"approach_{where}",)
 
 
-def single(names: tuple[str, str], make: Callable[[float], Effect]) -> Forms:
+def single_parameter_form(names: tuple[str, str], make: Callable[[float], Effect]) -> Forms:
     """Return the single form of an effect that is proportional to its one parameter.
 
     Args:

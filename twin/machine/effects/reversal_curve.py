@@ -15,8 +15,8 @@ from twin.machine.effects.specification import (
     NOT_TWICE,
     Advice,
     Drawing,
+    FittedCause,
     Forms,
-    Found,
     SharedColumns,
     Specification,
     State,
@@ -111,7 +111,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
     return Forms(names, build, None, trials, together=together, space=space)
 
 
-def _evidence(fit: Found) -> str:
+def _evidence(fit: FittedCause) -> str:
     effect = fit.effects[0] if fit.effects else None
     if not isinstance(effect, ReversalCurve):
         return ""

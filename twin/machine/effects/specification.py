@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from twin._common.errors import InputError, nearest
+from twin._common.errors import InputError, closest_name
 from twin.machine.effects.base import Effect, Frame
 from twin.machine.effects.payload import Payload
 from twin.machine.machine import Machine
@@ -50,7 +50,7 @@ class Advice:
 
 @final
 @dataclass(frozen=True)
-class Found:
+class FittedCause:
     """Fitted values of one cause, for the evidence sentence.
 
     Attributes:
@@ -192,7 +192,7 @@ class Specification:
     kind: Kind
     title: Callable[[str], str]
     advice: Advice
-    evidence: Callable[[Found], str]
+    evidence: Callable[[FittedCause], str]
     family: str = ""
     parameters: tuple[str, ...] = ()
     required: Callable[[Sequence[str]], tuple[str, ...]] | None = None
@@ -242,8 +242,8 @@ class Specification:
                 f"parameters of {self.name} {where}",
                 expected=", ".join(required),
                 value=", ".join(numbers) or "none",
-                nearest=next(
-                    (near for name in numbers if name not in required and (near := nearest(name, required))), None
+                closest_name=next(
+                    (near for name in numbers if name not in required and (near := closest_name(name, required))), None
                 ),
             )
         return {name: float(numbers[name]) for name in required}
@@ -253,7 +253,7 @@ class Specification:
         places = self.places(machine)
         expected = f"one of {', '.join(places)}" if self.expected is None else self.expected(machine)
         return InputError(
-            f"no such place for {self.name}", expected=expected, value=where, nearest=nearest(where, places)
+            f"no such place for {self.name}", expected=expected, value=where, closest_name=closest_name(where, places)
         )
 
     def candidate_places(self, machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:

@@ -11,7 +11,7 @@ import numpy as np
 from twin.machine.effects.base import Parameter, channel
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
-from twin.machine.effects.thermal_drift import STEP_FACTORS, constants
+from twin.machine.effects.thermal_drift import STEP_FACTORS, drift_time_constants
 from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions, tool_side
 from twin.machine.machine import Machine
 
@@ -136,7 +136,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
         numbers = {"amplitude": value, **fixed, "highest_rpm": highest}
         return (_make(machine, where, numbers, ()),)
 
-    tried = product(EXPONENTS, constants(state[TIME])[::TIME_CONSTANT_STRIDE])
+    tried = product(EXPONENTS, drift_time_constants(state[TIME])[::TIME_CONSTANT_STRIDE])
     trials = tuple({"exponent": exponent, "time_constant": constant} for exponent, constant in tried)
     return Forms(
         (("amplitude", "um"),),

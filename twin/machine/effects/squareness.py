@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.machine.effects.base import Effect, Frame, Parameter
 from twin.machine.effects.names import direction_of, split_name
-from twin.machine.effects.places import single
+from twin.machine.effects.places import single_parameter_form
 from twin.machine.effects.specification import EXTENDED, Advice, Specification
 from twin.machine.machine import Axis
 
@@ -68,7 +68,7 @@ SQUARENESS: Final = Specification(
     evidence=lambda fit: f"{fit.where}: the squareness error differs from the model by {fit.measure}",
     limits={"urad": 10_000.0},
     places=lambda machine: machine.squareness_names,
-    forms=lambda machine, where, state, payloads: single(
+    forms=lambda machine, where, state, payloads: single_parameter_form(
         ("angle", "urad"), lambda value: Squareness(where, value, machine.by_name[split_name(where)[2]])
     ),
     constant=True,

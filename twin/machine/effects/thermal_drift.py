@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.machine.effects.base import Parameter, channel
 from twin.machine.effects.payload import Payload
-from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Found, Specification, State
+from twin.machine.effects.specification import EXTENDING, Advice, Drawing, FittedCause, Forms, Specification, State
 from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions, tool_side
 from twin.machine.machine import Machine
 from twin.numerics.elementary import exp
@@ -83,13 +83,13 @@ class SteadyDrift(ToolSideShift):
         return (self._shifted(hours),)
 
 
-def constants(time_s: np.ndarray) -> tuple[float, ...]:
+def drift_time_constants(time_s: np.ndarray) -> tuple[float, ...]:
     """Return the time constants tried, s; none is longer than the record."""
     span = max(float(np.ptp(time_s)), 1.0)
     return tuple(np.geomspace(SHORTEST * span, span, TIME_CONSTANTS).tolist())
 
 
-def course(fit: Found) -> str:
+def drift_course(fit: FittedCause) -> str:
     """Describe the course of a drift in time, as the end of a sentence."""
     if "time_constant" in fit.numbers:
         return f", slowing down (time constant {fit.numbers['time_constant']:.3g} s)"
@@ -124,7 +124,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
         (("amplitude", "um"),),
         lambda values, fixed: effects(float(values[0]), fixed),
         lambda fixed: effects(1.0, fixed),
-        ({}, *({"time_constant": constant} for constant in constants(state["time_s"]))),
+        ({}, *({"time_constant": constant} for constant in drift_time_constants(state["time_s"]))),
         tests=3.0,
         is_drift=True,
     )
@@ -145,7 +145,7 @@ THERMAL_DRIFT: Final = Specification(
         f"Warm the machine up before precise work, or {EXTENDING} and give the time since start-up.",
         "Do not set zero points in the first hours: they would be wrong once the machine is warm.",
     ),
-    evidence=lambda fit: f"the tool side drifts along {fit.where} as the machine warms up{course(fit)}",
+    evidence=lambda fit: f"the tool side drifts along {fit.where} as the machine warms up{drift_course(fit)}",
     parameters=("amplitude", "time_constant"),
     required=lambda names: (
         STEADY_PARAMETERS if set(names) == set(STEADY_PARAMETERS) else ("amplitude", "time_constant")

@@ -7,7 +7,7 @@ from typing import Any, Final, final
 
 from twin.machine.effects.base import Parameter, channel
 from twin.machine.effects.payload import Payload
-from twin.machine.effects.places import single
+from twin.machine.effects.places import single_parameter_form
 from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
 from twin.machine.effects.thermal_expansion import REFERENCE_DEGC
 from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions, tool_side
@@ -56,7 +56,9 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
-    return single(("coefficient", "um/K"), lambda value: _make(machine, where, {"coefficient": value}, ()))
+    return single_parameter_form(
+        ("coefficient", "um/K"), lambda value: _make(machine, where, {"coefficient": value}, ())
+    )
 
 
 THERMAL_GROWTH: Final = Specification(

@@ -15,7 +15,7 @@ from typing import Final, Literal, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import DEG
 from twin.measurement.evaluation.inputs import finite_array
@@ -167,14 +167,14 @@ def error_motion(
         name=name,
         kind=kind,
         unit=UNITS[kind],
-        angle_deg=locked(angle),
-        readings=locked(measured),
+        angle_deg=read_only(angle),
+        readings=read_only(measured),
         constant=constant,
         once_per_turn=once,
         harmonics=_fourier(angle, mean, min(harmonics, (len(angle) - 1) // 2))[1],
-        total=locked(total),
-        synchronous=locked(synchronous),
-        residual=locked(residual),
+        total=read_only(total),
+        synchronous=read_only(synchronous),
+        residual=read_only(residual),
         total_value=float(np.ptp(total)),
         synchronous_value=float(np.ptp(synchronous)),
         fundamental_value=2.0 * once.amplitude,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 
 
@@ -38,7 +38,7 @@ def finite_array(name: str, values: ArrayLike, *dimensions: int) -> np.ndarray:
             expected="every value: measure it again, or leave out its whole row",
             value=float(array[tuple(missing[0])]),
         )
-    return locked(array)
+    return read_only(array)
 
 
 def check_same_length(name: str, values: np.ndarray, other_name: str, other: np.ndarray) -> None:

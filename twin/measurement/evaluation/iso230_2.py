@@ -13,7 +13,7 @@ from typing import Final, Literal, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM, URAD
 from twin.measurement.evaluation.inputs import check_same_length, finite_array
@@ -110,7 +110,7 @@ class Positioning:
         if self.unit == "um":
             raise InputError("deviations of a linear axis are not angles", expected="a rotary axis", value=self.axis)
         factor = URAD / ARCSEC if self.unit == "urad" else 1.0
-        deviations = (locked(self.forward * factor), locked(self.backward * factor))
+        deviations = (read_only(self.forward * factor), read_only(self.backward * factor))
         return replace(_evaluate(self.axis, self.target_unit, self.target, *deviations), unit="arcsec")
 
     def to_text(self, decimals: int = 1) -> str:
@@ -164,7 +164,7 @@ def linear_deviations_um(target_mm: ArrayLike, position_mm: ArrayLike) -> np.nda
     """
     target, position = finite_array("targets", target_mm, 1), finite_array("positions", position_mm, 2)
     check_same_length("positions", position, "the targets", target)
-    return locked((position - target[:, None]) * (MM / UM))
+    return read_only((position - target[:, None]) * (MM / UM))
 
 
 def rotary_deviations_urad(target_deg: ArrayLike, position_deg: ArrayLike) -> np.ndarray:
@@ -177,7 +177,7 @@ def rotary_deviations_urad(target_deg: ArrayLike, position_deg: ArrayLike) -> np
     target, position = finite_array("targets", target_deg, 1), finite_array("positions", position_deg, 2)
     check_same_length("positions", position, "the targets", target)
     difference = position - target[:, None]
-    return locked((difference - 360.0 * np.round(difference / 360.0)) * (DEG / URAD))
+    return read_only((difference - 360.0 * np.round(difference / 360.0)) * (DEG / URAD))
 
 
 def linear_axis(target_mm: ArrayLike, forward_um: ArrayLike, backward_um: ArrayLike, *, axis: str = "") -> Positioning:
@@ -249,17 +249,17 @@ def _evaluate(
         target=target,
         forward=forward,
         backward=backward,
-        mean_forward=locked(mean_up),
-        mean_backward=locked(mean_down),
-        mean=locked(mean),
-        B_i=locked(reversal),
+        mean_forward=read_only(mean_up),
+        mean_backward=read_only(mean_down),
+        mean=read_only(mean),
+        B_i=read_only(reversal),
         B=float(np.abs(reversal).max()),
         B_mean=float(reversal.mean()),
-        s_i_forward=locked(s_up),
-        s_i_backward=locked(s_down),
-        R_i_forward=locked(r_up),
-        R_i_backward=locked(r_down),
-        R_i=locked(both),
+        s_i_forward=read_only(s_up),
+        s_i_backward=read_only(s_down),
+        R_i_forward=read_only(r_up),
+        R_i_backward=read_only(r_down),
+        R_i=read_only(both),
         R_forward=float(r_up.max()),
         R_backward=float(r_down.max()),
         R=float(both.max()),

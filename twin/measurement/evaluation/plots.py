@@ -14,7 +14,18 @@ from matplotlib.projections.polar import PolarAxes
 
 from twin._common.units import DEG
 from twin.display import readable
-from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, blank, dots, dress, paper, radius_label
+from twin.display.figures import (
+    BACKWARD,
+    BOTH,
+    FORWARD,
+    RUN,
+    THIRD,
+    new_figure,
+    plot_markers,
+    radius_label,
+    style_axes,
+    text_box_style,
+)
 from twin.measurement.evaluation.circular import RotaryMotion as ErrorMotion
 from twin.measurement.evaluation.iso230_2 import Positioning
 from twin.measurement.evaluation.straightness import Straightness
@@ -30,9 +41,9 @@ def plot_positioning(result: Positioning, *, title: str = "") -> Figure:
         result: the evaluation.
         title: a heading; the axis and the standard if empty.
     """
-    figure = blank(11.0, 6.2, layout=None)
+    figure = new_figure(11.0, 6.2, layout=None)
     plot = figure.add_axes((0.07, 0.11, 0.60, 0.81))
-    dress(plot)
+    style_axes(plot)
     order = np.argsort(result.target)
     target, unit = result.target[order], readable(result.unit)
     for runs, mean, s, colour, marker, arrow, style in (
@@ -104,7 +115,11 @@ def _mark_values(plot: Axes, result: Positioning) -> None:
     i = int(np.argmax(np.abs(result.B_i)))
     where, low, high = float(result.target[i]), float(result.mean_backward[i]), float(result.mean_forward[i])
     plot.annotate("", (where, high), (where, low), arrowprops=ends | {"arrowstyle": "<->", "linewidth": 1.2})
-    offset: dict[str, Any] = {"textcoords": "offset points", "verticalalignment": "center", "bbox": paper(0.85, 0.6)}
+    offset: dict[str, Any] = {
+        "textcoords": "offset points",
+        "verticalalignment": "center",
+        "bbox": text_box_style(0.85, 0.6),
+    }
     plot.annotate("B", (where, (low + high) / 2.0), (6, 0), **offset)
 
 
@@ -115,10 +130,10 @@ def plot_straightness(result: Straightness, *, title: str = "") -> Figure:
         result: the evaluation.
         title: a heading; the error motion's name if empty.
     """
-    figure = blank(10.0, 7.2)
+    figure = new_figure(10.0, 7.2)
     above, below = figure.subplots(2, 1, sharex=True)
-    dress(above)
-    dress(below)
+    style_axes(above)
+    style_axes(below)
     position, axis = result.position_mm, result.name[-1:]
     above.plot(position, result.deviation_um, color=RUN, linewidth=0.8, marker="o", markersize=4, label="measured")
     for line, colour, style, marker in zip(
@@ -136,7 +151,7 @@ def plot_straightness(result: Straightness, *, title: str = "") -> Figure:
     half, middle, contacts = zone.value_um / 2.0, zone.at_um(position), list(zone.contacts)
     above.fill_between(position, middle - half, middle + half, color=THIRD, alpha=0.12, linewidth=0)
     carrying: dict[str, Any] = {"markerfacecolor": "none", "label": "points that define the minimum zone"}
-    dots(above, position[contacts], result.deviation_um[contacts], THIRD, size=11, **carrying)
+    plot_markers(above, position[contacts], result.deviation_um[contacts], THIRD, size=11, **carrying)
     below.axhspan(-half, half, color=THIRD, alpha=0.12, linewidth=0)
     below.axhline(0.0, color=BOTH, linewidth=0.8)
     heading = title or f"Straightness {result.name} by ISO 230-1:2012".replace("  ", " ")
@@ -155,7 +170,7 @@ def plot_error_motion(result: ErrorMotion, *, title: str = "") -> Figure:
         result: the evaluation.
         title: a heading; the error motion's name if empty.
     """
-    figure = blank(9.5, 6.8, layout=None)
+    figure = new_figure(9.5, 6.8, layout=None)
     polar: Any = figure.add_subplot(projection="polar", position=(0.05, 0.07, 0.6, 0.8))
     unit, turns, axial = readable(result.unit), len(result.total), result.kind == "axial"
     _turns(polar, result)
@@ -202,7 +217,7 @@ def _turns(polar: PolarAxes, result: ErrorMotion) -> None:
     ticks = _ticks(extent)
     polar.set_yticks(ticks, [""] * len(ticks))
     for tick in ticks:  # by hand, above the curves
-        where: dict[str, Any] = {"horizontalalignment": "center", "zorder": 5, "bbox": paper(0.85, 0.8)}
+        where: dict[str, Any] = {"horizontalalignment": "center", "zorder": 5, "bbox": text_box_style(0.85, 0.8)}
         polar.text(105.0 * DEG, tick, radius_label(tick), fontsize=8, **where)
     polar.set_xticks(np.arange(0.0, 360.0, 30.0) * DEG)
     polar.grid(color="#cccccc", linewidth=0.5)
@@ -211,7 +226,7 @@ def _turns(polar: PolarAxes, result: ErrorMotion) -> None:
 def _bars(plot: Axes, result: ErrorMotion, unit: str) -> None:
     """Draw the amplitudes of the harmonics, without those that were removed with the centre."""
     shown = [h for h in result.harmonics if h.order > 1 or result.kind == "axial"]
-    dress(plot)
+    style_axes(plot)
     plot.bar([h.order for h in shown], [h.amplitude for h in shown], color=FORWARD, width=0.7)
     plot.set_xticks([h.order for h in shown])
     plot.tick_params(labelsize=8)

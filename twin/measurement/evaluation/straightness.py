@@ -17,7 +17,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.measurement.evaluation.inputs import check_same_length, finite_array
 
@@ -110,7 +110,7 @@ def straightness(
         raise InputError("too few points for a straightness", expected="at least 3 points", value=len(position))
     order = np.argsort(position)
     spread = _covariance(len(position), u_um, covariance_um2)
-    position, deviation = locked(position[order]), locked(deviation[order])
+    position, deviation = read_only(position[order]), read_only(deviation[order])
     same = np.flatnonzero(np.diff(position) == 0.0)
     if len(same):
         raise InputError(
@@ -166,10 +166,10 @@ def _line(
         kind=kind,
         offset_um=float(offset),
         slope_urad=float(slope_urad),
-        residual_um=locked(residual),
+        residual_um=read_only(residual),
         value_um=float(max(residual.max(), 0.0) - min(residual.min(), 0.0)),
         contacts=contacts,
-        covariance=None if spread is None else locked(to_user @ spread @ to_user.T),
+        covariance=None if spread is None else read_only(to_user @ spread @ to_user.T),
     )
 
 

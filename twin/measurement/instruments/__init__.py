@@ -14,10 +14,10 @@ from twin.measurement.instruments.refraction import STANDARD_AIR, Air, length_sc
 from twin.measurement.instruments.tracker import AT960, AT960_ABSOLUTE, LaserTracker
 
 INSTRUMENTS: Final[tuple[Instrument, ...]] = (AT960, AT960_ABSOLUTE, TrackingInterferometer())
-"""Instruments whose readings a measurement table can contain, default ones first (`usual`)."""
+"""Instruments whose readings a measurement table can contain, default ones first (`default_instrument`)."""
 
 
-def usual(*, lengths_only: bool) -> Instrument:
+def default_instrument(*, lengths_only: bool) -> Instrument:
     """Return the default instrument: the first that reads lengths only, or the first that reads coordinates."""
     return next(one for one in INSTRUMENTS if one.lengths_only == lengths_only)
 

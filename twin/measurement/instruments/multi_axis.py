@@ -21,7 +21,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.measurement.instruments.base import InstrumentSpecification
 from twin.numerics.spatial import cross_matrix, rotation_exp
@@ -237,7 +237,7 @@ def tilt_axes(vectors: np.ndarray, *, planar: bool) -> np.ndarray:
             square = axis - sum((axis @ v * v for v in [vector, *basis]), np.zeros(3))
             basis.append(square / np.linalg.norm(square))
         found[i] = np.stack(basis, axis=1)
-    return locked(found)
+    return read_only(found)
 
 
 def tilted(vectors: np.ndarray, axes: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.measurement.instruments.multi_axis import MultiAxis
 
@@ -160,12 +160,12 @@ def measure(
     covariance = np.zeros((len(installation), len(installation)))
     covariance[np.ix_(run.free, run.free)] = step.root @ step.root.T
     return Displacement(
-        poses=locked(found),
-        installation=locked(installation),
-        noise_covariance=locked(step.inverse @ step.inverse.transpose(0, 2, 1)),
-        by_installation=locked(by_installation),
-        installation_covariance=locked(covariance),
-        residual=locked(np.where(run.weight > 0.0, step.residual, np.nan)),
+        poses=read_only(found),
+        installation=read_only(installation),
+        noise_covariance=read_only(step.inverse @ step.inverse.transpose(0, 2, 1)),
+        by_installation=read_only(by_installation),
+        installation_covariance=read_only(covariance),
+        residual=read_only(np.where(run.weight > 0.0, step.residual, np.nan)),
         steps=taken,
         converged=converged,
     )

@@ -12,7 +12,7 @@ import numpy as np
 from twin.nc.apt.reader import AptReader
 from twin.nc.apt.statements import Statement, statement_at, statements
 from twin.nc.apt.writer import VECTOR_DECIMALS, AptWriter
-from twin.nc.blocks import AxisWords, Kind, Program, Reading, Rewrite
+from twin.nc.blocks import AxisWords, Interpretation, Kind, Program, Rewrite
 from twin.nc.dialect import Dialect
 from twin.nc.emit import rewrites_by_line
 from twin.nc.header import first_lines, insert_comments
@@ -33,14 +33,14 @@ class Apt(Dialect):
     linear_increment_mm = 1e-5
     cutter_locations = True
 
-    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
+    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
         """See `Dialect.moves`. Cutter locations are tool-tip coordinates whatever ``tcp`` says."""
         reader = AptReader(program.source, axes)
         for statement in statements(program.texts):
             reader.step(statement)
-        return Reading(tuple(reader.moves), tuple(reader.notices))
+        return Interpretation(tuple(reader.moves), tuple(reader.notices))
 
-    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
+    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, rewrites: Iterable[Rewrite]) -> str:
         """See `Dialect.rewrite`."""
         by_line = rewrites_by_line(reading, rewrites, axes)
         if not by_line:
@@ -86,7 +86,7 @@ class Apt(Dialect):
         return _LOCATION.fullmatch(text) is not None
 
     def posted(
-        self, program: Program, reading: Reading, rewrites: Iterable[Rewrite], axes: AxisWords, into: Dialect
+        self, program: Program, reading: Interpretation, rewrites: Iterable[Rewrite], axes: AxisWords, into: Dialect
     ) -> str:
         """See `Dialect.posted`."""
         by_line = rewrites_by_line(reading, rewrites, axes)

@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.nc.blocks import AxisWords, Move, Program, Reading, Rewrite
+from twin.nc.blocks import AxisWords, Interpretation, Move, Program, Rewrite
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
 from twin.nc.emit import rewrites_by_line
 from twin.nc.header import FEED, REMARK, first_lines, insert_comments, missing_comments
@@ -30,16 +30,16 @@ class Heidenhain(Dialect):
     shared_suffixes = (".txt",)
     begins = re.compile(rb"\s*\d*\s*BEGIN\s+PGM\s", re.IGNORECASE)
 
-    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
+    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
         """See `Dialect.moves`."""
         interpreter = HeidenhainInterpreter(program.source, axes, tcp=tcp)
         moves: list[Move] = []
         for index, text in enumerate(program.texts):
             if text not in BLANK or interpreter.continued:
                 moves += interpreter.moves(index, text)
-        return Reading(tuple(moves), tuple(interpreter.notices), tuple(interpreter.lost_positions))
+        return Interpretation(tuple(moves), tuple(interpreter.notices), tuple(interpreter.lost_positions))
 
-    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
+    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, rewrites: Iterable[Rewrite]) -> str:
         """See `Dialect.rewrite`."""
         by_line = rewrites_by_line(reading, rewrites, axes)
         if not by_line:

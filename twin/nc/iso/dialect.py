@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.nc.blocks import AxisWords, Program, Reading, Rewrite
+from twin.nc.blocks import AxisWords, Interpretation, Program, Rewrite
 from twin.nc.columns import MoveBuilder, MoveColumns
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
 from twin.nc.emit import rewrites_by_line
@@ -43,15 +43,15 @@ class Iso(Dialect):
     suffixes = (".nc", ".ngc", ".tap", ".mpf", ".txt", ".iso", ".eia")
     in_chunks = True
 
-    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Reading:
+    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
         """See `Dialect.moves`."""
         reader = IsoReader(program.source, axes, tcp=tcp)
         found = MoveBuilder(axes.names)
         for chunk in chunks(program, axes.names):
             reader.read_into(found, chunk)
-        return Reading(found.objects(), tuple(reader.notices()), tuple(reader.lost_positions()))
+        return Interpretation(found.objects(), tuple(reader.notices()), tuple(reader.lost_positions()))
 
-    def rewrite(self, program: Program, axes: AxisWords, reading: Reading, rewrites: Iterable[Rewrite]) -> str:
+    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, rewrites: Iterable[Rewrite]) -> str:
         """See `Dialect.rewrite`."""
         by_line = rewrites_by_line(reading, rewrites, axes)
         if not by_line:

@@ -11,7 +11,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.nc.blocks import AxisWords, Left, Move, Notice, Program, Rewrite
+from twin.nc.blocks import AxisWords, LostPositions, Move, Notice, Program, Rewrite
 from twin.nc.columns import MoveBuilder, MoveColumns
 from twin.nc.iso.bulk import LARGEST_STEPS, Formatting, Grids, NewPositions, rewritten_lines
 from twin.nc.iso.interpreter import IsoInterpreter
@@ -29,7 +29,7 @@ DELETED_LINE: Final = ";\0\n"
 
 
 @final
-class Stretch:
+class Chunk:
     """A chunk of whole lines of a program.
 
     Args:
@@ -76,11 +76,11 @@ def runs(bulk: np.ndarray, blank: np.ndarray) -> Iterator[tuple[int, int, bool]]
         at = stop + 1
 
 
-def chunks(program: Program, names: tuple[str, ...]) -> Iterator[Stretch]:
+def chunks(program: Program, names: tuple[str, ...]) -> Iterator[Chunk]:
     """Yield a program in memory in chunks, with `DELETED_LINE` in place of empty texts."""
     for first in range(0, len(program.texts), CHUNK_LINES):
         text = "".join(one or DELETED_LINE for one in program.texts[first : first + CHUNK_LINES])
-        yield Stretch(text.encode("latin-1"), first, names)
+        yield Chunk(text.encode("latin-1"), first, names)
 
 
 @final
@@ -101,7 +101,7 @@ class IsoReader:
         self._notices = self._left = 0
         self.drills = False
 
-    def read(self, chunk: Stretch) -> MoveColumns:
+    def read(self, chunk: Chunk) -> MoveColumns:
         """Return the moves of the next chunk.
 
         Raises:
@@ -111,7 +111,7 @@ class IsoReader:
         self.read_into(found, chunk)
         return found.moves()
 
-    def read_into(self, found: MoveBuilder, chunk: Stretch) -> None:
+    def read_into(self, found: MoveBuilder, chunk: Chunk) -> None:
         """As `read`, with the moves added to a builder."""
         scan, first = chunk.scan, chunk.first
         for begin, end, together in runs(scan.simple, scan.blank):
@@ -126,7 +126,7 @@ class IsoReader:
         self._notices += len(found)
         return found
 
-    def lost_positions(self) -> list[Left]:
+    def lost_positions(self) -> list[LostPositions]:
         """Return the unknown axis positions since the last call."""
         found = self._interpreter.lost_positions[self._left :]
         self._left += len(found)
@@ -141,7 +141,7 @@ class IsoReader:
             for one in block.moves:
                 found.add(one)
 
-    def _run(self, chunk: Stretch, begin: int, end: int, found: MoveBuilder) -> bool:
+    def _run(self, chunk: Chunk, begin: int, end: int, found: MoveBuilder) -> bool:
         """Read simple lines together; return False if the modal state does not allow it."""
         state = self._interpreter
         if not state.runs_allowed:
@@ -191,7 +191,7 @@ class IsoRewriter:
 
     def write(
         self,
-        chunk: Stretch,
+        chunk: Chunk,
         moves: MoveColumns,
         new: NewPositions,
         segments: Mapping[int, Mapping[int, Segments]] | None = None,

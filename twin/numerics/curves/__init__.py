@@ -26,7 +26,7 @@ values of the curve.
 """
 
 from twin.numerics.curves.basis import Basis
-from twin.numerics.curves.conversion import conversion, of_legendre
+from twin.numerics.curves.conversion import conversion, legendre_in_basis
 from twin.numerics.curves.family import BASES, POWER, bases_for, basis_named, basis_of
 from twin.numerics.curves.fg_bernstein import FGBernstein
 from twin.numerics.curves.space import CurveSpace
@@ -41,7 +41,7 @@ __all__ = [
     "basis_named",
     "basis_of",
     "conversion",
-    "of_legendre",
+    "legendre_in_basis",
 ]
 
 __doc__ = f"{__doc__}\nA basis is named by `basis:` in a calibration file:\n\n" + "".join(

@@ -8,7 +8,7 @@ from math import comb
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.numerics.curves.basis import Basis, rounded_product
 
 
@@ -26,11 +26,11 @@ def conversion(source: Basis, target: Basis, count: int, into: int) -> np.ndarra
         (into, count); None if the target does not span the functions of the source.
     """
     matrix = source.conversion_to(count, target, into)
-    return None if matrix is None else locked(matrix)
+    return None if matrix is None else read_only(matrix)
 
 
 @cache
-def of_legendre(target: Basis, count: int) -> np.ndarray | None:
+def legendre_in_basis(target: Basis, count: int) -> np.ndarray | None:
     """Return the coefficients (count, count) of the Legendre polynomials 0, 1 … in a basis, one column each; None if it lacks any."""
     back = target.from_powers(count)
     if back is None or len(back[0]) < count:
@@ -40,4 +40,4 @@ def of_legendre(target: Basis, count: int) -> np.ndarray | None:
         # P_n = 2^−n Σ_k (−1)^k C(n,k) C(2n−2k,n) u^(n−2k)
         for k in range(n // 2 + 1):
             legendre[n - 2 * k][n] = Fraction((-1) ** k * comb(n, k) * comb(2 * n - 2 * k, n), 2**n)
-    return locked(rounded_product(back, legendre))
+    return read_only(rounded_product(back, legendre))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Final
 
-from twin._common.errors import InputError, nearest
+from twin._common.errors import InputError, closest_name
 from twin.numerics.curves.basis import Basis
 from twin.numerics.curves.bernstein import Bernstein
 from twin.numerics.curves.cubic_spline import CubicSpline
@@ -26,7 +26,7 @@ def basis_named(name: str) -> type[Basis]:
     if found is None:
         known = [basis.name for basis in BASES]
         expected = f"one of {', '.join(known)}"
-        raise InputError("no such basis", expected=expected, value=name, nearest=nearest(name, known))
+        raise InputError("no such basis", expected=expected, value=name, closest_name=closest_name(name, known))
     return found
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import comb
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 
 MOST_DEGREE: Final = 250
@@ -112,7 +112,7 @@ class FGBernstein:
         Raises:
             InputError: a parameter outside the domain.
         """
-        return locked(self._values(self._inside(t), self.degree))
+        return read_only(self._values(self._inside(t), self.degree))
 
     def derivative(self, control: np.ndarray, t: np.ndarray) -> np.ndarray:
         """Return the first derivative (m, d) by the parameter: y' = n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}.
@@ -126,10 +126,10 @@ class FGBernstein:
         """
         points, inside, n = _points(control, self.degree + 1), self._inside(t), self.degree
         if n == 0:
-            return locked(np.zeros((len(inside), points.shape[1])))
+            return read_only(np.zeros((len(inside), points.shape[1])))
         forward, back = self._slopes(inside)
         lower = self._values(inside, n - 1)
-        return locked(n * (forward * (lower @ points[1:]) + back * (lower @ points[:-1])))
+        return read_only(n * (forward * (lower @ points[1:]) + back * (lower @ points[:-1])))
 
     def least_squares(self, t: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return the control points (n+1, d) of the least-squares curve through points, with high relative accuracy.
@@ -151,7 +151,7 @@ class FGBernstein:
         values = _points(points, len(nodes))
         chosen = self._spread(nodes)
         q, triangle = np.linalg.qr(self._lagrange(nodes, chosen))
-        return locked(self._factors(nodes[chosen]).solve(solve_triangular(triangle, q.T @ values)))
+        return read_only(self._factors(nodes[chosen]).solve(solve_triangular(triangle, q.T @ values)))
 
     def _factors(self, t: np.ndarray) -> _Bidiagonal:
         """Return the factors of the collocation matrix at (m,) increasing parameters, m ≥ n + 1 (eq. 10), each accurate to rounding.
@@ -177,7 +177,7 @@ class FGBernstein:
                 expected="a lower degree, or parameters spread over the domain",
                 value=f"{t[0]:g} to {t[n]:g}",
             )
-        return _Bidiagonal(locked(lower), locked(pivots), locked(upper))
+        return _Bidiagonal(read_only(lower), read_only(pivots), read_only(upper))
 
     def _lagrange(self, t: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         """Return the values (m, n+1) at t of the Lagrange functions: one at one chosen parameter, zero at the others."""

@@ -8,9 +8,9 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import locked
+from twin._common.arrays import read_only
 from twin.numerics.curves.basis import Basis
-from twin.numerics.curves.conversion import of_legendre
+from twin.numerics.curves.conversion import legendre_in_basis
 
 NODES: Final = 400
 """Points of the Gauss-Legendre rule that defines "orthonormal": exact far beyond any order used."""
@@ -46,7 +46,7 @@ class CurveSpace:
         For a nested basis the matrix is upper triangular and a leading block of `transform`; for Bernstein polynomials it differs with
         every degree. The orthonormal polynomials are Legendre's, P_k √(2k + 1).
         """
-        legendre = of_legendre(self.basis, count)
+        legendre = legendre_in_basis(self.basis, count)
         if legendre is not None:
             return np.asarray(legendre * _norms(count))
         x, w = _rule()
@@ -57,7 +57,7 @@ class CurveSpace:
 
     def functions(self, q: np.ndarray) -> np.ndarray:
         """Return the orthonormal functions (n, count) at positions, mm or degrees."""
-        if of_legendre(self.basis, self.count) is None:
+        if legendre_in_basis(self.basis, self.count) is None:
             return self._raw(q, self.count) @ self.transform
         lo, hi = self.domain
         return np.asarray(np.polynomial.legendre.legvander((2.0 * q - (lo + hi)) / (hi - lo), self.count - 1)) * _norms(
@@ -89,7 +89,7 @@ class CurveSpace:
 def _rule() -> tuple[np.ndarray, np.ndarray]:
     """Return nodes and weights of the Gauss-Legendre rule; cached."""
     x, w = np.polynomial.legendre.leggauss(NODES)
-    return locked(x), locked(w)
+    return read_only(x), read_only(w)
 
 
 def _norms(count: int) -> np.ndarray:

@@ -21,7 +21,7 @@ from meshcat.commands import SetAnimation, SetObject, SetProperty, SetTransform
 from meshcat.path import Path as NodePath
 
 from twin._common.errors import InputError
-from twin._common.provenance import SourceWarning, texts
+from twin._common.provenance import SourceWarning, warning_texts
 from twin._common.units import MM
 from twin.display import compact
 from twin.kinematics.forward import Kinematics
@@ -129,7 +129,7 @@ def scene_html(
         machine=machine.name,
         factor=factor,
         path=path,
-        notices=texts(warnings),
+        notices=warning_texts(warnings),
         still="" if len(frames.share) > 1 else "still",
     )
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin._common.files import write_whole
+from twin._common.files import write_atomic
 from twin.compensation.execute import Execution, execute_file
 from twin.compensation.toolpath import Setup
-from twin.display import framed
+from twin.display import in_iframe
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
@@ -40,10 +40,10 @@ class Scene:
 
     def save(self, path: str | Path) -> None:
         """Write the page atomically."""
-        write_whole(Path(path), self.html)
+        write_atomic(Path(path), self.html)
 
     def _repr_html_(self) -> str:
-        return framed(self.html, HEIGHT_PX).text
+        return in_iframe(self.html, HEIGHT_PX).text
 
 
 def draw_program(

@@ -27,7 +27,7 @@ from typing import Final, final
 
 from twin._common.errors import InputError
 from twin._common.units import TURN
-from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, Terms, period_of
+from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, TableSum, period_of
 from twin.machine.control.format import TableFormat
 from twin.machine.control.lines import (
     TableLine,
@@ -47,7 +47,7 @@ _COMMENT: Final = ";"
 
 
 @final
-class HeidenhainTables(TableFormat[Terms]):
+class HeidenhainTables(TableFormat[TableSum]):
     """HEIDENHAIN: compensation value tables."""
 
     name = "heidenhain"
@@ -56,7 +56,7 @@ class HeidenhainTables(TableFormat[Terms]):
     carries = "also straightness and squareness (Y by X …); angular errors at one lever"
     leaves = "angular errors at other levers"
     written = ("{}_CORR.COM", CMA)
-    correction = Terms
+    correction = TableSum
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS")
     points = 256
     rounding = (0.05, 0.0875)
@@ -71,7 +71,7 @@ class HeidenhainTables(TableFormat[Terms]):
         "column widths",
     )
 
-    def write(self, correction: Terms, notes: Sequence[str] = ()) -> dict[str, str]:
+    def write(self, correction: TableSum, notes: Sequence[str] = ()) -> dict[str, str]:
         """Return ``X_CORR.COM`` … for every input axis, and the ``.CMA``; see `TableFormat.write`.
 
         Args:
@@ -125,7 +125,7 @@ class HeidenhainTables(TableFormat[Terms]):
             )
         return columns
 
-    def read(self, files: Sequence[Path], machine: Machine) -> Terms:
+    def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
         """Return the tables from a ``.CMA`` and the ``.COM`` files named in its active line.
 
         Raises:
@@ -154,7 +154,7 @@ class HeidenhainTables(TableFormat[Terms]):
                 file=cma.path,
                 value=sorted(given),
             )
-        return Terms(tuple(terms), machine)
+        return TableSum(tuple(terms), machine)
 
     def _terms(self, table: _Rows, axis: Axis, machine: Machine) -> list[ControlTerm]:
         """Return the tables of one file."""
@@ -181,7 +181,7 @@ class HeidenhainTables(TableFormat[Terms]):
             terms.append(ControlTerm(moved.name, (ControlCurve(axis.name, at, values, period, direction),)))
         return terms
 
-    def loading(self, correction: Terms, largest: Mapping[str, float]) -> tuple[str, ...]:
+    def loading(self, correction: TableSum, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         return (
             f"Copy the .COM files and {CMA} into the folder of the OEM tables. Open each in the table editor before "

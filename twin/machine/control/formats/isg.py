@@ -35,7 +35,7 @@ from twin._common.errors import InputError
 from twin.machine.control.curve import ControlCurve, period_of
 from twin.machine.control.format import TableFormat
 from twin.machine.control.lines import TableLine, check_increasing, fixed_decimals, table_lines
-from twin.machine.control.volumetric import AxisErrors, Volumetric, at_rest
+from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection, rest_geometry
 from twin.machine.machine import DIRECTIONS, Axis, Machine
 
 FILE: Final = "volcomp.csv"
@@ -49,7 +49,7 @@ _SAME_MM: Final = 1e-3
 
 
 @final
-class Isg(TableFormat[Volumetric]):
+class Isg(TableFormat[VolumetricCorrection]):
     """ISG kernel and TwinCAT CNC: volumetric compensation."""
 
     name = "isg"
@@ -57,7 +57,7 @@ class Isg(TableFormat[Volumetric]):
     what = "volumetric compensation"
     carries = "all error motions of all axes, at the functional point"
     leaves = "backlash; the tool's orientation"
-    correction = Volumetric
+    correction = VolumetricCorrection
     written = (FILE, LIST)
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS", "R-RAX", "R-POR", "R-ANG")
     points = 400
@@ -71,7 +71,7 @@ class Isg(TableFormat[Volumetric]):
         "beyond the ends of a block: the end value; rotary arguments wrapped into one turn",
     )
 
-    def write(self, correction: Volumetric, notes: Sequence[str] = ()) -> dict[str, str]:
+    def write(self, correction: VolumetricCorrection, notes: Sequence[str] = ()) -> dict[str, str]:
         """Return the parameter file and the lines of the compensation list; see `TableFormat.write`.
 
         Args:
@@ -106,7 +106,7 @@ class Isg(TableFormat[Volumetric]):
                 lines.append("  ".join([fixed_decimals(q, 4), *cells]))
         return {FILE: "\n".join(lines) + "\n", LIST: "".join(f"# {note}\n" for note in notes) + _list(machine)}
 
-    def read(self, files: Sequence[Path], machine: Machine) -> Volumetric:
+    def read(self, files: Sequence[Path], machine: Machine) -> VolumetricCorrection:
         """Return the component errors from parameter files; a compensation list (``.lis``) among them is ignored.
 
         Raises:
@@ -140,9 +140,9 @@ class Isg(TableFormat[Volumetric]):
             else:
                 _constants(block, machine, curves)
         errors = tuple(AxisErrors(name, own) for name, own in curves.items() if own)
-        return Volumetric(errors, machine, length)
+        return VolumetricCorrection(errors, machine, length)
 
-    def loading(self, correction: Volumetric, largest: Mapping[str, float]) -> tuple[str, ...]:
+    def loading(self, correction: VolumetricCorrection, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         machine = correction.machine
         records = (
@@ -160,7 +160,7 @@ class Isg(TableFormat[Volumetric]):
 
 def _dimensions(machine: Machine) -> dict[str, float]:
     """Return names and values of the kinematic parameters; positions relative to the spindle nose with all axes at zero."""
-    rest = at_rest(machine)
+    rest = rest_geometry(machine)
 
     def named(letter: str, vector: np.ndarray, axis: str = "") -> dict[str, float]:
         return {f"{letter}{name}{axis}": float(part) for name, part in zip("XYZ", vector, strict=True)}

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, Terms
+from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, TableSum
 from twin.machine.control.format import TableFormat
 from twin.machine.control.lines import (
     TableLine,
@@ -43,7 +43,7 @@ _DIGITS: Final = 6
 
 
 @final
-class LinuxCnc(TableFormat[Terms]):
+class LinuxCnc(TableFormat[TableSum]):
     """LinuxCNC: joint compensation files."""
 
     name = "linuxcnc"
@@ -52,13 +52,13 @@ class LinuxCnc(TableFormat[Terms]):
     carries = "positioning, backlash; of angular errors the part along the axis"
     leaves = "straightness, squareness"
     written = ("{}.comp", INI)
-    correction = Terms
+    correction = TableSum
     classes = ("L-POS", "L-ANG", "R-POS")
     points = 256
     rounding = (0.0005, 0.0088)
     directions = True
 
-    def write(self, correction: Terms, notes: Sequence[str] = ()) -> dict[str, str]:
+    def write(self, correction: TableSum, notes: Sequence[str] = ()) -> dict[str, str]:
         """Return one ``.comp`` of type 0 (actual positions) per joint, and the INI lines that name them; see `TableFormat.write`.
 
         Args:
@@ -126,7 +126,7 @@ class LinuxCnc(TableFormat[Terms]):
             )
         return up, down
 
-    def read(self, files: Sequence[Path], machine: Machine) -> Terms:
+    def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
         """Return the tables from an INI file (or its lines) and the ``.comp`` files named in it.
 
         Raises:
@@ -164,7 +164,7 @@ class LinuxCnc(TableFormat[Terms]):
                 file=ini.path,
                 value=sorted(given),
             )
-        return Terms(tuple(terms), machine)
+        return TableSum(tuple(terms), machine)
 
     def _terms(self, path: Path, axis: Axis, *, actual: bool) -> list[ControlTerm]:
         """Return the tables of one joint, one for both directions or one for each."""
@@ -197,7 +197,7 @@ class LinuxCnc(TableFormat[Terms]):
             ControlTerm(axis.name, (ControlCurve(axis.name, at, values, direction=side),)) for values, side in sides
         ]
 
-    def loading(self, correction: Terms, largest: Mapping[str, float]) -> tuple[str, ...]:
+    def loading(self, correction: TableSum, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         machine = correction.machine
         joints = ", ".join(f"joint {i} is {name}" for i, name in enumerate(machine.names))

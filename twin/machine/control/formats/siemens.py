@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, Terms
+from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, TableSum
 from twin.machine.control.format import TableFormat
 from twin.machine.control.formats.sinumerik import DIGITS, Entry, axis_numbers, axis_of, entries, step_of, table_of
 from twin.machine.control.lines import URAD_IN_DEG, TableLine, fixed_decimals, unit_of
@@ -44,7 +44,7 @@ _FIELD: Final = re.compile(
 
 
 @final
-class Siemens(TableFormat[Terms]):
+class Siemens(TableFormat[TableSum]):
     """SINUMERIK 840D sl: cross error compensation (CEC)."""
 
     name = "siemens"
@@ -53,7 +53,7 @@ class Siemens(TableFormat[Terms]):
     carries = "also angular errors at all levers, by products of two tables: X by E_BX(X) times Z"
     leaves = "errors of rotary axes except R-POS"
     written = (FILE,)
-    correction = Terms
+    correction = TableSum
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS")
     points = 200
     """Points of a table of the 828D; on the 840D sl MD18342 sets the number."""
@@ -72,7 +72,7 @@ class Siemens(TableFormat[Terms]):
         "rotary output axes: values in degrees",
     )
 
-    def write(self, correction: Terms, notes: Sequence[str] = ()) -> dict[str, str]:
+    def write(self, correction: TableSum, notes: Sequence[str] = ()) -> dict[str, str]:
         """Return the program, with one table per factor; see `TableFormat.write`.
 
         Args:
@@ -97,7 +97,7 @@ class Siemens(TableFormat[Terms]):
         head = ["%_N_CEC_MPF", *(f"; {note}" for note in notes), f"; {axis_numbers(machine, 'is')}"]
         return {FILE: "\n".join([*head, *blocks, "M30"]) + "\n"}
 
-    def read(self, files: Sequence[Path], machine: Machine) -> Terms:
+    def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
         """Return the tables from programs that write ``$AN_CEC…``.
 
         Raises:
@@ -129,9 +129,9 @@ class Siemens(TableFormat[Terms]):
                 what = f"tables {index} and {factors[index]} are multiplied but move different axes"
                 raise by.error(what, axis.name, other_axis.name)
             terms.append(ControlTerm(axis.name, (own, factor)))
-        return Terms(tuple(terms), machine)
+        return TableSum(tuple(terms), machine)
 
-    def loading(self, correction: Terms, largest: Mapping[str, float]) -> tuple[str, ...]:
+    def loading(self, correction: TableSum, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         machine = correction.machine
         counts = [len(factor.at) for term in correction.terms for factor in term.factors]

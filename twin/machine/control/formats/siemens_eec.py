@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.machine.control.curve import ControlCurve, ControlTerm, Terms
+from twin.machine.control.curve import ControlCurve, ControlTerm, TableSum
 from twin.machine.control.format import TableFormat
 from twin.machine.control.formats.sinumerik import DIGITS, axis_numbers, axis_of, entries, step_of, table_of
 from twin.machine.control.lines import fixed_decimals, unit_of
@@ -43,7 +43,7 @@ _FIELD: Final = re.compile(
 
 
 @final
-class SiemensEec(TableFormat[Terms]):
+class SiemensEec(TableFormat[TableSum]):
     """SINUMERIK: leadscrew and measuring system error compensation."""
 
     name = "siemens_eec"
@@ -52,7 +52,7 @@ class SiemensEec(TableFormat[Terms]):
     carries = "positioning; of angular errors the part along the axis"
     leaves = "straightness, squareness; backlash"
     written = (FILE,)
-    correction = Terms
+    correction = TableSum
     classes = ("L-POS", "L-ANG", "R-POS")
     points = 200
     """Points per axis of the 808D; on the 840D sl MD38000 sets the number."""
@@ -60,7 +60,7 @@ class SiemensEec(TableFormat[Terms]):
     wraps = True
     unchecked = ("rotary axes: values and positions in degrees",)
 
-    def write(self, correction: Terms, notes: Sequence[str] = ()) -> dict[str, str]:
+    def write(self, correction: TableSum, notes: Sequence[str] = ()) -> dict[str, str]:
         """See `TableFormat.write`.
 
         Args:
@@ -96,7 +96,7 @@ class SiemensEec(TableFormat[Terms]):
             )
         return curve, step
 
-    def read(self, files: Sequence[Path], machine: Machine) -> Terms:
+    def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
         """Return the tables from programs that write ``$AA_ENC_COMP…`` of the first measuring system.
 
         Raises:
@@ -110,9 +110,9 @@ class SiemensEec(TableFormat[Terms]):
             at, values, period = table_of(f"the table of {axis.name}", "$AA_ENC_COMP", entry)
             shifts = tuple(-value / unit_of(axis) for value in values)
             terms[axis.name] = ControlTerm(axis.name, (ControlCurve(axis.name, at, shifts, period),))
-        return Terms(tuple(terms[name] for name in machine.names if name in terms), machine)
+        return TableSum(tuple(terms[name] for name in machine.names if name in terms), machine)
 
-    def loading(self, correction: Terms, largest: Mapping[str, float]) -> tuple[str, ...]:
+    def loading(self, correction: TableSum, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         machine, moved = correction.machine, ", ".join(largest)
         counts = ", ".join(f"{term.axis} {len(term.factors[0].at)}" for term in correction.terms)
