@@ -211,7 +211,7 @@ def test_pictures_that_cannot_be_drawn_are_refused_before_the_work(
 
 def test_a_scheduler_without_dask_is_refused_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twin.compute.parallel.run.find_spec", lambda name: None)
-    with pytest.raises(InputError, match="Dask is not installed"):
+    with pytest.raises(InputError, match="Dask, which is not installed"):
         Workers(scheduler="tcp://here:8786")
 
 

@@ -196,7 +196,7 @@ def test_a_calibration_file_keeps_its_warnings(kind: str, dmu50: Machine, tmp_pa
 
 def test_simulated_is_true_or_false(dmu50: Machine, tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text(calibration_text("simulated").replace("true", "perhaps"))
-    with pytest.raises(InputError, match=r"mine.yaml:4: `simulated` does not fit: 'perhaps'; expected true or false"):
+    with pytest.raises(InputError, match=r"mine.yaml:4: `simulated` is invalid: 'perhaps'; expected true or false"):
         Calibration.load(tmp_path / "mine.yaml", dmu50)
 
 
