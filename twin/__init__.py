@@ -1,7 +1,15 @@
-"""twin: a digital twin of a five-axis machine tool that finds out, from measurements, where its own model is wrong.
+"""twin: a digital twin of a five-axis machine tool that finds, from measurements, where its own model is wrong.
 
-The names a script needs; everything else lives in the room its name says. Each is imported when it is first used, so that `twin doctor`
-runs where a package is broken.
+`import twin` gives every name that notebooks and scripts need; each is imported when it is first used (PEP 562):
+
+- machine and model: `Machine`, `Calibration`, `Curve`, `Conditions`, `effect_named`, `Kinematics`, `Inverse`;
+- measurements: `Measurements`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`, `duration`, `thesis_plan`;
+- identification: `identify`, `ToolUncertainty`, `compare`, `draw_machines`, `identify_as_thesis`;
+- diagnosis: `diagnose`, `diagnosis_html`;
+- programs: `compensate`, `compensate_file`, `compensate_files`, `Compensator`, `Options`, `Scope`, `Setup`, `Workers`, `execute_file`,
+  `read_program`, `find_program`, `refit`, `ThesisMethod`;
+- pages and pictures: `report`, `scene`, `identification_plots`, `diagnosis_plots`, `planning_plots` (modules; extra ``plots``);
+- `InputError`: raised for every bad input, with file, line, value and what was expected.
 """
 
 from __future__ import annotations
@@ -11,104 +19,153 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin._common.errors import InputError
-    from twin.comparison import Changes, compare
-    from twin.compensation import Compensation, Compensator, Options, compensate, compensate_file
-    from twin.compensation.fewer_blocks import Refit, refit
+    from twin.comparison import compare
+    from twin.compensation import Compensator, Options, compensate, compensate_file
+    from twin.compensation.execute import execute_file
+    from twin.compensation.fewer_blocks import refit
     from twin.compensation.many import compensate_files
+    from twin.compensation.thesis import ThesisMethod
     from twin.compensation.toolpath import Setup
     from twin.compute.parallel import Workers
-    from twin.diagnosis import Diagnosis, diagnose
-    from twin.identification import Identification, identify
-    from twin.kinematics.forward import Kinematics, Poses
-    from twin.kinematics.inverse import Inverse, Solution, Status
+    from twin.diagnosis import diagnose
+    from twin.diagnosis.wording import plots as diagnosis_plots
+    from twin.diagnosis.wording.report import diagnosis_html
+    from twin.identification import identify
+    from twin.identification import plots as identification_plots
+    from twin.identification.thesis.identify import identify_as_thesis
+    from twin.kinematics.forward import Kinematics
+    from twin.kinematics.inverse import Inverse, Status
     from twin.machine.calibration import Calibration
     from twin.machine.conditions import Conditions
+    from twin.machine.effects.entries import effect_named
     from twin.machine.iso16907 import Scope
-    from twin.machine.machine import Axis, Machine
+    from twin.machine.machine import Machine
     from twin.machine.motion_curve import Curve
+    from twin.measurement import instruments
+    from twin.measurement.simulate import Placement, simulate
     from twin.measurement.table import Measurements
-    from twin.nc import read_program
+    from twin.nc import find_program, read_program
+    from twin.planning import Kit, duration, judge, plan, separate
+    from twin.planning import plots as planning_plots
+    from twin.reporting import machine_report as report
+    from twin.reporting.scene import draw_program as scene
+    from twin.samples import thesis_plan
     from twin.uncertainty.at_tool import ToolUncertainty
-    from twin.uncertainty.population import Population, draw_machines
+    from twin.uncertainty.population import draw_machines
 
 __all__ = [
-    "Axis",
     "Calibration",
-    "Changes",
-    "Compensation",
     "Compensator",
     "Conditions",
     "Curve",
-    "Diagnosis",
-    "Identification",
     "InputError",
     "Inverse",
     "Kinematics",
+    "Kit",
     "Machine",
     "Measurements",
     "Options",
-    "Population",
-    "Poses",
-    "Refit",
+    "Placement",
     "Scope",
     "Setup",
-    "Solution",
     "Status",
+    "ThesisMethod",
     "ToolUncertainty",
     "Workers",
+    "__version__",
     "compare",
     "compensate",
     "compensate_file",
     "compensate_files",
     "diagnose",
+    "diagnosis_html",
+    "diagnosis_plots",
     "draw_machines",
+    "duration",
+    "effect_named",
+    "execute_file",
+    "find_program",
+    "identification_plots",
     "identify",
+    "identify_as_thesis",
+    "instruments",
+    "judge",
+    "plan",
+    "planning_plots",
     "read_program",
     "refit",
+    "report",
+    "scene",
+    "separate",
+    "simulate",
+    "thesis_plan",
 ]
 
-_HOMES = {
-    "Axis": "twin.machine.machine",
-    "Calibration": "twin.machine.calibration",
-    "Changes": "twin.comparison",
-    "Compensation": "twin.compensation",
-    "Compensator": "twin.compensation",
-    "Conditions": "twin.machine.conditions",
-    "Curve": "twin.machine.motion_curve",
-    "Diagnosis": "twin.diagnosis",
-    "Identification": "twin.identification",
-    "InputError": "twin._common.errors",
-    "Inverse": "twin.kinematics.inverse",
-    "Kinematics": "twin.kinematics.forward",
-    "Machine": "twin.machine.machine",
-    "Measurements": "twin.measurement.table",
-    "Options": "twin.compensation",
-    "Population": "twin.uncertainty.population",
-    "Poses": "twin.kinematics.forward",
-    "Refit": "twin.compensation.fewer_blocks",
-    "Scope": "twin.machine.iso16907",
-    "Setup": "twin.compensation.toolpath",
-    "Solution": "twin.kinematics.inverse",
-    "Status": "twin.kinematics.inverse",
-    "ToolUncertainty": "twin.uncertainty.at_tool",
-    "Workers": "twin.compute.parallel",
-    "compare": "twin.comparison",
-    "compensate": "twin.compensation",
-    "compensate_file": "twin.compensation",
-    "compensate_files": "twin.compensation.many",
-    "diagnose": "twin.diagnosis",
-    "draw_machines": "twin.uncertainty.population",
-    "identify": "twin.identification",
-    "read_program": "twin.nc",
-    "refit": "twin.compensation.fewer_blocks",
+_MODULES = {
+    "diagnosis_plots": "twin.diagnosis.wording.plots",
+    "identification_plots": "twin.identification.plots",
+    "instruments": "twin.measurement.instruments",
+    "planning_plots": "twin.planning.plots",
+    "thesis_plan": "twin.samples.thesis_plan",
 }
+_HOMES = {
+    "Calibration": ("twin.machine.calibration", "Calibration"),
+    "Compensator": ("twin.compensation", "Compensator"),
+    "Conditions": ("twin.machine.conditions", "Conditions"),
+    "Curve": ("twin.machine.motion_curve", "Curve"),
+    "InputError": ("twin._common.errors", "InputError"),
+    "Inverse": ("twin.kinematics.inverse", "Inverse"),
+    "Kinematics": ("twin.kinematics.forward", "Kinematics"),
+    "Kit": ("twin.planning", "Kit"),
+    "Machine": ("twin.machine.machine", "Machine"),
+    "Measurements": ("twin.measurement.table", "Measurements"),
+    "Options": ("twin.compensation", "Options"),
+    "Placement": ("twin.measurement.simulate", "Placement"),
+    "Scope": ("twin.machine.iso16907", "Scope"),
+    "Setup": ("twin.compensation.toolpath", "Setup"),
+    "Status": ("twin.kinematics.inverse", "Status"),
+    "ThesisMethod": ("twin.compensation.thesis", "ThesisMethod"),
+    "ToolUncertainty": ("twin.uncertainty.at_tool", "ToolUncertainty"),
+    "Workers": ("twin.compute.parallel", "Workers"),
+    "compare": ("twin.comparison", "compare"),
+    "compensate": ("twin.compensation", "compensate"),
+    "compensate_file": ("twin.compensation", "compensate_file"),
+    "compensate_files": ("twin.compensation.many", "compensate_files"),
+    "diagnose": ("twin.diagnosis", "diagnose"),
+    "diagnosis_html": ("twin.diagnosis.wording.report", "diagnosis_html"),
+    "draw_machines": ("twin.uncertainty.population", "draw_machines"),
+    "duration": ("twin.planning", "duration"),
+    "effect_named": ("twin.machine.effects.entries", "effect_named"),
+    "execute_file": ("twin.compensation.execute", "execute_file"),
+    "find_program": ("twin.nc", "find_program"),
+    "identify": ("twin.identification", "identify"),
+    "identify_as_thesis": ("twin.identification.thesis.identify", "identify_as_thesis"),
+    "judge": ("twin.planning", "judge"),
+    "plan": ("twin.planning", "plan"),
+    "read_program": ("twin.nc", "read_program"),
+    "refit": ("twin.compensation.fewer_blocks", "refit"),
+    "report": ("twin.reporting", "machine_report"),
+    "scene": ("twin.reporting.scene", "draw_program"),
+    "separate": ("twin.planning", "separate"),
+    "simulate": ("twin.measurement.simulate", "simulate"),
+}
+"""Where each name of the API is defined: the module itself, or module and attribute."""
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name from the module that defines it."""
-    if name not in _HOMES:
+    """Import a name of the API from the module that defines it."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: Any = version("twin")
+    elif name in _MODULES:
+        value = import_module(_MODULES[name])
+    elif name in _HOMES:
+        module, attribute = _HOMES[name]
+        value = getattr(import_module(module), attribute)
+    else:
         raise AttributeError(f"module 'twin' has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
     return value
 
 

@@ -14,7 +14,7 @@ from twin._common.errors import InputError
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.observation import Observation
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 
 def removed(case: Case, table: Path, machine: str, calibration: Path) -> float | None:
@@ -37,7 +37,7 @@ def removed(case: Case, table: Path, machine: str, calibration: Path) -> float |
     moved = None if drawn.outside is None else drawn.outside.moved(truth, plan)
     error = truth.readings(plan, effects, moved) - truth.readings(plan)
     own = Machine.load(machine)
-    data = load(table, own)
+    data = Measurements.load(table, own)
     try:
         with_it, without = (
             Observation(own).points_mm(one, data, truth.places(plan))

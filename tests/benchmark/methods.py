@@ -27,7 +27,7 @@ from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.result import SCHEMA
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 LIMIT_S: Final = 900.0
 BROKEN: Final = (ArithmeticError, LookupError, TypeError, ValueError)
@@ -64,7 +64,7 @@ class Twin(Method):
     def diagnose(self, table: Path, machine: str, answer: Path, calibration: Path) -> str:
         own = Machine.load(machine)
         try:
-            found = diagnose(load(table, own), own, Calibration.default(own))
+            found = diagnose(Measurements.load(table, own), own, Calibration.default(own))
         except InputError as error:
             return str(error)
         write_json(answer, found.to_dict())
@@ -87,7 +87,7 @@ class Rival(Method):
     def diagnose(self, table: Path, machine: str, answer: Path, calibration: Path) -> str:
         own = Machine.load(machine)
         try:
-            placed = readings(load(table, own), own, Calibration.default(own), None)
+            placed = readings(Measurements.load(table, own), own, Calibration.default(own), None)
         except InputError as error:
             return str(error)
         posed = placed.without(placed.bad)

@@ -37,7 +37,7 @@ from twin.machine.effects import AxisLocation, Effect, ErrorMotion, Squareness
 from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
 from twin.measurement.observation import Observation
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 from twin.numerics.covariance import Covariance
 from twin.numerics.curves import POWER
 
@@ -84,7 +84,9 @@ def test_a_truth_machine_is_what_twin_calculates(name: str, tmp_path: Path) -> N
     rng = np.random.default_rng(5)
     plan = truth.plan(rng)
     machine = Machine.load(truth.bundled or str(truth.write_machine(tmp_path)))
-    data = load(write_table(tmp_path / "measured.csv", plan, truth.readings(plan), truth.sigma_mm), machine)
+    data = Measurements.load(
+        write_table(tmp_path / "measured.csv", plan, truth.readings(plan), truth.sigma_mm), machine
+    )
     places = truth.places(plan)
     nominal = Calibration.default(machine)
     shared = [
@@ -329,7 +331,7 @@ def test_the_directions_of_a_stage_are_known(tmp_path: Path) -> None:
     bent = Hidden("straightness", "E_YX", {"c0": -5.0, "c1": 0.0, "c2": 15.0})
     path = write_table(tmp_path / "measured.csv", plan, machine.readings(plan, [bent]), machine.sigma_mm)
     own = Machine.load(machine.write_machine(tmp_path))
-    found = diagnose(load(path, own), own, Calibration.zero(own))
+    found = diagnose(Measurements.load(path, own), own, Calibration.zero(own))
     assert [(one.effect, one.where) for one in found.causes] == [bent.key]
     assert [q.value for q in found.causes[0].parameters][2] == pytest.approx(15.0, abs=0.01)
 

@@ -25,7 +25,7 @@ from twin.diagnosis.selection.rows import exclude_outliers
 from twin.diagnosis.selection.searcher import select_causes
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements, load
+from twin.measurement.table import Measurements
 
 POINTS = (1_000, 3_000)
 REPEATS = 3
@@ -43,7 +43,7 @@ def measured(machine: Machine, points: int, seed: int = 5) -> Measurements:
     plan = hidden.rounded(hidden.plan(rng, poses=max((points // 3 - 220) // 2, 20), same=False))
     read = hidden.noisy(hidden.points(plan, EFFECTS), rng, "isotropic", 3e-3)
     with tempfile.TemporaryDirectory() as folder:
-        return load(hidden.write(Path(folder) / "measured.csv", plan, read, u_mm=3e-3), machine)
+        return Measurements.load(hidden.write(Path(folder) / "measured.csv", plan, read, u_mm=3e-3), machine)
 
 
 def time_taken(machine: Machine) -> None:

@@ -40,7 +40,7 @@ def program(path: Path, blocks: int) -> None:
 
 
 def copied(source: Path, target: Path) -> float:
-    """Return the seconds to copy a file and sync it to disk, as `twin._common.files.whole_file` does."""
+    """Return the seconds to copy a file and sync it to disk, as `twin._common.files.atomic_file` does."""
     start = time.perf_counter()
     with source.open("rb") as data, target.open("wb") as out:
         while block := data.read(1 << 20):

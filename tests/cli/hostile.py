@@ -30,12 +30,12 @@ from twin.machine.control import ControlCurve, ControlTerm, TableSum, format_nam
 from twin.machine.control.spatial import CorrectionGrid
 from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection
 from twin.machine.machine import bundled_folder
-from twin.measurement.table import load as load_table
+from twin.measurement.table import Measurements
 from twin.measurement.thesis_export import load_export
 from twin.nc import DIALECTS, dialect_of
 from twin.nc.blocks import AxisWords
 from twin.planning import Kit
-from twin.report.identified import Identified
+from twin.reporting.identified import Identified
 
 LONG = 131_100
 """Characters of a cell beyond the default limit of `csv`."""
@@ -191,11 +191,11 @@ def _calibration(path: Path) -> None:
 
 
 def _table(path: Path) -> None:
-    load_table(path, machine()).to_csv(machine())
+    Measurements.load(path, machine()).to_csv(machine())
 
 
 def _plan(path: Path) -> None:
-    load_table(path, machine(), plan=True)
+    Measurements.load(path, machine(), plan=True)
 
 
 def _export(path: Path) -> None:

@@ -199,7 +199,7 @@ def test_nearest_ignores_case_and_may_find_nothing() -> None:
     assert (
         closest_name("qqqq", ["E_XX"]) is None and did_you_mean("qqqq", ["E_XX"]) == "" and closest_name("", []) is None
     )
-    error = InputError("no such thing", expected="one of a, b", value="c", closest_name="b")
+    error = InputError("no such thing", expected="one of a, b", value="c", nearest="b")
     # A worker's error arrives unchanged.
     assert (
         str(pickle.loads(pickle.dumps(error)))

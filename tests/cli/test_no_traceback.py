@@ -30,11 +30,11 @@ from twin.identification.spread import FitStatistics
 from twin.machine.control import read_tables
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 from twin.nc.heidenhain.dialect import Heidenhain
 from twin.numerics.curves import POWER, CurveSpace
 from twin.planning import Kit
-from twin.report.identified import Identified
+from twin.reporting.identified import Identified
 
 HEAD = "schema: twin.calibration/1\nmachine: DMU 50 eVolution\n"
 LAUGHS = "a: &a [x, x]\n" + "".join(
@@ -112,12 +112,12 @@ def test_every_loader_takes_the_path_as_text(dmu50: twin.Machine, tmp_path: Path
         (tmp_path / name).write_text(sample(name))
     folder = str(tmp_path)
     assert twin.Calibration.load(f"{folder}/calibration", dmu50).source == "a test"
-    assert len(load(f"{folder}/table", dmu50)) == 20
+    assert len(Measurements.load(f"{folder}/table", dmu50)) == 20
     assert Kit.load(f"{folder}/kit", dmu50).targets
     layout = AxisLayout.load(f"{folder}/layout", dmu50)
     assert len(load_readings(f"{folder}/readings", layout)) == 36
     twin.Calibration.load(f"{folder}/calibration", dmu50).save(f"{folder}/again.yaml")
-    load(f"{folder}/table", dmu50).save(f"{folder}/again.csv", dmu50)
+    Measurements.load(f"{folder}/table", dmu50).save(f"{folder}/again.csv", dmu50)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_tables_that_are_refused(
     path.write_text(sample("table").replace(*change, 1))
     begin = time.process_time()
     with pytest.raises(InputError) as caught:
-        load(path, dmu50)
+        Measurements.load(path, dmu50)
     assert time.process_time() - begin < 5.0
     assert said in str(caught.value) and caught.value.line == line
 
@@ -152,7 +152,7 @@ def test_another_encoding_is_named_with_its_line(dmu50: twin.Machine, tmp_path: 
     path = tmp_path / "m.csv"
     path.write_bytes(sample("table").replace("# a comment", "# µ").encode(encoding))
     with pytest.raises(InputError, match="UTF-8") as caught:
-        load(path, dmu50)
+        Measurements.load(path, dmu50)
     assert caught.value.line == (1 if encoding == "utf-16" else 2)
 
 
@@ -161,7 +161,7 @@ def test_lines_are_counted_as_an_editor_does(dmu50: twin.Machine, tmp_path: Path
     path = tmp_path / "m.csv"
     path.write_bytes(sample("table").replace("K,tool,50.01", "K,tool,x").replace("\n", end).encode())
     with pytest.raises(InputError) as caught:
-        load(path, dmu50)
+        Measurements.load(path, dmu50)
     assert caught.value.line == 4
 
 
@@ -169,7 +169,7 @@ def test_rows_that_no_instrument_reads_are_set_aside(dmu50: twin.Machine, tmp_pa
     path = tmp_path / "m.csv"
     text = sample("table").replace("K,tool,50.01", "K,tool,1e9").replace("0.01,0.01,0.02", "1e-200,0.01,0.02", 1)
     path.write_text(text)
-    assert [(note.line, note.text) for note in load(path, dmu50).set_aside] == [
+    assert [(note.line, note.text) for note in Measurements.load(path, dmu50).set_aside] == [
         (3, "a standard uncertainty is below 1e-09 mm"),
         (4, "a measured coordinate exceeds 1e+06 mm"),
         (14, "a measured coordinate exceeds 1e+06 mm"),

@@ -29,7 +29,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
-from twin.measurement.table import join_tables, load
+from twin.measurement.table import Measurements
 from twin.nc import DIALECTS
 from twin.nc.heidenhain.dialect import Heidenhain
 from twin.nc.iso.dialect import Iso
@@ -232,25 +232,25 @@ def as_measured(path: Path) -> Path:
 
 
 def test_one_simulated_table_makes_all_simulated(dmu50: Machine, table: Path) -> None:
-    real, drawn = load(as_measured(table), dmu50), load(table, dmu50)
+    real, drawn = Measurements.load(as_measured(table), dmu50), Measurements.load(table, dmu50)
     assert not real.simulated and drawn.simulated
     assert drawn.select(np.arange(10)).simulated
     other = replace(drawn, round=np.full(len(drawn), "later", dtype=object))
     assert (
-        join_tables([real, other]).simulated
-        and join_tables([other, real]).simulated
-        and not join_tables([real]).simulated
+        Measurements.join([real, other]).simulated
+        and Measurements.join([other, real]).simulated
+        and not Measurements.join([real]).simulated
     )
 
 
 def test_a_comment_of_its_own_is_not_repeated(dmu50: Machine, table: Path, tmp_path: Path) -> None:
-    load(table, dmu50).save(tmp_path / "a.csv", dmu50, comment="Simulated by hand\nstation 1")
+    Measurements.load(table, dmu50).save(tmp_path / "a.csv", dmu50, comment="Simulated by hand\nstation 1")
     assert (tmp_path / "a.csv").read_text().count("imulated") == 1
-    assert load(tmp_path / "a.csv", dmu50).simulated
+    assert Measurements.load(tmp_path / "a.csv", dmu50).simulated
 
 
 def test_calibration_from_simulated_readings_has_the_warning(dmu50: Machine, table: Path) -> None:
-    drawn, real = (identify(load(path, dmu50), dmu50) for path in (table, as_measured(table)))
+    drawn, real = (identify(Measurements.load(path, dmu50), dmu50) for path in (table, as_measured(table)))
     assert drawn.calibration.simulated and not real.calibration.simulated
     assert drawn.calibration.curves.keys() == real.calibration.curves.keys()
     # The warning does not change any number.

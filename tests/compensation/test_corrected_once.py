@@ -23,7 +23,7 @@ from twin.machine.control import ControlSection, TableEntry
 from twin.machine.effects import Reversal
 from twin.machine.iso16907 import Scope
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 from twin.numerics.covariance import Covariance
 from twin.samples.dmu50_calibration import as_drawn
 from twin.uncertainty.budget import error_budget
@@ -215,7 +215,7 @@ def test_measured_under_its_control_the_machine_is_consistent(
     rng = np.random.default_rng(5)
     of = hidden.rounded(hidden.plan(rng, poses=20, rounds=2))
     read = hidden.noisy(hidden.points(replace(of, q=driven(tmp_path, of.q)), []), rng, "isotropic", 2e-3)
-    data = load(hidden.write(tmp_path / "measured.csv", of, read, u_mm=2e-3), dmu50)
+    data = Measurements.load(hidden.write(tmp_path / "measured.csv", of, read, u_mm=2e-3), dmu50)
     names = ("E_XX[0]", "E_XX[1]")
     known = replace(calibration, joint=Covariance(names, read_only(np.eye(2) * 0.01))).with_control(section)
     assert diagnose(data, dmu50, known).verdict == "consistent"

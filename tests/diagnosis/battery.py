@@ -43,7 +43,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.effects import PitchError, ThermalDrift
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
-from twin.measurement.table import load, machine_state
+from twin.measurement.table import Measurements, machine_state
 from twin.numerics.covariance import Covariance
 
 FAR = 4.0
@@ -126,7 +126,7 @@ def measured(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "measured.csv"
         u = 3e-3 if noise == "isotropic" else None
-        data = load(hidden.write(path, plan, hidden.noisy(exact, rng, kind), u_mm=u), machine)
+        data = Measurements.load(hidden.write(path, plan, hidden.noisy(exact, rng, kind), u_mm=u), machine)
     calibration = Calibration.default(machine)
     if uncertain:
         calibration = _doubted(calibration)

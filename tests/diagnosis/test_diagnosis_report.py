@@ -33,7 +33,7 @@ from twin.diagnosis.wording.words import cause_title, chance, listed, measured, 
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 SIGMA_MM = 3e-3
 REVERSAL_UM = 12.0
@@ -73,7 +73,7 @@ def found(dmu50: Machine, calibration: Calibration, folder: Path) -> Mapping[str
         plan = hidden.rounded(hidden.plan(rng, poses=30, stops=5, rounds=2))
         read = hidden.noisy(hidden.points(plan, effects), rng, "isotropic", SIGMA_MM)
         path = hidden.write(folder / f"{name}.csv", plan, read, u_mm=SIGMA_MM)
-        results[name] = diagnose(load(path, dmu50), dmu50, calibration)
+        results[name] = diagnose(Measurements.load(path, dmu50), dmu50, calibration)
     left = Unexplained(0.3, ("X_mm", "Z_mm"), "tool", "a pattern of no known effect", 2.0)
     results["part of it"] = replace(results["reversal"], verdict="unexplained", unexplained=left)
     return results
@@ -174,7 +174,7 @@ def test_simulated_data_are_marked(
     assert "ILLUSTRATIVE" in pages["nothing"] and "SIMULATED" not in pages["nothing"]
     text = (folder / "nothing.csv").read_text()
     (folder / "marked.csv").write_text("# simulated by a program, seed 3\n" + text)
-    data = load(folder / "marked.csv", dmu50)
+    data = Measurements.load(folder / "marked.csv", dmu50)
     assert data.notices == ("the file says: simulated by a program, seed 3",)
     assert "SIMULATED READINGS" in diagnosis_html(replace(found["nothing"], data=data))
 
@@ -184,7 +184,7 @@ def test_a_calibration_extended_from_simulated_readings_is_marked(
 ) -> None:
     """The calibration that `--extended` writes keeps the warning of its readings; the diagnosis says it in text and JSON."""
     (folder / "lost.csv").write_text("# simulated by a program\n" + (folder / "reversal.csv").read_text())
-    drawn = diagnose(load(folder / "lost.csv", dmu50), dmu50, calibration)
+    drawn = diagnose(Measurements.load(folder / "lost.csv", dmu50), dmu50, calibration)
     drawn.extended.save(folder / "extended.yaml")
     assert SIMULATED in Calibration.load(folder / "extended.yaml", dmu50).warnings
     assert SIMULATED.title in drawn.to_text()
@@ -273,7 +273,7 @@ def test_tracker_readings_are_weighted_by_direction(dmu50: Machine, calibration:
     rng = np.random.default_rng(2)
     plan = hidden.rounded(hidden.plan(rng, poses=30, stops=5, rounds=2))
     read = hidden.noisy(hidden.points(plan, HIDDEN["reversal"]), rng, "tracker")
-    data = load(hidden.write(folder / "tracker.csv", plan, read, u_mm=None), dmu50)
+    data = Measurements.load(hidden.write(folder / "tracker.csv", plan, read, u_mm=None), dmu50)
     one = diagnose(data, dmu50, calibration, instrument=LaserTracker())
     (panel,) = cause_panels(one, one.causes[0])
     for series, side in zip(panel.series, (0.5, -0.5), strict=True):
@@ -307,7 +307,8 @@ def test_text_is_wrapped_and_short(found: Mapping[str, Diagnosis], name: str) ->
     if one.causes:
         # The name in words, then the symbol.
         assert (
-            f"{cause_title(one.causes[0].effect, one.causes[0].where)} ({one.causes[0].effect} {one.causes[0].where}" in text
+            f"{cause_title(one.causes[0].effect, one.causes[0].where)} ({one.causes[0].effect} {one.causes[0].where}"
+            in text
         )
 
 

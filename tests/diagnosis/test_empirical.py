@@ -30,7 +30,7 @@ from twin.machine.effects.waves import Waves, label, terms
 from twin.machine.empirical_entry import acting_frame, unused_place
 from twin.machine.machine import Machine
 from twin.measurement.observation import Observation
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 from twin.nc import dialect_for
 from twin.numerics.covariance import Covariance
 
@@ -93,7 +93,7 @@ def test_an_axis_without_limits_is_wrapped_into_its_range() -> None:
 def test_patterns_and_the_effect_are_the_same_functions(dmu50: Machine, tmp_path: Path) -> None:
     """Every pattern of a table at its rows: as in the diagnosis, and as an effect of the same columns."""
     of = hidden.rounded(hidden.plan(np.random.default_rng(3), poses=8))
-    data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=3e-3), dmu50)
+    data = Measurements.load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=3e-3), dmu50)
     state = {name: of.at(name) for name in AXES} | {f"approach_{a}": of.approach[:, i] for i, a in enumerate(AXES)}
     state |= {f"T_{name}_degC": values for name, values in of.warm.items()}
     tried = [one for one in patterns(dmu50, data) if not {"time_s", "round"} & set(one.names)]
@@ -367,7 +367,7 @@ def test_the_command_refuses_and_writes_nothing(
 
 def test_a_table_outside_is_refused_with_its_line(narrow: Calibration, tmp_path: Path) -> None:
     of = hidden.plan(np.random.default_rng(3), poses=4)
-    data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=3e-3), narrow.machine)
+    data = Measurements.load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=3e-3), narrow.machine)
     first = int(np.flatnonzero((of.at("X") < 100.0) | (of.at("X") > 400.0))[0])
     with pytest.raises(InputError, match="X_mm is outside") as caught:
         Observation(narrow.machine).errors(narrow, data)

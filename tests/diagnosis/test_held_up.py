@@ -14,7 +14,7 @@ from tests.diagnosis.test_hidden_payload import HIGH, links, table, write_arm
 from twin.diagnosis import Diagnosis, diagnose
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 POSES = 24
 RANDOM_RAD = 2e-4
@@ -27,7 +27,7 @@ def diagnosed(folder: Path, offset_rad: float, seed: int) -> Diagnosis:
     q = np.round(rng.uniform(-HIGH, HIGH, (POSES, 6)), 3)
     off = RANDOM_RAD * rng.standard_normal(q.shape)
     off[:, 2] += offset_rad
-    data = load(table(folder / "arm.csv", q, links(np.radians(q) + off)[-1], rng), machine)
+    data = Measurements.load(table(folder / "arm.csv", q, links(np.radians(q) + off)[-1], rng), machine)
     return diagnose(data, machine, Calibration.default(machine))
 
 

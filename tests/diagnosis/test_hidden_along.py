@@ -22,7 +22,7 @@ from twin.diagnosis.candidates.catalogue import catalogue
 from twin.machine.calibration import Calibration
 from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 SIGMA_MM = 3e-3
 TURNS = "G21 G90\nG0 X100 Y20 Z-100 B0 C0\nG1 Y60 F500\nY15\nX150 Y440\nY400\nY445\nX120 Y10\nY40\nM30\n"
@@ -40,7 +40,7 @@ def stage(folder: Path, reversal_um: np.ndarray, *, cycles: int = 5, seed: int =
                 for at, size in zip(positions[::way], reversal_um[::way], strict=True):
                     off = 0.5 * way * size + 0.6 * rng.standard_normal()
                     table.writerow([at, way, "slide", "tool", at + 1e-3 * off, "", "", cycle + 1, 0, 0, 0])
-    return diagnose(load(folder / "stage.csv", machine), machine, Calibration.zero(machine))
+    return diagnose(Measurements.load(folder / "stage.csv", machine), machine, Calibration.zero(machine))
 
 
 def test_a_reversal_that_grows_along_the_travel_is_found(tmp_path: Path) -> None:
@@ -84,7 +84,7 @@ def test_a_reversal_that_changes_with_another_axis_is_none_of_its_own_travel(dmu
     of = hidden.rounded(hidden.plan(rng, poses=60))
     truth = Hidden("reversal_curve", "Y", {"c0": 0.0, "c1": 12.0})
     read = hidden.noisy(hidden.points(of, [truth]), rng, "isotropic", SIGMA_MM)
-    data = load(hidden.write(tmp_path / "m.csv", of, read, u_mm=SIGMA_MM), dmu50)
+    data = Measurements.load(hidden.write(tmp_path / "m.csv", of, read, u_mm=SIGMA_MM), dmu50)
     (cause,) = diagnose(data, dmu50, Calibration.default(dmu50)).causes
     assert (cause.effect, cause.where, cause.equivalent) == ("reversal_curve", "Y", ())
 
@@ -126,7 +126,7 @@ def slow_or_fast(folder: Path, period_mm: float) -> Diagnosis:
             for at in positions:
                 off = 5.0 * np.sin(2.0 * np.pi * at / period_mm + 0.4) + 0.3 * rng.standard_normal()
                 table.writerow([at, "slide", "tool", at + 1e-3 * off, "", "", cycle + 1, 0, 0, 0])
-    return diagnose(load(folder / "wave.csv", machine), machine, Calibration.zero(machine))
+    return diagnose(Measurements.load(folder / "wave.csv", machine), machine, Calibration.zero(machine))
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_teeth_of_a_gear_are_a_harmonic_of_high_order(dmu50: Machine, tmp_path: 
     of = hidden.rounded(hidden.plan(rng, poses=140))
     truth = Hidden("harmonic", "E_CC", {"order": 48, "cos": 12.0, "sin": -9.0})
     read = hidden.noisy(hidden.points(of, [truth]), rng, "isotropic", SIGMA_MM)
-    data = load(hidden.write(tmp_path / "m.csv", of, read, u_mm=SIGMA_MM), dmu50)
+    data = Measurements.load(hidden.write(tmp_path / "m.csv", of, read, u_mm=SIGMA_MM), dmu50)
     (cause,) = diagnose(data, dmu50, Calibration.default(dmu50)).causes
     assert (cause.effect, cause.where, cause.equivalent) == ("harmonic", "E_CC", ())
     found = {q.name: q for q in cause.parameters}
@@ -168,7 +168,7 @@ def test_aliased_orders_are_not_tested(dmu50: Machine, tmp_path: Path) -> None:
         q = of.q.copy()
         q[:, 4] = np.resize(angles, len(q))
         of = replace(of, q=q)
-        data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)
+        data = Measurements.load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)
         found = {one.where: one for one in catalogue(dmu50, data, Calibration.default(dmu50)).candidates}
         assert len(found["E_CC"].variants) == most and found["E_CC"].tests == most
         assert len(found["E_XC"].variants) == 30

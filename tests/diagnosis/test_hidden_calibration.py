@@ -20,7 +20,7 @@ from tests.truth import hidden
 from twin.diagnosis import Cause, Diagnosis, diagnose
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 SIGMA_MM = 3e-3
 STOPS = 11
@@ -33,7 +33,9 @@ def look(dmu50: Machine, tmp_path: Path):
         rng = np.random.default_rng(seed)
         plan = hidden.rounded(hidden.plan(rng, poses=90))
         read = hidden.noisy(hidden.points(plan, elsewhere=elsewhere), rng, "isotropic", SIGMA_MM)
-        return diagnose(load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=SIGMA_MM), dmu50), dmu50, judged)
+        return diagnose(
+            Measurements.load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=SIGMA_MM), dmu50), dmu50, judged
+        )
 
     return measured
 

@@ -22,7 +22,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.effects import Harmonic
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 POSES = 90
 SIGMA_MM = 3e-3
@@ -101,7 +101,7 @@ def look(
         u = sigma_mm if noise == "isotropic" else None
         path = hidden.write(folder / "measured.csv", of, read, u_mm=u, without=without)
         instrument = LaserTracker() if noise == "tracker" else None
-        return diagnose(load(path, dmu50), dmu50, calibration, instrument=instrument)
+        return diagnose(Measurements.load(path, dmu50), dmu50, calibration, instrument=instrument)
 
     return measured
 
@@ -405,7 +405,9 @@ def test_effects_confounded_with_a_small_effect(
     assert np.all(lost[:-1] < 2.0 * np.log(100.0) - 1.0) and lost[-1] > 2.0 * np.log(100.0) + 1.0
     amount = float(np.sqrt(size) / np.linalg.norm(seen[:, 0]))
     read = hidden.points(of, [replace(truth, numbers={UNIT[truth.effect]: amount})])
-    result = diagnose(load(hidden.write(tmp_path / "m.csv", of, read, u_mm=SIGMA_MM), dmu50), dmu50, calibration)
+    result = diagnose(
+        Measurements.load(hidden.write(tmp_path / "m.csv", of, read, u_mm=SIGMA_MM), dmu50), dmu50, calibration
+    )
     (cause,) = result.causes
     names = {f"{effect} {where}" for effect, where in ((cause.effect, cause.where), *cause.equivalent)}
     assert names == {f"{truth.effect} {truth.where}", *group}
@@ -421,7 +423,9 @@ def test_the_interval_of_the_gain_is_of_95_per_cent(dmu50: Machine, calibration:
     rng = np.random.default_rng(6)
     of = hidden.rounded(hidden.plan(rng, rounds=1, poses=POSES))
     read = hidden.noisy(hidden.points(of, [one("reversal", "Y", size=12.0)]), rng, "isotropic", SIGMA_MM)
-    result = diagnose(load(hidden.write(tmp_path / "m.csv", of, read, u_mm=SIGMA_MM), dmu50), dmu50, calibration)
+    result = diagnose(
+        Measurements.load(hidden.write(tmp_path / "m.csv", of, read, u_mm=SIGMA_MM), dmu50), dmu50, calibration
+    )
     assert result.gain is not None and len(result.causes) == 1
     held = result.gain.held_out
     assert held is not None and held.of == "poses" and held.ci95_um is not None
@@ -560,7 +564,9 @@ def test_readings_without_uncertainties_and_repeats(
     plan = hidden.rounded(hidden.plan(rng, rounds=1, poses=POSES))
     truth = one("reversal", "Y", size=5.0)
     read = hidden.noisy(hidden.points(plan, [truth] if hides else []), rng, noise, SIGMA_MM)
-    result = diagnose(load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=None), dmu50), dmu50, calibration)
+    result = diagnose(
+        Measurements.load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=None), dmu50), dmu50, calibration
+    )
     assert result.noise_source.startswith("what no unwhiten form of any cause accounts for")
     assert [(c.effect, c.where) for c in result.causes] == ([truth.key] if hides else [])
     assert result.unexplained is None
@@ -575,6 +581,6 @@ def test_runs_of_one_axis_alone(dmu50: Machine, calibration: Calibration, tmp_pa
     rows = np.all(plan.q[:, still] == hidden.HOME[still], axis=1)
     truth = one("reversal", axis, size=5.0 if axis == "Y" else 40.0)
     read = hidden.noisy(hidden.points(plan, [truth]), rng, "isotropic", SIGMA_MM)
-    data = load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=SIGMA_MM), dmu50).select(rows)
+    data = Measurements.load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=SIGMA_MM), dmu50).select(rows)
     result = diagnose(data, dmu50, calibration)
     assert [(c.effect, c.where) for c in result.causes] == [truth.key]

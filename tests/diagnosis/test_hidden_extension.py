@@ -27,7 +27,7 @@ from twin.diagnosis import Diagnosis, diagnose
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Empirical
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 from twin.nc import dialect_for
 
 SIGMA_MM = 3e-3
@@ -188,7 +188,7 @@ def test_the_gain_is_that_of_the_file_written(short: Told, table: Path, dmu50: M
     """A diagnosis with the file written has the stated residual and finds nothing more."""
     found = short
     gain = found.json["gain"]
-    again = diagnose(load(table, dmu50), dmu50, found.calibration)
+    again = diagnose(Measurements.load(table, dmu50), dmu50, found.calibration)
     assert again.rms_um == pytest.approx(gain["rms_after_um"], rel=1e-3)
     assert gain["rms_before_um"] == pytest.approx(found.json["residual"]["rms_um"], rel=1e-9)
     assert again.verdict == "consistent" and again.rms_um == pytest.approx(1e3 * SIGMA_MM, rel=0.05)
@@ -257,7 +257,7 @@ def test_a_pattern_of_time_is_not_written(dmu50: Machine, calibration: Calibrati
 
     read = hidden.noisy(hidden.points(of, (), outside=moved), np.random.default_rng(9), "isotropic", SIGMA_MM)
     table = hidden.write(tmp_path / "m.csv", of, read, u_mm=SIGMA_MM, without=WARM[1:])
-    found = diagnose(load(table, dmu50), dmu50, calibration, empirical=True)
+    found = diagnose(Measurements.load(table, dmu50), dmu50, calibration, empirical=True)
     assert found.unexplained is not None and set(found.unexplained.depends_on) <= {"time_s", "round"}
     reason = refused(found, calibration)
     assert "which a later program does not know" in reason and "time_s" in reason
@@ -275,20 +275,20 @@ def test_a_pattern_refuted_by_held_out_positions_is_not_written(tmp_path: Path, 
     for row in rows[1:]:
         row[4] = str(float(row[4]) + 1e-3 * float(row[1]) * rough[int(np.argmin(np.abs(positions - float(row[0]))))])
     table.write_text("\n".join(",".join(row) for row in rows) + "\n")
-    found = diagnose(load(table, machine), machine, calibration, empirical=True)
+    found = diagnose(Measurements.load(table, machine), machine, calibration, empirical=True)
     assert why in refused(found, calibration)
 
 
 def test_data_without_an_error_extend_nothing(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     _, table = measured(tmp_path / "m.csv", None)
-    found = diagnose(load(table, dmu50), dmu50, calibration, empirical=True)
+    found = diagnose(Measurements.load(table, dmu50), dmu50, calibration, empirical=True)
     assert found.verdict == "consistent" and found.unexplained is None and found.extended is calibration
 
 
 def test_a_real_plate_gains_at_held_out_poses() -> None:
     """A drilled plate of 2003: besides its named causes, a fifth of the excess depends on X and Y."""
     machine = Machine.load(beside("data", "real", "plate-2003", "drill.yaml"))
-    data = load(beside("data", "real", "plate-2003", "plate.csv"), machine)
+    data = Measurements.load(beside("data", "real", "plate-2003", "plate.csv"), machine)
     plain, found = (diagnose(data, machine, Calibration.default(machine), empirical=own) for own in (False, True))
     left = found.unexplained
     assert left is not None and left.extension is not None and left.extension.written

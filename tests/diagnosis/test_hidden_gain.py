@@ -19,7 +19,7 @@ from twin.kinematics.inverse import Inverse
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 TOOL_MM = 100.0
 SIGMA_MM = 3e-3
@@ -79,7 +79,9 @@ def test_compensating_with_what_was_found_is_better_on_the_truth(
     rng = np.random.default_rng(9)
     plan = hidden.rounded(hidden.plan(rng, poses=60))
     read = hidden.noisy(hidden.points(plan, [truth]), rng, "isotropic", SIGMA_MM)
-    result = diagnose(load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=SIGMA_MM), dmu50), dmu50, calibration)
+    result = diagnose(
+        Measurements.load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=SIGMA_MM), dmu50), dmu50, calibration
+    )
     assert result.gain is not None
     before = errors_um(dmu50, calibration, truth, monkeypatch)
     extended = result.extended

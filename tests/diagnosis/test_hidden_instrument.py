@@ -23,7 +23,7 @@ from twin.diagnosis.estimate.drift_fit import over_forms
 from twin.diagnosis.problem.readings import readings
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 SIGMA_MM = 3e-3
 POSES = 60
@@ -38,7 +38,7 @@ def measured(
 ) -> Diagnosis:
     """Diagnose readings with isotropic noise, of all targets or of those on one side."""
     noisy = hidden.noisy(read, rng, "isotropic", SIGMA_MM)
-    data = load(hidden.write(folder / "measured.csv", of, noisy, u_mm=SIGMA_MM), machine)
+    data = Measurements.load(hidden.write(folder / "measured.csv", of, noisy, u_mm=SIGMA_MM), machine)
     if side is not None:
         data = data.select(data.carrier == side)
     return diagnose(data, machine, Calibration.default(machine))
@@ -142,7 +142,7 @@ def test_the_size_of_an_affine_error_allows_for_its_centre(
     """Weak errors about the centre of the readings: the likelier of the two forms is often the wrong one, and u must include that."""
     rng = np.random.default_rng(53)
     of = hidden.rounded(hidden.plan(rng, poses=POSES))
-    data = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)
+    data = Measurements.load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=SIGMA_MM), dmu50)
     task = readings(data, dmu50, calibration).without(np.zeros(len(data), dtype=bool))
     problem, known = task.problem, task.catalogue
     variants = next(one for one in known.candidates if one.key == ("affine_scale", "round 2")).variants
@@ -185,7 +185,7 @@ def test_two_coordinate_measuring_machines_differ(tmp_path: Path) -> None:
     machine = Machine.load(plates.write_machine(tmp_path))
     strain = 1e-6 * np.array([[-10.6, -13.9 / 2.0], [-13.9 / 2.0, 0.0]])
     path = plate(tmp_path, np.random.default_rng(52), strain)
-    result = diagnose(load(path, machine), machine, Calibration.zero(machine))
+    result = diagnose(Measurements.load(path, machine), machine, Calibration.zero(machine))
     (cause,) = result.causes
     assert (cause.effect, cause.where, cause.origin) == ("affine_scale", "station B", "instrument")
     found = {q.name: q for q in cause.parameters}
@@ -200,7 +200,7 @@ def test_one_instrument_alone_is_not_blamed_for_what_the_machine_may_do(tmp_path
     machine = Machine.load(plates.write_machine(tmp_path))
     strain = 1e-6 * np.array([[40.0, 0.0], [0.0, 0.0]])
     path = plate(tmp_path, np.random.default_rng(53), strain, turn=0.0)
-    data = load(path, machine)
+    data = Measurements.load(path, machine)
     result = diagnose(data.select(data.station == "B"), machine, Calibration.zero(machine))
     assert "affine_scale" not in {effect for effect, _, _, _ in result.ranking}
     assert ("positioning", "E_XX") in {(cause.effect, cause.where) for cause in result.causes}
@@ -210,7 +210,7 @@ def test_equal_scales_of_one_station_are_confounded_with_refraction(tmp_path: Pa
     """A scale of station A, while B reads one place only: confounded with a scale of all lengths."""
     machine = Machine.load(plates.write_machine(tmp_path))
     path = plate(tmp_path, np.random.default_rng(54), 12e-6 * np.eye(2), station="A")
-    data = load(path, machine)
+    data = Measurements.load(path, machine)
     few = (data.station == "A") | (np.abs(data.positions) < 60.0).all(axis=1)
     (cause,) = diagnose(data.select(few), machine, Calibration.zero(machine)).causes
     group = {(cause.effect, cause.where), *cause.equivalent}
@@ -233,7 +233,7 @@ def on_the_way(folder: Path, feeds: Sequence[float], *, delay_s: float = 0.0, re
                     off = 0.5 * way * reversal_um + 0.6 * rng.standard_normal()
                     x = at + gone_on + 1e-3 * off
                     table.writerow([at, way, feed, "slide", "tool", x, "", "", cycle + 1, 0, 0, 0])
-    return diagnose(load(folder / "way.csv", machine), machine, Calibration.zero(machine))
+    return diagnose(Measurements.load(folder / "way.csv", machine), machine, Calibration.zero(machine))
 
 
 def test_a_delay_grows_with_the_feed(tmp_path: Path) -> None:
@@ -271,7 +271,7 @@ def test_rows_closer_than_a_second_were_sampled_in_motion(tmp_path: Path) -> Non
     times = ((0, 0.0), (10, 0.5), (20, 1.0), (30, 3.0), (25, 3.5))
     lines += [f"{x},slide,tool,{x}.001,,,{t}" for x, t in times]
     (tmp_path / "fly.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
-    data = load(tmp_path / "fly.csv", machine)
+    data = Measurements.load(tmp_path / "fly.csv", machine)
     assert velocities(data, machine)["X"] == pytest.approx([0.0, 20.0, 20.0, 0.0, -10.0])
     data.save(tmp_path / "again.csv", machine)
     assert "feed" not in (tmp_path / "again.csv").read_text(encoding="utf-8")
@@ -284,9 +284,9 @@ def test_the_feed_is_shared_by_the_axes_that_moved(dmu50: Machine, tmp_path: Pat
         f"{x},{y},0,0,0,K,tool,{x}.00{i},{y},0,{feed},{1 if y != 10 else -1}" for i, (x, y, feed) in enumerate(rows)
     ]
     (tmp_path / "feed.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
-    data = load(tmp_path / "feed.csv", dmu50)
+    data = Measurements.load(tmp_path / "feed.csv", dmu50)
     found = velocities(data, dmu50)
     assert set(found) == {"X", "Y"}
     assert found["X"] == pytest.approx([0.0, 60.0, 60.0, 0.0]) and found["Y"] == pytest.approx([0.0, 80.0, 80.0, -10.0])
     data.save(tmp_path / "again.csv", dmu50)
-    assert load(tmp_path / "again.csv", dmu50).feed_mm_min.tolist() == [0.0, 6000.0, 6000.0, 600.0]
+    assert Measurements.load(tmp_path / "again.csv", dmu50).feed_mm_min.tolist() == [0.0, 6000.0, 6000.0, 600.0]

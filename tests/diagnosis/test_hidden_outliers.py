@@ -14,7 +14,7 @@ from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.selection import rows
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 POSES = 40
 SIGMA_MM = 3e-3
@@ -33,7 +33,7 @@ def look(
     away = rng.standard_normal((lost, 3))
     read[rows] += 0.5 * away / np.linalg.norm(away, axis=1, keepdims=True)
     path = hidden.write(folder / "measured.csv", plan, read, u_mm=SIGMA_MM if stated else None)
-    data = load(path, machine)
+    data = Measurements.load(path, machine)
     return diagnose(data, machine, calibration), {int(data.lines[row]) for row in rows}
 
 
@@ -69,7 +69,7 @@ def test_the_first_reading_of_a_target_and_of_a_station_may_be_bad(
     plan = hidden.rounded(hidden.plan(rng, poses=20, stations=2))
     read = hidden.noisy(hidden.points(plan), rng, "isotropic", SIGMA_MM)
     read[:2] += 0.4
-    data = load(hidden.write(tmp_path / "measured.csv", plan, read, u_mm=SIGMA_MM), dmu50)
+    data = Measurements.load(hidden.write(tmp_path / "measured.csv", plan, read, u_mm=SIGMA_MM), dmu50)
     placed = readings(data, dmu50, calibration)
     assert placed.bad[:2].all()
     problem = placed.without(placed.bad).problem

@@ -20,7 +20,7 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.effects import GravityCompliance
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 G = 9.81
 SIGMA_MM = 4e-3
@@ -154,7 +154,7 @@ def measured(
     q = np.round(rng.uniform(-HIGH, HIGH, (POSES, 6)), 3)
     machine = Machine.load(str(write_arm(folder)))
     at_flange = links(sagged(np.radians(q), compliance, carried))[-1]
-    data = load(table(folder / "arm.csv", q, at_flange, rng), machine)
+    data = Measurements.load(table(folder / "arm.csv", q, at_flange, rng), machine)
     return diagnose(data, machine, Calibration.default(machine)), machine
 
 
@@ -231,7 +231,7 @@ def test_a_joint_that_its_own_weight_does_not_load_asks_for_no_payload(tmp_path:
     for masses, loaded in ((True, {"J2", "J3", "J4", "J5"}), (False, set[str]())):
         machine, rng = Machine.load(str(write_arm(tmp_path, masses))), np.random.default_rng(2)
         q = np.round(rng.uniform(-HIGH, HIGH, (40, 6)), 3)
-        data = load(table(tmp_path / "arm.csv", q, links(np.radians(q))[-1], rng), machine)
+        data = Measurements.load(table(tmp_path / "arm.csv", q, links(np.radians(q))[-1], rng), machine)
         known = catalogue(machine, data, Calibration.default(machine)).candidates
         free = {one.where for one in known if any("payload" in variant.fixed for variant in one.variants)}
         assert free == loaded

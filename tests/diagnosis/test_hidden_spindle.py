@@ -15,7 +15,7 @@ from twin.compensation import compensate
 from twin.diagnosis import Diagnosis, diagnose
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 SIGMA_MM = 3e-3
 TRUTH = Hidden("spindle_growth", "Z", {"amplitude": 25.0, "exponent": 1.5, "time_constant": 1200.0})
@@ -33,7 +33,9 @@ def looked(folder: Path, machine: Machine, calibration: Calibration, effects: li
     rng = np.random.default_rng(8)
     of = planned(rng)
     read = hidden.noisy(hidden.points(of, effects), rng, "isotropic", SIGMA_MM)
-    return diagnose(load(hidden.write(folder / "measured.csv", of, read, u_mm=SIGMA_MM), machine), machine, calibration)
+    return diagnose(
+        Measurements.load(hidden.write(folder / "measured.csv", of, read, u_mm=SIGMA_MM), machine), machine, calibration
+    )
 
 
 def test_it_is_found_with_its_size(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
@@ -62,6 +64,6 @@ def test_without_the_speed_it_cannot_be_told(dmu50: Machine, calibration: Calibr
     of = planned(rng)
     read = hidden.noisy(hidden.points(of, [TRUTH]), rng, "isotropic", SIGMA_MM)
     table = hidden.write(tmp_path / "measured.csv", of, read, u_mm=SIGMA_MM, without=["spindle_rpm"])
-    found = diagnose(load(table, dmu50), dmu50, calibration)
+    found = diagnose(Measurements.load(table, dmu50), dmu50, calibration)
     assert ("spindle_growth", "Z", "spindle_rpm") in found.not_evaluated
     assert found.verdict == "unexplained"

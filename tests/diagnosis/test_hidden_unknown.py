@@ -19,7 +19,7 @@ from tests.truth.hidden import Hidden, Plan
 from twin.diagnosis import Diagnosis, diagnose
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 SIGMA_MM = 3e-3
 NONCENTRALITY = 300.0
@@ -76,7 +76,7 @@ def look(
     rng, machine = np.random.default_rng(9), calibration.machine
     read = hidden.noisy(hidden.points(of, effects, outside=lambda _: moved), rng, "isotropic", SIGMA_MM)
     table = hidden.write(folder / "m.csv", of, read, u_mm=SIGMA_MM, without=without)
-    return diagnose(load(table, machine), machine, calibration)
+    return diagnose(Measurements.load(table, machine), machine, calibration)
 
 
 def planned(seed: int) -> Plan:
@@ -159,7 +159,7 @@ def test_a_curve_that_does_not_predict_held_out_positions_is_not_promised(tmp_pa
     machine = Machine.load(write_stage(tmp_path))
     positions = np.linspace(0.0, 500.0, 6)
     rough = np.array([-12.0, 21.0, 2.0, -17.0, 15.0, -9.0])
-    data = load(stage_table(tmp_path / "rough.csv", positions, rough, -4.0, 0.6), machine)
+    data = Measurements.load(stage_table(tmp_path / "rough.csv", positions, rough, -4.0, 0.6), machine)
     found = diagnose(data, machine, Calibration.zero(machine))
     by_name = {(cause.effect, cause.where): cause for cause in found.causes}
     assert set(by_name) == {("positioning", "E_XX"), ("reversal", "X")}
@@ -178,7 +178,7 @@ def test_a_curve_that_predicts_held_out_positions_is_promised(tmp_path: Path) ->
     machine = Machine.load(write_stage(tmp_path))
     positions = np.linspace(0.0, 500.0, 11)
     bow = 20.0 * ((positions - 250.0) / 250.0) ** 2
-    data = load(stage_table(tmp_path / "bow.csv", positions, bow, 0.0, 0.6), machine)
+    data = Measurements.load(stage_table(tmp_path / "bow.csv", positions, bow, 0.0, 0.6), machine)
     found = diagnose(data, machine, Calibration.zero(machine))
     (curve,) = found.causes
     assert (curve.effect, curve.where, curve.promised) == ("positioning", "E_XX", True)
@@ -197,7 +197,7 @@ def test_a_period_with_an_alias_is_not_promised(tmp_path: Path) -> None:
     found, uneven = [], np.random.default_rng(3).uniform(0.0, 500.0, 31).round(2)
     for positions in (np.arange(0.0, 501.0, 25.0), np.sort(uneven)):
         wave = 8.0 * np.sin(2.0 * np.pi * positions / 62.5 + 0.7)
-        data = load(stage_table(tmp_path / "wave.csv", positions, wave, 0.0, 0.6), machine)
+        data = Measurements.load(stage_table(tmp_path / "wave.csv", positions, wave, 0.0, 0.6), machine)
         (cause,) = diagnose(data, machine, Calibration.zero(machine)).causes
         assert (cause.effect, cause.where) == ("pitch_error", "X")
         found.append(cause)
@@ -211,7 +211,7 @@ def test_a_cause_beyond_its_physical_limit_is_not_named(tmp_path: Path) -> None:
     """A length error of 200 ppm is no refractive index: 20 ppm would be air 20 K off."""
     machine = Machine.load(write_stage(tmp_path))
     positions = np.linspace(0.0, 500.0, 11)
-    data = load(stage_table(tmp_path / "long.csv", positions, 0.2 * positions, 0.0, 0.6), machine)
+    data = Measurements.load(stage_table(tmp_path / "long.csv", positions, 0.2 * positions, 0.0, 0.6), machine)
     found = diagnose(data, machine, Calibration.zero(machine))
     named = {effect for cause in found.causes for effect, _ in ((cause.effect, cause.where), *cause.equivalent)}
     assert "positioning" in named and "refraction_scale" not in named

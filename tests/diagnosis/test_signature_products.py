@@ -25,7 +25,7 @@ from twin.diagnosis.selection.left_out import choose_folds
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements, load, machine_state
+from twin.measurement.table import Measurements, machine_state
 from twin.numerics.covariance import Covariance
 
 EFFECTS = (Hidden("reversal", "Y", {"size": 6.0}), Hidden("squareness", "E_A0Z", {"angle": 12.0}))
@@ -35,7 +35,7 @@ def measured(machine: Machine, folder: Path, poses: int, seed: int = 3) -> Measu
     rng = np.random.default_rng(seed)
     plan = hidden.rounded(hidden.plan(rng, poses=poses, same=False))
     read = hidden.noisy(hidden.points(plan, EFFECTS), rng, "isotropic", 3e-3)
-    return load(hidden.write(folder / "measured.csv", plan, read, u_mm=3e-3), machine)
+    return Measurements.load(hidden.write(folder / "measured.csv", plan, read, u_mm=3e-3), machine)
 
 
 def split(problem: Problem) -> np.ndarray:
@@ -209,9 +209,9 @@ from pathlib import Path
 from tests.benchmarks.timing import peak_mb
 from twin.diagnosis import diagnose
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 machine = Machine.load("dmu50")
-found = diagnose(load(Path(sys.argv[1]), machine), machine)
+found = diagnose(Measurements.load(Path(sys.argv[1]), machine), machine)
 print(peak_mb(), *(f"{c.effect}:{c.where}" for c in found.causes))
 """
 

@@ -19,7 +19,7 @@ from twin.diagnosis.selection.searcher import Searcher
 from twin.diagnosis.selection.unnamed import log_tail, scan_patterns
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 
 SIGMA_MM = 3e-3
 
@@ -31,7 +31,9 @@ def searched(dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.
     plan = hidden.rounded(hidden.plan(rng, rounds=2, stops=7, poses=60))
     exact = hidden.points(plan, [Hidden("reversal", "Y", {"size": 6.0})])
     path = tmp_path_factory.mktemp("unnamed") / "m.csv"
-    data = load(hidden.write(path, plan, hidden.noisy(exact, rng, "isotropic", SIGMA_MM), u_mm=SIGMA_MM), dmu50)
+    data = Measurements.load(
+        hidden.write(path, plan, hidden.noisy(exact, rng, "isotropic", SIGMA_MM), u_mm=SIGMA_MM), dmu50
+    )
     placed = readings(data, dmu50, calibration)
     task = placed.without(placed.bad)
     return Searcher(task)
@@ -199,6 +201,6 @@ def test_patterns_follow_the_frame_that_turns(dmu50: Machine, tmp_path: Path) ->
     """On the table a pattern may be fixed to the table or to the base; the tool side of this machine does not turn."""
     rng = np.random.default_rng(3)
     plan = hidden.rounded(hidden.plan(rng, rounds=1, stops=5, poses=10))
-    data = load(hidden.write(tmp_path / "m.csv", plan, hidden.points(plan), u_mm=SIGMA_MM), dmu50)
+    data = Measurements.load(hidden.write(tmp_path / "m.csv", plan, hidden.points(plan), u_mm=SIGMA_MM), dmu50)
     fields = {(p.side, p.field) for p in patterns(dmu50, data)}
     assert fields == {("tool", "base"), ("work", "base"), ("work", "place")}

@@ -13,7 +13,7 @@ from twin.identification import identify
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.budget import volume
 
@@ -57,7 +57,7 @@ def test_from_a_plan_to_a_calibration(
     assert {row["name"] for row in said["not_identifiable"]} == {"E_X0B", "E_Y0B", "E_Y0C"}
     assert 0.9 < said["misfit"]["reduced_chi2"] < 1.1  # 2300 degrees of freedom: 3.4 standard deviations
     # Reading the file back gives the same uncertainty at the tool; 1e-9 of it is what its digits and the sum's order leave.
-    before = identify(load(measured, dmu50), dmu50).calibration
+    before = identify(Measurements.load(measured, dmu50), dmu50).calibration
     q = volume(dmu50, 20)
     ours, theirs = (
         ToolUncertainty(Kinematics(dmu50, one, tool_length_mm=100.0)).at(q).expanded_um for one in (before, found)

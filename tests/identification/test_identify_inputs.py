@@ -24,7 +24,7 @@ from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
 from twin.measurement.instruments import Instrument, LaserTracker, TrackingInterferometer
 from twin.measurement.simulate import simulate
-from twin.measurement.table import Measurements, load
+from twin.measurement.table import Measurements
 from twin.samples import thesis_plan
 
 SEED = 21
@@ -302,7 +302,7 @@ def test_good_data_raise_no_complaint(dmu50: Machine, instrument: Instrument, no
 
 def test_good_data_of_one_axis_raise_no_complaint(drill: Machine, stage: Measurements, tmp_path: Path) -> None:
     stage.save(tmp_path / "m.csv", drill)
-    _, left, _ = prepare(drill, load(tmp_path / "m.csv", drill), None)
+    _, left, _ = prepare(drill, Measurements.load(tmp_path / "m.csv", drill), None)
     assert len(left) == len(stage) and not left.notices and not left.set_aside
 
 

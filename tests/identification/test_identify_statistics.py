@@ -29,7 +29,7 @@ from twin.identification import Identification, identify
 from twin.identification.thesis.identify import identify_as_thesis
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements, load
+from twin.measurement.table import Measurements
 from twin.samples import thesis_plan
 
 FEW, MANY = 8, 60
@@ -216,7 +216,7 @@ def test_covariance_is_that_of_the_readings_carried_through(tmp_path: Path) -> N
     inverse = np.linalg.inv((jacobian / size).T @ (jacobian / size)) / np.outer(size, size)
     expected = inverse[: len(wanted), : len(wanted)]
     noisy = hidden.noisy(read(wanted), rng, "isotropic", sigma_mm)
-    data = load(hidden.write(tmp_path / "m.csv", plan, noisy, u_mm=sigma_mm), machine())
+    data = Measurements.load(hidden.write(tmp_path / "m.csv", plan, noisy, u_mm=sigma_mm), machine())
     found = identify(data, machine(), wanted=lambda name: name in wanted)
     assert found.complete and found.used.all()
     covariance = found.calibration.covariance.of(list(wanted)).matrix

@@ -26,9 +26,9 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.planning import Kit, plan
-from twin.report import machine_report
-from twin.report.page import machine_html
-from twin.report.plots import plot_motion
+from twin.reporting import machine_report
+from twin.reporting.page import machine_html
+from twin.reporting.plots import plot_motion
 
 UM, URAD = 1e-3, 1e-6
 MADE = datetime(2026, 11, 22, tzinfo=UTC)
@@ -188,7 +188,7 @@ def test_an_estimate_that_did_not_settle_is_not_used(
 ) -> None:
     """The file is marked, and no program is corrected and no table is made with it."""
     # An estimate whose steps never become small.
-    monkeypatch.setattr("twin.identification.solve.STILL", 0.0)
+    monkeypatch.setattr("twin.identification.solve.CONVERGED_CHANGE", 0.0)
     found = identified(drill, seed=2)
     machine = found.calibration.machine
     assert not found.converged and not found.calibration.settled

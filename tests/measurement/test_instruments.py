@@ -30,7 +30,7 @@ from twin.measurement.instruments.interferometer import TRACKING
 from twin.measurement.instruments.refraction import length_scale
 from twin.measurement.instruments.tracker import AT960_ABSOLUTE
 from twin.measurement.simulate import Placement, Station, simulate
-from twin.measurement.table import Measurements, load
+from twin.measurement.table import Measurements
 
 POINTS = np.array([[2.0, 0.0, 0.0], [1.0, -1.5, 0.5], [0.3, 0.2, -2.2]])
 every = pytest.mark.parametrize("instrument", INSTRUMENTS, ids=lambda instrument: instrument.name)
@@ -126,7 +126,7 @@ def test_a_station_rides_on_any_side(instrument: Instrument, side: str, dmu50: M
     assert np.nanmax(np.abs(found.point_mm - expected)) < 1e-6
     assert np.array_equal(np.isnan(found.point_mm), np.isnan(expected))
     found.save(tmp_path / "m.csv", dmu50)
-    assert set(load(tmp_path / "m.csv", dmu50).station_carrier) == {side}
+    assert set(Measurements.load(tmp_path / "m.csv", dmu50).station_carrier) == {side}
 
 
 def test_an_r_test_is_identified(dmu50: Machine, tmp_path: Path) -> None:
@@ -163,7 +163,7 @@ def test_a_station_on_two_sides_is_refused(dmu50: Machine, tmp_path: Path) -> No
     for side, said in (("work", "station on both sides"), ("bench", "unknown station carrier")):
         (tmp_path / "m.csv").write_text(text.format(side))
         with pytest.raises(InputError, match=said):
-            load(tmp_path / "m.csv", dmu50)
+            Measurements.load(tmp_path / "m.csv", dmu50)
 
 
 def test_the_at960_of_the_data_sheet() -> None:

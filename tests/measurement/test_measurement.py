@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.measurement.checks import RowNote, grouped_notes
-from twin.measurement.table import Measurements, join_tables, load
+from twin.measurement.table import Measurements
 from twin.measurement.thesis_export import load_export
 
 HEADER = "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm"
@@ -34,7 +34,7 @@ def test_reads_all_documented_columns(dmu50: Machine, tmp_path: Path) -> None:
     header = HEADER + ",station,round,time_s,approach_X,T_X_degC,T_bed_degC,readback_X_mm,u_x_mm,u_y_mm,u_z_mm"
     tail = ",s1,2,{t},-1,20.5,21,{x}.001,0.002,0.003,"
     path = table(tmp_path, *(ROW.format(x=x) + tail.format(t=x, x=x) for x in (0, 50, 100)), header=header)
-    found = load(path, dmu50)
+    found = Measurements.load(path, dmu50)
     assert len(found) == 3
     assert found.positions.tolist() == [[x, 100.0, -50.0, 0.0, 0.0] for x in (0.0, 50.0, 100.0)]
     assert found.point_mm[1] == pytest.approx([50.01, 1.5, 2.5])
@@ -75,7 +75,7 @@ def test_write_then_read(dmu50: Machine, tmp_path_factory: pytest.TempPathFactor
     )
     path = tmp_path_factory.mktemp("m") / "m.csv"
     original.save(path, dmu50, comment="drawn\nfor a test")
-    again = load(path, dmu50)
+    again = Measurements.load(path, dmu50)
     for name in ("positions", "readback", "point_mm", "u_mm", "time_s", "approach", "place_mm", "station_pose"):
         assert np.array_equal(getattr(again, name), getattr(original, name), equal_nan=True), name
     assert again.target.tolist() == original.target.tolist()
@@ -94,7 +94,7 @@ def test_write_then_read(dmu50: Machine, tmp_path_factory: pytest.TempPathFactor
     ],
 )
 def test_rows_set_aside_say_why(dmu50: Machine, tmp_path: Path, bad: str, reason: str) -> None:
-    found = load(table(tmp_path, *rows(0, 50, 100), bad, *rows(150)), dmu50)
+    found = Measurements.load(table(tmp_path, *rows(0, 50, 100), bad, *rows(150)), dmu50)
     assert len(found) == 4
     (note,) = found.set_aside
     assert note.line == 6
@@ -115,21 +115,21 @@ def test_notes_are_grouped_by_reason() -> None:
 
 def test_a_station_with_too_few_points(dmu50: Machine, tmp_path: Path) -> None:
     lines = [row + ",a" for row in rows(0, 50, 100)] + [row + ",b" for row in rows(150, 200)]
-    found = load(table(tmp_path, *lines, header=HEADER + ",station"), dmu50)
+    found = Measurements.load(table(tmp_path, *lines, header=HEADER + ",station"), dmu50)
     assert len(found) == 3
     assert [note.line for note in found.set_aside] == [6, 7]
     assert "station b" in found.set_aside[0].text
 
 
 def test_a_coordinate_that_was_not_measured_is_no_fault(dmu50: Machine, tmp_path: Path) -> None:
-    found = load(table(tmp_path, *rows(0, 50), "100,100,-50,0,0,K,tool,100.01,,"), dmu50)
+    found = Measurements.load(table(tmp_path, *rows(0, 50), "100,100,-50,0,0,K,tool,100.01,,"), dmu50)
     assert np.isnan(found.point_mm[2, 1:]).all() and not found.set_aside
 
 
 def test_missing_rounds_are_noticed(dmu50: Machine, tmp_path: Path) -> None:
     first = [row + ",1" for row in rows(0, 50, 100, 150)]
     second = [row.replace(".01,", ".02,") + ",2" for row in rows(0, 50, 100)]
-    found = load(table(tmp_path, *first, *second, header=HEADER + ",round"), dmu50)
+    found = Measurements.load(table(tmp_path, *first, *second, header=HEADER + ",round"), dmu50)
     assert found.notices == ("target K: round 2 lacks 1 of 4 positions",)
 
 
@@ -153,13 +153,15 @@ def test_bad_tables_say_where(
     dmu50: Machine, tmp_path: Path, lines: list[str], header: str, line: int | None, words: str
 ) -> None:
     with pytest.raises(InputError) as caught:
-        load(table(tmp_path, *lines, header=header), dmu50)
+        Measurements.load(table(tmp_path, *lines, header=header), dmu50)
     assert caught.value.line == line
     assert words in str(caught.value)
 
 
 def test_unknown_columns_are_reported(dmu50: Machine, tmp_path: Path) -> None:
-    found = load(table(tmp_path, *(row + ",1" for row in rows(0, 50, 100)), header=HEADER + ",aproach_X"), dmu50)
+    found = Measurements.load(
+        table(tmp_path, *(row + ",1" for row in rows(0, 50, 100)), header=HEADER + ",aproach_X"), dmu50
+    )
     assert found.notices == ("column aproach_X is unknown and not used (did you mean approach_X?)",)
 
 
@@ -173,7 +175,7 @@ def test_the_thesis_export(dmu50: Machine, tmp_path: Path) -> None:
         points = [(f"p{i}", q + 10 * k, k, number * 1e-3) for k in range(3) for i, q in enumerate(x)]
         path.write_text("".join(f"{name}, {a}, {b}, {c}\n" for name, a, b, c in points))
         tables.append(load_export(path, dmu50, positions, targets=["K", "P", "Q"], round_name=str(number)))
-    both = join_tables(tables)
+    both = Measurements.join(tables)
     assert len(both) == 66
     assert both.target[11] == "P" and both.round[33] == "2"
     assert both.positions[12, 0] == 50.0 and both.point_mm[12] == pytest.approx([60.0, 1.0, 1e-3])
@@ -198,7 +200,7 @@ def test_a_known_place_and_a_known_station(dmu50: Machine, tmp_path: Path) -> No
         "60,100,-50,0,0,P,tool,1,2,3,t,,,,0,-2000,200,0,0,90",
         "70,100,-50,0,0,P,tool,1,2,3,t,,,,0,-2000,200,0,0,90",
     ]
-    found = load(table(tmp_path, *lines, header=KNOWN + POSE), dmu50)
+    found = Measurements.load(table(tmp_path, *lines, header=KNOWN + POSE), dmu50)
     assert not found.notices and not found.set_aside
     assert found.place_mm[:2].tolist() == [[1.5, -2.0, 30.0]] * 2 and np.isnan(found.place_mm[2:]).all()
     assert found.station_pose[3:].tolist() == [[0.0, -2000.0, 200.0, 0.0, 0.0, 90.0]] * 3
@@ -230,25 +232,25 @@ def test_places_that_contradict_or_are_given_in_part(
 ) -> None:
     lines = [f"{row},{tail}" for row, tail in zip(rows(0, 50, 100), tails, strict=True)]
     with pytest.raises(InputError) as caught:
-        load(table(tmp_path, *lines, header=header), dmu50)
+        Measurements.load(table(tmp_path, *lines, header=header), dmu50)
     assert caught.value.line == line
     assert words in str(caught.value)
 
 
 def test_joined_tables_agree_on_places(dmu50: Machine, tmp_path: Path) -> None:
-    first = load(table(tmp_path, *(row + ",s,1,2,3" for row in rows(0, 50, 100)), header=KNOWN), dmu50)
-    silent = load(table(tmp_path, *rows(150, 200, 250)), dmu50)
-    other = load(table(tmp_path, *(row + ",s,1,2,5" for row in rows(0, 50, 100)), header=KNOWN), dmu50)
-    assert join_tables([silent, first]).place_mm.tolist() == [[1.0, 2.0, 3.0]] * 6
+    first = Measurements.load(table(tmp_path, *(row + ",s,1,2,3" for row in rows(0, 50, 100)), header=KNOWN), dmu50)
+    silent = Measurements.load(table(tmp_path, *rows(150, 200, 250)), dmu50)
+    other = Measurements.load(table(tmp_path, *(row + ",s,1,2,5" for row in rows(0, 50, 100)), header=KNOWN), dmu50)
+    assert Measurements.join([silent, first]).place_mm.tolist() == [[1.0, 2.0, 3.0]] * 6
     with pytest.raises(InputError, match="two places for target K"):
-        join_tables([first, other])
+        Measurements.join([first, other])
 
 
 def test_a_plan_is_written_without_coordinates(dmu50: Machine, tmp_path: Path) -> None:
-    measured = load(table(tmp_path, *rows(0, 50, 100)), dmu50)
+    measured = Measurements.load(table(tmp_path, *rows(0, 50, 100)), dmu50)
     plan = replace(measured, point_mm=np.full((3, 3), np.nan))
     headers = [set(one.to_csv(dmu50).splitlines()[0].split(",")) for one in (measured, plan)]
     assert headers[0] - headers[1] == {"x_mm", "y_mm", "z_mm"}
     path = tmp_path / "plan.csv"
     plan.save(path, dmu50)
-    assert load(path, dmu50, plan=True).positions.tolist() == plan.positions.tolist()
+    assert Measurements.load(path, dmu50, plan=True).positions.tolist() == plan.positions.tolist()

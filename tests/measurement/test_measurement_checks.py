@@ -16,7 +16,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
-from twin.measurement.table import Measurements, load
+from twin.measurement.table import Measurements
 from twin.samples import thesis_plan
 
 SEED = 20
@@ -44,7 +44,7 @@ def test_a_pasted_row_of_a_tracker_is_a_copy(
     dmu50: Machine, tracked: Measurements, tmp_path: Path, without: tuple[str, ...]
 ) -> None:
     """No time is given. 16 repeats of a point at 5 µm and digits of 0.01 µm: chance makes an equal pair in 10⁶ tables."""
-    found = load(pasted(tracked, dmu50, tmp_path / "m.csv", [3, 400], *without), dmu50)
+    found = Measurements.load(pasted(tracked, dmu50, tmp_path / "m.csv", [3, 400], *without), dmu50)
     assert len(found) == len(tracked)
     assert [(note.line, note.text) for note in found.set_aside] == [
         (len(tracked) + 2, "copy of line 5: equal in every column"),
@@ -57,7 +57,7 @@ def test_a_table_pasted_twice(dmu50: Machine, tracked: Measurements, tmp_path: P
     """With and without repeats that differ."""
     part = tracked.select(np.arange(rows))
     path = pasted(part, dmu50, tmp_path / "m.csv", list(range(rows)), "round")
-    found = load(path, dmu50)
+    found = Measurements.load(path, dmu50)
     assert len(found) == rows and [note.line for note in found.set_aside] == list(range(rows + 2, 2 * rows + 2))
 
 
@@ -79,7 +79,7 @@ def gauge(machine: Machine, path: Path, *, step_mm: float, noise_mm: float, time
 def test_equal_readings_of_a_coarse_gauge_are_no_copies(tmp_path: Path, step_mm: float, noise_mm: float) -> None:
     """Steps as fine as the noise, coarser, and so coarse that no repeat differs."""
     machine = Machine.load(write_drill(tmp_path))
-    found = load(gauge(machine, tmp_path / "m.csv", step_mm=step_mm, noise_mm=noise_mm), machine)
+    found = Measurements.load(gauge(machine, tmp_path / "m.csv", step_mm=step_mm, noise_mm=noise_mm), machine)
     assert len(found) == 200 and not found.set_aside
 
 
@@ -87,15 +87,15 @@ def test_times_decide(tmp_path: Path) -> None:
     """The same gauge with times: no reading is taken twice at one time, so that the pasted row is found."""
     machine = Machine.load(write_drill(tmp_path))
     path = gauge(machine, tmp_path / "m.csv", step_mm=0.01, noise_mm=0.003, times=True)
-    assert not load(path, machine).set_aside
+    assert not Measurements.load(path, machine).set_aside
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines, lines[7]]) + "\n")
-    (note,) = load(path, machine).set_aside
+    (note,) = Measurements.load(path, machine).set_aside
     assert (note.line, note.text) == (202, "copy of line 8: equal in every column")
     # Times of the minute are shared by different readings: they do not tell.
     coarse = [re.sub(r"(\d+)$", lambda found: str(int(found[1]) // 600), line) for line in lines[1:]]
     path.write_text("\n".join([lines[0], *coarse]) + "\n")
-    assert not load(path, machine).set_aside
+    assert not Measurements.load(path, machine).set_aside
 
 
 @pytest.mark.parametrize("column", ["T_bed_degC", "readback_X_mm", "u_x_mm", "load_kg"])
@@ -106,9 +106,9 @@ def test_a_row_that_differs_in_any_column_is_no_copy(
     lines = pasted(tracked, dmu50, tmp_path / "m.csv", [3]).read_text().splitlines()
     text = [f"{lines[0]},{column}", *(f"{line},0.01" for line in lines[1:-1]), f"{lines[-1]},0.02"]
     (tmp_path / "m.csv").write_text("\n".join(text) + "\n")
-    assert not load(tmp_path / "m.csv", dmu50).set_aside
+    assert not Measurements.load(tmp_path / "m.csv", dmu50).set_aside
     (tmp_path / "m.csv").write_text("\n".join([*text[:-1], f"{lines[-1]},0.01"]) + "\n")
-    (note,) = load(tmp_path / "m.csv", dmu50).set_aside
+    (note,) = Measurements.load(tmp_path / "m.csv", dmu50).set_aside
     assert note.line == len(tracked) + 2
 
 
@@ -136,7 +136,7 @@ def test_a_missing_offset_is_named(
     """All rows outside the range, or a part of them."""
     path = shifted(tracked, dmu50, tmp_path / "m.csv", axis, change)
     with pytest.raises(InputError) as caught:
-        load(path, dmu50)
+        Measurements.load(path, dmu50)
     assert words in caught.value.what and likely in caught.value.expected
     assert caught.value.file == str(path) and caught.value.line is not None
     line = path.read_text().splitlines()[caught.value.line - 1].split(",")
@@ -145,7 +145,7 @@ def test_a_missing_offset_is_named(
 
 def test_micrometres_are_named(dmu50: Machine, tracked: Measurements, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="X_mm looks like micrometres: divide by 1000"):
-        load(shifted(tracked, dmu50, tmp_path / "m.csv", 0, 0.0, 1e3), dmu50)
+        Measurements.load(shifted(tracked, dmu50, tmp_path / "m.csv", 0, 0.0, 1e3), dmu50)
 
 
 def test_single_rows_outside_the_range_are_set_aside(dmu50: Machine, tracked: Measurements, tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_single_rows_outside_the_range_are_set_aside(dmu50: Machine, tracked: Me
     positions = np.array(tracked.positions)
     positions[[5, 100, 300], 0] = [600.0, 501.0, -70.0]
     replace(tracked, positions=read_only(positions)).save(tmp_path / "m.csv", dmu50)
-    found = load(tmp_path / "m.csv", dmu50)
+    found = Measurements.load(tmp_path / "m.csv", dmu50)
     assert len(found) == len(tracked) - 3
     assert {note.text for note in found.set_aside} == {"the command of X is outside its range 0 … 500 mm"}
 
@@ -165,7 +165,7 @@ def test_a_station_without_a_reading_is_named(dmu50: Machine, tracked: Measureme
     points[tracked.target == "P"] = np.nan
     lost = int(np.count_nonzero(tracked.target == "P"))
     replace(tracked, point_mm=read_only(points), station=read_only(stations)).save(tmp_path / "m.csv", dmu50)
-    assert load(tmp_path / "m.csv", dmu50).notices[:3] == (
+    assert Measurements.load(tmp_path / "m.csv", dmu50).notices[:3] == (
         "the file says: simulated readings",
         "station west is not used: none of its 40 rows is usable (no coordinate was measured)",
         f"target P is not used: none of its {lost} rows is usable (no coordinate was measured)",
@@ -175,5 +175,5 @@ def test_a_station_without_a_reading_is_named(dmu50: Machine, tracked: Measureme
         "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm,station\n" + "0,0,0,0,0,K,tool,,,,west\n" * 4
     )
     with pytest.raises(InputError, match="station west: no coordinate was measured") as caught:
-        load(lines, dmu50)
+        Measurements.load(lines, dmu50)
     assert caught.value.line == 2

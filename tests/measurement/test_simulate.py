@@ -15,7 +15,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Air, Instrument, LaserTracker, TrackingInterferometer
 from twin.measurement.simulate import Environment, Placement, Station, simulate
-from twin.measurement.table import Measurements, load
+from twin.measurement.table import Measurements
 from twin.samples import thesis_plan
 
 PLAN_HEADER = "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,station,round"
@@ -34,7 +34,7 @@ def plan(dmu50: Machine, tmp_path: Path) -> Measurements:
         )
     path = tmp_path / "plan.csv"
     path.write_text(PLAN_HEADER + "\n" + "\n".join(rows) + "\n")
-    return load(path, dmu50, plan=True)
+    return Measurements.load(path, dmu50, plan=True)
 
 
 def test_without_noise_the_readings_are_the_truth(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
@@ -172,7 +172,7 @@ def test_command_with_air_and_drift(tmp_path: Path, dmu50: Machine, capsys: pyte
     assert any("lengths read -0.952 um/m" in line for line in comment)
     assert any("station 1 drifts (5, 0, -2.5) um/h" in line for line in comment)
     assert any("target QT: (60, 90, 140) mm" in line for line in comment)
-    assert len(load(out, dmu50)) == 840 and "place_x_mm" not in out.read_text()
+    assert len(Measurements.load(out, dmu50)) == 840 and "place_x_mm" not in out.read_text()
     for plan_name, arguments, words in (
         ("thesis_plan.csv", ["--air", "21,1013.25"], "T,p,RH"),
         ("thesis_plan.csv", ["--air", "21,101325,50"], "hPa"),
@@ -204,7 +204,7 @@ def test_command(tmp_path: Path, dmu50: Machine, plan: Measurements, capsys: pyt
     assert "60 points" in capsys.readouterr().out
     text = out.read_text()
     assert text.startswith("# simulated by twin") and "seed 9" in text and "# target K:" in text
-    measured = load(out, dmu50)
+    measured = Measurements.load(out, dmu50)
     assert len(measured) == 60 and not measured.set_aside
     for arguments, word in ((["--instrument", "ruler"], "tracker"), (["--seed", "-1"], "0 or more")):
         with pytest.raises(SystemExit) as stopped:

@@ -30,7 +30,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.effects import ErrorMotion
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 from twin.numerics.covariance import Covariance
 from twin.numerics.curves import POWER, CurveSpace, FGBernstein, basis_named, conversion
 
@@ -638,7 +638,7 @@ def test_a_diagnosis_of_bernstein_curves_equals_that_of_powers(
     rng = np.random.default_rng(1)
     plan = hidden.rounded(hidden.plan(rng, poses=40))
     read = hidden.noisy(hidden.points(plan), rng, "isotropic", 3e-3)
-    data = load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=3e-3), dmu50)
+    data = Measurements.load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=3e-3), dmu50)
     right = calibration.curves["E_CX"]
     turned = replace(right, coefficients=tuple(-c for c in right.coefficients))
     judged = replace(calibration, curves=MappingProxyType({**calibration.curves, "E_CX": turned}))

@@ -13,7 +13,7 @@ from tests.planning import kits
 from twin import cli
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 from twin.planning import Kit, Plan, duration
 from twin.planning.kit import bundled_kit
 from twin.samples import thesis_plan
@@ -134,7 +134,7 @@ def test_from_a_kit_to_a_calibration(
     assert said["minutes"] <= 60.0 and sum(said["seconds"].values()) == pytest.approx(60.0 * said["minutes"])
     assert out.read_text().startswith("# plan by twin: slides") and "overrun" in out.read_text()
     machine = Machine.load(str(slides))
-    table = load(out, machine, plan=True)
+    table = Measurements.load(out, machine, plan=True)
     assert len(table) == said["points"] and not table.set_aside
     kit = Kit.load(own, machine)
     assert duration(machine, kit, table) / 60.0 == pytest.approx(said["minutes"], abs=0.01)
@@ -222,14 +222,16 @@ def test_coordinates_entered_into_a_plan_do_not_make_its_positions_known(half: P
     header, *rows = [line for line in (tmp_path / "p.csv").read_text().splitlines() if not line.startswith("#")]
     measured = tmp_path / "m.csv"
     measured.write_text("\n".join([f"{header},x_mm,y_mm,z_mm", *(f"{row},1,2,3" for row in rows)]) + "\n")
-    plan, data = (load(path, half.machine, plan=path != measured) for path in (tmp_path / "p.csv", measured))
+    plan, data = (
+        Measurements.load(path, half.machine, plan=path != measured) for path in (tmp_path / "p.csv", measured)
+    )
     assert np.allclose(plan.place_mm, half.table.place_mm) and np.allclose(plan.station_pose, half.table.station_pose)
     assert np.isnan(data.place_mm).all() and np.isnan(data.station_pose).all()
     assert not any("planned" in notice for notice in data.notices)
     one = next(iter(half.kit.targets))
     known = replace(half.kit, targets={**half.kit.targets, one: replace(half.kit.targets[one], known=True)})
     replace(half, kit=known).save(tmp_path / "k.csv")
-    told = load(tmp_path / "k.csv", half.machine, plan=True)
+    told = Measurements.load(tmp_path / "k.csv", half.machine, plan=True)
     assert np.allclose(told.place_mm, half.table.place_mm)
     assert "place_x_mm" in (tmp_path / "k.csv").read_text().replace("planned_place_x_mm", "")
 

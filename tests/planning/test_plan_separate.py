@@ -22,7 +22,7 @@ from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
-from twin.measurement.table import Measurements, join_tables, load
+from twin.measurement.table import Measurements
 from twin.planning import Plan, separate
 from twin.planning.separate import NamedCause, cause_form
 from twin.samples import thesis_plan
@@ -60,7 +60,7 @@ def diagnosed(real: Calibration, known: Calibration, made: Plan, seed: int, *, b
     if before:
         tables.append(simulate(thesis_plan.plan(known.machine), known.machine, real, TRACKER, rng)[0])
     tables.append(simulate(made.table, known.machine, real, TRACKER, rng, setting=made.kit.setting)[0])
-    return diagnose(join_tables(tables), known.machine, known, instrument=TRACKER)
+    return diagnose(Measurements.join(tables), known.machine, known, instrument=TRACKER)
 
 
 def distinguished(found: Diagnosis, name: str, other: str) -> bool:
@@ -182,7 +182,7 @@ def test_the_form_of_a_cause_has_the_given_time_constant(dmu50: Machine, tmp_pat
     """Without a time constant or amplitude the drift is linear."""
     rng = np.random.default_rng(3)
     of = hidden.rounded(hidden.plan(rng, poses=20))
-    table = load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=None), dmu50)
+    table = Measurements.load(hidden.write(tmp_path / "m.csv", of, hidden.points(of), u_mm=None), dmu50)
     known = Calibration.default(dmu50)
     span = float(np.ptp(table.time_s))
     _, bent = cause_form(NamedCause.parse(f"thermal_drift Z time_constant={span / 5.0}"), dmu50, table, known)

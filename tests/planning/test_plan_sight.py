@@ -332,10 +332,10 @@ def test_the_same_seed_gives_the_same_plan(tmp_path: Path) -> None:
 
 def test_a_plan_is_a_table(dmu50: Machine, made: Plan, tmp_path: Path) -> None:
     """The table has the positions of the kit, unchanged after writing and reading."""
-    from twin.measurement.table import load
+    from twin.measurement.table import Measurements
 
     made.save(tmp_path / "p.csv")
-    read = load(tmp_path / "p.csv", dmu50, plan=True)
+    read = Measurements.load(tmp_path / "p.csv", dmu50, plan=True)
     assert not read.set_aside and len(read) == len(made.table)
     for name in ("positions", "approach", "time_s", "place_mm", "station_pose"):
         assert np.array_equal(getattr(read, name), getattr(made.table, name)), name

@@ -23,7 +23,7 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
-from twin.measurement.table import Measurements, load
+from twin.measurement.table import Measurements
 from twin.numerics.curves import POWER, CurveSpace
 
 SEED = 20200714
@@ -57,7 +57,12 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     here, given = tmp_path_factory.mktemp("ur10"), tmp_path_factory.mktemp("ur10e")
     machine = Machine.load(ur10.write_machine(shared, here, as_given=False))
     as_given = Machine.load(ur10.write_machine(shared, given, as_given=True))
-    return Robot(machine, as_given, load(ur10.write_table(shared, here / "poses.csv"), machine), ur10.goals_mm(shared))
+    return Robot(
+        machine,
+        as_given,
+        Measurements.load(ur10.write_table(shared, here / "poses.csv"), machine),
+        ur10.goals_mm(shared),
+    )
 
 
 def halves(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
@@ -206,7 +211,7 @@ def drill(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 @pytest.fixture(scope="module")
 def plate(drill: Machine, tmp_path_factory: pytest.TempPathFactory) -> Measurements:
     holes = plates.holes_mm(folder("plates"))
-    return load(plates.write_table(holes, tmp_path_factory.mktemp("plate") / "plate.csv"), drill)
+    return Measurements.load(plates.write_table(holes, tmp_path_factory.mktemp("plate") / "plate.csv"), drill)
 
 
 def straight(machine: Machine, *wanted: str) -> Unknowns:
@@ -304,7 +309,7 @@ def test_a_station_that_read_a_plane_is_placed_by_it(drill: Machine, tmp_path: P
     actual[:, 0] -= squareness * grid[:, 1]
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     read = (actual - shift) @ rotation
-    data = load(plates.write_table(np.hstack([read, grid]), tmp_path / "plane.csv"), drill)
+    data = Measurements.load(plates.write_table(np.hstack([read, grid]), tmp_path / "plane.csv"), drill)
     network, solution = fitted(drill, data, straight(drill, *SCALES, SQUARENESS))
     calibration, _ = network.unknowns.calibration(solution.theta, range(3), "test", None)
     # Chain: T_x E_x T_y E_y: a shear of 6e-5 times a scale of 4e-5 is 2e-3 µrad.

@@ -18,7 +18,7 @@ from twin.diagnosis.result import Quantity
 from twin.identification import identify
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements, load
+from twin.measurement.table import Measurements
 
 FACTOR = 3.0
 """Standard uncertainties by which an answer may be wrong: 1 in 370."""
@@ -47,7 +47,7 @@ def run(
 ) -> tuple[str, Measurements, Diagnosis]:
     shared, here = folder("stage-iso230-2"), tmp_path_factory.mktemp("stage")
     machine = Machine.load(stage.write_machine(here))
-    data = load(stage.write_table(shared, request.param, here / "run.csv"), machine)
+    data = Measurements.load(stage.write_table(shared, request.param, here / "run.csv"), machine)
     return request.param, data, diagnose(data, machine, Calibration.zero(machine))
 
 
@@ -123,7 +123,7 @@ def test_a_plate_shows_scale_and_squareness_whatever_is_stated(told: str, tmp_pa
     rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
     kept = [i for i, name in enumerate(rows[0]) if not name.startswith(tuple(dropped) or "-")]
     path.write_text("\n".join([",".join(row[i] for i in kept) for row in rows] + [""]), encoding="utf-8")
-    found = diagnose(load(path, machine), machine, Calibration.zero(machine))
+    found = diagnose(Measurements.load(path, machine), machine, Calibration.zero(machine))
     angle = number(the(found, "squareness", "E_C0Y"), "angle")
     assert abs(angle.value - 64.3) < FACTOR * np.hypot(angle.u, 1.4)
     scales = []
@@ -145,7 +145,7 @@ def test_a_plate_shows_scale_and_squareness_whatever_is_stated(told: str, tmp_pa
 def robot(folder_of: Path, tmp_path: Path) -> tuple[Machine, Measurements, Calibration, np.ndarray]:
     """Machine, poses, the geometric calibration from half of the places, and which poses those are."""
     machine = Machine.load(ur10.write_machine(folder_of, tmp_path, as_given=False))
-    data = load(ur10.write_table(folder_of, tmp_path / "poses.csv"), machine)
+    data = Measurements.load(ur10.write_table(folder_of, tmp_path / "poses.csv"), machine)
     names = np.unique(data.round)
     first = np.isin(data.round, np.random.default_rng(SEED).permutation(names)[: len(names) // 2])
     wanted = machine.location_names

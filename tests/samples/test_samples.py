@@ -10,7 +10,7 @@ from tests.truth.reference import sorby_forward
 from twin.identification.thesis.three_point import three_point
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
-from twin.measurement.table import load
+from twin.measurement.table import Measurements
 from twin.samples import thesis_plan
 
 FOLDER = cone_frustum.FOLDER
@@ -51,7 +51,7 @@ def test_the_plan_equals_the_output_of_the_script() -> None:
 
 
 def test_the_plan_is_that_of_the_thesis(dmu50: Machine) -> None:
-    plan = load(FOLDER / "thesis_plan.csv", dmu50, plan=True)
+    plan = Measurements.load(FOLDER / "thesis_plan.csv", dmu50, plan=True)
     assert not plan.set_aside and not plan.notices
     assert len(plan) == 4 * 3 * (11 + 11 + 11 + 19 + 18)
     assert set(plan.station) == {"1"} and set(plan.round) == {"1", "2", "3", "4"}
@@ -74,7 +74,7 @@ def test_the_plan_is_that_of_the_thesis(dmu50: Machine) -> None:
 
 def test_the_six_equations_hold_everywhere_on_the_plan(dmu50: Machine) -> None:
     """Unit noise in a reading is at most 1.8 in a translation at every position (2.5 would still hold with places a third apart)."""
-    plan = load(FOLDER / "thesis_plan.csv", dmu50, plan=True)
+    plan = Measurements.load(FOLDER / "thesis_plan.csv", dmu50, plan=True)
     for places in (thesis_plan.TOOL_PLACES_MM, thesis_plan.WORK_PLACES_MM):
         assert len({place[2] for place in places.values()}) == 3
         for name, place in places.items():

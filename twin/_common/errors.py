@@ -36,7 +36,7 @@ class InputError(ValueError):
         file: str | Path | None = None,
         line: int | None = None,
         value: object = None,
-        closest_name: str | None = None,
+        nearest: str | None = None,
         setting: str | None = None,
     ) -> None:
         self.what = what
@@ -44,7 +44,7 @@ class InputError(ValueError):
         self.file = None if file is None else str(file)
         self.line = line
         self.value = value
-        self.nearest = closest_name
+        self.nearest = nearest
         self.setting = setting
         super().__init__(str(self))
 
@@ -52,7 +52,7 @@ class InputError(ValueError):
         """Pickle the error with its value as text, so that errors of worker processes can be raised here (`twin.compute.parallel`)."""
         value = None if self.value is None else str(self.value)
         keywords: dict[str, Any] = {"expected": self.expected, "file": self.file, "line": self.line, "value": value}
-        return partial(InputError, **keywords, closest_name=self.nearest, setting=self.setting), (self.what,)
+        return partial(InputError, **keywords, nearest=self.nearest, setting=self.setting), (self.what,)
 
     def __str__(self) -> str:
         place = ""

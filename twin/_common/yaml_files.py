@@ -94,7 +94,7 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
             line=line_of(place, lines),
             # The value enclosing a missing top-level entry would be the whole file.
             value=None if first["type"] == "missing" and len(place) == 1 else first["input"],
-            closest_name=_suggested(first, known),
+            nearest=_suggested(first, known),
         ) from error
 
 

@@ -13,8 +13,7 @@ from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption, command, progress
 from twin.diagnosis import diagnose as run_diagnosis
 from twin.machine.machine import DEFAULT, Machine
-from twin.measurement.table import join_tables
-from twin.measurement.table import load as load_measurements
+from twin.measurement.table import Measurements
 
 
 @command(
@@ -60,7 +59,7 @@ def diagnose(
     errors = options.calibration_of(calibration, loaded)
     with progress() as say:
         say("reading", 0.0)
-        data = join_tables([load_measurements(path, loaded) for path in measured])
+        data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         reader = None if instrument is None else options.instrument_named(instrument)
         found = run_diagnosis(data, loaded, errors, instrument=reader, empirical=empirical, say=say)
     if extended is not None:

@@ -18,7 +18,7 @@ PAGES: Final = {
     "identify": "twin.identification",
     "diagnose": "twin.diagnosis",
     "plan": "twin.planning",
-    "report": "twin.report",
+    "report": "twin.reporting",
     "compare": "twin.comparison",
     "control": "twin.machine.control",
     "interferometer": "twin.identification.axis_run",
@@ -49,7 +49,7 @@ def doc(
     """
     if page is not None and page not in PAGES:
         raise InputError(
-            "no such page", expected=f"one of {', '.join(PAGES)}", value=page, closest_name=closest_name(page, PAGES)
+            "no such page", expected=f"one of {', '.join(PAGES)}", value=page, nearest=closest_name(page, PAGES)
         )
     pages = {name: page_text(module) for name, module in PAGES.items() if page in (None, name)}
 

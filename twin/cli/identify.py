@@ -20,8 +20,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.control import FORMATS, ControlSection, TableEntry, read_tables
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.instruments import INSTRUMENTS
-from twin.measurement.table import join_tables
-from twin.measurement.table import load as load_measurements
+from twin.measurement.table import Measurements
 
 
 class UncertaintyChoice(StrEnum):
@@ -92,12 +91,12 @@ def identify(
                 "--only matches no error of this machine",
                 expected=f"among {', '.join(names)}",
                 value=pattern,
-                closest_name=closest_name(pattern, names),
+                nearest=closest_name(pattern, names),
             )
     tables = tables_on(control, loaded) if control else None
     with progress() as say:
         say("reading", 0.0)
-        data = join_tables([load_measurements(path, loaded) for path in measured])
+        data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         found = run_identification(
             data,
             loaded,
@@ -135,7 +134,7 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
                 "--control cannot be read",
                 expected=f"FORMAT=FILE, once per file, FORMAT one of {', '.join(known)}",
                 value=entry,
-                closest_name=closest_name(kind, known),
+                nearest=closest_name(kind, known),
             )
         found.setdefault(kind, []).append(Path(file))
     for kind, files in found.items():

@@ -15,7 +15,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.checks import grouped_notes
 from twin.measurement.instruments import INSTRUMENTS
-from twin.measurement.table import load as load_measurements
+from twin.measurement.table import Measurements
 from twin.planning import Kit, duration, judge, separate
 from twin.planning import plan as make_plan
 from twin.planning.kit import bundled_kit
@@ -121,7 +121,7 @@ def plan(
                 own,
                 minutes=MINUTES_TO_SEPARATE if minutes is None else minutes,
                 calibration=errors,
-                after=None if after is None else load_measurements(after, loaded),
+                after=None if after is None else Measurements.load(after, loaded),
                 seed=seed,
                 say=say,
             )
@@ -145,7 +145,7 @@ def _judged(
     plan: Path, machine: Machine, kit: Kit, errors: Calibration, instrument: str, tool_length_mm: float | None
 ) -> CommandResult:
     """Evaluate a given plan: expected uncertainties and duration."""
-    table = load_measurements(options.plan_file(plan), machine, plan=True)
+    table = Measurements.load(options.plan_file(plan), machine, plan=True)
     reader = options.instrument_named(instrument)
     with progress() as say:
         say("judging", 0.0)

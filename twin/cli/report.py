@@ -13,8 +13,8 @@ from twin._common.provenance import warning_texts
 from twin.cli.shared import options
 from twin.cli.shared.command import HTML, CommandResult, JsonOption, command, progress
 from twin.machine.machine import DEFAULT, Machine
-from twin.measurement.table import load as load_measurements
-from twin.report import MachineReport, machine_report
+from twin.measurement.table import Measurements
+from twin.reporting import MachineReport, machine_report
 
 
 @command(
@@ -53,11 +53,11 @@ def report(
             tool_length_mm=tool_length,
             conditions=at,
             identified=identified,
-            measured=[(path, load_measurements(path, loaded)) for path in measured or []],
+            measured=[(path, Measurements.load(path, loaded)) for path in measured or []],
             seed=seed,
             say=lambda stage, part: say(stage, 0.5 * part),
         )
-        from twin.report.page import (
+        from twin.reporting.page import (
             machine_html,
         )  # imports matplotlib and meshcat, which are slow and needed only here
 

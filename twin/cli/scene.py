@@ -43,7 +43,7 @@ def scene(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Animate the machine running a program, with programmed and actual tool path, in one self-contained HTML file."""
-    from twin.report.scene import draw_program  # imports meshcat, which is slow and needed only here
+    from twin.reporting.scene import draw_program  # imports meshcat, which is slow and needed only here
 
     loaded = Machine.load(machine)
     source = find_program(program)

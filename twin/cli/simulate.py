@@ -19,7 +19,7 @@ from twin.measurement.checks import grouped_notes
 from twin.measurement.instruments import INSTRUMENTS, Air
 from twin.measurement.simulate import Environment
 from twin.measurement.simulate import simulate as run_simulation
-from twin.measurement.table import load as load_measurements
+from twin.measurement.table import Measurements
 
 PlanArgument = Annotated[
     Path,
@@ -75,7 +75,7 @@ def simulate(
     truth = options.calibration_of(calibration, loaded)
     with progress() as say:
         say("reading", 0.0)
-        planned = load_measurements(source, loaded, plan=True)
+        planned = Measurements.load(source, loaded, plan=True)
         say("measuring", 0.3)
         rng = np.random.default_rng(seed)
         measured, setting = run_simulation(planned, loaded, truth, reader, rng, noise=noise, surroundings=around)

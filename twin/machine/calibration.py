@@ -437,7 +437,7 @@ class _Check:
 
     def fail(self, place: EntryPath, what: str, expected: str, value: object, meant: str | None = None) -> InputError:
         line = line_of(place, self.lines)
-        return InputError(what, expected=expected, file=self.path, line=line, value=value, closest_name=meant)
+        return InputError(what, expected=expected, file=self.path, line=line, value=value, nearest=meant)
 
     def name(self, place: EntryPath, name: str, allowed: tuple[str, ...]) -> None:
         if name not in allowed:

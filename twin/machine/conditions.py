@@ -59,7 +59,7 @@ class Conditions:
                     "temperature of neither an axis nor a sensor of the model",
                     expected=f"one of {', '.join(known)}",
                     value=name,
-                    closest_name=closest_name(name, known),
+                    nearest=closest_name(name, known),
                 )
             if not low <= value <= high:
                 raise InputError(

@@ -99,7 +99,7 @@ def empirical_named(
                 f"no such parameter of {NAME} {where}",
                 expected=expected,
                 value=name,
-                closest_name=closest_name(name, known),
+                nearest=closest_name(name, known),
             )
         if abs(value) > MAX_COEFFICIENT_UM:
             expected = f"at most {MAX_COEFFICIENT_UM:g} µm"
@@ -204,7 +204,7 @@ def _waves(where: str, given: ColumnSpec, machine: Machine) -> Waves:
             f"no such column for {NAME} {where}",
             expected=f"{', '.join(columns)} or T_<sensor>_degC",
             value=name,
-            closest_name=closest_name(name, columns),
+            nearest=closest_name(name, columns),
         )
     allowed: tuple[Kind, ...] = ("half_waves",)
     if name.startswith(APPROACH):

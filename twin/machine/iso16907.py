@@ -109,7 +109,7 @@ class Scope:
                     "no such class of ISO/TR 16907",
                     expected=f"some of {' '.join(NAMES)}",
                     value=name,
-                    closest_name=closest_name(upper, NAMES),
+                    nearest=closest_name(upper, NAMES),
                 )
             found.update(COMBINED.get(upper, (upper,)))
         if not found:

@@ -384,7 +384,7 @@ def find_bundled(name: str | Path, suffix: str, expected: str) -> Path:
         "not found",
         expected=f"{expected}, or one that comes with twin ({', '.join(known)})",
         file=path,
-        closest_name=closest_name(path.name, meant),
+        nearest=closest_name(path.name, meant),
     )
 
 

@@ -278,7 +278,7 @@ def _check_joint(joint: Element, path: Path) -> None:
 
     def refuse(what: str, expected: str, value: str) -> InputError:
         return InputError(
-            what, expected=expected, file=path, line=joint.line, value=value, closest_name=closest_name(value, TYPES)
+            what, expected=expected, file=path, line=joint.line, value=value, nearest=closest_name(value, TYPES)
         )
 
     if kind not in TYPES:
@@ -301,7 +301,7 @@ def _end(joint: Element, kind: str, known: list[str], path: Path) -> str:
             file=path,
             line=ends[0].line if len(ends) == 1 else joint.line,
             value=link or None,
-            closest_name=closest_name(link, known) if link else None,
+            nearest=closest_name(link, known) if link else None,
         )
     return link
 

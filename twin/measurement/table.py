@@ -135,6 +135,101 @@ class Measurements:
                 kind = object if isinstance(value, str) else float
                 object.__setattr__(self, name, read_only(np.full(shape, value, dtype=kind)))
 
+    @classmethod
+    def load(cls, path: str | Path, machine: Machine, *, plan: bool = False) -> Measurements:
+        """Read and check a measurement table.
+
+        Args:
+            path: the file.
+            machine: the machine that was measured.
+            plan: whether the table is a plan: its coordinates are not read and their columns may be missing.
+
+        Raises:
+            InputError: with file, line and value, if the file is not a measurement table: no header, a missing column, a cell that is
+                not a number, an unknown carrier, a target that changes sides or has two places, a station with two poses, an incomplete
+                place or pose, positions with a constant offset or in another unit.
+        """
+        path = Path(path)
+        header, rows, comments = read_table(path)
+        simulated_notes, parts = simulated_comments(comments), table_columns(machine)
+        columns = {name: i for i, name in enumerate(header)}
+        needed = [*parts[0].columns, "target", "carrier", *(() if plan else POINT_COLUMNS)]
+        for name in needed:
+            if name not in columns:
+                raise InputError(
+                    f"column {name} is missing",
+                    expected=f"columns {', '.join(needed)}",
+                    nearest=closest_name(name, [one for one in header if one not in needed]),
+                    file=path,
+                    line=rows[0][0] - 1 if rows else 1,
+                )
+        reader = Cells(path, columns, rows)
+        temperatures = {name[2:-5]: reader.numbers(name) for name in header if re.fullmatch("T_.*_degC", name)}
+        places = (*PLACE_COLUMNS, *STATION_COLUMNS)
+        known = {name for part in parts for name in part.columns} | {f"T_{name}_degC" for name in temperatures}
+        known |= {*places, *(f"{PLANNED}{name}" for name in places)}
+        channels = {name: reader.numbers(name) for name in header if name not in known and CHANNEL.fullmatch(name)}
+        unknown_columns = [name for name in header if name not in known and name not in channels]
+        values: dict[str, Any] = {part.field: part.read(reader) for part in parts if part.columns}
+        if plan:
+            values["point_mm"] = read_only(np.zeros((len(rows), 3)))
+        table = cls(
+            source=str(path),
+            lines=read_only(np.array([line for line, _ in rows], dtype=int)),
+            **values,
+            place_mm=_places(reader, PLACE_COLUMNS, planned=plan),
+            station_pose=_places(reader, STATION_COLUMNS, planned=plan),
+            temperature_degC=MappingProxyType(temperatures),
+            channels=MappingProxyType(channels),
+            notices=(
+                *(f"the file says: {text}" for text in simulated_notes),
+                *(unused_column_note(name, sorted(known)) for name in unknown_columns),
+            ),
+            simulated=bool(simulated_notes),
+        )
+        if not rows:
+            raise InputError("no measured point", expected="one row for each point below the header", file=path)
+        _check_names(table)
+        unknown_cells = (
+            ["\0".join(row[columns[name]] for name in unknown_columns) for _, row in rows] if unknown_columns else ()
+        )
+        return without_unusable_rows(_with_known_places(table), machine, unknown_cells)
+
+    @classmethod
+    def join(cls, tables: Sequence[Measurements]) -> Measurements:
+        """Join tables of one machine, for example the rounds of an export. Line numbers remain those of each file.
+
+        Raises:
+            InputError: no table, or a target or station whose place differs between tables.
+        """
+        if not tables:
+            raise InputError("no measurements", expected="at least one table")
+        first = tables[0]
+        merged: dict[str, Any] = {
+            name: read_only(np.concatenate([table.arrays()[name] for table in tables])) for name in first.arrays()
+        }
+        for field_name in BY_COLUMN_NAME:
+            every = [getattr(table, field_name) for table in tables]
+            merged[field_name] = MappingProxyType(
+                {
+                    name: read_only(
+                        np.concatenate(
+                            [o.get(name, np.full(len(t), np.nan)) for o, t in zip(every, tables, strict=True)]
+                        )
+                    )
+                    for name in dict.fromkeys(name for own in every for name in own)
+                }
+            )
+        table = replace(
+            first,
+            **merged,
+            source=", ".join(dict.fromkeys(table.source for table in tables)),
+            set_aside=tuple(note for table in tables for note in table.set_aside),
+            notices=tuple(dict.fromkeys(notice for table in tables for notice in table.notices)),
+            simulated=any(table.simulated for table in tables),
+        )
+        return _with_known_places(table)
+
     def __len__(self) -> int:
         return len(self.lines)
 
@@ -171,11 +266,11 @@ class Measurements:
         expected: str,
         row: int | np.integer[Any] | None = None,
         value: object = None,
-        closest_name: str | None = None,
+        nearest: str | None = None,
     ) -> InputError:
         """Return an `InputError` about this table, with its file and the line of a row."""
         line = None if row is None else int(self.lines[row])
-        return InputError(what, expected=expected, file=self.source, line=line, value=value, closest_name=closest_name)
+        return InputError(what, expected=expected, file=self.source, line=line, value=value, nearest=nearest)
 
     def select(self, rows: np.ndarray) -> Measurements:
         """Return the table with some of its rows (indices or a mask)."""
@@ -223,66 +318,6 @@ class Measurements:
         return csv_text(columns, comment_lines(comment, simulated=self.simulated))
 
 
-def load(path: str | Path, machine: Machine, *, plan: bool = False) -> Measurements:
-    """Read and check a measurement table.
-
-    Args:
-        path: the file.
-        machine: the machine that was measured.
-        plan: whether the table is a plan: its coordinates are not read and their columns may be missing.
-
-    Raises:
-        InputError: with file, line and value, if the file is not a measurement table: no header, a missing column, a cell that is not a
-            number, an unknown carrier, a target that changes sides or has two places, a station with two poses, an incomplete place or
-            pose, positions with a constant offset or in another unit.
-    """
-    path = Path(path)
-    header, rows, comments = read_table(path)
-    simulated_notes, parts = simulated_comments(comments), table_columns(machine)
-    columns = {name: i for i, name in enumerate(header)}
-    needed = [*parts[0].columns, "target", "carrier", *(() if plan else POINT_COLUMNS)]
-    for name in needed:
-        if name not in columns:
-            raise InputError(
-                f"column {name} is missing",
-                expected=f"columns {', '.join(needed)}",
-                closest_name=closest_name(name, [one for one in header if one not in needed]),
-                file=path,
-                line=rows[0][0] - 1 if rows else 1,
-            )
-    reader = Cells(path, columns, rows)
-    temperatures = {name[2:-5]: reader.numbers(name) for name in header if re.fullmatch("T_.*_degC", name)}
-    places = (*PLACE_COLUMNS, *STATION_COLUMNS)
-    known = {name for part in parts for name in part.columns} | {f"T_{name}_degC" for name in temperatures}
-    known |= {*places, *(f"{PLANNED}{name}" for name in places)}
-    channels = {name: reader.numbers(name) for name in header if name not in known and CHANNEL.fullmatch(name)}
-    unknown_columns = [name for name in header if name not in known and name not in channels]
-    values: dict[str, Any] = {part.field: part.read(reader) for part in parts if part.columns}
-    if plan:
-        values["point_mm"] = read_only(np.zeros((len(rows), 3)))
-    table = Measurements(
-        source=str(path),
-        lines=read_only(np.array([line for line, _ in rows], dtype=int)),
-        **values,
-        place_mm=_places(reader, PLACE_COLUMNS, planned=plan),
-        station_pose=_places(reader, STATION_COLUMNS, planned=plan),
-        temperature_degC=MappingProxyType(temperatures),
-        channels=MappingProxyType(channels),
-        notices=(
-            *(f"the file says: {text}" for text in simulated_notes),
-            *(unused_column_note(name, sorted(known)) for name in unknown_columns),
-        ),
-        simulated=bool(simulated_notes),
-    )
-    if not rows:
-        raise InputError("no measured point", expected="one row for each point below the header", file=path)
-    _check_names(table)
-    unknown_cells = (
-        ["\0".join(row[columns[name]] for name in unknown_columns) for _, row in rows] if unknown_columns else ()
-    )
-    return without_unusable_rows(_with_known_places(table), machine, unknown_cells)
-
-
 def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray:
     """Return (n, k) known places; for a plan also the planned ones."""
     found = np.stack([reader.numbers(name) for name in names], axis=1)
@@ -290,39 +325,6 @@ def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray
         planned_places = np.stack([reader.numbers(f"{PLANNED}{name}") for name in names], axis=1)
         found = np.where(np.isfinite(found).any(axis=1, keepdims=True), found, planned_places)
     return read_only(found)
-
-
-def join_tables(tables: Sequence[Measurements]) -> Measurements:
-    """Join tables of one machine, for example the rounds of an export. Line numbers remain those of each file.
-
-    Raises:
-        InputError: no table, or a target or station whose place differs between tables.
-    """
-    if not tables:
-        raise InputError("no measurements", expected="at least one table")
-    first = tables[0]
-    merged: dict[str, Any] = {
-        name: read_only(np.concatenate([table.arrays()[name] for table in tables])) for name in first.arrays()
-    }
-    for field_name in BY_COLUMN_NAME:
-        every = [getattr(table, field_name) for table in tables]
-        merged[field_name] = MappingProxyType(
-            {
-                name: read_only(
-                    np.concatenate([o.get(name, np.full(len(t), np.nan)) for o, t in zip(every, tables, strict=True)])
-                )
-                for name in dict.fromkeys(name for own in every for name in own)
-            }
-        )
-    table = replace(
-        first,
-        **merged,
-        source=", ".join(dict.fromkeys(table.source for table in tables)),
-        set_aside=tuple(note for table in tables for note in table.set_aside),
-        notices=tuple(dict.fromkeys(notice for table in tables for notice in table.notices)),
-        simulated=any(table.simulated for table in tables),
-    )
-    return _with_known_places(table)
 
 
 def machine_state(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
@@ -349,7 +351,7 @@ def _check_names(table: Measurements) -> None:
                     expected=" or ".join(sides),
                     row=row,
                     value=one,
-                    closest_name=closest_name(one, sides),
+                    nearest=closest_name(one, sides),
                 )
             if not name[row]:
                 raise table.error(f"no {columns[1]} in this row", expected=f"the {columns[1]}'s name", row=row)

@@ -57,7 +57,7 @@ def find_program(path: str | Path) -> Path:
         "no such program",
         expected=f"a file, or a program that comes with twin: {' '.join(names)}",
         file=path,
-        closest_name=closest_name(path.name, [*names, *_beside(path)]),
+        nearest=closest_name(path.name, [*names, *_beside(path)]),
     )
 
 

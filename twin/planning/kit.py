@@ -173,9 +173,7 @@ class Kit:
 
         def fail(place: EntryPath, what: str, expected: str, value: object, known: Iterable[str] = ()) -> InputError:
             meant = closest_name(str(value), known)
-            return InputError(
-                what, expected=expected, file=file, line=lines.get(place), value=value, closest_name=meant
-            )
+            return InputError(what, expected=expected, file=file, line=lines.get(place), value=value, nearest=meant)
 
         # Checks beyond the schema.
         by_name = {one.name: one for one in INSTRUMENTS}

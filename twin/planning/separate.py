@@ -302,7 +302,7 @@ def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibratio
             "not a cause that a plan can separate",
             expected=expected,
             value=one.text,
-            closest_name=closest_name(one.text, texts),
+            nearest=closest_name(one.text, texts),
         )
     names = {name for cell in found.variants for name in cell.fixed}
     linear = {name for name, _ in found.names} | {"size", "amplitude", "phase", "cos", "sin"}
@@ -315,7 +315,7 @@ def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibratio
             f"{one.text} has no such parameter",
             expected=", ".join(sorted(names | linear)),
             value=strange[0],
-            closest_name=closest_name(strange[0], names | linear),
+            nearest=closest_name(strange[0], names | linear),
         )
 
     def off(cell: Variant) -> float:

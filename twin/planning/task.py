@@ -145,5 +145,5 @@ def _names_to_minimise(machine: Machine, reduce: str | Sequence[str]) -> tuple[s
         if not fnmatch.filter(names, pattern):
             expected = f"{', '.join(AIMS)}, or errors among {', '.join(names)}"
             meant = closest_name(pattern, (*AIMS, *names))
-            raise InputError("no such uncertainty to minimise", expected=expected, value=pattern, closest_name=meant)
+            raise InputError("no such uncertainty to minimise", expected=expected, value=pattern, nearest=meant)
     return patterns

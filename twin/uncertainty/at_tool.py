@@ -297,7 +297,7 @@ class ToolUncertainty:
                     "no such rotary axis",
                     expected=f"some of {', '.join(turning)}",
                     value=name,
-                    closest_name=closest_name(name, turning),
+                    nearest=closest_name(name, turning),
                 )
         size = dict(zip((axis.name for axis in linear), counts, strict=True))
         ranges = zip(machine.limits / machine.scale[:, None], self.kinematics.calibration.domains(), strict=True)

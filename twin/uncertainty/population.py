@@ -412,7 +412,7 @@ def draw_machines(
         progress: progress callback: stage and fraction done.
 
     Raises:
-        InputError: a number outside its limits, or a calibration without covariance; see also `twin.compute.parallel.finished`.
+        InputError: a number outside its limits, or a calibration without covariance; see also `twin.compute.parallel.map_as_completed`.
     """
     if not FEWEST_TRIALS <= trials <= MOST_TRIALS:
         raise InputError(

@@ -163,7 +163,7 @@ def bundled_sample(path: Path, what: str, kind: str, known: Sequence[str]) -> Pa
             f"no such {what}",
             expected=f"a {kind}, or a bundled {what}: {' '.join(known)}",
             file=path,
-            closest_name=closest_name(path.name, known),
+            nearest=closest_name(path.name, known),
         ) from None
 
 
@@ -200,7 +200,7 @@ def instrument_named(name: str) -> Instrument:
     if name in known:
         return known[name]
     raise InputError(
-        "no such instrument", expected=f"one of {', '.join(known)}", value=name, closest_name=closest_name(name, known)
+        "no such instrument", expected=f"one of {', '.join(known)}", value=name, nearest=closest_name(name, known)
     )
 
 
@@ -218,7 +218,7 @@ def setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Se
                 "--work-offset names an unknown axis",
                 expected=f"one of {', '.join(machine.names)}",
                 value=entry,
-                closest_name=closest_name(name, machine.names),
+                nearest=closest_name(name, machine.names),
             )
         if name in found:
             raise InputError("--work-offset names an axis twice", expected="each axis once", value=entry)

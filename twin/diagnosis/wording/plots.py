@@ -72,7 +72,9 @@ def plot_cause(found: DiagnosisResult, cause: int = 0, *, title: str = "") -> Fi
     if not 0 <= cause < len(found.causes):
         raise InputError("no such cause", expected=f"less than {len(found.causes)}", value=cause)
     one = found.causes[cause]
-    return _drawn(cause_panels(found, one), title or f"{cause_title(one.effect, one.where)}: fitted (line), measured (dots)")
+    return _drawn(
+        cause_panels(found, one), title or f"{cause_title(one.effect, one.where)}: fitted (line), measured (dots)"
+    )
 
 
 def plot_ranking(found: DiagnosisResult, *, title: str = "") -> Figure:

@@ -82,7 +82,7 @@ def effect_named(
             "no such effect",
             expected=f"one of {', '.join(known)}",
             value=effect,
-            closest_name=closest_name(effect, known),
+            nearest=closest_name(effect, known),
         )
     values = specification.numbers_of(where, numbers)
     if not specification.open_places and where not in specification.places(machine):

@@ -242,7 +242,7 @@ class Specification:
                 f"parameters of {self.name} {where}",
                 expected=", ".join(required),
                 value=", ".join(numbers) or "none",
-                closest_name=next(
+                nearest=next(
                     (near for name in numbers if name not in required and (near := closest_name(name, required))), None
                 ),
             )
@@ -253,7 +253,7 @@ class Specification:
         places = self.places(machine)
         expected = f"one of {', '.join(places)}" if self.expected is None else self.expected(machine)
         return InputError(
-            f"no such place for {self.name}", expected=expected, value=where, closest_name=closest_name(where, places)
+            f"no such place for {self.name}", expected=expected, value=where, nearest=closest_name(where, places)
         )
 
     def candidate_places(self, machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:

@@ -26,7 +26,7 @@ def basis_named(name: str) -> type[Basis]:
     if found is None:
         known = [basis.name for basis in BASES]
         expected = f"one of {', '.join(known)}"
-        raise InputError("no such basis", expected=expected, value=name, closest_name=closest_name(name, known))
+        raise InputError("no such basis", expected=expected, value=name, nearest=closest_name(name, known))
     return found
 
 

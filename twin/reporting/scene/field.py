@@ -8,8 +8,8 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.units import MM
-from twin.report.scene.path import Mesh, arrow, joined, rounded_125, scale_top_um, viridis
-from twin.report.scene.viewer import bare_stage, lines_command, mesh_command, node_of, outermost, viewer_page
+from twin.reporting.scene.path import Mesh, arrow, joined, rounded_125, scale_top_um, viridis
+from twin.reporting.scene.viewer import bare_stage, lines_command, mesh_command, node_of, outermost, viewer_page
 
 LONGEST: Final = 0.12
 """Approximate length of the longest arrow, as a share of the field's extent."""

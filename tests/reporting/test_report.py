@@ -28,10 +28,10 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
-from twin.measurement.table import load
-from twin.report import MachineReport, machine_report
-from twin.report.page import machine_html
-from twin.report.readings import compare_points
+from twin.measurement.table import Measurements
+from twin.reporting import MachineReport, machine_report
+from twin.reporting.page import machine_html
+from twin.reporting.readings import compare_points
 from twin.uncertainty.at_tool import ToolUncertainty
 
 MADE = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
@@ -343,7 +343,7 @@ def test_estimates_show_backlash_missing_in_the_calibration(
     backlash = 14.0
     read = hidden.noisy(hidden.points(plan, [Hidden("reversal", "Y", {"size": backlash})]), rng, "isotropic", 1e-3)
     path = hidden.write(folder / "measured.csv", plan, read, u_mm=1e-3)
-    found = compare_points(load(path, dmu50), dmu50, calibration, path)
+    found = compare_points(Measurements.load(path, dmu50), dmu50, calibration, path)
     below, above = found.stops["E_YY"]
     assert (below.side, above.side) == (1, -1)
     gap = np.mean(below.value - calibration.curves["E_YY"](below.position)) - np.mean(
@@ -378,7 +378,7 @@ def test_omitted_effect_gives_exit_status_3(
     """Without a temperature the effect is omitted and listed, and the exit status is 3."""
     page, told = folder / "cold.html", folder / "cold.json"
     # Rendering is slow and tested elsewhere.
-    monkeypatch.setattr("twin.report.page.machine_html", lambda found: found.advice.headline)
+    monkeypatch.setattr("twin.reporting.page.machine_html", lambda found: found.advice.headline)
     assert run("report", "-o", page, "-c", folder / "mine.yaml", "--json", told) == 3
     assert "not met: thermal_expansion:Z omitted" in capsys.readouterr().out
     written = json.loads(told.read_text())
@@ -452,7 +452,7 @@ def test_page_fits_the_screen(page: str, folder: Path, width: int) -> None:
 
 
 def test_invalid_identification_file(folder: Path, mine: Calibration) -> None:
-    from twin.report.identified import Identified
+    from twin.reporting.identified import Identified
 
     path = folder / "wrong.json"
     path.write_text(json.dumps({key: value for key, value in IDENTIFIED.items() if key != "misfit"}))

@@ -32,14 +32,14 @@ from twin.display.figures import (
     style_axes,
     text_box_style,
 )
-from twin.report.compensation import CompensationForecast
-from twin.report.contributions import Contribution
-from twin.report.field import Field, Slice
-from twin.report.motions import Motion
-from twin.report.readings import PointComparison, PositionEstimates
-from twin.report.result import Constant
-from twin.report.scene.field import chosen_factor
-from twin.report.scene.path import scale_top_um, viridis
+from twin.reporting.compensation import CompensationForecast
+from twin.reporting.contributions import Contribution
+from twin.reporting.field import Field, Slice
+from twin.reporting.motions import Motion
+from twin.reporting.readings import PointComparison, PositionEstimates
+from twin.reporting.result import Constant
+from twin.reporting.scene.field import chosen_factor
+from twin.reporting.scene.path import scale_top_um, viridis
 
 WIDTH: Final = 4.4
 """Width of a figure in inches, so that text keeps its size on a phone."""

@@ -23,9 +23,9 @@ from twin._common.provenance import ILLUSTRATIVE
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.report.scene import ScenePath, scene_html
-from twin.report.scene.draw import SECONDS
-from twin.report.scene.path import (
+from twin.reporting.scene import ScenePath, scene_html
+from twin.reporting.scene.draw import SECONDS
+from twin.reporting.scene.path import (
     MAX_KEYFRAMES,
     arrow_blocks,
     chosen_exaggeration,

@@ -23,20 +23,20 @@ from twin.machine.display import uncertainty_of
 from twin.machine.effects import split_name, unit_of
 from twin.machine.machine import Axis, Machine
 from twin.measurement.table import Measurements
-from twin.report.advice import MachineAdvice, advise
-from twin.report.compensation import CompensationForecast, forecast_compensation
-from twin.report.contributions import Budget, budget
-from twin.report.field import Field, field
-from twin.report.identified import Identified
-from twin.report.motions import Motion, motions
-from twin.report.readings import PointComparison, compare_points
-from twin.report.sources import Sources, sources
-from twin.report.tables import TablesLeft, tables_left
-from twin.report.words import named
+from twin.reporting.advice import MachineAdvice, advise
+from twin.reporting.compensation import CompensationForecast, forecast_compensation
+from twin.reporting.contributions import Budget, budget
+from twin.reporting.field import Field, field
+from twin.reporting.identified import Identified
+from twin.reporting.motions import Motion, motions
+from twin.reporting.readings import PointComparison, compare_points
+from twin.reporting.sources import Sources, sources
+from twin.reporting.tables import TablesLeft, tables_left
+from twin.reporting.words import named
 from twin.uncertainty.at_tool import DEFINITION
 from twin.uncertainty.budget import without_missing_channels
 
-SCHEMA: Final = "twin.report/1"
+SCHEMA: Final = "twin.reporting/1"
 SEED: Final = 0
 Say = Callable[[str, float], None]
 
@@ -179,7 +179,7 @@ class MachineReport:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content for JSON (``schema: twin.report/1``); null for unknown numbers."""
+        """Return the content for JSON (``schema: twin.reporting/1``); null for unknown numbers."""
         control, calibration = self.control, self.calibration
         return json_form(
             {

@@ -25,7 +25,7 @@ from twin._common.provenance import SourceWarning, warning_texts
 from twin._common.units import MM
 from twin.display import compact
 from twin.kinematics.forward import Kinematics
-from twin.report.scene.path import (
+from twin.reporting.scene.path import (
     MAX_POINTS,
     Keyframes,
     ScenePath,
@@ -40,7 +40,7 @@ from twin.report.scene.path import (
     tube,
     viridis,
 )
-from twin.report.scene.viewer import (
+from twin.reporting.scene.viewer import (
     FIRST_LINK,
     bare_stage,
     lines_command,

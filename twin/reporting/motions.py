@@ -16,8 +16,8 @@ from twin.machine.conditions import APPROACH
 from twin.machine.display import combined_uncertainty
 from twin.machine.effects import Effect, PitchError, unit_of
 from twin.machine.machine import DIRECTIONS
-from twin.report.readings import curve_ranges, is_motion, sum_of_effects
-from twin.report.words import named
+from twin.reporting.readings import curve_ranges, is_motion, sum_of_effects
+from twin.reporting.words import named
 
 FINE: Final = 361
 A_PERIOD: Final = 16

@@ -13,8 +13,8 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.json_form import json_form
 from twin.kinematics.forward import Kinematics
-from twin.report.contributions import nominal_machine
-from twin.report.readings import curve_ranges
+from twin.reporting.contributions import nominal_machine
+from twin.reporting.readings import curve_ranges
 from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.budget import volume
 

@@ -14,11 +14,11 @@ from twin.diagnosis.wording.words import capital, listed, lower
 from twin.display import UNKNOWN, expanded, figure, with_half
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import options_of
-from twin.report.compensation import CompensationForecast
-from twin.report.contributions import Budget, Contribution
-from twin.report.identified import Identified
-from twin.report.readings import PointComparison
-from twin.report.tables import TablesLeft
+from twin.reporting.compensation import CompensationForecast
+from twin.reporting.contributions import Budget, Contribution
+from twin.reporting.identified import Identified
+from twin.reporting.readings import PointComparison
+from twin.reporting.tables import TablesLeft
 
 Kind = Literal["do", "measure", "never", "unknown"]
 Rating = Literal["well", "wrong", "unknown"]

@@ -12,7 +12,7 @@ from twin._common.json_form import json_form
 from twin.compute.parallel import Workers
 from twin.kinematics.forward import rms_and_max
 from twin.kinematics.inverse import Inverse, Status
-from twin.report.contributions import Budget, without
+from twin.reporting.contributions import Budget, without
 from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.population import Spread, draw_machines
 

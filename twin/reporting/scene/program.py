@@ -17,8 +17,8 @@ from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.nc import find_program
-from twin.report.scene.draw import scene_html
-from twin.report.scene.path import ScenePath
+from twin.reporting.scene.draw import scene_html
+from twin.reporting.scene.path import ScenePath
 
 Progress = Callable[[str, float], None]
 HEIGHT_PX: Final = 600

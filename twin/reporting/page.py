@@ -19,13 +19,13 @@ from twin.machine.control import ControlSection
 from twin.machine.display import uncertainty_of
 from twin.machine.effects import Effect
 from twin.numerics.curves import Basis, basis_named
-from twin.report import plots
-from twin.report.motions import Motion
-from twin.report.readings import PositionEstimates
-from twin.report.result import MachineReport
-from twin.report.scene.field import field_html
-from twin.report.scene.path import scale_top_um
-from twin.report.words import CLASSES
+from twin.reporting import plots
+from twin.reporting.motions import Motion
+from twin.reporting.readings import PositionEstimates
+from twin.reporting.result import MachineReport
+from twin.reporting.scene.field import field_html
+from twin.reporting.scene.path import scale_top_um
+from twin.reporting.words import CLASSES
 from twin.uncertainty.at_tool import DEFINITION
 
 COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de"}
@@ -52,7 +52,7 @@ def machine_html(report: MachineReport) -> str:
     """Return the page as self-contained HTML; needs matplotlib (extra ``plots``).
 
     Args:
-        report: result of `twin.report.machine_report`.
+        report: result of `twin.reporting.machine_report`.
     """
 
     def stops_of(name: str) -> tuple[PositionEstimates, ...]:

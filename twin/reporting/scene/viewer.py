@@ -20,7 +20,7 @@ from meshcat.commands import SetObject, SetProperty
 from meshcat.path import Path as NodePath
 
 from twin.display import compact, render
-from twin.report.scene.path import Mesh, viridis
+from twin.reporting.scene.path import Mesh, viridis
 
 FIRST_LINK: Final = "machine"
 """Node of the scene tree that contains all objects."""

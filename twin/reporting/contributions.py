@@ -14,7 +14,7 @@ from twin.display.numbers import COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics, Poses
 from twin.machine.effects import split_name
 from twin.machine.iso16907 import error_motion_of, iso_class
-from twin.report.words import named
+from twin.reporting.words import named
 from twin.uncertainty.at_tool import ToolUncertainty, radius_95
 from twin.uncertainty.budget import BudgetRow, error_budget, random_approach, volume_inside_domains
 

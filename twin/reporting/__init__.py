@@ -4,7 +4,7 @@
     twin report --calibration mine.yaml --measured measured.csv -o report.html
 
 One self-contained HTML file for a screen, a phone and paper (print it from the browser); `--json` has every number on it
-(`schema: twin.report/1`). It needs the extra `plots`.
+(`schema: twin.reporting/1`). It needs the extra `plots`.
 
 **Contents, in this order.** Summary: the largest errors, their effect at the tool with U, and what to adjust, to compensate in the
 control or in programs, to measure again, and not to do. Error budget as bars, by error motion and by class of ISO/TR 16907. Every error
@@ -27,6 +27,6 @@ rotary axes at zero and cannot show wavelengths shorter than its grid; the budge
 time use `--temperature` and `--time`; without them they are omitted and listed, and the exit status is 3.
 """
 
-from twin.report.result import SCHEMA, MachineReport, machine_report
+from twin.reporting.result import SCHEMA, MachineReport, machine_report
 
 __all__ = ["SCHEMA", "MachineReport", "machine_report"]
