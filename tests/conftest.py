@@ -93,7 +93,7 @@ def calibration(dmu50: Machine) -> Calibration:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """What is compiled in a run stays in it: nothing of the user's is read or written."""
+    """Keep compiled code in a folder of the run, so that the user's cache is neither read nor written."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield

@@ -149,7 +149,7 @@ _HOMES = {
     "separate": ("twin.planning", "separate"),
     "simulate": ("twin.measurement.simulate", "simulate"),
 }
-"""Where each name of the API is defined: the module itself, or module and attribute."""
+"""Modules of the API, and module and attribute of every other name."""
 
 
 def __getattr__(name: str) -> Any:

@@ -86,24 +86,24 @@ def test_examples_run(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkey
             ran.append(line)
     assert len(ran) >= 6
     assert json.loads((tmp_path / "quiet.json").read_text())["schema"] == "twin.simulated_run/1"
-    told = json.loads((tmp_path / "doctor.json").read_text())
-    assert told["schema"] == "twin.doctor/1" and told["ok"] is True
+    report = json.loads((tmp_path / "doctor.json").read_text())
+    assert report["schema"] == "twin.doctor/1" and report["ok"] is True
 
 
 def test_json_holds_the_numbers_that_are_printed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     status, out, _ = run(capsys, "info", "--tool-length", 120, "--json", tmp_path / "info.json")
-    told = json.loads((tmp_path / "info.json").read_text())
-    assert status == 0 and told["schema"] == "twin.info/1" and told["illustrative"] is True
-    (row,) = (one for one in told["errors"] if one["name"] == "E_ZZ")
+    report = json.loads((tmp_path / "info.json").read_text())
+    assert status == 0 and report["schema"] == "twin.info/1" and report["illustrative"] is True
+    (row,) = (one for one in report["errors"] if one["name"] == "E_ZZ")
     assert f"{row['tool_rms_um']:.2f} µm" in out and f"{row['tool_max_um']:.2f} µm" in out
-    assert told["classes"][-1]["name"] == "all" and told["uncertainty"]["known"] is False
-    assert [axis["name"] for axis in told["axes"]] == ["X", "Y", "Z", "B", "C"]
+    assert report["classes"][-1]["name"] == "all" and report["uncertainty"]["known"] is False
+    assert [axis["name"] for axis in report["axes"]] == ["X", "Y", "Z", "B", "C"]
 
     part, scene = tmp_path / "part.nc", tmp_path / "scene.json"
     part.write_text("G21 G90\nG1 X100 Y100 Z-100 B30 C40 F500\nX120 B35\nM30\n")
     status, out, _ = run(capsys, "scene", part, "-o", tmp_path / "s.html", "--json", scene)
-    told = json.loads(scene.read_text())
-    assert status == 0 and told["schema"] == "twin.scene/1" and told["left_out"] == 0
+    report = json.loads(scene.read_text())
+    assert status == 0 and report["schema"] == "twin.scene/1" and report["left_out"] == 0
     # Compare the two end points of the only feed block with the kinematics.
     machine = twin.Machine.load("dmu50")
     real, drawn = (
@@ -111,14 +111,14 @@ def test_json_holds_the_numbers_that_are_printed(capsys: pytest.CaptureFixture[s
     )
     q = [[100.0, 100.0, -100.0, 30.0, 40.0], [120.0, 100.0, -100.0, 35.0, 40.0]]
     ends = np.linalg.norm(real.forward(q).point_mm - drawn.forward(q).point_mm, axis=1) * 1e3
-    assert told["deviation_um"]["max"] >= ends.max() * (1.0 - 1e-6)
+    assert report["deviation_um"]["max"] >= ends.max() * (1.0 - 1e-6)
 
     status, out, _ = run(
         capsys, "simulate", "thesis_plan.csv", "-o", tmp_path / "m.csv", "--json", tmp_path / "m.json", "--seed", 3
     )
-    told = json.loads((tmp_path / "m.json").read_text())
-    assert status == 0 and told["schema"] == "twin.simulation/1" and told["seed"] == 3
-    assert f"{told['points']} points" in out
+    report = json.loads((tmp_path / "m.json").read_text())
+    assert status == 0 and report["schema"] == "twin.simulation/1" and report["seed"] == 3
+    assert f"{report['points']} points" in out
 
 
 def test_a_report_never_replaces_an_input(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -278,12 +278,12 @@ def test_doctor_reports_failures_and_remedies(
     monkeypatch.setattr(twin.Machine, "configuration", off)
     monkeypatch.setattr(doctor_command.compiler, "find_compiler", lambda: None)
     status, out, _ = run(capsys, "doctor", "--json", tmp_path / "d.json")
-    told = json.loads((tmp_path / "d.json").read_text())
-    assert status == 3 and told["failed"] == ["kinematics"] and told["ok"] is False
-    by_name = {one["name"]: one for one in told["findings"]}
+    report = json.loads((tmp_path / "d.json").read_text())
+    assert status == 3 and report["failed"] == ["kinematics"] and report["ok"] is False
+    by_name = {one["name"]: one for one in report["findings"]}
     assert by_name["C++ compiler"]["status"] == "missing" and by_name["inverse"]["status"] == "ok"
     assert by_name["kinematics"]["remedy"] in out and "FAILED: kinematics" in out
-    assert told["seconds"] < 2.0 * 5.0  # two seconds on an idle computer
+    assert report["seconds"] < 2.0 * 5.0  # two seconds on an idle computer
 
 
 def test_every_class_is_a_word_of_scope() -> None:

@@ -188,7 +188,7 @@ TOO_MUCH: dict[str, tuple[str, Callable[[], str]]] = {
         + "".join(f"{b}: &{b} [{', '.join([f'*{a}'] * 10)}]\n" for a, b in zip("abcdefghij", "bcdefghijk", strict=True)),
     ),
     "levels": ("calibration", lambda: sample("calibration") + "effects: " + "[" * 5000),
-    "blocks in one another": ("calibration", lambda: "".join(" " * i + "a:\n" for i in range(5000))),
+    "nested blocks": ("calibration", lambda: "".join(" " * i + "a:\n" for i in range(5000))),
     "entries": ("calibration", lambda: "a: [" + "1, " * 2_000_000 + "]\n"),
     "bytes": ("calibration", lambda: "source: " + "a" * 20_000_000),
     "digits": ("calibration", lambda: sample("calibration").replace("22.0", "9" * 1_000_000)),

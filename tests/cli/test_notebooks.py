@@ -62,15 +62,15 @@ def test_they_are_one_course() -> None:
         assert f"({stems[(i + 1) % len(stems)]}.ipynb)" in last
 
 
-def told(notebook: nbformat.NotebookNode) -> str:
-    """Everything its cells printed or answered, in order."""
+def output_of(notebook: nbformat.NotebookNode) -> str:
+    """Return the output of all cells, in order."""
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     return "\n".join(output.get("text", "") + output.get("data", {}).get("text/html", "") for output in outputs)
 
 
 def diagnosed(notebook: nbformat.NotebookNode) -> None:
     """The story as it is written: open between two at first, distinguished by further readings, the parts right."""
-    text = told(notebook)
+    text = output_of(notebook)
     assert text.index("<small>ambiguous</small>") < text.index("<small>explained</small>")
     first, second = (part.split("<b>")[1] for part in text.split("alternatives</td>")[1:])
     both = {"Tilt of X about x changes with Z", "Tilt of Y about x changes with Z"}
@@ -85,7 +85,7 @@ def diagnosed(notebook: nbformat.NotebookNode) -> None:
 
 def planned(notebook: nbformat.NotebookNode) -> None:
     """At least 40 % less at the tool in the same time, predicted and achieved; then two causes, and then the right one."""
-    text = told(notebook)
+    text = output_of(notebook)
     display = text[text.index("Plan for DMU 50") :]
     assert all(words in display for words in ("minutes", "µm", "µrad", "not identifiable from these readings"))
     hours = re.findall(r"readings.*?, ([\d.]+) hours", text)
@@ -97,8 +97,8 @@ def planned(notebook: nbformat.NotebookNode) -> None:
 
 
 def toured(notebook: nbformat.NotebookNode) -> None:
-    """The story as it is written: some 70 µm as written, rounding afterwards; what is drawn and what is not known is said."""
-    text = told(notebook)
+    """The story as it is written: some 70 µm as written, rounding afterwards; assumed and unknown quantities are marked."""
+    text = output_of(notebook)
     card = text[: text.index("<iframe")]
     assert "ILLUSTRATIVE" in card and "uncertainty unknown" in card
     assert "its uncertainty unknown" in text
@@ -115,7 +115,7 @@ def toured(notebook: nbformat.NotebookNode) -> None:
 
 def built(notebook: nbformat.NotebookNode) -> None:
     """Another machine: the chain is right by two other ways, mistakes name their line, the remaining error is as predicted."""
-    text = told(notebook)
+    text = output_of(notebook)
     differences = [float(value) for value in re.findall(r"largest difference (\S+) mm", text)]
     assert len(differences) == 2 and max(differences) < 1e-9  # contract: what two formulations may differ by
     assert len(re.findall(r"^  bad\.yaml:\d+: .*; expected ", text, re.M)) == 4

@@ -1,4 +1,4 @@
-"""What the front door and the manual tell a newcomer to type works as written."""
+"""Every command and script of README and of the manual works as written."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_readme_runs_from_top_to_bottom(tmp_path: Path) -> None:
         words = [sys.executable, "-m", "twin.cli", *shlex.split(call)[1:]]
         done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode in (0, 3), (call, done.stderr)
-        # Three is said aloud: a row set aside, an error the format cannot hold.
+        # Status 3 is explained in the output: a row set aside, an error that the format cannot hold.
         assert done.returncode == 0 or done.stdout, call
         for word in shlex.split(call):
             if word.startswith("out/"):

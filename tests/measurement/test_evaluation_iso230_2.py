@@ -109,7 +109,7 @@ def stage(request: pytest.FixtureRequest) -> Stage:
     target = printed["forward"][:, 1]
     forward, backward = (unrounded(table[:, 2:], ratio, offset) for table in printed.values())
     if request.param == "x":
-        # The file beside the report calls forward what the report calls backward, and the other way round.
+        # The file beside the report calls forward what the report calls backward, and vice versa.
         file_target, file_forward, file_backward = read_data(STAGE / "b02_x_target_x.md_ISO230.dat")
         assert np.array_equal(file_target, target)
         # To the last digits of the file: what `unrounded` does to y, for which there is no file, it does rightly to x.

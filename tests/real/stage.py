@@ -8,7 +8,7 @@ file with the report of x) and the logs of the motion in the source's repository
 20.5 mm before the reading that the report calls forward at 20 mm. `readings` corrects it: arriving from below, the slide is lower.
 
 The reports contain neither order nor time. In the log of x every cycle goes up through all targets and down again, one reading every
-28.5 s, 17 s at the turning point; cycles follow one another in the same way. The tables' rows are in that order and have those times.
+28.5 s, 17 s at the turning point; cycles follow each other in the same way. The tables' rows are in that order and have those times.
 """
 
 from __future__ import annotations

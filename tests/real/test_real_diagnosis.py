@@ -110,8 +110,8 @@ def test_nothing_is_promised_between_the_nine_places_of_a_stage(run: tuple[str, 
 # --- plate ----------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("told", ["place and uncertainty", "place", "nothing"])
-def test_a_plate_shows_scale_and_squareness_whatever_is_stated(told: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("given", ["place and uncertainty", "place", "nothing"])
+def test_a_plate_shows_scale_and_squareness_whatever_is_stated(given: str, tmp_path: Path) -> None:
     """Scale −34.6 ± 0.7 ppm, squareness 64.3 ± 1.4 µrad as published, both, and neither by another name.
 
     Without stated uncertainty and repeats, neighbouring holes give it; the place of the drill on its slide has no influence.
@@ -119,7 +119,7 @@ def test_a_plate_shows_scale_and_squareness_whatever_is_stated(told: str, tmp_pa
     shared = folder("plates")
     machine = Machine.load(plates.write_machine(tmp_path))
     path = plates.write_table(plates.holes_mm(shared), tmp_path / "plate.csv")
-    dropped = {"place and uncertainty": "", "place": "u_", "nothing": "u_ place_"}[told].split()
+    dropped = {"place and uncertainty": "", "place": "u_", "nothing": "u_ place_"}[given].split()
     rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
     kept = [i for i, name in enumerate(rows[0]) if not name.startswith(tuple(dropped) or "-")]
     path.write_text("\n".join([",".join(row[i] for i in kept) for row in rows] + [""]), encoding="utf-8")
