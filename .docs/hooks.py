@@ -6,6 +6,7 @@ executed here, and the package diagram from the layers in pyproject.toml.
 
 from __future__ import annotations
 
+import inspect
 import re
 import tomllib
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from mkdocs.structure.files import File, Files
 from nbclient import NotebookClient
 from nbconvert import MarkdownExporter
 
+import twin
 from twin.cli.commands import COMMANDS, load
 from twin.cli.doc import PAGES, page_text
 
@@ -38,6 +40,7 @@ def generated() -> Iterator[tuple[str, str | bytes]]:
     for name, module in PAGES.items():
         path = "reference/files.md" if name == "files" else f"manual/{name}.md"
         yield path, manual_page(name, module)
+    yield "reference/api.md", api_page()
     yield "reference/commands.md", commands_page()
     yield "development/packages.svg", package_diagram()
     for picture in sorted(PICTURES.glob("*.png")):
@@ -50,6 +53,23 @@ def manual_page(name: str, module: str) -> str:
     """Return a page of `twin doc` with a title, and code where the docstring has indented blocks."""
     first, _, rest = page_text(module).partition("\n")
     return f"# {name.capitalize()}\n\n{first}\n{rest}\n\n*From the documentation of `{module}`; in a terminal: `twin doc {name}`.*\n"
+
+
+def api_page() -> str:
+    """Return the reference of every name that `import twin` gives: classes, functions, modules."""
+    values = {name: getattr(twin, name) for name in twin.__all__ if not name.startswith("_")}
+    groups = {"Classes": inspect.isclass, "Functions": inspect.isfunction, "Modules": inspect.ismodule}
+    parts = [
+        "# API\n\n`import twin` gives every name on this page; each is imported when it is first used. Arrays are (n, axes) in command order,"
+        " in mm and degrees, and read-only in results.\n"
+    ]
+    for title, belongs in groups.items():
+        parts.append(f"## {title}\n")
+        for name, value in values.items():
+            if belongs(value):
+                path = value.__name__ if inspect.ismodule(value) else f"{value.__module__}.{value.__qualname__}"
+                parts.append(f"### twin.{name}\n\n::: {path}\n    options: {{show_root_heading: false, heading_level: 4}}\n")
+    return "\n".join(parts)
 
 
 def commands_page() -> str:

@@ -92,7 +92,7 @@ class Rival(Method):
             return str(error)
         posed = placed.without(placed.bad)
         # Errors of the calibration itself are never hidden here, and are not possible candidates of a plain regression.
-        choice = [candidate for candidate in posed.known.candidates if candidate.effect not in UNHIDDEN]
+        choice = [candidate for candidate in posed.catalogue.candidates if candidate.effect not in UNHIDDEN]
         origin = {candidate.key: candidate.origin for candidate in choice}
         causes = [
             {"effect": key[0], "where": key[1], "origin": origin[key], "parameters": [], "equivalent": []}

@@ -159,7 +159,7 @@ def test_bad_arguments(part: Path, tmp_path: Path, capsys: pytest.CaptureFixture
         (["compensate", part, "-o", out, "--work-offset", "Q=1"], "X, Y, Z, B, C"),
         (["compensate", part, "-o", out, "--work-offset", "X=wide"], "finite"),
         (["compensate", part, "-o", out, "--work-origin", "1,2"], "x,y,z"),
-        (["compensate", part, "-o", out, "--json", out], "file each"),
+        (["compensate", part, "-o", out, "--json", out], "two outputs are the same file"),
         (["scene", part, "-o", tmp_path / "none" / "s.html"], "folder"),
     ):
         assert word in refused(capsys, *arguments), arguments

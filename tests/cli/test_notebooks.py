@@ -40,11 +40,13 @@ def test_it_runs(path: Path, tmp_path: Path) -> None:
         notebook, timeout=SECONDS_A_CELL, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
     ).execute()
     for cell in notebook.cells:
-        if cell.cell_type == "code" and cell.source.splitlines()[-1].lstrip().startswith("plot_"):
+        if cell.cell_type == "code" and cell.source.splitlines()[-1].lstrip().partition("_plots.")[2].startswith(
+            "plot_"
+        ):
             assert any("image/png" in output.get("data", {}) for output in cell.outputs), cell.source
         if cell.cell_type == "code":
             assert not any(output.get("name") == "stderr" for output in cell.outputs), cell.source
-            if re.fullmatch(r"\w+|draw_program\(.*\)", cell.source.splitlines()[-1]):
+            if re.fullmatch(r"\w+|twin\.scene\(.*\)", cell.source.splitlines()[-1]):
                 assert any("text/html" in output.get("data", {}) for output in cell.outputs), cell.source
     CLAIMS.get(path.stem, lambda notebook: None)(notebook)
 

@@ -40,5 +40,5 @@ def test_wrong_suffix(
         cli.main(list(words))
     said = capsys.readouterr()
     assert ended.value.code == 2 and said.out == "" and said.err.count("\n") == 1
-    assert f"a name ending in {expected}" in said.err or f"a name ending in one of {expected}" in said.err
+    assert f"name ending in {expected}" in said.err or f"name ending in one of {expected}" in said.err
     assert [path.name for path in tmp_path.iterdir()] == ["measured.csv"]

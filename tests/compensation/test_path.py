@@ -429,7 +429,7 @@ def test_other_refusals(dmu50: Machine, tmp_path: Path) -> None:
     source.write_text(program_of(circle(40)))
     with pytest.raises(InputError, match="cannot be written as heidenhain"):
         twin.refit(source, dmu50, output=tmp_path / "o.h")
-    with pytest.raises(InputError, match="one of the inputs"):
+    with pytest.raises(InputError, match="output file is also an input"):
         CliRunner().invoke(app, ["path", str(source), "-o", str(source)], catch_exceptions=False)
     source.write_text("G1 X1 Y2 Z-3 F10\nG1 X1..2\n")
     with pytest.raises(InputError, match=r"c\.nc:2"):

@@ -381,7 +381,7 @@ def test_the_command(dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert run([*common, "--to", "linuxcnc", "-o", str(out), "--step", "250"]) == 3
     assert "Not met:" in capsys.readouterr().out
     assert run(["control", "-c", str(out / "calibration.yaml"), "--to", "linuxcnc", "-o", str(out)]) == 2
-    assert "one of the inputs" in capsys.readouterr().err
+    assert "output file is also an input" in capsys.readouterr().err
     assert run([*common, "--to", "linuxcnc", "-o", str(out), "--at", "Y=900"]) == 2
     assert "out of the range of Y" in capsys.readouterr().err
     assert run([*common, "--to", "linuxcnc", "-o", str(out), "--scope", "FOR"]) == 2

@@ -379,7 +379,7 @@ def _answer(
 def alone(searcher: Searcher, key: Key, signature: np.ndarray) -> bool:
     """Return whether a cause has no equivalent even without noise."""
     problem, candidates = searcher.problem, searcher.candidates
-    problem.set_problem(signature)
+    problem.set_residual(signature)
     candidates.set_problem(problem)
     explained, dof = candidates.scan([])
     form = max(

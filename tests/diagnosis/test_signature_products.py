@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from twin.diagnosis.problem.sweep import PointBlock, Signatures
 
 from tests.diagnosis.battery import _doubted
 from tests.truth import hidden
@@ -21,6 +20,7 @@ from twin.diagnosis.problem.forms import FALSE_ALARM_RATE, SAMPLED_POINTS
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
+from twin.diagnosis.problem.signature_products import PointBlock, Signatures
 from twin.diagnosis.selection.left_out import choose_folds
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration

@@ -113,7 +113,7 @@ def test_false_alarms_of_patterns_are_rare(searched: Searcher, draws: int, allow
     before, found = problem.residual, 0
     try:
         for _ in range(draws):
-            problem.set_problem(rng.standard_normal(len(before)))
+            problem.set_residual(rng.standard_normal(len(before)))
             found += scan_patterns(problem, searched.patterns, (), np.inf)[0].found
     finally:
         problem.set_residual(before)
@@ -125,7 +125,7 @@ def found_pattern(searched: Searcher, pattern: Pattern, size: float) -> Likeliho
     problem, rng = searched.problem, np.random.default_rng(6)
     columns = pattern.columns(2, [0])
     made = problem.signature(columns) @ rng.standard_normal(len(columns))
-    problem.set_problem(made * size + rng.standard_normal(len(made)) * problem.network.read.reshape(-1))
+    problem.set_residual(made * size + rng.standard_normal(len(made)) * problem.network.read.reshape(-1))
     searched.candidates.set_problem(problem)
     (pattern_test,) = scan_patterns(problem, [pattern], (), np.inf)
     assert pattern_test.found

@@ -312,7 +312,7 @@ def test_info_converts_and_reports_the_datum(dmu50: Machine, tmp_path: Path) -> 
     assert written.datum == MEAN_LINES and "Datum changed to mean lines." in written.source
     assert_same_tool(twin.Calibration.load(drawn, dmu50), written)
     run = CliRunner().invoke(app, ["info", "-c", str(drawn), "-o", str(lines)])
-    assert isinstance(run.exception, twin.InputError) and "--datum beside --output" in str(run.exception)
+    assert isinstance(run.exception, twin.InputError) and "--output needs --datum" in str(run.exception)
 
 
 def test_only_errors_named_in_the_files_change(dmu50: Machine) -> None:

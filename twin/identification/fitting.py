@@ -88,17 +88,7 @@ def agreeing_rows(machine: Machine, data: Measurements, *, lengths_only: bool) -
         )
     if not np.any(bad):
         return data, setup
-    kind = "the reading disagrees with the command: wrong position, wrong target or lost beam"
-    notes = tuple(
-        RowNote(
-            int(data.lines[row]),
-            f"the reading disagrees with the command by {miss[row] / MM:.1f} mm (target {data.target[row]}, "
-            f"round {data.round[row]}): wrong position, wrong target or lost beam",
-            kind=kind,
-            size=float(miss[row]),
-        )
-        for row in np.flatnonzero(bad)
-    )
+    notes = _notes_of_disagreement(data, bad, miss)
     agreeing = replace(data.select(~bad), set_aside=(*data.set_aside, *notes))
     if set(agreeing.target) != set(data.target) or set(agreeing.station) != set(data.station):
         without_rows = sorted({*data.target, *data.station} - {*agreeing.target, *agreeing.station})
@@ -109,6 +99,21 @@ def agreeing_rows(machine: Machine, data: Measurements, *, lengths_only: bool) -
             line=notes[0].line,
         )
     return agreeing, initial_setup(machine, agreeing, lengths_only=lengths_only)[0]
+
+
+def _notes_of_disagreement(data: Measurements, bad: np.ndarray, miss: np.ndarray) -> tuple[RowNote, ...]:
+    """Return a note for each of the bad rows."""
+    causes = "wrong position, wrong target or lost beam"
+    return tuple(
+        RowNote(
+            int(data.lines[row]),
+            f"the reading disagrees with the command by {miss[row] / MM:.1f} mm (target {data.target[row]}, "
+            f"round {data.round[row]}): {causes}",
+            kind=f"the reading disagrees with the command: {causes}",
+            size=float(miss[row]),
+        )
+        for row in np.flatnonzero(bad)
+    )
 
 
 def miss_limit(data: Measurements, miss: np.ndarray) -> float:

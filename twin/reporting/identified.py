@@ -43,7 +43,7 @@ class IdentifiedError(_Model):
 
 
 @final
-class NotIdentifiable(_Model):
+class NotIdentifiableEntry(_Model):
     """An error that was not identifiable from the data."""
 
     name: str
@@ -79,7 +79,7 @@ class IdentificationFile(_Model):
     points: Points
     uncertainty: str
     errors: tuple[IdentifiedError, ...]
-    not_identifiable: tuple[NotIdentifiable, ...]
+    not_identifiable: tuple[NotIdentifiableEntry, ...]
     misfit: Misfit
     set_aside: tuple[Row, ...]
     notices: tuple[str, ...]

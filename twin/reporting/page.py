@@ -59,7 +59,7 @@ def machine_html(report: MachineReport) -> str:
         return tuple(stop for one in report.comparisons for stop in one.stops.get(name, ()))
 
     page = render(
-        "report/templates/report.html.j2",
+        "reporting/templates/report.html.j2",
         title=f"{report.machine.name}: report of the machine",
         report=report,
         over=_over(report),

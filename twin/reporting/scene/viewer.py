@@ -41,7 +41,7 @@ def viewer_page(template: str, commands: Sequence[Any], data: Mapping[str, Any],
     colours = viridis(np.linspace(0.0, 1.0, 17))
     main = importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js"
     return render(
-        f"report/scene/templates/{template}.html.j2",
+        f"reporting/scene/templates/{template}.html.j2",
         viewer=main.read_text(encoding="utf-8"),
         commands=json.dumps([packed(command) for command in commands]),
         page=json.dumps(data).replace("</", "<\\/"),
