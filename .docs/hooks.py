@@ -1,7 +1,7 @@
 """Functions that mkdocs calls while it builds the site: pages made from the package itself, so that nothing is written twice.
 
-Generated: the manual and the files' reference from the pages of `twin doc`, the commands from their `--help`, the course from the notebooks,
-executed here, and the package diagram from the layers in pyproject.toml.
+Generated: the manual and the reference of files from the pages of `twin doc`, the commands from their `--help`, the API from
+`twin.__all__`, the course from the notebooks (executed here), and the package diagram from the layers in pyproject.toml.
 """
 
 from __future__ import annotations
@@ -60,15 +60,17 @@ def api_page() -> str:
     values = {name: getattr(twin, name) for name in twin.__all__ if not name.startswith("_")}
     groups = {"Classes": inspect.isclass, "Functions": inspect.isfunction, "Modules": inspect.ismodule}
     parts = [
-        "# API\n\n`import twin` gives every name on this page; each is imported when it is first used. Arrays are (n, axes) in command order,"
-        " in mm and degrees, and read-only in results.\n"
+        "# API\n\n`import twin` gives every name on this page; each is imported when it is first used. Arrays are (n, axes) in"
+        " command order, in mm and degrees, and read-only in results.\n"
     ]
     for title, belongs in groups.items():
         parts.append(f"## {title}\n")
         for name, value in values.items():
             if belongs(value):
                 path = value.__name__ if inspect.ismodule(value) else f"{value.__module__}.{value.__qualname__}"
-                parts.append(f"### twin.{name}\n\n::: {path}\n    options: {{show_root_heading: false, heading_level: 4}}\n")
+                parts.append(
+                    f"### twin.{name}\n\n::: {path}\n    options: {{show_root_heading: false, heading_level: 4}}\n"
+                )
     return "\n".join(parts)
 
 
@@ -78,7 +80,10 @@ def commands_page() -> str:
     for name, summary in COMMANDS.items():
         command = load(name)
         parts.append(f"## twin {name}\n\n{summary}\n\n{command.help or ''}\n")
-        rows = [f"| `{' '.join(one.opts) or one.name}` | {cell(getattr(one, 'help', None))} | {default(one)} |" for one in command.params]
+        rows = [
+            f"| `{' '.join(one.opts) or one.name}` | {cell(getattr(one, 'help', None))} | {default(one)} |"
+            for one in command.params
+        ]
         parts.append("\n".join(["| option or argument | meaning | default |", "|---|---|---|", *rows, ""]))
         examples = [line.strip() for line in (command.epilog or "").splitlines() if line.strip().startswith("twin ")]
         parts.append("\n".join(["```sh", *examples, "```", ""]) if examples else "")
@@ -101,7 +106,9 @@ def default(parameter: Any) -> str:
 def package_diagram() -> str:
     """Return the packages by import level as SVG, from the layers contract in pyproject.toml."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
-    levels = [level.split(" | ") for level in next(one for one in contracts if one.get("containers") == ["twin"])["layers"]]
+    levels = [
+        level.split(" | ") for level in next(one for one in contracts if one.get("containers") == ["twin"])["layers"]
+    ]
     width = max(map(len, levels)) * (BOX_WIDTH + GAP) + GAP
     height = len(levels) * (BOX_HEIGHT + GAP) + GAP
     shapes = []
@@ -109,10 +116,13 @@ def package_diagram() -> str:
         left = (width - len(names) * (BOX_WIDTH + GAP) + GAP) / 2
         for column, name in enumerate(names):
             x, y = left + column * (BOX_WIDTH + GAP), GAP + row * (BOX_HEIGHT + GAP)
-            shapes.append(f'<rect x="{x:g}" y="{y}" width="{BOX_WIDTH}" height="{BOX_HEIGHT}" rx="5" fill="#eceff1" stroke="#546e7a"/>')
+            shapes.append(
+                f'<rect x="{x:g}" y="{y}" width="{BOX_WIDTH}" height="{BOX_HEIGHT}" rx="5" fill="#eceff1" stroke="#546e7a"/>'
+            )
             shapes.append(f'<text x="{x + BOX_WIDTH / 2:g}" y="{y + 22}" text-anchor="middle">{name}</text>')
     style = "font-family: sans-serif; font-size: 14px; fill: #263238"
-    return f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" style="{style}">{"".join(shapes)}</svg>'
+    size = f'viewBox="0 0 {width} {height}" width="{width}"'
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {size} style="{style}">{"".join(shapes)}</svg>'
 
 
 def course_pages(path: Path) -> Iterator[tuple[str, str | bytes]]:

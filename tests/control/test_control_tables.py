@@ -157,7 +157,7 @@ def test_another_tool_than_the_tables_were_made_for(kind: str, dmu50: Machine, t
     assert (
         ("valid only for the tool length" in report.control.sentence)
         == (kind == "isg")
-        == ("active" in report.to_text())
+        == ("length of the active tool" in report.to_text())
     )
 
 

@@ -51,7 +51,7 @@ def test_a_reversal_that_grows_along_the_travel_is_found(tmp_path: Path) -> None
     found = {q.name: q for q in cause.parameters}
     for name, value in {"c0": -10.0, "c1": 6.0}.items():
         assert abs(found[name].value - value) < 3.0 * found[name].u
-    assert "changes along its travel: from -16" in cause.evidence
+    assert "varies along its travel, from -16" in cause.evidence
     result.extended.save(tmp_path / "extended.yaml")
     (effect,) = Calibration.load(tmp_path / "extended.yaml", result.calibration.machine).effects
     state = {"X": np.array([0.0, 500.0, 500.0]), "approach_X": np.array([1.0, 1.0, -1.0])}

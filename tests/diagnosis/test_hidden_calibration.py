@@ -73,9 +73,9 @@ def test_a_dropped_constant(look, calibration: Calibration) -> None:
     cause = only(look(judged))
     assert (cause.effect, cause.where) == ("angular_error_motion", "E_CX")
     assert "fitted without a constant term" in cause.evidence
-    told = float(cause.evidence.split("errs by ")[1].split(" ")[0])
+    error = float(cause.evidence.split("the machine's error is ")[1].split(" ")[0])
     # λ is about 80: the size is known to an eighth; eleven stops give nearly the same as nine or thirteen.
-    assert told == pytest.approx(float(calibration.curves["E_CX"](0.0)), rel=0.35)
+    assert error == pytest.approx(float(calibration.curves["E_CX"](0.0)), rel=0.35)
 
 
 def test_a_polynomial_of_degree_8_that_swings_between_its_stops(look, calibration: Calibration) -> None:
@@ -90,7 +90,7 @@ def test_a_polynomial_of_degree_8_that_swings_between_its_stops(look, calibratio
     # A slope of the one or a constant of the other would be a squareness.
     assert curves <= {(c.effect, c.where) for c in result.causes} <= curves | {("squareness", "E_C0Y")}
     for cause in (c for c in result.causes if c.effect != "squareness"):
-        assert "polynomial of degree 8 swings" in cause.evidence
+        assert "polynomial of degree 8 oscillates" in cause.evidence
         # The machine's own curves have degree 5.
         assert int(cause.evidence.split("terms above degree ")[1].split(" ")[0]) in (4, 5)
     assert result.gain is not None

@@ -567,7 +567,7 @@ def test_readings_without_uncertainties_and_repeats(
     result = diagnose(
         Measurements.load(hidden.write(tmp_path / "m.csv", plan, read, u_mm=None), dmu50), dmu50, calibration
     )
-    assert result.noise_source.startswith("what no unwhiten form of any cause accounts for")
+    assert result.noise_source.startswith("the residuals of a fit of every cause")
     assert [(c.effect, c.where) for c in result.causes] == ([truth.key] if hides else [])
     assert result.unexplained is None
 

@@ -201,7 +201,7 @@ def test_the_text_states_the_limits_of_the_extension(short: Told, table: Path) -
         assert "without a known cause" in text and "outside them compensation is refused" in text
         assert "within X_mm 0 to 500 and Y_mm 0 to 450" in text and "held-out" in text
     written = " ".join(table.with_suffix(".yaml").read_text().split())
-    assert "cause: unknown" in written and "says nothing outside" in written
+    assert "cause: unknown" in written and "Valid only inside these ranges" in written
 
 
 def test_without_the_option_the_calibration_is_not_extended(

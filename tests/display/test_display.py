@@ -417,7 +417,17 @@ def test_no_library_is_needed() -> None:
 
 def test_every_exported_result_has_a_display() -> None:
     """Every result class that `twin` exports has a display; computing classes, errors and enumerations have none."""
-    silent = {"Compensator", "Conditions", "InputError", "Inverse", "Kit", "Placement", "Status", "ThesisMethod", "Workers"}
+    silent = {
+        "Compensator",
+        "Conditions",
+        "InputError",
+        "Inverse",
+        "Kit",
+        "Placement",
+        "Status",
+        "ThesisMethod",
+        "Workers",
+    }
     classes = {name for name in twin.__all__ if isinstance(getattr(twin, name), type)}
     assert {name for name in classes if not hasattr(getattr(twin, name), "_repr_html_")} <= silent
 

@@ -277,5 +277,5 @@ def test_info_prints_the_uncertainty_at_the_tool(
     text = printed("-c", str(tmp_path / "c.yaml"), "--tool-length", "120")
     over = ToolUncertainty(Kinematics(dmu50, some, tool_length_mm=LENGTH)).over_volume()
     assert f"U at least {over.rms_um:.2f} µm RMS, {over.max_um:.2f} µm largest" in text
-    assert "not in it (no covariance in the calibration): E_XX" in text
+    assert "not included (no covariance in the calibration): E_XX" in text
     assert "peak u" in text

@@ -200,7 +200,7 @@ def compensate_files(
         progress: called with a stage and the fraction done.
 
     Raises:
-        InputError: as for `outputs` and `twin.compute.parallel.finished`; machine, calibration and options do not fit each other. An
+        InputError: as for `outputs` and `map_as_completed`; machine, calibration and options do not fit each other. An
             error in one program is in its `ProgramOutcome`.
     """
     say = progress or (lambda stage, fraction: None)
@@ -223,12 +223,7 @@ def compensate_files(
             tasks = _ProgramTasks(files, travel=own.scheduler is not None)
             say("programs", 0.0)
             answers = map_as_completed(
-                ProgramCompensator.compensate,
-                worker,
-                tasks,
-                own,
-                name=lambda task: str(task.program),
-                return_errors=True,
+                ProgramCompensator.compensate, worker, tasks, own, name=lambda one: str(one.program), return_errors=True
             )
             with closing(answers):
                 for count, (index, found) in enumerate(answers, 1):

@@ -153,11 +153,8 @@ def error_motion(
             value=float(angle[int(np.argmin(gaps))]),
         )
     if gaps.max() > WIDEST_GAP_DEG:
-        raise InputError(
-            "angles do not cover a turn",
-            expected=f"neighbouring angles within {WIDEST_GAP_DEG:g}°",
-            value=float(gaps.max()),
-        )
+        expected = f"neighbouring angles within {WIDEST_GAP_DEG:g}°"
+        raise InputError("angles do not cover a turn", expected=expected, value=float(gaps.max()))
     mean = measured.mean(axis=0)
     constant, (once,) = _fourier(angle, mean, 1)
     wave = once.cos * np.cos(angle * DEG) + once.sin * np.sin(angle * DEG)
