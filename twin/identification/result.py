@@ -189,7 +189,12 @@ class Identification:
             "errors": self.rows(),
             "table": table,
             "not_identifiable": [
-                {"name": one.name, "reason": one.reason, "prior": self.held_by_prior.get(one.name)}
+                {
+                    "name": one.name,
+                    "reason": one.reason,
+                    "direction": one.direction,
+                    "prior": self.held_by_prior.get(one.name),
+                }
                 for one in self.unidentified
             ],
             "stations": stations,

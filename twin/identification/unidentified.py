@@ -15,7 +15,7 @@ from twin.identification.unknowns import Unknowns
 from twin.machine.effects import split_name
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
-from twin.numerics.observability import NOT_DETERMINED
+from twin.numerics.observability import NOT_DETERMINED, NullDirection
 
 SAYS_LESS: Final = "these data determine it no better than its prior"
 
@@ -28,10 +28,12 @@ class Unidentified:
     Attributes:
         name: ISO 230-1 name.
         reason: why, and which measurement would change it.
+        direction: the null direction: changes of this error and of others that together change no reading; empty if there is none.
     """
 
     name: str
     reason: str
+    direction: str = ""
 
 
 def held_by_prior(model: DeterminedModel, solution: FitSolution) -> list[str]:
@@ -62,12 +64,28 @@ def unidentified(
         if not np.ptp(data.positions[:, machine.names.index(axis)]) > 0.0:
             found.append(Unidentified(name, f"{axis} did not move"))
         elif name in model.confounded or name in model.left_out:
-            moving = model.determinability.null_direction_of(model.determinability.names[model.considered.of(name)[0]])
-            why = SAYS_LESS if moving is None else f"{moving} changes no reading"
-            found.append(Unidentified(name, f"{why}: {_remedy(name, machine, setup, name in model.confounded)}"))
+            direction = model.determinability.null_direction_of(
+                model.determinability.names[model.considered.of(name)[0]]
+            )
+            why = SAYS_LESS if direction is None else _confounded_with(name, direction)
+            remedy = _remedy(name, machine, setup, name in model.confounded)
+            found.append(Unidentified(name, f"{why}; {remedy}", str(direction or "")))
         elif name in held:
             found.append(Unidentified(name, SAYS_LESS))
     return tuple(found)
+
+
+def _confounded_with(name: str, direction: NullDirection) -> str:
+    """Say with which errors, stations and targets an error is confounded."""
+    others = [move.name for move in direction.moves if move.name.split(" ")[0] != name]
+    # The axis at the end of "station 1 x" and "target K rotation z" does not matter here.
+    parts = [
+        " ".join(one.split(" ")[:2]) if one.startswith(("station ", "target ")) else one.split(" ")[0] for one in others
+    ]
+    if not parts:
+        return "it changes no reading"
+    more = f" and {direction.left_out} more" if direction.left_out else ""
+    return f"cannot be separated from {', '.join(dict.fromkeys(parts))}{more}"
 
 
 def _remedy(name: str, machine: Machine, setup: SetUp, confounded: bool) -> str:
@@ -75,7 +93,7 @@ def _remedy(name: str, machine: Machine, setup: SetUp, confounded: bool) -> str:
     if confounded:
         return "measure a third target that is not on a line with the others"
     if average and not machine.by_name[axis].linear and not setup.target_known.all():
-        return "give the targets' places, or a reference on the machine"
+        return "enter the targets' places (place_x_mm …) or measure a reference on the machine"
     if average:
         return "the motions of the other axes, its reference, are not in these data"
     return "measure three targets that are not on a line, or other positions of the other axes"

@@ -75,7 +75,7 @@ def from_repeats(
     np.add.at(total, group, values)
     values = (values - total[group] / size[group][:, None, None]) * repeated[:, None, None]
     dof = float(np.sum(np.where(repeated, 1.0 - 1.0 / size[group], 0.0)))
-    return _estimated(values, dof, view, read, seen, "repeat_groups")
+    return _estimated(values, dof, view, read, seen, "repeats")
 
 
 def from_residuals(
