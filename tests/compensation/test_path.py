@@ -427,7 +427,7 @@ def test_refusals_leave_nothing(tmp_path: Path, arguments: tuple[str, ...], mess
 def test_other_refusals(dmu50: Machine, tmp_path: Path) -> None:
     source = tmp_path / "c.nc"
     source.write_text(program_of(circle(40)))
-    with pytest.raises(InputError, match="cannot be written as heidenhain"):
+    with pytest.raises(InputError, match="cannot be converted from iso to heidenhain"):
         twin.refit(source, dmu50, output=tmp_path / "o.h")
     with pytest.raises(InputError, match="output file is also an input"):
         CliRunner().invoke(app, ["path", str(source), "-o", str(source)], catch_exceptions=False)

@@ -226,7 +226,7 @@ def test_a_reversal_is_plotted_as_two_lines(found: Mapping[str, Diagnosis]) -> N
     """Plus and minus half the reversal, to three standard errors of the mean of about 80 readings from one direction."""
     one = found["reversal"]
     (panel,) = cause_panels(one, one.causes[0])
-    assert panel.y.endswith("[µm]") and [series.name for series in panel.series] == ["from +", "from −"]
+    assert panel.y.endswith("[µm]") and [series.name for series in panel.series] == ["moving +", "moving −"]
     for series, side in zip(panel.series, (0.5, -0.5), strict=True):
         mean = np.average(series.y, weights=series.weight)
         assert (

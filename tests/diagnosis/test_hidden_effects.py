@@ -499,6 +499,18 @@ def test_a_reversal_of_reported_positions_is_ambiguous(look: Callable[..., Diagn
     assert plainly.verdict == "explained" and plainly.causes[0].equivalent == ()
 
 
+def test_an_unknown_approach_is_an_assumption(look: Callable[..., Diagnosis]) -> None:
+    """Half of the readings do not state from which side Y came: the text says what is assumed of them; with all stated it does not."""
+    plan, _ = planned(31)
+    approach = plan.approach.copy()
+    approach[::2, 1] = 0.0
+    for of, said in ((plan, False), (replace(plan, approach=approach), True)):
+        result = look([one("reversal", "Y", size=16.0)], plan=of)
+        assert any(cause.effect in ("reversal", "reversal_curve") and cause.where == "Y" for cause in result.causes)
+        assert any("where approach_Y is unknown" in notice for notice in result.data.notices) == said
+        assert ("assumed: where approach_Y is unknown" in " ".join(result.to_text().split())) == said
+
+
 def test_what_the_set_up_absorbs_is_unidentifiable(look: Callable[..., Diagnosis]) -> None:
     """A zero offset of a linear axis moves all targets alike, and gravity puts no load on C if the mass is on its axis."""
     found = look([])

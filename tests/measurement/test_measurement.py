@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
-from twin.measurement.checks import RowNote, grouped_notes
+from twin.measurement.checks import RowNote, grouped_notes, overstated_noise
 from twin.measurement.table import Measurements
 from twin.measurement.thesis_export import load_export
 
@@ -156,6 +157,14 @@ def test_bad_tables_say_where(
         Measurements.load(table(tmp_path, *lines, header=header), dmu50)
     assert caught.value.line == line
     assert words in str(caught.value)
+
+
+def test_noise_stated_too_large_is_reported() -> None:
+    """Chi² of 20 degrees of freedom is below 2 by chance in one of nine million data sets."""
+    assert stats.chi2.cdf(2.0, 20) == pytest.approx(1.1e-7, rel=0.05)
+    assert overstated_noise(11.0, 95.0, 100.0) == () and overstated_noise(11.0, 0.1, 10.0) == ()
+    (notice,) = overstated_noise(11.0, 1e-4, 100.0)
+    assert notice.startswith("assumed: ") and "1e+03 times the residuals (11 µm)" in notice and "u_x_mm" in notice
 
 
 def test_unknown_columns_are_reported(dmu50: Machine, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import typer
 
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
+from twin._common.provenance import warning_texts
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, Output, command, progress
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
@@ -111,7 +112,8 @@ def compensate(
         with progress() as say:
             every = compensate_files(programs, output, loaded, errors, options=settings, workers=own, progress=say)
             outcomes_done, interrupted = _collect(every, strict)
-        result = _summary(programs, outcomes_done, output, interrupted=interrupted)
+        summary = _summary(programs, outcomes_done, output, interrupted=interrupted)
+        result = replace(summary, text="\n".join([*warning_texts(errors.warnings), summary.text]))
     elif scheduler is not None:
         raise InputError(
             "--scheduler needs several programs", expected="several programs, and -o with a folder", value=scheduler
@@ -129,7 +131,7 @@ def _compensate_one(program: Path, output: Path, compensator: Compensator, *, st
     target = dialect_for(output)
     if not dialect.can_post_to(target):
         raise InputError(
-            f"a {dialect.name} program cannot be written as {target.name}",
+            f"the program cannot be converted from {dialect.name} to {target.name}",
             expected=f"-o with {' '.join(dialect.suffixes)}",
             file=output,
         )

@@ -179,8 +179,8 @@ def _written(output: Path) -> tuple[Path, Path, Path]:
 
 
 def compensate_files(
-    programs: Sequence[Path],
-    folder: Path,
+    programs: Sequence[str | Path],
+    folder: str | Path,
     machine: Machine,
     calibration: Calibration,
     *,
@@ -188,7 +188,7 @@ def compensate_files(
     workers: Workers | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Generator[ProgramOutcome, None, None]:
-    """Compensate programs, write each atomically as soon as it is done, and yield the outcomes in that order.
+    """Compensate programs; write each atomically and yield its outcome as soon as it is done.
 
     Args:
         programs: paths, or names of sample programs of twin.
@@ -207,7 +207,8 @@ def compensate_files(
     own = Workers() if workers is None else workers
     worker = ProgramCompensator(machine, calibration, Options() if options is None else options)
     _ = worker.compensator  # an error common to all programs is raised once, before anything is written
-    targets = outputs(programs, folder)
+    folder = Path(folder)
+    targets = outputs([Path(program) for program in programs], folder)
     made = not folder.is_dir()
     folder.mkdir(exist_ok=True)
     try:

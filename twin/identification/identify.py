@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import read_only
-from twin._common.units import MM
+from twin._common.units import MM, UM
 from twin.identification.determined import DeterminedModel, Wanted, determined_models
 from twin.identification.inputs import PreparedData, prepare
 from twin.identification.orders import Choice, choose
@@ -21,6 +21,7 @@ from twin.identification.robust import FinalEstimate, RobustStart, robust_start,
 from twin.identification.spread import Spread, covariance_from_repeats, covariance_of, misfit
 from twin.identification.unidentified import held_by_prior, unidentified, unknown_reference
 from twin.machine.machine import Machine
+from twin.measurement.checks import overstated_noise
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 
@@ -105,13 +106,15 @@ def _result(
     u = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
     held = held_by_prior(model.determined, solution)
     residual, whitened = residuals_of(calibration, network, solution.setup)
+    statistics = misfit(whitened, network.read, data, solution.determined, used)
+    rms_um = float(np.sqrt(np.mean(residual[used][network.read[used]] ** 2)) / UM)
     return Identification(
         calibration=calibration,
         unidentified=unidentified(machine, data, model.determined, wanted, solution.setup, held),
         held_by_prior={name: float(machine.plausible(name)) for name in held},
         setup=solution.setup,
         setup_u=dict(zip(solution.setup.names, (float(v) for v in u), strict=True)),
-        misfit=misfit(whitened, network.read, data, solution.determined, used),
+        misfit=statistics,
         choice=model.choice,
         spread=spread,
         data=data,
@@ -119,7 +122,12 @@ def _result(
         residual_mm=read_only(np.where(network.read, residual / MM, np.nan)),
         whitened=read_only(whitened),
         set_aside=(*data.set_aside, *outlier_notes(network, residual, whitened, rows.bad)),
-        notices=(*data.notices, *many_outliers_notice(rows), *unknown_reference(solution, unknowns)),
+        notices=(
+            *data.notices,
+            *overstated_noise(rms_um, statistics.chi2, statistics.dof),
+            *many_outliers_notice(rows),
+            *unknown_reference(solution, unknowns),
+        ),
         converged=solution.converged,
         network=network,
         solution=solution,

@@ -90,6 +90,8 @@ def _confounded_with(name: str, direction: NullDirection) -> str:
 
 def _remedy(name: str, machine: Machine, setup: SetUp, confounded: bool) -> str:
     _, average, axis = split_name(name)
+    if confounded and average:
+        return "measure a reference on the machine"
     if confounded:
         return "measure a third target that is not on a line with the others"
     if average and not machine.by_name[axis].linear and not setup.target_known.all():

@@ -29,6 +29,9 @@ FALSE_ALARM: Final = 0.01
 LEAST_NOISE_MM: Final = 1e-4
 """Noise assumed for a reading where no repeats show it, mm: no machine repeats its positions better."""
 MOST_DECIMALS: Final = 12
+FEWEST_DOF: Final = 20
+OVERSTATED: Final = 0.1
+"""Reduced chi² below which the stated noise is reported as too large: by chance in one of nine million data sets with 20 dof."""
 ISOLATED_SHARE: Final = 0.05
 """Share of an axis's positions outside its range up to which they count as single wrong rows, not as an offset of the column."""
 SYSTEMATIC_ROWS: Final = 3
@@ -57,6 +60,23 @@ class RowNote:
 def assumptions(notices: Iterable[str]) -> list[str]:
     """Return the notices that state an assumption about the data; reports print them before any result."""
     return [notice for notice in notices if notice.startswith(ASSUMED)]
+
+
+def overstated_noise(rms_um: float, chi2: float, dof: float) -> tuple[str, ...]:
+    """Return a notice if the residuals are far smaller than the stated noise: its unit may be wrong, and it would hide errors.
+
+    Args:
+        rms_um: RMS residual.
+        chi2: sum of squared whitened residuals.
+        dof: its degrees of freedom.
+    """
+    if dof < FEWEST_DOF or chi2 > OVERSTATED * dof:
+        return ()
+    times = float(np.sqrt(dof / chi2)) if chi2 > 0.0 else np.inf
+    return (
+        f"{ASSUMED}the stated measurement noise is right, although it is {times:.3g} times the residuals ({rms_um:.3g} µm): check the "
+        "unit of u_x_mm, u_y_mm, u_z_mm, because noise that is stated too large hides errors",
+    )
 
 
 def grouped_notes(notes: Iterable[RowNote]) -> list[str]:

@@ -231,7 +231,7 @@ class Report:
             return f"NOT ALL CORRECTED: {missed:,} of {self.cutting:,} cutting blocks remain out of tolerance{hint}"
         left = self._lines_of(lambda shortfall: shortfall.lines)
         return (
-            f"corrected, except {left:,} of {count_with_noun(self.moves, 'block')} (listed below)"
+            f"corrected, except {left:,} of {count_with_noun(self.moves, 'block')} (see the list in the report)"
             if left
             else "corrected"
         )

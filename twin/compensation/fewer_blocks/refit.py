@@ -196,7 +196,7 @@ def refit(
         read, dialect = read_program(source)
     if target is not None and not dialect.can_post_to(target):
         raise InputError(
-            f"a {dialect.name} program cannot be written as {target.name}",
+            f"the program cannot be converted from {dialect.name} to {target.name}",
             expected=f"a file name ending in {' '.join(dialect.suffixes)}",
             file=output,
             setting="output",

@@ -31,6 +31,7 @@ from twin.diagnosis.selection.unnamed import PatternTest, scan_patterns
 from twin.identification.solve import setup_unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
+from twin.measurement.checks import overstated_noise
 from twin.numerics.covariance import Covariance
 from twin.numerics.observability import Unknown, determinability
 
@@ -62,6 +63,8 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
     after = residuals_as_written(problem, extended, instrument) if changed else residual
     hidden = _unidentifiable(found)
     weights = network.whitening
+    stated = not np.isfinite(found.task.noise.dof)
+    overstated = overstated_noise(rms(residual, network.read), problem.chi2, problem.dof) if stated else ()
     return Diagnosis(
         verdict=_verdict(reported, left),
         rms_um=rms(residual, network.read),
@@ -84,7 +87,7 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
         noise_source=found.task.noise.source,
         calibration=calibration,
         extended=extended,
-        data=replace(network.data, notices=(*network.data.notices, *reported.notices)),
+        data=replace(network.data, notices=(*network.data.notices, *overstated, *reported.notices)),
         residual_um=read_only(residual),
         after_um=read_only(after),
         directions=read_only(unwhiten(problem, problem.view.by_base)),

@@ -34,6 +34,7 @@ from twin.machine.effects.gravity_compliance import PAYLOAD, payloads_of
 from twin.machine.effects.payload import CENTRE_RANGE_MM, SIDES
 from twin.machine.effects.waves import APPROACH
 from twin.machine.machine import Machine
+from twin.measurement.checks import ASSUMED
 from twin.measurement.table import Measurements
 
 AT_BOUND: Final = 0.99
@@ -86,6 +87,7 @@ def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCause
     wanted = points_to_measure(found.beside, [sized.beside[k] for k in order], ordered)
     further = () if comparison is None else comparison.further
     notices = (
+        *_assumed_approach(sized),
         *silent,
         *_insignificant_notice(sized),
         *(_further(effect) for effect in further),
@@ -120,6 +122,23 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         bounded=_bounded(form, quantities),
         rivals=ruled_out(found.beside, sized.beside[k], rest, sized.excess),
     )
+
+
+def _assumed_approach(sized: SizedCauses) -> list[str]:
+    """Return a notice for each axis with an effect of its approach direction that is unknown for some readings."""
+    network, found = sized.found.problem.network, []
+    for form in sized.forms:
+        for channel in form.candidate.specification.channels(form.candidate.where):
+            axis = channel.removeprefix(APPROACH)
+            if channel == axis or axis not in network.machine.names:
+                continue
+            unknown = int(np.count_nonzero(network.data.approach[:, network.machine.names.index(axis)] == 0.0))
+            if unknown:
+                found.append(
+                    f"{ASSUMED}where {channel} is unknown (0), {axis} is in the middle of its backlash ({unknown} of "
+                    f"{len(network.data)} readings); if it was on one side there, the size is wrong by up to a factor of two"
+                )
+    return list(dict.fromkeys(found))
 
 
 def _approach_doubt(sized: SizedCauses, form: Form) -> str:

@@ -29,7 +29,7 @@ ALIKE: Final = 0.9
 """Rank correlation of two columns above which only one of them is plotted."""
 SHOWN: Final = 0.2
 """Columns whose χ² is below this share of that of the clearest column are not plotted."""
-SIDES: Final = ((-1.0, "from −"), (0.0, "unknown"), (1.0, "from +"))
+SIDES: Final = ((-1.0, "moving −"), (0.0, "unknown"), (1.0, "moving +"))
 """Names of the approach directions."""
 MOST: Final = 3
 """Largest number of panels of residuals."""
@@ -312,7 +312,7 @@ def _split(found: DiagnosisResult, cause: Cause) -> list[tuple[str, np.ndarray]]
     by = drawing_of(cause).split(cause.where)
     if by.startswith(APPROACH):
         sides = data.approach[:, machine.names.index(by.removeprefix(APPROACH))]
-        return [("from +", sides > 0), ("from −", sides < 0)]
+        return [("moving +", sides > 0), ("moving −", sides < 0)]
     if not by:
         return [("", np.ones(len(data), dtype=bool))]
     q = np.asarray(data.positions[:, machine.names.index(by)])
