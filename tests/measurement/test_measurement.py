@@ -159,6 +159,15 @@ def test_bad_tables_say_where(
     assert words in str(caught.value)
 
 
+@pytest.mark.parametrize(("separator", "name"), [(";", "semicolons"), ("\t", "tabs")])
+def test_another_separator_is_named(dmu50: Machine, tmp_path: Path, separator: str, name: str) -> None:
+    path = table(tmp_path, *rows(0, 50, 100))
+    path.write_text(path.read_text().replace(",", separator))
+    with pytest.raises(InputError, match=f"separated by {name}") as caught:
+        Measurements.load(path, dmu50)
+    assert caught.value.line == 2 and "decimal points" in caught.value.expected
+
+
 def test_noise_stated_too_large_is_reported() -> None:
     """Chi² of 20 degrees of freedom is below 2 by chance in one of nine million data sets."""
     assert stats.chi2.cdf(2.0, 20) == pytest.approx(1.1e-7, rel=0.05)

@@ -317,6 +317,18 @@ def test_calibration_without_errors(dmu50: Machine) -> None:
     assert "contains no errors" in text and "<iframe" not in text
 
 
+def test_a_calibration_worse_than_none_is_not_recommended(dmu50: Machine, tmp_path: Path) -> None:
+    """An error of 5 µm that is known to 100 µm: compensating with it would enlarge the expected error."""
+    curve = "{unit: um, domain: [0, 500], basis: power, coefficients: [0, 5.0], covariance: [[0, 0], [0, 1.0e+4]]}"
+    path = tmp_path / "c.yaml"
+    path.write_text(
+        f"schema: twin.calibration/1\nmachine: DMU 50 eVolution\nsource: a test\ncurves: {{E_XX: {curve}}}\n"
+    )
+    one = machine_report(dmu50, Calibration.load(path, dmu50), made=MADE)
+    assert not any(step.kind == "do" for step in one.advice.steps)
+    assert any(step.kind == "never" and "uncertainty is too large" in step.text for step in one.advice.steps)
+
+
 def test_another_machine(folder: Path) -> None:
     """An A axis, with the z of its frame along x, is named by its motion on a machine unknown to the code."""
     machine = Machine.load("trunnion_ac")

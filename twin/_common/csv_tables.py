@@ -40,6 +40,7 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
     comments = [text.strip().lstrip("# ") for _, text in whole if text.lstrip().startswith("#")]
     if not lines:
         raise InputError("no header row", expected="a CSV table with a header", file=path)
+    _check_separator(lines[0][1], path, lines[0][0])
     cells = _cells(lines, path)
     header = [name.strip() for name in cells[0]]
     if len(header) > MAX_COLUMNS:
@@ -59,6 +60,19 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
             )
         rows.append((number, [cell.strip() for cell in row] if " " in text or "\t" in text else row))
     return header, rows, comments
+
+
+def _check_separator(header: str, path: Path, line: int) -> None:
+    """Raise `InputError` if the columns of a header are not separated by commas."""
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if header.count(separator) > header.count(","):
+            raise InputError(
+                f"the columns are separated by {name}",
+                expected="commas between columns and decimal points: save the table as comma-separated CSV",
+                file=path,
+                line=line,
+                value=header,
+            )
 
 
 def split_cells(text: str, path: Path, line: int) -> list[str]:

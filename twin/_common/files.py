@@ -1,4 +1,4 @@
-"""Files: reading text, writing outputs atomically, and checking that no output overwrites an input.
+"""File formats: machine, calibration, measurement table, reports; how they are read and written.
 
 **Machine** (`schema: twin.machine/1`): see `urdf/dmu50.yaml`. Axes in command order with joint, kind, range (mm, degrees, or
 `unlimited`), least increment and, where the error frame is turned against the joint's own frame, `error_frame_rpy_deg`. `frames`

@@ -13,7 +13,7 @@ from twin._common.arrays import read_only
 from twin._common.json_form import json_form
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin._common.units import MM
-from twin.display import card, note, pairs, table
+from twin.display import card, count_with_noun, note, pairs, table
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification.network import Network
 from twin.identification.orders import Choice
@@ -255,8 +255,9 @@ class Identification:
         fit = self.misfit
         stations = len(self.setup.stations)
         lines = [
-            f"{self.calibration.machine.name}: {int(self.used.sum())} points of {len(self.setup.targets)} targets from "
-            f"{stations} station{'s' * (stations > 1)}, {self.solution.determined:.0f} parameters determined",
+            f"{self.calibration.machine.name}: {count_with_noun(int(self.used.sum()), 'point')} of "
+            f"{count_with_noun(len(self.setup.targets), 'target')} from {count_with_noun(stations, 'station')}, "
+            f"{self.solution.determined:.0f} parameters determined",
             *warning_texts(self.calibration.warnings),
             *assumptions(self.notices),
             "",

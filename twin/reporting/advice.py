@@ -220,6 +220,11 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
     if found.total.rms_um <= 0.0:
         return
     start, exact = (figure(level.rms_um, "µm") for level in (outcome.before, outcome.exact))
+    if outcome.with_uncertainty is not None and outcome.with_uncertainty.rms_um >= outcome.before.rms_um:
+        expected = figure(outcome.with_uncertainty.rms_um, "µm")
+        text = f"Its uncertainty is too large: the expected RMS error would change from {start} to {expected}. Measure more first."
+        yield Step("never", "Compensate programs with this calibration", text)
+        return
     text = f"`twin compensate part.nc -o part.compensated.nc{_options(found, calibration)}` reduces the error from {start} RMS to "
     if outcome.with_uncertainty is None:
         text += (
@@ -278,7 +283,7 @@ def _adjust(found: Budget) -> Iterator[Step]:
                 f"{one.words} ({one.name}) by {size}: this reduces the error over the volume to {figure(rest, 'µm')} RMS."
             )
     if significant:
-        text = f"{' '.join(significant)} Have it done by a technician and measure again: this calibration is then no longer valid."
+        text = f"{' '.join(significant)} Measure again after the adjustment: this calibration is then no longer valid."
         yield Step("do", "Adjust the machine mechanically", text)
     if without_interval:
         text = f"The uncertainty of {listed(without_interval)} is {UNKNOWN}."
@@ -302,7 +307,9 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
         f"tables; {'; '.join(_remaining(one) for one in tables)}. Valid for tool length {best.tool_length_mm:g} mm and the other axes "
         f"at {where}."
     )
-    if best.remains.reduction >= WORTH:
+    tables_left = best.remains.tables
+    larger = isfinite(best.remains.uncertainty.rms_um) and tables_left.expected_rms_um >= best.remains.before.rms_um
+    if best.remains.reduction >= WORTH and not larger:
         calibration = found.kinematics.calibration
         how = f"`twin control --to {best.kind} -o tables/{_options(found, calibration)}` writes the tables."
         yield Step("do", _with_measured("use the control's axis tables", calibration), f"{text} {how}")
@@ -371,8 +378,8 @@ def _never(calibration: Calibration, found: Budget) -> Iterator[Step]:
         )
     if found.total.rms_um > 0.0 and not calibration.illustrative:
         text = (
-            "Do not compensate an error both in the control's tables and in programs, nor with this calibration after the machine "
-            "was adjusted. A change of the machine makes this calibration invalid for the errors concerned."
+            "If the control's tables are active, compensate programs only with the `calibration.yaml` written beside them, which "
+            "contains what the tables correct. Do not use this calibration after the machine was adjusted."
         )
         yield Step("never", "Correct the same error twice", text)
     tilts = [one.name for one in found.errors if one.unit == "urad" and one.peak > 0.0 and one.rms_um == 0.0]
