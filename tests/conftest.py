@@ -18,6 +18,8 @@ from threadpoolctl import threadpool_limits
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.planning import Kit, Plan, duration, plan
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start: the run itself uses all cores
 from twin.samples import thesis_plan
 
 # Two workers share two cores (pyproject.toml): threads of a linear algebra library would only stand in each other's way.

@@ -14,7 +14,7 @@ NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "notebooks").glob("*.i
 SECONDS_A_CELL = 300
 """Far beyond what a cell takes on a busy machine: a hang, not slowness."""
 
-LONG = {"02_diagnose", "03_plan_a_measurement", "04_your_own_machine"}
+LONG = {"01_identify", "02_diagnose", "03_plan_a_measurement", "04_your_own_machine"}
 """Ten seconds to a minute each; in the default run `test_hidden_effects.py`, `test_plan.py` and `test_few_axes.py` do what they do."""
 
 

@@ -446,6 +446,7 @@ def test_an_unknown_uncertainty_is_unknown_and_never_zero(dmu50: Machine) -> Non
     assert "up to at least 3.92 µm" in text and "U is a lower bound: no uncertainty is given for E_XX[1]" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [pytest.param(0.0, marks=pytest.mark.slow), 120.0])
 def test_the_report_gives_the_same_figures(length: float, dmu50: Machine, tmp_path: Path) -> None:
     mine = tmp_path / "mine.yaml"

@@ -103,6 +103,7 @@ def test_a_pattern_in_no_catalogue_is_unexplained(what: str, calibration: Calibr
     assert left.size_um == pytest.approx(size, rel=0.2)
 
 
+@pytest.mark.slow
 def test_an_effect_of_another_column_is_found_with_an_unknown_pattern(calibration: Calibration, tmp_path: Path) -> None:
     """Short waves over X and Y on the tool side do not affect the effect of B."""
     of = planned(22)

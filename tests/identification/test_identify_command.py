@@ -31,6 +31,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_from_a_plan_to_a_calibration(
     measured: Path, tmp_path: Path, dmu50: Machine, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -63,6 +63,7 @@ def by_truth(found: Identification, file: Path) -> np.ndarray:
     return left
 
 
+@pytest.mark.slow
 def test_a_target_with_a_misfit_has_few_outliers(dmu50: Machine, clean: Measurements) -> None:
     """One of six targets has a misfit thirty times that of the others: five wrong rows are found, the other rows stay in."""
     data = replace(clean, point_mm=read_only(clean.point_mm + loose(clean, "P")))
@@ -75,6 +76,7 @@ def test_a_target_with_a_misfit_has_few_outliers(dmu50: Machine, clean: Measurem
     assert found.to_text().count("outlier, not used") == 2 and len(found.to_dict()["set_aside"]) == 5
 
 
+@pytest.mark.slow
 def test_many_outliers_indicate_the_model(dmu50: Machine, clean: Measurements) -> None:
     """Above a share of two in a hundred the report doubts the model; one in a hundred gives no notice."""
     few, many = (identify(moved(clean, np.arange(k, len(clean), step), 1.0), dmu50) for k, step in ((3, 100), (3, 25)))
@@ -98,6 +100,7 @@ def test_the_file_is_the_fit(dmu50: Machine, clean: Measurements, tmp_path: Path
     assert 1e3 * np.sqrt(np.mean(left[found.used] ** 2)) == pytest.approx(found.rms_um)
 
 
+@pytest.mark.slow
 def test_the_command_reports_its_own_file(clean: Measurements, tmp_path: Path) -> None:
     """The report is computed from the written file, not from memory."""
     table, out, said = (tmp_path / name for name in ("m.csv", "c.yaml", "r.json"))

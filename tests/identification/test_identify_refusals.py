@@ -74,6 +74,7 @@ def test_outliers_are_found(dmu50: Machine, data: Measurements, seed: int) -> No
     check_as_without(found, identify(data.select(keep), dmu50))
 
 
+@pytest.mark.slow
 def test_a_broken_beam(dmu50: Machine, data: Measurements) -> None:
     """Target P is lost in X's second round at the fourth position, and counted from a wrong length until the run ends."""
     of = (data.target == "P") & (data.round == "2") & (data.approach[:, 0] != 0)

@@ -143,6 +143,7 @@ def test_an_r_test_is_identified(dmu50: Machine, tmp_path: Path) -> None:
     assert drawn.rms_um > 10.0
 
 
+@pytest.mark.slow
 def test_lengths_from_a_known_zero_have_no_dead_path(dmu50: Machine, tmp_path: Path) -> None:
     """An instrument that differs in its specification only: spheres on the table, absolute lengths."""
     bar = TrackingInterferometer(specification=replace(TRACKING, name="bar", free_start=False))

@@ -137,6 +137,7 @@ def plain_only(draw: st.DrawFn) -> str:
     return eol.join(["G0 X0 Y0 Z0 B0 C0", *lines, ""])
 
 
+@pytest.mark.slow
 @MANY
 @given(text=plain_only(), seed=SEED, size=st.sampled_from([4, 100]))
 def test_long_runs(text: str, seed: int, size: int) -> None:

@@ -216,6 +216,7 @@ def test_the_bundled_kit(dmu50: Machine, tmp_path: Path) -> None:
         bundled_kit("dmu51")
 
 
+@pytest.mark.slow
 def test_coordinates_entered_into_a_plan_do_not_make_its_positions_known(half: Plan, tmp_path: Path) -> None:
     """A planned position of a reflector is not a known one unless the kit has `known: true`."""
     half.save(tmp_path / "p.csv")

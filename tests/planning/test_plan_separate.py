@@ -107,6 +107,7 @@ def test_the_stated_size_is_distinguished_together_with_earlier_readings(calibra
     check(calibration, cross, before=True, draws=FEW, more={})
 
 
+@pytest.mark.slow
 def test_the_stated_size_is_distinguished_by_the_plan_alone(calibration: Calibration, warm: Plan) -> None:
     assert warm.separation is not None and [unit for _, unit in warm.separation.sizes] == ["um/h", "um/K"]
     check(calibration, warm, before=False, draws=FEW, more={})

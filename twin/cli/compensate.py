@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import closing
 from dataclasses import replace
 from enum import StrEnum
@@ -112,8 +112,7 @@ def compensate(
         with progress() as say:
             every = compensate_files(programs, output, loaded, errors, options=settings, workers=own, progress=say)
             outcomes_done, interrupted = _collect(every, strict)
-        summary = _summary(programs, outcomes_done, output, interrupted=interrupted)
-        result = replace(summary, text="\n".join([*warning_texts(errors.warnings), summary.text]))
+        result = _summary(programs, outcomes_done, output, warning_texts(errors.warnings), interrupted=interrupted)
     elif scheduler is not None:
         raise InputError(
             "--scheduler needs several programs", expected="several programs, and -o with a folder", value=scheduler
@@ -153,12 +152,17 @@ def _collect(outcomes: Generator[ProgramOutcome, None, None], strict: bool) -> t
 
 
 def _summary(
-    programs: list[Path], found: Mapping[Path, ProgramOutcome], folder: Path, *, interrupted: bool
+    programs: list[Path],
+    found: Mapping[Path, ProgramOutcome],
+    folder: Path,
+    warnings: Iterable[str],
+    *,
+    interrupted: bool,
 ) -> CommandResult:
     outcomes_done = [found[program] for program in programs if program in found]
     wide = max((len(str(program)) for program in programs), default=0)
     count = Counter(outcome.verdict for outcome in outcomes_done)
-    lines = [f"{outcome.program!s:<{wide}}  {outcome.line}" for outcome in outcomes_done]
+    lines = [*warnings, *(f"{outcome.program!s:<{wide}}  {outcome.line}" for outcome in outcomes_done)]
     lines.append(
         f"\n{len(programs)} programs: {count['done']} done, {count['not met']} done in part, {count['failed']} failed"
         + (f", {len(programs) - len(outcomes_done)} not finished" if interrupted else "")

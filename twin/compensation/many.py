@@ -207,8 +207,7 @@ def compensate_files(
     own = Workers() if workers is None else workers
     worker = ProgramCompensator(machine, calibration, Options() if options is None else options)
     _ = worker.compensator  # an error common to all programs is raised once, before anything is written
-    folder = Path(folder)
-    targets = outputs([Path(program) for program in programs], folder)
+    targets, folder = outputs([Path(program) for program in programs], Path(folder)), Path(folder)
     made = not folder.is_dir()
     folder.mkdir(exist_ok=True)
     try:
