@@ -65,7 +65,8 @@ def at_targets_um(found: Identification) -> dict[str, float]:
             for i, shapes in enumerate(unknowns.shapes(positions)):
                 for at, values in shapes:
                     own[:, :, i] += carried.by_error[:, :, at] * values[:, None]
-            own[:, :, len(unknowns) :][:, :, setup.slots()[1][k]] = carried.rotation
+            place = next(slot.at for slot in setup.slots if slot.kind == "place" and slot.number == k)
+            own[:, :, len(unknowns) :][:, :, place] = carried.rotation
             by_unknown = by_unknown + own / 3.0
         q = positions[:, column]
         for i, direction in enumerate(LINEAR):
