@@ -386,10 +386,10 @@ def test_the_command_prints_and_writes_the_comparison(tmp_path: Path) -> None:
     made(squareness={**SQUARENESS, "E_C0Y": 34.0}).save(newer)
     run = CliRunner().invoke(app, ["compare", str(older), str(newer), "--json", str(report), "--tolerance", "0.02"])
     assert run.exit_code == 0 and "CHANGED" in run.output and "E_C0Y" in run.output
-    told = json.loads(report.read_text())
-    assert told["schema"] == "twin.comparison/1" and told["verdict"] == "changed"
-    assert [error["error"] for error in told["fewest"]["errors"]] == ["E_C0Y"]
-    assert told["first_compensating_second"]["good_enough"] is True
+    written = json.loads(report.read_text())
+    assert written["schema"] == "twin.comparison/1" and written["verdict"] == "changed"
+    assert [error["error"] for error in written["fewest"]["errors"]] == ["E_C0Y"]
+    assert written["first_compensating_second"]["good_enough"] is True
     made(u=None).save(older)
     run = CliRunner().invoke(app, ["compare", str(older), str(newer)])
     assert run.exit_code == 3 and "UNKNOWN" in run.output

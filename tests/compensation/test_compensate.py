@@ -244,9 +244,9 @@ def test_work_origin_in_tcp(dmu50: Machine, calibration: Calibration) -> None:
 def test_mode_tcp_equals_switching_it_on_in_the_program(dmu50: Machine, calibration: Calibration) -> None:
     words = "G0 X50 Y20 Z60 B40 C50\nG1 X40 F300\n"
     switched = compensate("G43.4 H1\n" + words, dmu50, calibration)
-    told = compensate(words, dmu50, calibration, tcp=True)
-    assert body(switched) == "G43.4 H1\n" + body(told)
-    assert told.exact == pytest.approx(switched.exact, abs=1e-12)
+    given = compensate(words, dmu50, calibration, tcp=True)
+    assert body(switched) == "G43.4 H1\n" + body(given)
+    assert given.exact == pytest.approx(switched.exact, abs=1e-12)
 
 
 def test_an_ignored_offset_is_noted(dmu50: Machine, calibration: Calibration) -> None:

@@ -448,9 +448,12 @@ def part(tmp_path: Path) -> Path:
 def test_a_missing_channel_is_refused(part: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = extended(tmp_path, reversal("Y", -12.0), EXPANSION, GROWTH, DRIFT)
     for given_, words in (
-        ([], ["thermal_expansion:X needs T_X_degC", "--temperature X=… bed=… --time S"]),
-        (["--temperature", "X=23.1", "bed=21"], ["thermal_drift:Y needs time_s", "expected --time S"]),
-        (["--temperature", "X=23.1", "--time", "60"], ["thermal_growth:Z by bed needs T_bed_degC", "bed=…"]),
+        ([], ["thermal_expansion:X needs T_X_degC", "the temperature of X and bed, the time (--temperature, --time)"]),
+        (["--temperature", "X=23.1", "bed=21"], ["thermal_drift:Y needs time_s", "expected the time (--time)"]),
+        (
+            ["--temperature", "X=23.1", "--time", "60"],
+            ["thermal_growth:Z by bed needs T_bed_degC", "the temperature of bed (--temperature)"],
+        ),
     ):
         for command in ("compensate", "scene"):
             out = tmp_path / ("out.nc" if command == "compensate" else "out.html")
@@ -511,7 +514,7 @@ def test_info_lists_omitted_effects(tmp_path: Path, capsys: pytest.CaptureFixtur
     path = extended(tmp_path, reversal("Y", 12.0), EXPANSION, GROWTH)
     status, printed, _ = run_cli(capsys, "info", "-c", path, "--temperature", "X=26")
     assert status == 0
-    assert "omitted: thermal_growth:Z by bed (needs --temperature bed=…)" in printed
+    assert "omitted: thermal_growth:Z by bed (needs the temperature of bed)" in printed
     for word in ("reversal:Y", "thermal_expansion:X", "± half its size", "T_X_degC 26"):
         assert word in printed
     assert run_cli(capsys, "info", "-c", path, "--temperature", "bad=26")[0] == 2

@@ -155,9 +155,9 @@ def test_the_state_of_the_control_tables_must_be_given(
         path.write_text(path.read_text().replace("L-POS", "L-POSE", 1))
     with pytest.raises(InputError) as caught:
         Calibration.load(path, dmu50)
-    told = str(caught.value)
-    assert {"table": "not the control table", "gone": "cannot be read", "class": "L-POSE"}[change] in told
-    assert ("c.yaml:" if change == "class" else "Y.comp") in told
+    message = str(caught.value)
+    assert {"table": "not the control table", "gone": "cannot be read", "class": "L-POSE"}[change] in message
+    assert ("c.yaml:" if change == "class" else "Y.comp") in message
 
 
 def test_classes_corrected_by_one_table_stay_together(

@@ -456,8 +456,8 @@ def test_two_processes_at_once(cache: Path, tmp_path: Path) -> None:
         subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         for _ in range(2)
     ]
-    told = [process.communicate(timeout=120) for process in running]
-    assert [out.strip() for out, _ in told] == ["42", "42"], told
+    outputs = [process.communicate(timeout=120) for process in running]
+    assert [out.strip() for out, _ in outputs] == ["42", "42"], outputs
     assert calls(tmp_path) == 1
 
 
@@ -503,7 +503,7 @@ def test_no_compiler_and_switched_off(
     real = Kinematics(dmu50, calibration)
     q = random_commands(dmu50, 200, np.random.default_rng(31))
     target = real.forward(q)
-    for variables, told in (
+    for variables, description in (
         ({"PATH": str(tmp_path), "CXX": ""}, "NumPy (no C++ compiler found)"),
         ({loading.SWITCH_VARIABLE: "0"}, "NumPy (TWIN_NATIVE=0)"),
     ):
@@ -514,7 +514,7 @@ def test_no_compiler_and_switched_off(
             inverse = Inverse(real)
             assert np.all(inverse.solve(target, q).where(Status.CONVERGED))
             assert inverse._solver._native is None
-            assert solver_description() == told
+            assert solver_description() == description
 
 
 @compiled
@@ -540,7 +540,7 @@ def test_a_compiler_that_miscompiles_is_not_believed(
 
 def test_info_says_which_way(tmp_path: Path) -> None:
     settings = {"XDG_CACHE_HOME": str(tmp_path), "COLUMNS": "200"}
-    told = {}
+    lines = {}
     for switch in ("0", "1"):
         done = subprocess.run(
             [sys.executable, "-m", "twin.cli", "info"],
@@ -549,7 +549,7 @@ def test_info_says_which_way(tmp_path: Path) -> None:
             text=True,
             check=True,
         )
-        told[switch] = next(line for line in done.stdout.splitlines() if line.startswith("inverse "))
-    assert told["0"] == "inverse       NumPy (TWIN_NATIVE=0)"
+        lines[switch] = next(line for line in done.stdout.splitlines() if line.startswith("inverse "))
+    assert lines["0"] == "inverse       NumPy (TWIN_NATIVE=0)"
     expected = "NumPy (no C++ compiler found)" if compiler.find_compiler() is None else "compiled from "
-    assert told["1"].startswith(f"inverse       {expected}")
+    assert lines["1"].startswith(f"inverse       {expected}")

@@ -62,16 +62,16 @@ def worker(address: str, room: Path, path: Path, *options: str) -> subprocess.Po
 def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Start a scheduler and two workers, each a process as on another computer."""
     room = tmp_path_factory.mktemp("cluster")
-    told = room / "scheduler.json"
+    file = room / "scheduler.json"
     command = [*DASK, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
     processes = [
         subprocess.Popen(
-            [*command, "--scheduler-file", str(told)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=room
+            [*command, "--scheduler-file", str(file)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=room
         )
     ]
     try:
-        until(told.exists)
-        address = json.loads(told.read_text())["address"]
+        until(file.exists)
+        address = json.loads(file.read_text())["address"]
         processes.append(worker(address, room, ROOT, "--nworkers", "2"))
         with Client(address) as client:
             client.wait_for_workers(2, timeout=60)

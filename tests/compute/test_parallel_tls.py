@@ -146,8 +146,8 @@ def test_the_options_of_a_command(
     files = ["--tls-ca", str(certificates.ca_file), "--tls-cert", str(certificates.certificate)]
     assert run(*words, *files[:2]) == (2, "twin: incomplete TLS files; expected --tls-ca and --tls-cert, and --tls-key "
                                           "if the certificate file holds no key\n")  # fmt: skip
-    status, told = run(*words, *files, "--tls-key", str(certificates.key))
-    assert status == 0 and told == ""
+    status, output = run(*words, *files, "--tls-key", str(certificates.key))
+    assert status == 0 and output == ""
     assert {path.name for path in (tmp_path / "out").glob("*.nc")} == {"a.nc", "b.nc"}
 
 

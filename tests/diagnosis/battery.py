@@ -67,7 +67,7 @@ UNHIDDEN = ("misplaced", "error_motion")
 """Families that are not of the contract's table: mistakes in the calibration have separate tests."""
 
 
-class Told:
+class Finding:
     """The hidden effects of one draw, and the causes named."""
 
     truth: tuple[Key, ...]
@@ -85,7 +85,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Answer(Told):
+class Answer(Finding):
     """The hidden effects of one draw, and the diagnosis; ``alone`` if the effect is not confounded even without noise."""
 
     truth: tuple[Key, ...]
@@ -310,7 +310,7 @@ def tasks(draws: int) -> list[tuple[int, int]]:
     return [(number, min(FRESH, draws - start)) for number, start in enumerate(range(0, draws, FRESH))]
 
 
-def told(task: tuple[int, int]) -> str:
+def task_name(task: tuple[int, int]) -> str:
     """Name of a task."""
     return f"data set {task[0]}"
 
@@ -327,7 +327,7 @@ def answers(
 ) -> list[Answer]:
     """Draws of one row of the table: the same for the same seed on any workers, but for the seconds."""
     case = Case(row, seed, noise, poses, uncertain)
-    return [one for found in map_in_order(answers_of, case, tasks(draws), workers, name=told) for one in found]
+    return [one for found in map_in_order(answers_of, case, tasks(draws), workers, name=task_name) for one in found]
 
 
 def answers_of(case: Case, task: tuple[int, int]) -> list[Answer]:

@@ -26,7 +26,20 @@ import statsmodels.api as sm
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LassoLarsIC
 
-from tests.diagnosis.battery import HERE, ROWS, UNHIDDEN, Case, DataSet, Key, Told, Truth, matched, parsed, tasks, told
+from tests.diagnosis.battery import (
+    HERE,
+    ROWS,
+    UNHIDDEN,
+    Case,
+    DataSet,
+    Finding,
+    Key,
+    Truth,
+    matched,
+    parsed,
+    task_name,
+    tasks,
+)
 from twin.compute.parallel import Workers, map_in_order
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import Column
@@ -45,7 +58,7 @@ STEPS = 500
 
 
 @dataclass(frozen=True)
-class Said(Told):
+class Said(Finding):
     """The result of one method for one draw.
 
     Attributes:
@@ -320,7 +333,7 @@ def compared(
     """
     case = Case(row, seed, noise, poses, every=every)
     found: dict[str, list[Said]] = {}
-    for said in map_in_order(said_of, case, tasks(draws), workers, name=told):
+    for said in map_in_order(said_of, case, tasks(draws), workers, name=task_name):
         for method, some in said.items():
             found.setdefault(method, []).extend(some)
     return found

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import subprocess
 from collections.abc import Mapping
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -18,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.browser import title_of
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin._common.errors import InputError
@@ -375,19 +374,6 @@ def test_points_are_grouped_by_the_causes_they_separate() -> None:
 
 def test_the_page_fits_a_narrow_screen(pages: Mapping[str, str], folder: Path) -> None:
     """In a browser window of 420 pixels the page does not overflow."""
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
-        pytest.skip("no Chromium here to look at the page with (Debian: apt install chromium)")
-    probe = "<script>document.title = document.documentElement.scrollWidth + ' of ' + innerWidth</script></body>"
-    (folder / "page.html").write_text(pages["two alike"].replace("</body>", probe))
-    options = "--headless=new --no-sandbox --disable-gpu --disable-background-networking --disable-component-update --disable-sync"
-    done = subprocess.run(
-        [chromium, *options.split(), "--window-size=420,900", "--dump-dom", (folder / "page.html").as_uri()],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    widths = re.search(r"<title>(\d+) of (\d+)</title>", done.stdout)
-    assert widths is not None, done.stderr[-500:]
-    assert int(widths[1]) <= int(widths[2])
+    expression = "document.documentElement.scrollWidth + ' of ' + innerWidth"
+    needed, available = title_of(pages["two alike"], folder / "page.html", expression, width=420).split(" of ")
+    assert int(needed) <= int(available)

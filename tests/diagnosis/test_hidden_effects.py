@@ -520,8 +520,8 @@ def test_what_the_set_up_absorbs_is_unidentifiable(look: Callable[..., Diagnosis
     for k in range(3):
         said = found.looks_like["zero_offset", "XYZ"[k]]
         assert f" {'xyz'[k]} " in said and ("station" in said or "target" in said)
-    told = found.to_dict()["unidentifiable"]
-    assert {(one["effect"], one["where"]): one["because"] for one in told} == dict(found.looks_like)
+    written = found.to_dict()["unidentifiable"]
+    assert {(one["effect"], one["where"]): one["because"] for one in written} == dict(found.looks_like)
 
 
 def test_the_battery_in_small() -> None:
@@ -551,19 +551,19 @@ REACH = {
 @pytest.mark.parametrize("row", battery.ROWS)
 def test_the_battery(row: str, noise: str) -> None:
     kind = "isotropic" if noise == "uncertain" else noise
-    told = battery.summary(row, battery.answers(row, 200, 11, noise=kind, poses=100, uncertain=noise == "uncertain"))
+    summary = battery.summary(row, battery.answers(row, 200, 11, noise=kind, poses=100, uncertain=noise == "uncertain"))
     for (where, name), bound in REACH.items():
         if where == row:
-            assert told[name] >= bound, told
+            assert summary[name] >= bound, summary
     if row == "nothing":
-        assert told["any alarm"] <= 0.05 + 0.031, told
+        assert summary["any alarm"] <= 0.05 + 0.031, summary
     elif not row.startswith("outside"):
-        assert told["an effect too many"] <= 0.05 + 0.031, told
-        assert 0.7 < told["rms of pulls"] < 1.3, told
+        assert summary["an effect too many"] <= 0.05 + 0.031, summary
+        assert 0.7 < summary["rms of pulls"] < 1.3, summary
         # One draw of 200 with an alias of the period was seen; a second is allowed, and three of 300 intervals are a hundredth.
-        assert told["far pulls"] <= 0.01, told
+        assert summary["far pulls"] <= 0.01, summary
         # Some 400 intervals: ±2 %.
-        assert 0.93 - 0.02 <= told["coverage"] <= 0.97 + 0.02, told
+        assert 0.93 - 0.02 <= summary["coverage"] <= 0.97 + 0.02, summary
 
 
 @pytest.mark.parametrize("noise", ["isotropic", "tracker"])

@@ -87,7 +87,7 @@ def measured(path: Path, shape: Shape | None, seed: int = 21) -> tuple[Plan, Pat
 
 
 @dataclass(frozen=True)
-class Told:
+class Diagnosed:
     """The files and the text that the command wrote."""
 
     json: dict
@@ -101,7 +101,7 @@ class Told:
         return one
 
 
-def told(table: Path, machine: Machine, *more: str) -> Told:
+def diagnosed(table: Path, machine: Machine, *more: str) -> Diagnosed:
     """Run `twin diagnose` and read all its outputs, written next to the table."""
     yaml, report, page = (table.with_suffix(suffix) for suffix in (".yaml", ".json", ".html"))
     words = ["diagnose", table, "--extended", yaml, "--json", report, "--html", page, *more]
@@ -110,7 +110,7 @@ def told(table: Path, machine: Machine, *more: str) -> Told:
         cli.main([str(word) for word in words])
     assert not stopped.value.code
     text = " ".join(said.getvalue().split())
-    return Told(json.loads(report.read_text()), Calibration.load(yaml, machine), text, page.read_text())
+    return Diagnosed(json.loads(report.read_text()), Calibration.load(yaml, machine), text, page.read_text())
 
 
 def program(seed: int) -> str:
@@ -143,11 +143,11 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def short(table: Path, dmu50: Machine) -> Told:
-    return told(table, dmu50, "--empirical")
+def short(table: Path, dmu50: Machine) -> Diagnosed:
+    return diagnosed(table, dmu50, "--empirical")
 
 
-def test_short_waves_extend_the_model_and_parts_are_cut_better(short: Told, calibration: Calibration) -> None:
+def test_short_waves_extend_the_model_and_parts_are_cut_better(short: Diagnosed, calibration: Calibration) -> None:
     found = short
     assert found.json["verdict"] == "unexplained" and found.json["causes"] == []
     made = found.json["unexplained"]["extension"]
@@ -184,7 +184,7 @@ def test_short_waves_extend_the_model_and_parts_are_cut_better(short: Told, cali
     assert 0.6 < before / said["before_um"] < 1.4 and 0.6 < after / said["after_um"] < 1.4
 
 
-def test_the_gain_is_that_of_the_file_written(short: Told, table: Path, dmu50: Machine) -> None:
+def test_the_gain_is_that_of_the_file_written(short: Diagnosed, table: Path, dmu50: Machine) -> None:
     """A diagnosis with the file written has the stated residual and finds nothing more."""
     found = short
     gain = found.json["gain"]
@@ -196,7 +196,7 @@ def test_the_gain_is_that_of_the_file_written(short: Told, table: Path, dmu50: M
     assert gain["rms_after_um"] < held["rms_after_um"] < 0.8 * held["rms_before_um"] and held["ci95_um"][0] > 0.0
 
 
-def test_the_text_states_the_limits_of_the_extension(short: Told, table: Path) -> None:
+def test_the_text_states_the_limits_of_the_extension(short: Diagnosed, table: Path) -> None:
     for text in (short.text, " ".join(short.html.replace("&nbsp;", " ").split())):
         assert "without a known cause" in text and "outside them compensation is refused" in text
         assert "within X_mm 0 to 500 and Y_mm 0 to 450" in text and "held-out" in text
@@ -205,11 +205,11 @@ def test_the_text_states_the_limits_of_the_extension(short: Told, table: Path) -
 
 
 def test_without_the_option_the_calibration_is_not_extended(
-    short: Told, table: Path, dmu50: Machine, calibration: Calibration, tmp_path: Path
+    short: Diagnosed, table: Path, dmu50: Machine, calibration: Calibration, tmp_path: Path
 ) -> None:
     own = tmp_path / "m.csv"
     own.write_bytes(table.read_bytes())
-    found = told(own, dmu50)
+    found = diagnosed(own, dmu50)
     assert found.json["unexplained"]["extension"] is None and found.json["gain"] is None
     assert found.calibration.extra == () and found.calibration.to_yaml() == calibration.to_yaml()
     assert "xtended:" not in found.text
@@ -227,7 +227,7 @@ def test_the_option_needs_a_file_to_write(table: Path, capsys: pytest.CaptureFix
 def test_a_reversal_that_depends_on_the_position(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     """The approach direction of Y follows from the previous commands of the program."""
     _, own = measured(tmp_path / "m.csv", lost_motion)
-    found = told(own, dmu50, "--empirical")
+    found = diagnosed(own, dmu50, "--empirical")
     made = found.json["unexplained"]["extension"]
     assert made["written"] and made["columns"] == ["approach_Y", "Z_mm"] and set(made["ranges"]) == {"Z_mm"}
     truth = Odd(lost_motion)

@@ -108,10 +108,10 @@ def test_likeness_is_the_cosine_of_an_angle(data: tuple[Problem, list[Candidate]
 @pytest.mark.slow
 def test_the_draws_are_those_of_the_battery() -> None:
     own = battery.answers("one60", 2, 33, poses=30)
-    told = rivals.compared("one60", 2, 33, poses=30)
-    assert [(one.truth, one.named) for one in told["twin"]] == [(one.truth, one.named) for one in own]
-    assert set(told) == {"twin", "stepwise BIC", "stepwise EBIC", "LASSO"}
-    assert all([one.truth for one in said] == [one.truth for one in own] for said in told.values())
+    results = rivals.compared("one60", 2, 33, poses=30)
+    assert [(one.truth, one.named) for one in results["twin"]] == [(one.truth, one.named) for one in own]
+    assert set(results) == {"twin", "stepwise BIC", "stepwise EBIC", "LASSO"}
+    assert all([one.truth for one in said] == [one.truth for one in own] for said in results.values())
 
 
 def test_a_cause_stands_for_one_effect() -> None:

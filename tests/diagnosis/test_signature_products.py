@@ -222,15 +222,15 @@ def test_memory_grows_at_most_in_proportion_to_the_points(dmu50: Machine, tmp_pa
     peaks = []
     for poses in (2_000, 16_000):
         measured(dmu50, tmp_path, poses)
-        told = subprocess.run(
+        output = subprocess.run(
             [sys.executable, "-c", MEMORY, str(tmp_path / "measured.csv")],
             check=True,
             capture_output=True,
             text=True,
             cwd=Path(__file__).resolve().parents[2],
         ).stdout.split()
-        assert {"reversal:Y", "squareness:E_A0Z"} == set(told[1:])
-        peaks.append(float(told[0]))
+        assert {"reversal:Y", "squareness:E_A0Z"} == set(output[1:])
+        peaks.append(float(output[0]))
     assert peaks[1] < 2000.0
     assert (peaks[1] - peaks[0]) * 1024.0 / (6 * 14_000) < 12.0
 

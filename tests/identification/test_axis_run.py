@@ -298,11 +298,11 @@ def test_half_the_path_is_half_the_path(machine: Machine, tmp_path: Path) -> Non
     path.write_text(LAYOUT.read_text().replace("reference_mm: 250", "reading: displacement\nreference_mm: 250"))
     halved = AxisLayout.load(path, machine)
     whole = AxisLayout.load(LAYOUT, machine)
-    told = [
+    runs = [
         simulate_run(one, machine, drawn(machine, 15), FORTH, np.random.default_rng(16), noise=False)[0]
         for one in (halved, whole)
     ]
-    assert np.allclose(2.0 * told[0].change_mm, told[1].change_mm, rtol=0.0, atol=1e-12)
+    assert np.allclose(2.0 * runs[0].change_mm, runs[1].change_mm, rtol=0.0, atol=1e-12)
     assert halved.noise == 2.0 * whole.noise
 
 
@@ -402,9 +402,9 @@ def test_the_commands(machine: Machine, tmp_path: Path, capsys: pytest.CaptureFi
     cli_run(["axis-run", str(run), "--layout", layout_name, "-o", str(out), "--json", str(report)])
     said = capsys.readouterr().out
     assert "E_XX" in said and "simulated by twin" in said
-    told = json.loads(report.read_text())
-    assert (told["schema"], told["axis"], len(told["motions"])) == ("twin.axis_run/1", "X", 42)
-    assert told["misfit"]["p_value"] > 1e-3
+    written = json.loads(report.read_text())
+    assert (written["schema"], written["axis"], len(written["motions"])) == ("twin.axis_run/1", "X", 42)
+    assert written["misfit"]["p_value"] > 1e-3
     found, truth = Calibration.load(out, machine), Calibration.default(machine)
     for name in found.curves:
         real = fine(name, np.asarray(truth.curves[name](FORTH)), FORTH)

@@ -421,11 +421,11 @@ def test_the_angles_of_the_beams_are_not_solved() -> None:
     """Six of their 36 accurate unknowns are not: a third of each α is in the truncated part of Algorithm 2."""
     for seed in range(5):
         layout, _, readings, start = simulated(1.0, seed)
-        told = self_calibrate(layout, readings, noise=NOISE, tolerance=1e-6, poses=start).determinability
-        angles = [i for i, name in enumerate(told.names) if name.startswith("beam") and "turn" in name]
+        found = self_calibrate(layout, readings, noise=NOISE, tolerance=1e-6, poses=start).determinability
+        angles = [i for i, name in enumerate(found.names) if name.startswith("beam") and "turn" in name]
         assert len(angles) == 6
-        assert told.leverage[angles].min() > 0.3
-        assert told.rank < 46
+        assert found.leverage[angles].min() > 0.3
+        assert found.rank < 46
 
 
 def test_limit_with_a_known_installation() -> None:

@@ -206,26 +206,26 @@ def self_calibrate(
     """
     given = np.asarray(readings, dtype=float)
     sought = of_beams(layout) if unknown is None else np.asarray(unknown, dtype=bool)
-    told = np.zeros(len(layout.installation)) if installation is None else np.array(installation, dtype=float)
+    assumed = np.zeros(len(layout.installation)) if installation is None else np.array(installation, dtype=float)
     found = np.array(poses, dtype=float)
     n, motions, count = len(given), list(layout.motions), int(np.count_nonzero(sought))
     sizes = plausible_of(layout, length, angle, 1.0)
     taken, converged = 0, False
     while True:
         matrix, unknowns = question(
-            layout, found, told, unknown=sought, pose_sizes=(length, angle), installation_sizes=sizes
+            layout, found, assumed, unknown=sought, pose_sizes=(length, angle), installation_sizes=sizes
         )
-        residual = given - layout.readings(found, told)
+        residual = given - layout.readings(found, assumed)
         scale = np.array([one.plausible * one.factor for one in unknowns])
         whitened = matrix * scale / noise
         least = tolerance * float(np.linalg.norm(whitened, 2))
         if converged or taken == steps:
             answer = determinability(matrix / noise, unknowns, tolerance=least, measurements=n)
-            return SelfCalibration(read_only(found), read_only(told), read_only(residual), answer, taken, converged)
+            return SelfCalibration(read_only(found), read_only(assumed), read_only(residual), answer, taken, converged)
         left, spectrum = decompose(whitened, scale, tolerance=least)
         along = left.T @ residual.reshape(-1) / noise
         step = spectrum.directions @ (along / spectrum.singular_values) * scale
-        told[sought] += step[:count]
+        assumed[sought] += step[:count]
         found[:, motions] += step[count:].reshape(n, -1)
         taken += 1
         converged = bool(np.linalg.norm(along) <= STILL)

@@ -232,8 +232,8 @@ def test_coordinates_entered_into_a_plan_do_not_make_its_positions_known(half: P
     one = next(iter(half.kit.targets))
     known = replace(half.kit, targets={**half.kit.targets, one: replace(half.kit.targets[one], known=True)})
     replace(half, kit=known).save(tmp_path / "k.csv")
-    told = Measurements.load(tmp_path / "k.csv", half.machine, plan=True)
-    assert np.allclose(told.place_mm, half.table.place_mm)
+    loaded = Measurements.load(tmp_path / "k.csv", half.machine, plan=True)
+    assert np.allclose(loaded.place_mm, half.table.place_mm)
     assert "place_x_mm" in (tmp_path / "k.csv").read_text().replace("planned_place_x_mm", "")
 
 

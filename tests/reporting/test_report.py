@@ -5,8 +5,6 @@ from __future__ import annotations
 import html
 import json
 import re
-import shutil
-import subprocess
 import sys
 from datetime import UTC, datetime
 from html.parser import HTMLParser
@@ -18,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.browser import title_of
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin import cli
@@ -89,7 +88,7 @@ def report(dmu50: Machine, mine: Calibration, folder: Path) -> MachineReport:
 
 
 @pytest.fixture(scope="module")
-def told(report: MachineReport) -> dict[str, Any]:
+def contents(report: MachineReport) -> dict[str, Any]:
     return dict(json.loads(json.dumps(report.to_dict(), allow_nan=False)))
 
 
@@ -136,30 +135,30 @@ class Reader(HTMLParser):
             self.rows[-1][-1] += data
 
 
-def error_of(told: dict[str, Any], name: str) -> dict[str, Any]:
-    return next(dict(one) for one in told["budget"]["errors"] if one["name"] == name)
+def error_of(contents: dict[str, Any], name: str) -> dict[str, Any]:
+    return next(dict(one) for one in contents["budget"]["errors"] if one["name"] == name)
 
 
-def test_squareness_at_the_tool_is_angle_times_travel(told: dict[str, Any], report: MachineReport) -> None:
+def test_squareness_at_the_tool_is_angle_times_travel(contents: dict[str, Any], report: MachineReport) -> None:
     """E_XY −= y·E_C0Y is the error at the tool at any position of the rotary axes."""
     y = report.budget.positions[:, 1]
-    found = error_of(told, "E_C0Y")
+    found = error_of(contents, "E_C0Y")
     assert found["rms_um"] == pytest.approx(1e-3 * SQUARE_URAD * np.sqrt(np.mean(y**2)), rel=1e-6)
     assert found["max_um"] == pytest.approx(1e-3 * SQUARE_URAD * y.max(), rel=1e-6)
     assert found["U_rms_um"] is None and found["peak_half_95"] is None
-    (one,) = told["constants"]
+    (one,) = contents["constants"]
     assert one["over_travel_um"] == pytest.approx(SQUARE_URAD * 0.45)
 
 
-def test_uncertainty_of_one_error_at_the_tool(told: dict[str, Any], report: MachineReport) -> None:
+def test_uncertainty_of_one_error_at_the_tool(contents: dict[str, Any], report: MachineReport) -> None:
     """U of a positioning error alone is 1.96 standard uncertainties of its polynomial."""
     u = 2.0 * report.budget.positions[:, 0] / 500.0 - 1.0
     f = np.stack([np.ones_like(u), u, u**2])
     covariance = np.array([[1.0, 0.2, 0.0], [0.2, 2.0, 0.0], [0.0, 0.0, 0.5]])
     variance = np.einsum("kn,kl,ln->n", f, covariance, f)
     # The radius is within 4e-5 of the quantile (twin.uncertainty.at_tool); rotations by other errors do not change a length.
-    assert error_of(told, "E_XX")["U_rms_um"] == pytest.approx(COVERAGE_FACTOR * np.sqrt(variance.mean()), rel=2e-4)
-    assert error_of(told, "E_XX")["peak_half_95"] == pytest.approx(
+    assert error_of(contents, "E_XX")["U_rms_um"] == pytest.approx(COVERAGE_FACTOR * np.sqrt(variance.mean()), rel=2e-4)
+    assert error_of(contents, "E_XX")["peak_half_95"] == pytest.approx(
         COVERAGE_FACTOR * np.sqrt(max(_variance(1.0), _variance(-1.0)))
     )
 
@@ -170,24 +169,26 @@ def _variance(u: float) -> float:
     return float(f @ covariance @ f)
 
 
-def test_total_equals_machine_with_all_errors(told: dict[str, Any], report: MachineReport, mine: Calibration) -> None:
+def test_total_equals_machine_with_all_errors(
+    contents: dict[str, Any], report: MachineReport, mine: Calibration
+) -> None:
     real = Kinematics(mine.machine, mine, tool_length_mm=TOOL_MM, conditions=Conditions({"Z": 24.0}))
     none = Kinematics(mine.machine, Calibration.zero(mine.machine), tool_length_mm=TOOL_MM)
     q, sides = report.budget.positions, report.budget.sides
     off = np.linalg.norm(real.forward(q, sides).point_mm - none.forward(q).point_mm, axis=1) * 1e3
-    assert told["budget"]["total"]["rms_um"] == pytest.approx(np.sqrt(np.mean(off**2)), rel=1e-12)
-    assert told["compensation"]["before"]["max_um"] == pytest.approx(off.max(), rel=1e-12)
-    at = np.array(told["field"]["positions"])
+    assert contents["budget"]["total"]["rms_um"] == pytest.approx(np.sqrt(np.mean(off**2)), rel=1e-12)
+    assert contents["compensation"]["before"]["max_um"] == pytest.approx(off.max(), rel=1e-12)
+    at = np.array(contents["field"]["positions"])
     error = (real.forward(at).point_mm - none.forward(at).point_mm) * 1e3
-    np.testing.assert_allclose(told["field"]["error_um"], error, atol=1e-9)
+    np.testing.assert_allclose(contents["field"]["error_um"], error, atol=1e-9)
     uncertainty = ToolUncertainty(real).at(at).expanded_um
-    np.testing.assert_allclose(told["field"]["U_um"], uncertainty, rtol=1e-12)
+    np.testing.assert_allclose(contents["field"]["U_um"], uncertainty, rtol=1e-12)
 
 
-def test_planes_have_the_errors_of_their_positions(told: dict[str, Any], report: MachineReport) -> None:
+def test_planes_have_the_errors_of_their_positions(contents: dict[str, Any], report: MachineReport) -> None:
     real, none = report.kinematics, Kinematics(report.machine, Calibration.zero(report.machine), tool_length_mm=TOOL_MM)
-    assert len(told["field"]["slices"]) == 9
-    for plane in told["field"]["slices"]:
+    assert len(contents["field"]["slices"]) == 9
+    for plane in contents["field"]["slices"]:
         i, k = 3, 7
         where = plane["fixed"] | {plane["horizontal"]: plane["across"][i], plane["vertical"]: plane["up"][k]}
         q = [[where.get(name, 0.0) for name in report.machine.names]]
@@ -212,8 +213,8 @@ def test_curves_include_added_effects(report: MachineReport) -> None:
     np.testing.assert_allclose(by_name["E_CX"].half.max(), COVERAGE_FACTOR * np.sqrt(13.0), rtol=1e-9)
 
 
-def test_compensated_error_is_rounding_plus_uncertainty(told: dict[str, Any], report: MachineReport) -> None:
-    after = told["compensation"]
+def test_compensated_error_is_rounding_plus_uncertainty(contents: dict[str, Any], report: MachineReport) -> None:
+    after = contents["compensation"]
     exact = after["compensated_if_exactly_true"]
     # Three words, each with a uniform error within ±0.5 µm: the median of 2,000 poses within 3 %, two standard errors.
     assert exact["quantiles_um"]["0.99"] <= 0.5 * np.sqrt(3.0) + 1e-3
@@ -227,16 +228,16 @@ def test_compensated_error_is_rounding_plus_uncertainty(told: dict[str, Any], re
     assert after["compensated_complete"] is False
 
 
-def test_page_has_the_numbers_of_the_json(page: str, told: dict[str, Any]) -> None:
+def test_page_has_the_numbers_of_the_json(page: str, contents: dict[str, Any]) -> None:
     rows = Reader(page).rows
-    for one in told["budget"]["errors"]:
+    for one in contents["budget"]["errors"]:
         of = [row for row in rows if len(row) == 5 and row[0] == f"{one['words']} {one['name']}"]
         (row,) = [row for row in of if not row[2].endswith(("mm", "°"))]
         assert row[2:4] == [figure(one["rms_um"]), figure(one["max_um"])]
         assert row[4] == (UNKNOWN if one["U_rms_um"] is None else figure(one["U_rms_um"]))
     text = Reader(page).text.replace("\u00a0", " ")
-    assert told["summary"]["headline"] in text
-    for step in told["summary"]["steps"]:
+    assert contents["summary"]["headline"] in text
+    for step in contents["summary"]["steps"]:
         assert step["title"] in text
     assert (
         "reduced chi² 1.750" in text
@@ -244,8 +245,8 @@ def test_page_has_the_numbers_of_the_json(page: str, told: dict[str, Any]) -> No
         and "line 17: an outlier" in text
     )
     assert "SIMULATED READINGS" in text and "ILLUSTRATIVE" not in text
-    assert "E_YX" in " ".join(told["gaps"]["absent_counted_as_zero"]) and "E_YX" in text
-    for one in told["sources"]["files"]:
+    assert "E_YX" in " ".join(contents["gaps"]["absent_counted_as_zero"]) and "E_YX" in text
+    for one in contents["sources"]["files"]:
         assert one["sha256"] in text
 
 
@@ -258,15 +259,15 @@ def test_every_header_has_the_unit_of_its_numbers(page: str) -> None:
     assert with_units == [at_tool, at_tool, at_tool[:1], at_tool[:1], ["RMS [µm]"], tables]
 
 
-def test_identification_of_another_calibration_and_lack_of_fit(told: dict[str, Any]) -> None:
+def test_identification_of_another_calibration_and_lack_of_fit(contents: dict[str, Any]) -> None:
     """The identification has one number of this calibration, and a lack of fit."""
-    others = told["identification"]["other_numbers_than_the_calibration"]
+    others = contents["identification"]["other_numbers_than_the_calibration"]
     assert others == ["E_XX", "E_CX", "E_ZC"]
-    titles = [step["title"] for step in told["summary"]["steps"]]
+    titles = [step["title"] for step in contents["summary"]["steps"]]
     assert (
         "The identification belongs to another calibration" in titles and "Find the cause of the lack of fit" in titles
     )
-    assert any("identified.json and the calibration differ" in text for text in told["unmet"])
+    assert any("identified.json and the calibration differ" in text for text in contents["unmet"])
 
 
 def test_the_page_fetches_nothing(page: str) -> None:
@@ -289,21 +290,21 @@ def test_the_page_fetches_nothing(page: str) -> None:
 
 
 def test_unknown_is_never_zero(drawn: MachineReport, calibration: Calibration) -> None:
-    told = drawn.to_dict()
-    assert all(one["U_rms_um"] is None and one["peak_half_95"] is None for one in told["budget"]["errors"])
-    assert told["budget"]["total"]["U_rms_um"] is None and told["compensation"]["compensated"] is None
-    assert set(told["field"]["U_um"]) == {None} and told["compensation"]["machines"] is None
-    assert {half for one in told["motions"] for half in one["half_95"]} == {None}
-    assert set(told["gaps"]["without_uncertainty"]) == {
+    contents = drawn.to_dict()
+    assert all(one["U_rms_um"] is None and one["peak_half_95"] is None for one in contents["budget"]["errors"])
+    assert contents["budget"]["total"]["U_rms_um"] is None and contents["compensation"]["compensated"] is None
+    assert set(contents["field"]["U_um"]) == {None} and contents["compensation"]["machines"] is None
+    assert {half for one in contents["motions"] for half in one["half_95"]} == {None}
+    assert set(contents["gaps"]["without_uncertainty"]) == {
         *calibration.curves,
         *calibration.squareness,
         *calibration.location,
     }
-    assert told["calibration"]["illustrative"] == [c.name for c in calibration.curves.values() if c.illustrative]
-    said = [step["text"] for step in told["summary"]["steps"]]
+    assert contents["calibration"]["illustrative"] == [c.name for c in calibration.curves.values() if c.illustrative]
+    said = [step["text"] for step in contents["summary"]["steps"]]
     assert any("U at the tool is unknown" in text for text in said)
     assert any("The expected error is unknown" in text for text in said)
-    assert any(step["kind"] == "never" and "ILLUSTRATIVE" in step["text"] for step in told["summary"]["steps"])
+    assert any(step["kind"] == "never" and "ILLUSTRATIVE" in step["text"] for step in contents["summary"]["steps"])
     # At tool length zero, tilts about the tool centre have no effect; the report states this.
     assert any("At tool length 0 mm" in text and "E_AZ" in text for text in said)
 
@@ -388,12 +389,12 @@ def test_omitted_effect_gives_exit_status_3(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without a temperature the effect is omitted and listed, and the exit status is 3."""
-    page, told = folder / "cold.html", folder / "cold.json"
+    page, json_path = folder / "cold.html", folder / "cold.json"
     # Rendering is slow and tested elsewhere.
     monkeypatch.setattr("twin.reporting.page.machine_html", lambda found: found.advice.headline)
-    assert run("report", "-o", page, "-c", folder / "mine.yaml", "--json", told) == 3
+    assert run("report", "-o", page, "-c", folder / "mine.yaml", "--json", json_path) == 3
     assert "not met: thermal_expansion:Z omitted" in capsys.readouterr().out
-    written = json.loads(told.read_text())
+    written = json.loads(json_path.read_text())
     assert written["gaps"]["left_out"] == {"T_Z_degC": ["thermal_expansion:Z"]}
     assert any(step["title"] == "thermal_expansion:Z omitted" for step in written["summary"]["steps"])
     assert page.read_text() == written["summary"]["headline"]
@@ -426,41 +427,17 @@ def test_a_seed_is_not_negative(folder: Path) -> None:
     assert run("report", "-o", folder / "no.html", "--seed", "-1") == 2
 
 
-def browser() -> str:
-    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if found is None:
-        pytest.skip("Chromium is not installed (Debian: apt install chromium)")
-    return found
-
-
-OPTIONS = (
-    "--headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader --disable-background-networking "
-    "--disable-component-update --disable-sync --virtual-time-budget=5000"
-).split()
-
-
 @pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 420])
 def test_page_fits_the_screen(page: str, folder: Path, width: int) -> None:
     """In a browser, the page is not wider than the screen and the field is drawn in its frame."""
-    chromium = browser()
-    probe = (
-        "<script>onload = () => { const f = document.querySelector('iframe').contentWindow; "
-        "document.title = document.documentElement.scrollWidth + ' of ' + innerWidth + ' ' + !!(f.viewer && f.viewer.scene_tree.find"
-        "(['meshcat', 'machine', 'arrows']).object.children) + ' ' + f.document.querySelectorAll('.name').length; }</script></body>"
+    expression = (
+        "(f => [document.documentElement.scrollWidth, innerWidth, !!(f.viewer && f.viewer.scene_tree"
+        ".find(['meshcat', 'machine', 'arrows']).object.children), f.document.querySelectorAll('.name').length]"
+        ".join(' '))(document.querySelector('iframe').contentWindow)"
     )
-    path = folder / f"page {width}.html"
-    path.write_text(page.replace("</body></html>", f"{probe}</html>"))
-    done = subprocess.run(
-        [chromium, *OPTIONS, f"--window-size={width},900", "--dump-dom", path.as_uri()],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    told = re.search(r"<title>(\d+) of (\d+) (\w+) (\d+)</title>", done.stdout)
-    assert told is not None, done.stderr[-500:]
-    assert int(told[1]) <= int(told[2])
-    assert told[3] == "true" and told[4] == "3"
+    needed, available, arrows, names = title_of(page, folder / f"page {width}.html", expression, width=width).split()
+    assert int(needed) <= int(available)
+    assert arrows == "true" and names == "3"
 
 
 def test_invalid_identification_file(folder: Path, mine: Calibration) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import umsgpack
 
+from tests.browser import run_chromium
 from tests.machine.errors import random_calibration
 from tests.truth.png import read_png
 from twin._common.errors import InputError
@@ -331,33 +332,21 @@ def test_a_shape_that_cannot_be_drawn(real: Kinematics, tmp_path: Path) -> None:
 # ---- in a browser
 
 
-@pytest.fixture(scope="module")
-def chromium() -> str:
-    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if found is None:
-        pytest.skip("no Chromium here to look at the page with (Debian: apt install chromium)")
-    return found
-
-
 WIDTH, HEIGHT = 1200, 800
 
 
-def look(chromium: str, text: str, folder: Path, hash: str = "#t=1") -> tuple[np.ndarray, list[str]]:
+def look(text: str, folder: Path, hash: str = "#t=1") -> tuple[np.ndarray, list[str]]:
     """Return a screenshot of a page, and the lines on its console."""
     (folder / "scene.html").write_text(text, encoding="utf-8")
     options = [
-        "--headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader --disable-background-networking",
-        "--disable-component-update --disable-sync --no-first-run --virtual-time-budget=3000 --enable-logging=stderr --v=0",
-        f"--window-size={WIDTH},{HEIGHT} --user-data-dir={folder}/profile --screenshot={folder}/scene.png",
+        "--virtual-time-budget=3000",
+        "--enable-logging=stderr",
+        "--v=0",
+        f"--window-size={WIDTH},{HEIGHT}",
+        f"--user-data-dir={folder}/profile",
+        f"--screenshot={folder}/scene.png",
     ]
-    done = subprocess.run(
-        [chromium, *" ".join(options).split(), (folder / "scene.html").as_uri() + hash],
-        capture_output=True,
-        text=True,
-        timeout=180,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    done = run_chromium((folder / "scene.html").as_uri() + hash, *options)
     return read_png(folder / "scene.png"), [line for line in done.stderr.splitlines() if "CONSOLE" in line]
 
 
@@ -366,9 +355,9 @@ def close_to(picture: np.ndarray, colour: str, within: int = 10) -> int:
     return int(np.count_nonzero(np.abs(picture.astype(int) - wanted).max(axis=2) <= within))
 
 
-def test_a_browser_shows_machine_and_path(chromium: str, real: Kinematics, tmp_path: Path) -> None:
+def test_a_browser_shows_machine_and_path(real: Kinematics, tmp_path: Path) -> None:
     text = scene_html(real, ring(real.machine, 8.0), title="ring", exaggeration=2000)
-    picture, console = look(chromium, text, tmp_path)
+    picture, console = look(text, tmp_path)
     assert console == []
     assert picture.shape == (HEIGHT, WIDTH, 3)
     # The panel is 42 % of the window wide; the close-up between its heading and legend shows only the path.
@@ -387,11 +376,11 @@ def test_a_browser_shows_machine_and_path(chromium: str, real: Kinematics, tmp_p
 
 
 @pytest.mark.slow
-def test_pixel_count_detects_an_empty_scene(chromium: str, real: Kinematics, tmp_path: Path) -> None:
+def test_pixel_count_detects_an_empty_scene(real: Kinematics, tmp_path: Path) -> None:
     """Without deviation the path has one colour, and a failing script appears on the console."""
     text = scene_html(real, ring(real.machine, 0.0), title="ring")
     spoilt = text.replace("</body>", "<script>fetch('http://127.0.0.1:9/'); throw new Error('spoilt')</script></body>")
-    picture, console = look(chromium, spoilt, tmp_path)
+    picture, console = look(spoilt, tmp_path)
     closeup = picture[90 : HEIGHT - 270, int(0.58 * WIDTH) : -20]
     assert close_to(closeup, VIRIDIS[0.0]) > 40
     assert close_to(closeup, VIRIDIS[0.5], 20) == close_to(closeup, VIRIDIS[1.0], 20) == 0

@@ -139,10 +139,10 @@ def test_quantiles_from_counts() -> None:
     lower, upper = np.array([-4.0, -20.0]), np.array([4.0, 20.0])
     edges = [np.linspace(low, high, BINS + 1) for low, high in zip(lower, upper, strict=True)]
     counts = np.array([np.histogram(row, [-np.inf, *edge, np.inf])[0] for row, edge in zip(values, edges, strict=True)])
-    told = Counts(lower, upper, counts)
+    histogram = Counts(lower, upper, counts)
     for share in (0.025, 0.5, 0.95):
         wanted = np.quantile(values, share, axis=1)
-        assert (np.abs(told.quantile(share) - wanted) < (upper - lower) / BINS).all()
+        assert (np.abs(histogram.quantile(share) - wanted) < (upper - lower) / BINS).all()
     short = Counts(np.array([0.0]), np.array([1.0]), np.array([[30, *[0] * BINS, 70]]))
     assert np.isnan(short.quantile(0.2)[0]) and np.isnan(short.quantile(0.5)[0])
 

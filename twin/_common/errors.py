@@ -25,7 +25,8 @@ class InputError(ValueError):
         line: 1-based line in that file.
         value: the offending text or value.
         nearest: the known name that was probably meant (function `closest_name`), or None.
-        setting: the name of a setting that may be missing (``work offset``), or None; the command line adds its option.
+        setting: names of settings that may be missing (``work offset``; ``temperature, time``), or None; the command line adds
+            their options.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The command line: arguments in, files and one account of them out; one file a command. The only room that prints."""
+"""Command line: one module per command; the only package that prints."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ __all__ = ["main"]
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command (`twin.cli.commands.run`); where a package that it needs does not import, say which.
+    """Run a command; if a required package cannot be imported, name it.
 
-    The commands are imported here and not above, because they need those packages.
+    The commands are imported in this function because they need those packages.
     """
     words = sys.argv[1:] if arguments is None else arguments
     if words[:1] == ["doctor"] and not installation.can_start():

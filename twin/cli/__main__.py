@@ -1,4 +1,4 @@
-"""``python -m twin.cli``."""
+"""Run ``python -m twin.cli``."""
 
 from twin.cli import main
 

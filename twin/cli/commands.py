@@ -1,4 +1,4 @@
-"""All commands, and one run of one of them: its exit status, and its errors in one line."""
+"""The table of commands, and the run of one: its exit status and its one-line errors."""
 
 from __future__ import annotations
 
@@ -108,8 +108,8 @@ def run(arguments: list[str]) -> None:
                 echo(shown, end="")
             sys.exit(BAD_INPUT)
         except InputError as error:
-            option = "" if error.setting is None else f" (--{error.setting.replace(' ', '-')})"
-            print_error(f"twin: {error}{option}")
+            options = [f"--{name.replace(' ', '-')}" for name in (error.setting or "").split(", ") if name]
+            print_error(f"twin: {error}" + (f" ({', '.join(options)})" if options else ""))
             sys.exit(BAD_INPUT)
         except OutputError as error:
             print_error(f"twin: defect, nothing written: {error}")

@@ -22,7 +22,7 @@ from twin.cli.shared.command import CALIBRATION, CommandResult, JsonOption, comm
 from twin.compute.native import solver_description
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import options_of
+from twin.machine.conditions import needed_values
 from twin.machine.datum import EXPLANATION
 from twin.machine.machine import DEFAULT, Machine
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty, UncertaintyMap
@@ -167,7 +167,7 @@ class _Info:
             lines.append(f"conditions: {', '.join(f'{name} {value:g}' for name, value in at.channels.items())}")
         lines += options.unused(at, self.errors)
         for channel, effects in self.missing.items():
-            lines.append(f"omitted: {', '.join(effects)} (needs {options_of([channel])})")
+            lines.append(f"omitted: {', '.join(effects)} (needs {needed_values([channel])})")
         if not self.kinematics.calibration.empty:
             lines += _uncertainty_lines(self.over, self.without)
         for line in lines:

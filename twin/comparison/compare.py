@@ -18,7 +18,7 @@ from twin.comparison.tool import POSES, Cause, JudgedErrors, at_tool
 from twin.comparison.words import meaning_of
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions, options_of
+from twin.machine.conditions import Conditions, needed_values
 from twin.machine.datum import MEAN_LINES
 from twin.machine.effects import Effect, split_name
 from twin.uncertainty.budget import without_missing_channels
@@ -126,9 +126,9 @@ def _error_changes(
 def _without_missing_channels(
     at: Conditions, first: Calibration, second: Calibration
 ) -> tuple[list[Calibration], tuple[tuple[str, str], ...]]:
-    """Return both calibrations without the effects whose channels are not given, and those effects with the options they need."""
+    """Return both calibrations without the effects whose channels are not given, and those effects with what they need."""
     limited = [without_missing_channels(at, side) for side in (first, second)]
-    needs = [(name, options_of([channel])) for _, gone in limited for channel, by in gone.items() for name in by]
+    needs = [(name, needed_values([channel])) for _, gone in limited for channel, by in gone.items() for name in by]
     absent = {name for name, _ in needs}
     return [side.where(lambda name: name not in absent) for side, _ in limited], tuple(dict.fromkeys(needs))
 

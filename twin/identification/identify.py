@@ -10,13 +10,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import read_only
-from twin._common.units import MM, UM
+from twin._common.units import MM
 from twin.identification.determined import DeterminedModel, Wanted, determined_models
 from twin.identification.inputs import PreparedData, prepare
 from twin.identification.orders import Choice, choose
 from twin.identification.outliers import many_outliers_notice, outlier_notes
 from twin.identification.priors import prior_precision
-from twin.identification.result import Identification, residuals_of
+from twin.identification.result import Identification, residuals_of, rms_um
 from twin.identification.robust import FinalEstimate, RobustStart, robust_start, without_outliers
 from twin.identification.spread import Spread, covariance_from_repeats, covariance_of, misfit
 from twin.identification.unidentified import held_by_prior, unidentified, unknown_reference
@@ -107,7 +107,7 @@ def _result(
     held = held_by_prior(model.determined, solution)
     residual, whitened = residuals_of(calibration, network, solution.setup)
     statistics = misfit(whitened, network.read, data, solution.determined, used)
-    rms_um = float(np.sqrt(np.mean(residual[used][network.read[used]] ** 2)) / UM)
+    residual_mm = read_only(np.where(network.read, residual / MM, np.nan))
     return Identification(
         calibration=calibration,
         unidentified=unidentified(machine, data, model.determined, wanted, solution.setup, held),
@@ -119,12 +119,12 @@ def _result(
         spread=spread,
         data=data,
         used=read_only(used),
-        residual_mm=read_only(np.where(network.read, residual / MM, np.nan)),
+        residual_mm=residual_mm,
         whitened=read_only(whitened),
         set_aside=(*data.set_aside, *outlier_notes(network, residual, whitened, rows.bad)),
         notices=(
             *data.notices,
-            *overstated_noise(rms_um, statistics.chi2, statistics.dof),
+            *overstated_noise(rms_um(residual_mm[used]), statistics.chi2, statistics.dof),
             *many_outliers_notice(rows),
             *unknown_reference(solution, unknowns),
         ),

@@ -98,12 +98,12 @@ class Identification:
     @cached_property
     def rms_um(self) -> float:
         """RMS of the residuals of the coordinates that were used."""
-        return _rms_um(self.residual_mm[self.used])
+        return rms_um(self.residual_mm[self.used])
 
     @cached_property
     def rms_all_um(self) -> float:
         """RMS of the residuals of all coordinates, outliers included."""
-        return _rms_um(self.residual_mm)
+        return rms_um(self.residual_mm)
 
     def evaluated_with(self, calibration: Calibration) -> Identification:
         """Return the result with the residuals recomputed from a calibration that was read back from its file."""
@@ -314,7 +314,8 @@ class Identification:
         return found
 
 
-def _rms_um(residual_mm: np.ndarray) -> float:
+def rms_um(residual_mm: np.ndarray) -> float:
+    """Return the RMS of residuals, given in millimetres and NaN where nothing was read, in micrometres."""
     return float(np.sqrt(np.nanmean(residual_mm**2))) * 1e3
 
 

@@ -85,10 +85,15 @@ class Conditions:
         self.check(calibration)
         missing = self.missing(calibration)
         if missing:
+            settings = [
+                *(["temperature"] if any(name.startswith("T_") for name in missing) else []),
+                *(["time"] if TIME in missing else []),
+            ]
             raise InputError(
                 "; ".join(f"{', '.join(by)} needs {name}" for name, by in missing.items()),
-                expected=options_of(missing),
+                expected=needed_values(missing),
                 file=calibration.path,
+                setting=", ".join(settings) or None,
             )
 
 
@@ -143,15 +148,15 @@ class RecordingState(dict[str, Any]):
         return np.array([27.0])
 
 
-def options_of(channels: Iterable[str]) -> str:
-    """Return the command-line options that supply the channels."""
+def needed_values(channels: Iterable[str]) -> str:
+    """Return the values that supply the channels, in words: "the temperature of bed and X, the time"."""
     names = list(channels)
-    temperatures = " ".join(f"{name[2:-5]}=…" for name in names if name.startswith("T_"))
+    temperatures = [name[2:-5] for name in names if name.startswith("T_")]
     others = [name for name in names if not name.startswith("T_") and name != TIME]
-    return " ".join(
+    return ", ".join(
         [
-            *([f"--temperature {temperatures}"] if temperatures else []),
-            *(["--time S"] if TIME in names else []),
-            *([f"a calibration without that effect: no option gives {', '.join(others)}"] if others else []),
+            *([f"the temperature of {' and '.join(temperatures)}"] if temperatures else []),
+            *(["the time"] if TIME in names else []),
+            *(f"{name}, which cannot be given yet" for name in others),
         ]
     )

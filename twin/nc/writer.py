@@ -151,8 +151,8 @@ class WordWriter(ABC, Generic[B]):
         return self.said.replace(axis, old, value, target, block.inch, incremental, self.style)
 
     def _replaced(self, block: B, word: AxisWord, target: float) -> Edit:
-        """Return the edit of a word that has a form (``AC( )``); only ISO has such words."""
-        raise NotImplementedError(word.form)
+        """Return the edit that gives a word its target."""
+        return word.value_start, word.value_end, self._number(block, word, target)
 
     def _missing(self, block: B, row: list[float], written: int) -> list[str]:
         """Return words for the axes that are not at their target; ``written``: axes that have a word already, as bits."""

@@ -13,7 +13,7 @@ from twin._common.json_form import json_form
 from twin.diagnosis.wording.words import capital, listed, lower
 from twin.display import UNKNOWN, expanded, figure, with_half
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import options_of
+from twin.machine.conditions import needed_values
 from twin.reporting.compensation import CompensationForecast
 from twin.reporting.contributions import Budget, Contribution
 from twin.reporting.identified import Identified
@@ -151,7 +151,7 @@ def _line(one: Contribution) -> str:
 
 def _incomplete(left_out: Mapping[str, tuple[str, ...]], identified: Identified | None) -> Iterator[Step]:
     for channel, names in left_out.items():
-        text = f"It needs {channel}: give {options_of([channel])}. No number in this report includes it."
+        text = f"It needs {channel}: give {needed_values([channel])}. No number in this report includes it."
         yield Step("unknown", f"{listed(names)} omitted", text)
     if identified is None:
         return

@@ -130,7 +130,7 @@ def _numbers(report: MachineReport, effect: Effect) -> str:
 
 def _rows_of(rows: Sequence[tuple[int, str]]) -> list[str]:
     """Return lines on excluded rows, with their reasons."""
-    more = [f"and {len(rows) - ROWS} more, all in --json"] if len(rows) > ROWS else []
+    more = [f"and {len(rows) - ROWS} more, all in the JSON"] if len(rows) > ROWS else []
     return [*(f"line {line}: {reason}" for line, reason in rows[:ROWS]), *more]
 
 

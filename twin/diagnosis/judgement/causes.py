@@ -128,14 +128,13 @@ def _assumed_approach(sized: SizedCauses) -> list[str]:
     """Return a notice for each axis with an effect of its approach direction that is unknown for some readings."""
     network, found = sized.found.problem.network, []
     for form in sized.forms:
-        for channel in form.candidate.specification.channels(form.candidate.where):
-            axis = channel.removeprefix(APPROACH)
-            if channel == axis or axis not in network.machine.names:
+        for axis in _approach_axes(form):
+            if axis not in network.machine.names:
                 continue
             unknown = int(np.count_nonzero(network.data.approach[:, network.machine.names.index(axis)] == 0.0))
             if unknown:
                 found.append(
-                    f"{ASSUMED}where {channel} is unknown (0), {axis} is in the middle of its backlash ({unknown} of "
+                    f"{ASSUMED}where {APPROACH}{axis} is unknown (0), {axis} is in the middle of its backlash ({unknown} of "
                     f"{len(network.data)} readings); if it was on one side there, the size is wrong by up to a factor of two"
                 )
     return list(dict.fromkeys(found))
@@ -144,8 +143,13 @@ def _assumed_approach(sized: SizedCauses) -> list[str]:
 def _approach_doubt(sized: SizedCauses, form: Form) -> str:
     """Return why an effect of the approach direction may not exist; empty if there is no doubt."""
     where, network = form.candidate.where, sized.found.problem.network
-    directed = any(name.startswith(APPROACH) for name in form.candidate.specification.channels(where))
-    return reversal_doubt(network.data, network.machine, where) if directed else ""
+    return reversal_doubt(network.data, network.machine, where) if _approach_axes(form) else ""
+
+
+def _approach_axes(form: Form) -> list[str]:
+    """Return the axes whose approach direction a form depends on."""
+    channels = form.candidate.specification.channels(form.candidate.where)
+    return [name.removeprefix(APPROACH) for name in channels if name.startswith(APPROACH)]
 
 
 def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:

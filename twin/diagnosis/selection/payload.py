@@ -35,7 +35,6 @@ STEPS: Final = 200
 """Largest number of iterations of a fit."""
 LOST: Final = 1e-9
 """Relative size below which a direction is not determined."""
-AT_BOUND: Final = 0.99
 
 
 @final

@@ -212,8 +212,8 @@ class IsoWriter(WordWriter[IsoBlock]):
 
     def _replaced(self, block: IsoBlock, word: AxisWord, target: float) -> Edit:
         head = self._head(block, word, target)
-        new = self._number(block, word, target)
-        return (word.start, word.value_end, head + new) if head else (word.value_start, word.value_end, new)
+        start, end, new = super()._replaced(block, word, target)
+        return (word.start, end, head + new) if head else (start, end, new)
 
     def _head(self, block: IsoBlock, word: AxisWord, target: float) -> str:
         """Return the text before the value of a word with ``ACP`` or ``ACN``; ``DC`` replaces a direction that is no longer needed.
