@@ -1,7 +1,7 @@
 """Measure the speed of the inverse with errors and of alternatives: run ``python -m tests.benchmarks.solve`` (a minute).
 
 One million five-axis poses of the DMU 50 with all 30 error motions by `Inverse.solve`; then `Kinematics.forward`. For comparison, one
-pose at a time from Python: `scipy.optimize.root` on Pinocchio's kinematics; one iteration of pink (extra `bench`, omitted if not
+pose at a time from Python: `scipy.optimize.root` on Pinocchio's kinematics; one iteration of pink (extra `prepared`, omitted if not
 installed); the polynomials that the thesis's listings refit for every block, without reading files; Pinocchio's kinematics.
 
 Times are processor times of all threads, so that they are per pose and core and hardly depend on other load. Each is the smallest of
@@ -176,7 +176,7 @@ def main() -> None:
     print_line("scipy.optimize.root on Pinocchio", by_root(machine, calibration, target, q), best)
     pink = by_pink(machine, target, q)
     if pink is None:
-        print("  pink is not installed (extra `bench`): omitted")
+        print("  pink is not installed (extra `prepared`): omitted")
     else:
         print_line("pink, one iteration, no errors", pink, best)
     print_line("the thesis's polynomials, refitted", by_refitting(), best)

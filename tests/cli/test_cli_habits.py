@@ -190,7 +190,7 @@ def test_errors_in_files_give_line_and_nearest_name(tmp_path: Path, text: str, m
 def test_errors_in_columns_give_the_nearest_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     table = tmp_path / "m.csv"
     table.write_text("X_mn,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm\n1,2,3,4,5,K,tool,1,2,3\n")
-    assert "X_mm is missing (did you mean X_mn?)" in refused(capsys, "identify", table, "-o", tmp_path / "x.yaml")
+    assert "X_mm is missing (the table has X_mn)" in refused(capsys, "identify", table, "-o", tmp_path / "x.yaml")
 
 
 def test_nearest_ignores_case_and_may_find_nothing() -> None:

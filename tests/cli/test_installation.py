@@ -106,6 +106,20 @@ def test_unknown_name() -> None:
         _ = twin.machine_of
 
 
+def test_a_path_instead_of_what_was_read_from_it() -> None:
+    machine = twin.Machine.load("dmu50")
+    with pytest.raises(
+        TypeError, match="data must be a Measurements, not str; Measurements.load reads one from a file"
+    ):
+        twin.identify("measured.csv", machine)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="data must be a Measurements"):
+        twin.diagnose(Path("measured.csv"), machine)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="first must be a Calibration"):
+        twin.compare("old.yaml", "new.yaml")
+    with pytest.raises(TypeError, match="machine must be a Machine"):
+        twin.Kinematics("dmu50")
+
+
 @pytest.mark.parametrize("code", ["import twin", "from twin.cli import main; main(['--help'])"], ids=["import", "help"])
 def test_neither_import_nor_help_loads_a_package_that_calculates(code: str) -> None:
     """`twin --help` takes 0.2 s of processor time; with numpy and scipy it took 1.2 s."""

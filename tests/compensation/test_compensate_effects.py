@@ -315,7 +315,7 @@ def path_of(machine: Machine, text: str, *, tcp: bool = False) -> tuple[ToolPath
     dialect = dialect_for(Path("p.nc"))
     program = dialect.read(text.encode(), "p.nc")
     compensator = Compensator(machine, Calibration.zero(machine), Options())
-    space = compensator.bench.space
+    space = compensator.prepared.space
     return follow(program, dialect.moves(program, space.axes, tcp=tcp), space), space, compensator
 
 
@@ -419,9 +419,9 @@ def executed(text: str, machine: Machine, known: Calibration) -> tuple[Compensat
     compensator = Compensator(machine, known, options)
     result = compensator.compensate(dialect.read(text.encode(), "p.nc"), dialect)
     program = dialect.read(result.text.encode(), "out.nc")
-    space = compensator.bench.space
+    space = compensator.prepared.space
     run = execute(
-        program, follow(program, dialect.moves(program, space.axes, tcp=False), space), space, compensator.bench.real
+        program, follow(program, dialect.moves(program, space.axes, tcp=False), space), space, compensator.prepared.real
     )
     reached = run.reached_mm[run.ends]
     off = np.linalg.norm(reached - space.nominal.forward(result.nominal).point_mm, axis=1) * 1e3

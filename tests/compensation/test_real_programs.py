@@ -68,7 +68,7 @@ def test_compensated_on_a_machine_of_the_same_kind(
     # Every move is rewritten or listed in a note.
     noted = {note.line for note in report.notes} | {line for one in report.not_corrected for line in one.lines}
     read, dialect = read_program(programs / name)
-    reading = dialect.moves(read, Compensator(trunnion, errors).bench.space.axes, tcp=False)
+    reading = dialect.moves(read, Compensator(trunnion, errors).prepared.space.axes, tcp=False)
     rewritten = {id(rewrite.move) for rewrite in result.rewrites}
     for move in reading.moves:
         by_line = any(rewrite.move.line == move.line for rewrite in result.rewrites)
@@ -114,14 +114,14 @@ def test_the_compensated_boat_is_on_the_nominal_path(programs: Path, trunnion: M
 def test_execution_follows_the_program(dmu50: Machine, calibration: Calibration) -> None:
     """The data of the scene: end points as programmed, dense points between, deviations equal to those of the kinematics."""
     read, dialect = read_program("cone_frustum.nc")
-    bench = Compensator(dmu50, calibration, Options(tool_length_mm=120.0)).bench
-    path = follow(read, dialect.moves(read, bench.space.axes, tcp=False), bench.space)
-    run = execute(read, path, bench.space, bench.real)
+    prepared = Compensator(dmu50, calibration, Options(tool_length_mm=120.0)).prepared
+    path = follow(read, dialect.moves(read, prepared.space.axes, tcp=False), prepared.space)
+    run = execute(read, path, prepared.space, prepared.real)
     assert run.left_out == 0
     ends = run.positions[run.ends]
     assert ends == pytest.approx(np.array([q for _, q in run_iso(read.text)]), abs=1e-9)
     assert np.abs(np.diff(run.positions, axis=0))[:, :3].max() <= 5.0 + 1e-9
-    assert run.meant_mm == pytest.approx(bench.space.nominal.forward(run.positions).point_mm)
+    assert run.meant_mm == pytest.approx(prepared.space.nominal.forward(run.positions).point_mm)
     deviation = np.linalg.norm(run.reached_mm - run.meant_mm, axis=1) * 1e3
     assert 20.0 < deviation.max() < 200.0
     assert np.count_nonzero(~run.cutting) < 40

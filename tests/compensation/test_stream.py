@@ -249,7 +249,7 @@ def test_shares_over_a_program_longer_than_the_sample(
     source = tmp_path / "p.nc"
     source.write_text(HEAD + curve(3000))
     result = usual.compensate(*read_program(source))
-    ends, nominal = result.nominal, usual.bench.space.nominal
+    ends, nominal = result.nominal, usual.prepared.space.nominal
     positioning = calibration.where(lambda name: name in {"E_XX", "E_YY", "E_ZZ"})
     alone = Kinematics(dmu50, positioning, tool_length_mm=LENGTH)
     size = np.linalg.norm(alone.forward(ends).point_mm - nominal.forward(ends).point_mm, axis=1) * 1e3

@@ -236,7 +236,7 @@ def test_nothing_corrected_is_the_headline_and_no_success(tmp_path: Path, capsys
     part.write_text("G90\nG0 X10 Y10 Z-10 B30 C10\nG1 X20 F500\n")
     code, said = run(capsys, "compensate", part, "-o", out, "-m", "xyzbc_trunnion", "--json", report)
     assert code == 3
-    assert "NOTHING CORRECTED: the calibration has no error motion in scope" in said.splitlines()[0]
+    assert "NOTHING CORRECTED: no error motion is in scope" in said.splitlines()[0]
     assert json.loads(report.read_text())["complete"] is False
     assert out.read_bytes() == part.read_bytes()
     part.write_text("G90\n" + "".join(f"G1 X{-x} Y-5 Z20 F500\n" for x in range(1, 1819)))

@@ -33,7 +33,7 @@ from twin.compute.parallel import Workers, map_in_order
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.signatures import unit_column
 from twin.diagnosis.estimate.estimate import estimate
-from twin.diagnosis.judgement.in_place import equivalent
+from twin.diagnosis.judgement.alternatives import equivalent
 from twin.diagnosis.problem.forms import Form
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import readings

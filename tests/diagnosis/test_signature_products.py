@@ -21,7 +21,7 @@ from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.problem.signature_products import PointBlock, Signatures
-from twin.diagnosis.selection.left_out import choose_folds
+from twin.diagnosis.selection.cross_validation import choose_folds
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine

@@ -154,7 +154,7 @@ def test_an_axis_that_carries_neither_tool_nor_work(tmp_path: Path) -> None:
 def test_a_joint_used_by_two_axes_is_refused(tmp_path: Path) -> None:
     path = write_mill(tmp_path)
     path.write_text(path.read_text().replace("z_joint", "y_joint"))
-    with pytest.raises(InputError, match="a joint given twice") as caught:
+    with pytest.raises(InputError, match="duplicate joint") as caught:
         Machine.load(path)
     assert caught.value.line == 7
 

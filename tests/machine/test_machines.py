@@ -247,7 +247,7 @@ def copy(tmp_path: Path) -> Path:
         ("range: [0, 600]", "range: unlimited", "without limits", "[lower, upper] in mm"),
         ("range: [0, 600]", "range: [0, .nan]", "axes.0.range.1", "finite"),
         ("range: [0, 500], increment: 0.001", "range: [0, 500], increment: -1", "is invalid", "greater than 0"),
-        ("name: Y,", "name: X,", "given twice", "each axis once"),
+        ("name: Y,", "name: X,", "duplicate axis", "each axis once"),
         ("origin: {X: 300", "origin: {A: 300", "not a linear axis", "linear axes"),
         ("  tool: spindle ", "  tool: spindle\n  tool: spindle ", "duplicate key", "each key once"),
         ("schema: twin.machine/1", "schema: twin.machine/9", "wrong kind of file", "schema: twin.machine/1"),

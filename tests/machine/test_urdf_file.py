@@ -81,9 +81,9 @@ def changed(folder: Path, old: str, new: str) -> tuple[Path, int]:
             "<sphere",
             "zero or more",
         ),
-        (QUILL, QUILL + QUILL, "a link given twice", "every name once"),
+        (QUILL, QUILL + QUILL, "duplicate link", "every name once"),
         (QUILL, '<link name=""/>', "a link without a name", "every name once"),
-        ('name="z_joint"', 'name="x_joint"', "a joint given twice", "every name once"),
+        ('name="z_joint"', 'name="x_joint"', "duplicate joint", "every name once"),
         ('<child link="quill"/>', '<child link="quil"/>', "no such link", "names a link"),
         ('<child link="quill"/>', "", "joint z_joint has no child link", "names a link"),
         (

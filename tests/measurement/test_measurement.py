@@ -138,7 +138,7 @@ def test_missing_rounds_are_noticed(dmu50: Machine, tmp_path: Path) -> None:
     ("lines", "header", "line", "words"),
     [
         ([], HEADER, None, "one row for each point"),
-        (rows(0), HEADER.replace("X_mm", "X_m"), 2, "column X_mm is missing (did you mean X_m?)"),
+        (rows(0), HEADER.replace("X_mm", "X_m"), 2, "column X_mm is missing (the table has X_m)"),
         (rows(0), HEADER.replace("carrier", "side"), 2, "carrier"),
         (rows(0), HEADER.replace("Y_mm", "X_mm"), 2, "each column once"),
         ([*rows(0), ROW.format(x=50).replace("tool", "table")], HEADER, 4, "tool or work"),

@@ -7,6 +7,7 @@ import unicodedata
 from collections.abc import Iterable
 from difflib import SequenceMatcher, get_close_matches
 from functools import partial
+from os import PathLike
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -62,6 +63,13 @@ class InputError(ValueError):
             place += ": "
         shown = "" if self.value is None else f": {_one_line(self.value)!r}"
         return printable(f"{place}{self.what}{shown}{_is_it(self.nearest)}; expected {self.expected}", one_line=True)
+
+
+def require_type(name: str, value: object, kind: type) -> None:
+    """Raise `TypeError` if an argument is not of its type, and name the method that reads it from a file."""
+    if not isinstance(value, kind):
+        load = f"; {kind.__name__}.load reads one from a file" if isinstance(value, str | PathLike) else ""
+        raise TypeError(f"{name} must be a {kind.__name__}, not {type(value).__name__}{load}")
 
 
 def control_character(text: str) -> str | None:

@@ -60,20 +60,20 @@ contradictions are errors. In a plan, `planned_place_x_mm …` and `planned_stat
 them, but nothing treats them as known; the simulated table gives them only in its comments.
 
 **Report** (`--json`, `schema: twin.compensation/1`): `before` and `after` (RMS and maximum at the functional point in µm, of the tool
-axis in µrad and its tilt about x and y of the tool (fused-like angles: independent of order), the worst line), `classes`,
-`rounding_um`, `largest_correction`, `uncertainty`, `headline`, `complete` and `strictly_complete` (exit status 0 without and with
+axis in µrad and its tilt about x and y of the tool (angles independent of order), the worst line), `classes`, `rounding_um`,
+ `largest_correction`, `uncertainty`, `headline`, `complete` and `strictly_complete` (exit status 0 without and with
 `--strict`), `not_corrected` (one entry per reason: `kind`, `blocks`, all `lines` of the input, those that count for the exit status
 as `missed`, the `worst`) and `notes` (blocks passed through unchanged, assumptions). `identify --json` (`schema:
-twin.identification/1`): `errors`, `table` (how the rotary axes' average lines tilt it, in fused-like angles), `verdict` (a sentence),
+twin.identification/1`): `errors`, `table` (how the rotary axes' average lines tilt it), `verdict` (a sentence),
 `not_identifiable` (with the `prior` of those that the calibration contains nevertheless), `stations`, `targets`, `misfit`, `orders`,
 `set_aside`, `notices`.
 
 **Another machine** needs a URDF and a machine file: `twin compensate part.nc -o out.nc --machine mine.yaml`. `urdf/trunnion_ac.*`
 (A–C trunnion, Y under the table) and `urdf/xyzbc_trunnion.*` (B–C trunnion, TCP by `M428`) serve as templates. The z axis of the tool
-link points from the tip into the spindle. The rotary joint's frame has its axis along z, or the file gives the rotation of the error
-frame. The error frames of linear axes are parallel (that of the first is the machine frame, in which squareness is named), or
-inclined by less than 45° to the base link. Programs need three linear axes along x, y, z of the work frame and at most two rotary
-axes, on either side; the kinematics alone needs only a chain.
+link points from the tip into the spindle. A rotary joint turns about z of its frame; for any other direction the machine file gives
+the rotation of the error frame. The error frames of linear axes are parallel (that of the first is the machine frame, in which
+squareness is named), or inclined by less than 45° to the base link. Programs need three linear axes along x, y, z of the work frame
+and at most two rotary axes, on either side; the kinematics alone needs only a chain.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import POSITIVE, CommandResult, JsonOption, command, progress
+from twin.cli.shared.command import POSITIVE, CommandResult, JsonOption, command, progress_bar
 from twin.comparison import compare as compared
 from twin.comparison import text_of
 from twin.machine.calibration import Calibration
@@ -50,13 +50,13 @@ def compare(
     """
     loaded = Machine.load(machine)
     older, newer = (Calibration.load(path, loaded) for path in (first, second))
-    with progress() as say:
+    with progress_bar() as progress:
         found = compared(
             older,
             newer,
             tool_length_mm=tool_length,
             conditions=options.conditions(temperature, time),
             tolerance_mm=tolerance,
-            progress=say,
+            progress=progress,
         )
     return CommandResult(text_of(found), found.to_dict, met=not found.unjudged)

@@ -16,7 +16,7 @@ from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin._common.provenance import warning_texts
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, Output, command, progress
+from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
 from twin.compensation import Compensator, Options
 from twin.compensation.many import JSON_SUFFIX, TEXT_SUFFIX, ProgramOutcome, compensate_files
@@ -109,8 +109,8 @@ def compensate(
     errors = options.calibration_of(calibration, loaded)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)
     if len(programs) > 1 or (output.is_dir() and not output.suffix):
-        with progress() as say:
-            every = compensate_files(programs, output, loaded, errors, options=settings, workers=own, progress=say)
+        with progress_bar() as progress:
+            every = compensate_files(programs, output, loaded, errors, options=settings, workers=own, progress=progress)
             outcomes_done, interrupted = _collect(every, strict)
         result = _summary(programs, outcomes_done, output, warning_texts(errors.warnings), interrupted=interrupted)
     elif scheduler is not None:
@@ -134,8 +134,8 @@ def _compensate_one(program: Path, output: Path, compensator: Compensator, *, st
             expected=f"-o with {' '.join(dialect.suffixes)}",
             file=output,
         )
-    with progress() as say:
-        report = compensator.compensate_file(source, output, say, into=target)
+    with progress_bar() as progress:
+        report = compensator.compensate_file(source, output, progress, into=target)
     return CommandResult(report.to_text(), report.to_dict, met=report.strictly_complete if strict else report.complete)
 
 

@@ -10,7 +10,7 @@ import typer
 
 from twin._common.errors import InputError
 from twin._common.files import check_folder, check_writable, write_json
-from twin.cli.shared.command import JsonOption, Output, command, progress
+from twin.cli.shared.command import JsonOption, Output, command, progress_bar
 from twin.cli.shared.installation import NOT_ALL_MET
 from twin.cli.shared.options import (
     CalibrationOption,
@@ -140,10 +140,10 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
     if output.is_dir():
         check_writable(outputs_of(output, request.kind, machine))
     known, missing = without_missing_channels(request.conditions, errors)
-    with progress() as say:
-        say("tables", 0.0)
+    with progress_bar() as progress:
+        progress("tables", 0.0)
         made = make(machine, known, request)
-        say("what remains", 0.6)
+        progress("what remains", 0.6)
         account = write_folder(made, errors, known, missing, output)
     _print(account, errors, request.conditions, json_file)
     own = written_by(made)

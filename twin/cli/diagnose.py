@@ -10,7 +10,7 @@ import typer
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption, command, progress
+from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption, command, progress_bar
 from twin.diagnosis import diagnose as run_diagnosis
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.table import Measurements
@@ -57,11 +57,11 @@ def diagnose(
         options.need_pictures("the HTML report")
     loaded = Machine.load(machine)
     errors = options.calibration_of(calibration, loaded)
-    with progress() as say:
-        say("reading", 0.0)
+    with progress_bar() as progress:
+        progress("reading", 0.0)
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         reader = None if instrument is None else options.instrument_named(instrument)
-        found = run_diagnosis(data, loaded, errors, instrument=reader, empirical=empirical, say=say)
+        found = run_diagnosis(data, loaded, errors, instrument=reader, empirical=empirical, progress=progress)
     if extended is not None:
         found.extended.save(extended)
     if html_file is not None:

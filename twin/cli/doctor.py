@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from twin._common.errors import InputError, OutputError
 from twin._common.json_form import json_form
-from twin.cli.shared.command import CommandResult, JsonOption, command, progress
+from twin.cli.shared.command import CommandResult, JsonOption, command, progress_bar
 from twin.cli.shared.installation import Finding, browser, extras, packages, python, shown, size
 from twin.compensation import Compensator, Options
 from twin.compute.native import compiler, solver_description, store
@@ -51,9 +51,9 @@ def doctor(json_file: JsonOption = None) -> CommandResult:
     )
     found: list[Finding] = []
     clock = perf_counter()
-    with progress() as say:
+    with progress_bar() as progress:
         for i, (stage, check) in enumerate(checks):
-            say(stage, i / len(checks))
+            progress(stage, i / len(checks))
             found += check()
     taken = perf_counter() - clock
     failed = [one.name for one in found if one.status == "FAILED"]

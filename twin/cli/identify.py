@@ -14,7 +14,7 @@ import typer
 from twin._common.errors import InputError, closest_name
 from twin._common.files import scratch_folder
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import CALIBRATION, CommandResult, JsonOption, command, progress
+from twin.cli.shared.command import CALIBRATION, CommandResult, JsonOption, command, progress_bar
 from twin.identification import identify as run_identification
 from twin.machine.calibration import Calibration
 from twin.machine.control import FORMATS, ControlSection, TableEntry, read_tables
@@ -94,8 +94,8 @@ def identify(
                 nearest=closest_name(pattern, names),
             )
     tables = tables_on(control, loaded) if control else None
-    with progress() as say:
-        say("reading", 0.0)
+    with progress_bar() as progress:
+        progress("reading", 0.0)
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         found = run_identification(
             data,
@@ -103,7 +103,7 @@ def identify(
             instrument=None if instrument is None else options.instrument_named(instrument),
             wanted=lambda name: only is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in only),
             spread=noise_source.value,
-            say=say,
+            progress=progress,
         )
     calibration = found.calibration.with_control(tables)
     with scratch_folder() as folder:

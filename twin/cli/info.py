@@ -18,7 +18,7 @@ from twin._common.errors import InputError, printable
 from twin._common.json_form import json_form
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import options
-from twin.cli.shared.command import CALIBRATION, CommandResult, JsonOption, command, progress
+from twin.cli.shared.command import CALIBRATION, CommandResult, JsonOption, command, progress_bar
 from twin.compute.native import solver_description
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -69,10 +69,10 @@ def info(
     at.check(errors)
     known, missing = without_missing_channels(at, errors)
     kinematics = Kinematics(loaded, known, tool_length_mm=tool_length, conditions=at)
-    with progress() as say:
-        say("budget", 0.0)
+    with progress_bar() as progress:
+        progress("budget", 0.0)
         rows, classes = error_budget(loaded, known, tool_length_mm=tool_length, conditions=at)
-        say("uncertainty", 0.8)
+        progress("uncertainty", 0.8)
         uncertainty = ToolUncertainty(kinematics)
         over = uncertainty.over_volume() if uncertainty.parameters else None
     if output is not None:

@@ -9,7 +9,7 @@ import typer
 
 from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, command, progress
+from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, command, progress_bar
 from twin.compensation import Options
 from twin.compensation.fewer_blocks import refit
 from twin.compensation.fewer_blocks.points import is_points
@@ -76,9 +76,16 @@ def path(
         conditions=options.conditions(temperature, time),
     )
     errors = options.calibration_of(calibration, loaded)
-    with progress() as say:
+    with progress_bar() as progress:
         result = refit(
-            found, loaded, errors, options=settings, compensated=compensated, output=output, feed=feed, progress=say
+            found,
+            loaded,
+            errors,
+            options=settings,
+            compensated=compensated,
+            output=output,
+            feed=feed,
+            progress=progress,
         )
     write_atomic(output, result.text.encode("latin-1"))
     report = result.report

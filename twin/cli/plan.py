@@ -10,7 +10,7 @@ import typer
 from twin._common.errors import InputError
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, command, progress
+from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, command, progress_bar
 from twin.machine.calibration import Calibration
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.checks import grouped_notes
@@ -113,7 +113,7 @@ def plan(
         raise InputError("--separate and --reduce exclude each other", expected="one of them", value=" ".join(reduce))
     if judged is not None:
         return _judged(judged, loaded, own, errors, instrument, tool_length)
-    with progress() as say:
+    with progress_bar() as progress:
         if causes is not None:
             made = separate(
                 loaded,
@@ -123,7 +123,7 @@ def plan(
                 calibration=errors,
                 after=None if after is None else Measurements.load(after, loaded),
                 seed=seed,
-                say=say,
+                progress=progress,
             )
         else:
             made = make_plan(
@@ -134,7 +134,7 @@ def plan(
                 expected=errors,
                 tool_length_mm=tool_length,
                 seed=seed,
-                say=say,
+                progress=progress,
             )
     if output is not None:
         made.save(output)
@@ -147,8 +147,8 @@ def _judged(
     """Evaluate a given plan: expected uncertainties and duration."""
     table = Measurements.load(options.plan_file(plan), machine, plan=True)
     reader = options.instrument_named(instrument)
-    with progress() as say:
-        say("judging", 0.0)
+    with progress_bar() as progress:
+        progress("judging", 0.0)
         forecast = judge(
             table, machine, instrument=reader, expected=errors, known=kit.known, tool_length_mm=tool_length_mm
         )

@@ -11,7 +11,7 @@ import typer
 from twin._common.files import write_atomic
 from twin._common.provenance import warning_texts
 from twin.cli.shared import options
-from twin.cli.shared.command import HTML, CommandResult, JsonOption, command, progress
+from twin.cli.shared.command import HTML, CommandResult, JsonOption, command, progress_bar
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.table import Measurements
 from twin.reporting import MachineReport, machine_report
@@ -44,8 +44,8 @@ def report(
     loaded = Machine.load(machine)
     errors = options.calibration_of(calibration, loaded)
     at = options.conditions(temperature, time)
-    with progress() as say:
-        say("reading", 0.0)
+    with progress_bar() as progress:
+        progress("reading", 0.0)
         found = machine_report(
             loaded,
             errors,
@@ -55,13 +55,13 @@ def report(
             identified=identified,
             measured=[(path, Measurements.load(path, loaded)) for path in measured or []],
             seed=seed,
-            say=lambda stage, part: say(stage, 0.5 * part),
+            progress=lambda stage, part: progress(stage, 0.5 * part),
         )
         from twin.reporting.page import (
             machine_html,
         )  # imports matplotlib and meshcat, which are slow and needed only here
 
-        say("drawing", 0.5)
+        progress("drawing", 0.5)
         page = machine_html(found)
     write_atomic(output, page)
     text = "\n".join([*_first_screen(found), *options.unused(at, errors), ""])

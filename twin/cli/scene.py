@@ -10,7 +10,7 @@ import typer
 
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress
+from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress_bar
 from twin.machine.machine import DEFAULT, Machine
 from twin.nc import find_program
 
@@ -49,7 +49,7 @@ def scene(
     source = find_program(program)
     errors = options.calibration_of(calibration, loaded)
     at = options.conditions(temperature, time)
-    with progress() as say:
+    with progress_bar() as progress:
         drawn = draw_program(
             source,
             loaded,
@@ -59,7 +59,7 @@ def scene(
             setup=options.setup(loaded, work_offset, work_origin),
             conditions=at,
             exaggeration=exaggeration,
-            progress=say,
+            progress=progress,
         )
     run = drawn.execution
     drawn.save(output)

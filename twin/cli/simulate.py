@@ -12,7 +12,7 @@ import typer
 from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import TABLE, CommandResult, JsonOption, command, progress
+from twin.cli.shared.command import TABLE, CommandResult, JsonOption, command, progress_bar
 from twin.cli.shared.words import three_numbers
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.checks import grouped_notes
@@ -73,10 +73,10 @@ def simulate(
     around = _surroundings(air, drift)
     source = options.plan_file(plan)
     truth = options.calibration_of(calibration, loaded)
-    with progress() as say:
-        say("reading", 0.0)
+    with progress_bar() as progress:
+        progress("reading", 0.0)
         planned = Measurements.load(source, loaded, plan=True)
-        say("measuring", 0.3)
+        progress("measuring", 0.3)
         rng = np.random.default_rng(seed)
         measured, setting = run_simulation(planned, loaded, truth, reader, rng, noise=noise, surroundings=around)
     comment = [

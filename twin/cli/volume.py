@@ -9,7 +9,7 @@ import typer
 
 from twin._common.provenance import warning_texts
 from twin.cli.shared import options
-from twin.cli.shared.command import CommandResult, JsonOption, command, progress
+from twin.cli.shared.command import CommandResult, JsonOption, command, progress_bar
 from twin.kinematics.forward import Kinematics
 from twin.machine.machine import DEFAULT, Machine
 from twin.uncertainty.population import POSES, TRIALS, Population, Spread, draw_machines
@@ -56,11 +56,11 @@ def volume(
     kinematics = Kinematics(loaded, errors, tool_length_mm=tool_length, conditions=at)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)
     began = monotonic()
-    with progress() as say:
+    with progress_bar() as progress:
 
         def report_rate(stage: str, fraction: float) -> None:
             rate = fraction * trials * poses / (monotonic() - began)
-            say(f"{rate / 1e6:.1f} million poses/s" if fraction else stage, fraction)
+            progress(f"{rate / 1e6:.1f} million poses/s" if fraction else stage, fraction)
 
         found = draw_machines(
             kinematics, trials=trials, poses=poses, seed=seed, digits=digits, workers=own, progress=report_rate

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from twin._common.errors import InputError
+from twin._common.errors import InputError, require_type
+from twin._common.progress import Progress, silent
 from twin._common.provenance import merge_warnings
 from twin.comparison.pairs import NotCompared, Pair, joint_covariance, pair_errors
 from twin.comparison.result import Changes, Culprits, ErrorChange
@@ -35,7 +36,7 @@ def compare(
     conditions: Conditions | None = None,
     tolerance_mm: float | None = None,
     poses: int = POSES,
-    progress: Callable[[str, float], None] = lambda stage, fraction: None,
+    progress: Progress = silent,
 ) -> Changes:
     """Return the changes from one calibration of a machine to another, with their significance and effect at the tool.
 
@@ -54,7 +55,10 @@ def compare(
     Raises:
         InputError: calibrations of different machines; one measured under control tables and the other without; conditions that
             neither calibration uses; a tolerance that is not positive.
+        TypeError: a path instead of what was read from it.
     """
+    require_type("first", first, Calibration)
+    require_type("second", second, Calibration)
     machine = first.machine
     notices, named = _check_tables(first, second), (_label(first, "the first"), _label(second, "the second"))
     first, second = (side.with_control(None) if side.corrections else side for side in (first, second))

@@ -18,6 +18,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.progress import Progress, silent
 from twin.display.numbers import COVERAGE
 from twin.kinematics.forward import Kinematics, Poses
 from twin.kinematics.inverse import Inverse, Status
@@ -248,7 +249,7 @@ def at_tool(
     tool_length_mm: float | None = None,
     conditions: Conditions | None = None,
     poses: int = POSES,
-    progress: Callable[[str, float], None] = lambda stage, fraction: None,
+    progress: Progress = silent,
 ) -> ToolChange:
     """Return the change at the tool over the part of the volume in which all curves of both calibrations are defined.
 
@@ -324,7 +325,7 @@ def _simulate_unchanged(
     judged: Mapping[str, str],
     drawn: Collection[str],
     classes: list[str],
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> dict[str, _Simulated]:
     """Simulate the displacements of an unchanged machine by draws of both calibrations' numbers."""
     owner = {

@@ -61,10 +61,10 @@ end points by an independent machine model that shares no code with `twin`, tool
 #   check            checked.check                NewPositions, output read back
 #   report           account.CompensationAccount  Corrected              → Report
 #
-# `bench` holds what is common to all programs: the machine, its errors, and which of them are corrected.
+# `prepared` holds what is common to all programs: the machine, its errors, and which of them are corrected.
 
 from twin.compensation.account import Report
-from twin.compensation.bench import Options
 from twin.compensation.compensator import Compensation, Compensator, compensate, compensate_file
+from twin.compensation.prepared import Options
 
 __all__ = ["Compensation", "Compensator", "Options", "Report", "compensate", "compensate_file"]

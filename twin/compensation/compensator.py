@@ -16,10 +16,11 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.files import atomic_file, tracked_files
+from twin._common.progress import Progress, silent
 from twin._common.provenance import program_comments
 from twin.compensation.account import CompensationAccount, Report
-from twin.compensation.bench import Bench, Options, Progress
 from twin.compensation.checked import check, motionless, unreadable
+from twin.compensation.prepared import Options, PreparedMachine
 from twin.compensation.solving import Corrected, Pieces, correct, new_positions
 from twin.compensation.stream import Streamed
 from twin.compensation.toolpath import ToolPath, follow, turns_tool
@@ -80,13 +81,13 @@ class Compensator:
     """
 
     def __init__(self, machine: Machine, calibration: Calibration, options: Options | None = None) -> None:
-        self.bench = Bench(machine, calibration, Options() if options is None else options)
+        self.prepared = PreparedMachine(machine, calibration, Options() if options is None else options)
 
     def compensate(
         self,
         program: Program,
         dialect: Dialect,
-        progress: Progress | None = None,
+        progress: Progress = silent,
         *,
         into: Dialect | None = None,
         reading: Interpretation | None = None,
@@ -105,34 +106,33 @@ class Compensator:
             InputError: the program cannot be read, or contains something that must not pass uncompensated.
             OutputError: the output, read back, differs from the intended positions; nothing was written.
         """
-        say = progress or (lambda stage, fraction: None)
-        say("reading", 0.0)
-        bench, axes = self.bench, self.bench.space.axes
+        progress("reading", 0.0)
+        prepared, axes = self.prepared, self.prepared.space.axes
         if reading is None:
-            reading = dialect.moves(program, axes, tcp=bench.options.tcp)
-        path = follow(program, reading, bench.space)
+            reading = dialect.moves(program, axes, tcp=prepared.options.tcp)
+        path = follow(program, reading, prepared.space)
         if not path.motions:
             raise motionless(program.source)
         written = dialect if into is None else into
         posted = written.name != dialect.name
-        aim = bench.aim(turns=turns_tool(reading.moves, axes))
-        say("solving", 0.1)
-        found = correct(Pieces(bench, path, aim, dialect, source=program.source, posted=posted), say)
+        aim = prepared.aim(turns=turns_tool(reading.moves, axes))
+        progress("solving", 0.1)
+        found = correct(Pieces(prepared, path, aim, dialect, source=program.source, posted=posted), progress)
         rewrites = tuple(_rewrites(found))
-        say("writing", 0.8)
+        progress("writing", 0.8)
         if posted:
             text = dialect.posted(program, reading, rewrites, axes, written)
         else:
             text = dialect.rewrite(program, axes, reading, rewrites)
         if rewrites:
-            text = written.with_comments(text, program_comments(bench.calibration.warnings))
+            text = written.with_comments(text, program_comments(prepared.calibration.warnings))
         self._check(program, reading, found, text, written, posted=posted)
-        say("checking", 0.9)
-        account = CompensationAccount(bench, aim, program.source)
+        progress("checking", 0.9)
+        account = CompensationAccount(prepared, aim, program.source)
         account.add(found)
         notices = [*reading.notices, *path.notices]
         report = account.report(lines=len(program.texts), moves=len(reading.moves), notices=notices)
-        say("done", 1.0)
+        progress("done", 1.0)
         rows = found.rows
         moves, lines = path.columns.move[rows.motion], found.lines[rows.motion]
         columns = (rows.nominal, rows.exact, rows.commands, moves, lines, rows.backlash_move)
@@ -142,7 +142,7 @@ class Compensator:
         self, program: Program, reading: Interpretation, found: Corrected, text: str, written: Dialect, *, posted: bool
     ) -> None:
         """Read the output back and compare it with the intended positions."""
-        axes, tcp = self.bench.space.axes, self.bench.options.tcp and not posted
+        axes, tcp = self.prepared.space.axes, self.prepared.options.tcp and not posted
         try:
             read_back = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
         except InputError as error:
@@ -152,7 +152,7 @@ class Compensator:
         check(program.source, np.array([move.line + 1 for move in reading.moves]), new, got)
 
     def compensate_file(
-        self, program: Path, output: Path, progress: Progress | None = None, *, into: Dialect | None = None
+        self, program: Path, output: Path, progress: Progress = silent, *, into: Dialect | None = None
     ) -> Report:
         """Compensate a program from file to file; the output is written atomically.
 
@@ -170,28 +170,27 @@ class Compensator:
                 the calibration.
             OutputError: as for `compensate`.
         """
-        say = progress or (lambda stage, fraction: None)
         dialect = dialect_of(program)
         target = dialect if into is None else into
         streams = (
-            dialect.in_chunks and target.name == dialect.name and program.is_file() and not self.bench.backlash.axes
+            dialect.in_chunks and target.name == dialect.name and program.is_file() and not self.prepared.backlash.axes
         )
         with tracked_files() as files, ExitStack() as stack:
             for path in self._inputs(program):
                 files.add_input(path)
             out = stack.enter_context(atomic_file(output))
-            report = Streamed(self.bench, program, say).run(out) if streams else None
+            report = Streamed(self.prepared, program, progress).run(out) if streams else None
             if report is None:
                 out.seek(0)
                 out.truncate()
-                result = self.compensate(*read_program(program), say, into=into)
+                result = self.compensate(*read_program(program), progress, into=into)
                 out.write(result.text.encode("latin-1"))
                 report = result.report
         return report
 
     def _inputs(self, program: Path) -> Iterator[Path]:
         """Yield the input files of this compensation."""
-        calibration, machine = self.bench.calibration, self.bench.machine
+        calibration, machine = self.prepared.calibration, self.prepared.machine
         tables = () if calibration.control is None else calibration.control.tables
         files = (program, machine.path, machine.urdf, calibration.path, *(table.file for table in tables))
         return (path for path in files if path is not None)
@@ -237,7 +236,7 @@ def compensate_file(
     calibration: Calibration | None = None,
     *,
     options: Options | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Report:
     """Compensate the program of a file, or a sample program of twin, into another file; memory stays bounded for ISO programs.
 

@@ -6,7 +6,7 @@ programs are sent as data and returned as data, so that no shared file system is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -15,8 +15,9 @@ from typing import Any, Final, Literal, NamedTuple, final
 
 from twin._common.errors import InputError, OutputError
 from twin._common.files import check_writable, move_into_place, scratch_folder, write_atomic, write_json
-from twin.compensation.bench import Options
+from twin._common.progress import Progress, silent
 from twin.compensation.compensator import Compensator
+from twin.compensation.prepared import Options
 from twin.compute.parallel import Workers, map_as_completed
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -186,7 +187,7 @@ def compensate_files(
     *,
     options: Options | None = None,
     workers: Workers | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress = silent,
 ) -> Generator[ProgramOutcome, None, None]:
     """Compensate programs; write each atomically and yield its outcome as soon as it is done.
 
@@ -203,7 +204,6 @@ def compensate_files(
         InputError: as for `outputs` and `map_as_completed`; machine, calibration and options do not fit each other. An
             error in one program is in its `ProgramOutcome`.
     """
-    say = progress or (lambda stage, fraction: None)
     own = Workers() if workers is None else workers
     worker = ProgramCompensator(machine, calibration, Options() if options is None else options)
     _ = worker.compensator  # an error common to all programs is raised once, before anything is written
@@ -221,7 +221,7 @@ def compensate_files(
                 except InputError as error:
                     yield ProgramOutcome(program, None, {}, error)
             tasks = _ProgramTasks(files, travel=own.scheduler is not None)
-            say("programs", 0.0)
+            progress("programs", 0.0)
             answers = map_as_completed(
                 ProgramCompensator.compensate, worker, tasks, own, name=lambda one: str(one.program), return_errors=True
             )
@@ -233,7 +233,7 @@ def compensate_files(
                         outcome = ProgramOutcome(program, target, found.report, None)
                     else:  # an error in one program, even one that ends its worker, does not stop the others
                         outcome = ProgramOutcome(program, None, {}, found)
-                    say("programs", count / len(tasks))
+                    progress("programs", count / len(tasks))
                     yield outcome
     finally:
         if made and not any(folder.iterdir()):

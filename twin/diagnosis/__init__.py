@@ -36,8 +36,8 @@ the axis had settled depend on the approach direction too. Such a reversal has `
 positions with a column `readback_<axis>_<unit>` decide.
 
 **Unnamed patterns.** Every column and every pair of columns is also tested for a pattern that no cause describes, on each side of the
-machine: short waves, steps, a reversal that depends on the position (`twin.diagnosis.selection.unnamed`). If one is found, the causes
-are selected again by likelihood with the pattern in the model (`twin.diagnosis.selection.structure`). A cause that carries most
+machine: short waves, steps, a reversal that depends on the position (`twin.diagnosis.selection.pattern_test`). If one is found, the
+causes are selected again by likelihood with the pattern in the model (`twin.diagnosis.selection.structure`). A cause that carries most
 of the dependence on its columns keeps its name, and the remainder is given in µm as unexplained; a cause that only imitates part of a
 pattern is not named.
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from threadpoolctl import threadpool_limits
 
+from twin._common.errors import require_type
+from twin._common.progress import Progress, silent
 from twin.diagnosis.diagnosis import Diagnosis
 from twin.diagnosis.judgement.answer import conclude
 from twin.diagnosis.judgement.causes import report_causes
@@ -18,8 +18,6 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 
-Say = Callable[[str, float], None]
-
 
 def diagnose(
     data: Measurements,
@@ -28,7 +26,7 @@ def diagnose(
     *,
     instrument: Instrument | None = None,
     empirical: bool = False,
-    say: Say | None = None,
+    progress: Progress = silent,
 ) -> Diagnosis:
     """Find the errors that measured data show beyond the model, and their causes.
 
@@ -42,19 +40,22 @@ def diagnose(
         instrument: the instrument whose noise model is used; None to take the table's uncertainties or the spread of repeats.
         empirical: whether unexplained patterns of the machine extend the calibration too, without a known cause
             (`twin.diagnosis.judgement.extend`).
-        say: called with the present stage and the fraction done.
+        progress: called with the present stage and the fraction done.
 
     Raises:
         InputError: data that cannot be a measurement of this machine.
+        TypeError: a path instead of what was read from it.
     """
-    report = say or (lambda stage, part: None)
+    require_type("data", data, Measurements)
+    require_type("machine", machine, Machine)
     errors = Calibration.default(machine) if calibration is None else calibration
+    require_type("calibration", errors, Calibration)
     with threadpool_limits(limits=1, user_api="blas"):
-        report("placing the stations", 0.0)
+        progress("placing the stations", 0.0)
         placed = readings(data, machine, errors, instrument)
-        report("searching for causes", 0.2)
+        progress("searching for causes", 0.2)
         problem = exclude_outliers(placed)
         found = select_causes(problem)
-        report("estimating their sizes", 0.7)
+        progress("estimating their sizes", 0.7)
         causes = report_causes(estimate_sizes(found), errors)
         return conclude(causes, errors, empirical=empirical)

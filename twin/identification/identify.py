@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -10,6 +9,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import read_only
+from twin._common.errors import require_type
+from twin._common.progress import Progress, silent
 from twin._common.units import MM
 from twin.identification.determined import DeterminedModel, Wanted, determined_models
 from twin.identification.inputs import PreparedData, prepare
@@ -24,8 +25,6 @@ from twin.machine.machine import Machine
 from twin.measurement.checks import overstated_noise
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
-
-Say = Callable[[str, float], None]
 
 
 @final
@@ -45,7 +44,7 @@ def identify(
     instrument: Instrument | None = None,
     wanted: Wanted = lambda name: True,
     spread: Spread = "stated",
-    say: Say = lambda stage, part: None,
+    progress: Progress = silent,
 ) -> Identification:
     """Identify a machine's error motions, squareness and locations together with stations and targets.
 
@@ -59,22 +58,25 @@ def identify(
         wanted: whether an error of that ISO 230-1 name is to be estimated; all by default.
         spread: noise on which the covariance is based: the stated uncertainty of the readings; the standard deviation of their repeats;
             or the variation between poses or between rounds, for an incomplete model (`twin.identification.spread`).
-        say: callback for progress, called with the stage and the fraction done.
+        progress: callback for progress, called with the stage and the fraction done.
 
     Raises:
         InputError: data that cannot be a measurement of this machine; too few repeats for ``spread="repeats"``; no axis that moved.
+        TypeError: a path instead of what was read from it.
     """
+    require_type("data", data, Measurements)
+    require_type("machine", machine, Machine)
     # On a shared computer the threads of a linear algebra library wait for each other longer than they work.
     with threadpool_limits(limits=1, user_api="blas"):
-        say("placing the stations", 0.0)
+        progress("placing the stations", 0.0)
         placed = prepare(machine, data, instrument)
         from_repeats = covariance_from_repeats(placed.data, placed.instrument) if spread == "repeats" else None
-        say("choosing the curves", 0.1)
+        progress("choosing the curves", 0.1)
         model = _best([_model(one, placed) for one in determined_models(machine, placed, wanted, from_repeats)])
-        say("estimating", 0.75)
+        progress("estimating", 0.75)
         precision = prior_precision(model.determined.network, model.start)
         estimate = without_outliers(model.determined.network, model.start, precision)
-        say("uncertainty", 0.9)
+        progress("uncertainty", 0.9)
         used = (~estimate.rows.bad).astype(float)
         covariance = covariance_of(model.determined.network, estimate.solution, used, spread)
         return _result(model, estimate, covariance, spread, wanted)

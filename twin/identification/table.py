@@ -25,8 +25,8 @@ class TableTilt:
 
     Attributes:
         at: rotary axes that carry the table, and their positions (degrees): zero, or the nearest position in their range.
-        fused_urad: (3,) fused-like angles about x, y, z of the base frame: tilt of the surface about x and y, and rotation of the table
-            in its surface (`twin.numerics.spatial.fused_angles`); µrad.
+        fused_urad: (3,) angles, independent of order, about x, y, z of the base frame: tilt of the surface about x and y, and rotation
+            of the table in its surface (`twin.numerics.spatial.fused_angles`); µrad.
         u_urad: (3,) their standard uncertainties, µrad; NaN if an average line has none.
         covariance: (3, 3) µrad².
         missing: average lines without a value, taken as nominal.
@@ -86,9 +86,7 @@ class TableTilt:
             for value, u in zip(self.fused_urad, self.u_urad, strict=True)
         )
         place = " ".join(f"{name} {value:g}" for name, value in self.at)
-        text = (
-            f"table at {place}: tilted by {x} µrad about x and {y} about y, rotated by {z} about z (fused-like angles)"
-        )
+        text = f"table at {place}: tilted by {x} µrad about x and {y} about y, rotated by {z} about z (angles independent of order)"
         return f"{text}, without {', '.join(self.missing)}" if self.missing else text
 
 

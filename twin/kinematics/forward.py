@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.errors import InputError
+from twin._common.errors import InputError, require_type
 from twin._common.units import MM, URAD
 from twin.compute.batch import BatchFunction
 from twin.display import card, first_rows, fixed, note, pairs, table
@@ -47,7 +47,7 @@ class Poses:
         return self.rotation[:, :, 2]
 
     def tilt_urad(self, nominal: Poses) -> np.ndarray:
-        """Return the tilt of the tool axis from its nominal direction: fused-like angles, order-free (`twin.numerics.spatial.tilt`).
+        """Return the tilt of the tool axis from its nominal direction, as angles independent of order (`twin.numerics.spatial.tilt`).
 
         The angles are about x and y of the nominal tool frame, which are those of the work frame where the two are parallel, as on most
         machines at rotary zero. They are not taken about x and y of the work frame, because such angles are undefined for a tool across
@@ -124,6 +124,7 @@ class Kinematics:
         tool_length_mm: float | None = None,
         conditions: Conditions | None = None,
     ) -> None:
+        require_type("machine", machine, Machine)
         self.machine = machine
         self.conditions = Conditions() if conditions is None else conditions
         self.tool_length_mm = machine.tool_length_mm if tool_length_mm is None else tool_length_mm

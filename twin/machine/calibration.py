@@ -537,7 +537,7 @@ class _Check:
                 what = "a covariance of a parameter that is not in this file"
                 raise self.fail(("covariance",), what, "its parameters", name, closest_name(name, known))
             if entry.parameters.count(name) > 1:
-                raise self.fail(("covariance",), "a parameter given twice", "each parameter once", name)
+                raise self.fail(("covariance",), "duplicate parameter", "each parameter once", name)
         try:
             found = Covariance.from_text(entry.parameters, entry.lower)
         except ValueError as error:

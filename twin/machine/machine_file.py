@@ -119,10 +119,10 @@ def check_entries(entries: MachineFile, source: pin.Model, path: Path, lines: Ma
             return InputError(what, expected=expected, file=path, line=line_of((*place, key), lines), value=value)
 
         if entry.name in seen:
-            raise fail("name", "an axis given twice", "each axis once", entry.name)
+            raise fail("name", "duplicate axis", "each axis once", entry.name)
         seen.add(entry.name)
         if entry.joint in used:
-            raise fail("joint", "a joint given twice", "another joint for every axis", entry.joint)
+            raise fail("joint", "duplicate joint", "another joint for every axis", entry.joint)
         used.add(entry.joint)
         added = {f"{entry.joint}:error", f"{entry.joint}:location"} & set(joints)
         if added:

@@ -187,7 +187,7 @@ def _check_complete(one: Element, path: Path) -> None:
 def _check_number(one: Element, name: str, text: str, count: int, path: Path) -> None:
     def refuse(expected: str) -> InputError:
         return InputError(
-            f'<{one.name} {name}="…"> does not fit', expected=expected, file=path, line=one.line, value=text
+            f'<{one.name} {name}="…"> is invalid', expected=expected, file=path, line=one.line, value=text
         )
 
     words = text.split()
@@ -222,7 +222,7 @@ def _check_tree(robot: Element, path: Path) -> None:
             name = part.attributes.get("name", "")
             seen[name] += 1
             if not name or seen[name] > 1:
-                what = f"a {kind} given twice" if name else f"a {kind} without a name"
+                what = f"duplicate {kind}" if name else f"a {kind} without a name"
                 raise InputError(
                     what, expected="every name once", file=path, line=part.line, value=name if name else None
                 )

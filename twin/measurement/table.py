@@ -157,9 +157,8 @@ class Measurements:
         for name in needed:
             if name not in columns:
                 raise InputError(
-                    f"column {name} is missing",
+                    f"column {name} is missing{_misnamed(name, [one for one in header if one not in needed])}",
                     expected=f"columns {', '.join(needed)}",
-                    nearest=closest_name(name, [one for one in header if one not in needed]),
                     file=path,
                     line=rows[0][0] - 1 if rows else 1,
                 )
@@ -445,3 +444,9 @@ def _copies(table: Measurements, rows: np.ndarray, unknown_cells: Sequence[str])
     state = [point_of[i] + words[i] + rest[i].tobytes() for i in range(len(part))]
     found = copied_rows(part.point_mm, state, series, point_of, part.time_s)
     return {int(rows[row]): int(rows[before]) for row, before in found.items()}
+
+
+def _misnamed(name: str, others: Sequence[str]) -> str:
+    """Return a remark on the column whose name is probably misspelt."""
+    nearest = closest_name(name, others)
+    return "" if nearest is None else f" (the table has {nearest})"

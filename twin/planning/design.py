@@ -13,11 +13,11 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.progress import Progress, silent
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 from twin.planning.aims import Aim
 from twin.planning.candidates import CandidateReadings
-from twin.planning.task import Say
 
 RECOMPUTED_AFTER: Final = 50
 """Number of choices after which the covariance is recomputed, as updates accumulate rounding errors."""
@@ -87,7 +87,7 @@ class Exchange:
         most: how often one candidate may be taken.
         exchanged: shares of the plan exchanged in successive rounds.
         among: number of random candidates from which each reading is chosen.
-        say: progress callback.
+        progress: progress callback.
     """
 
     prior: np.ndarray
@@ -97,7 +97,7 @@ class Exchange:
     most: int = 4
     exchanged: tuple[float, ...] = EXCHANGED_SHARES
     among: int = SAMPLED
-    say: Say | None = None
+    progress: Progress = silent
 
     def choose(self, count: int, first: np.ndarray, least: int) -> np.ndarray:
         """Return the indices of the chosen readings in order of choice; an index may repeat.
@@ -141,9 +141,8 @@ class Exchange:
             if (len(chosen) - begun) % RECOMPUTED_AFTER == 0:
                 covariance = covariance_of(self.prior, self.rows[chosen])
                 weight = self.aim.weight(covariance)
-                if self.say is not None:
-                    part = (len(chosen) - begun) / max(count - begun, 1)
-                    self.say("choosing", done + part / len(self.exchanged))
+                part = (len(chosen) - begun) / max(count - begun, 1)
+                self.progress("choosing", done + part / len(self.exchanged))
             available = np.flatnonzero(taken < self.most)
             if not len(available):
                 return

@@ -128,7 +128,7 @@ class _PlanFiller:
         tried = [one for kind in kinds.values() for one in kind[:TRIED_OF_A_KIND]]
         found = []
         for number, one in enumerate(tried):
-            self.task.say("choosing", 0.1 + 0.3 * number / len(tried))
+            self.task.progress("choosing", 0.1 + 0.3 * number / len(tried))
             own = one.problem.from_stations(one.stations)
             cost = np.full(len(own.plan), self.task.kit.seconds.point)
             first = np.random.default_rng(self.task.seed).permutation(len(own.plan))
@@ -157,10 +157,10 @@ class _PlanFiller:
                 )
             part = 0.4 + 0.55 * turn / ROUNDS
 
-            def say(stage: str, done: float, part: float = part) -> None:
-                self.task.say(stage, part + 0.55 * done / ROUNDS)
+            def progress(stage: str, done: float, part: float = part) -> None:
+                self.task.progress(stage, part + 0.55 * done / ROUNDS)
 
-            choice = Exchange(own.prior, own.rows, self._cost(spread.plan, own.plan, each), own.aim, say=say)
+            choice = Exchange(own.prior, own.rows, self._cost(spread.plan, own.plan, each), own.aim, progress=progress)
             taken = choice.choose(points, first, best.least)
             spread = route(self.task, own.candidates.select(taken), best.stations)
             if LEAST_FILLED * self.task.seconds <= spread.seconds <= self.task.seconds:

@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.progress import Progress, silent
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument
@@ -23,7 +24,7 @@ from twin.planning.forecast import Forecast, forecast
 from twin.planning.kit import Kit
 from twin.planning.model import PlanModel
 from twin.planning.result import Plan
-from twin.planning.task import Say, Task
+from twin.planning.task import Task
 
 
 def plan(
@@ -35,7 +36,7 @@ def plan(
     expected: Calibration | None = None,
     tool_length_mm: float | None = None,
     seed: int = 0,
-    say: Say | None = None,
+    progress: Progress = silent,
 ) -> Plan:
     """Plan the measurement with the smallest uncertainty in the time budget.
 
@@ -48,15 +49,15 @@ def plan(
         expected: expected size of the errors, for the prior; None: the machine file's calibration.
         tool_length_mm: tool length; None: that of the machine file, or 100 mm.
         seed: random seed.
-        say: progress callback: stage and share done.
+        progress: progress callback: stage and share done.
 
     Raises:
         InputError: the time budget is too short, too few poses have clearance, a reflector is visible from no station, or the machine
             has no error of a given name.
     """
     with threadpool_limits(limits=1, user_api="blas"):
-        task = Task.of(machine, kit, minutes, expected, seed, say, reduce)
-        task.say("drawing candidates", 0.0)
+        task = Task.of(machine, kit, minutes, expected, seed, progress, reduce)
+        task.progress("drawing candidates", 0.0)
         every = candidates(machine, task.kit, task.rng, task.levels)
         models = [task.model(every.plan, instrument) for instrument in task.kit.instruments]
         aims = [aim_of(one, task.reduce, tool_length_mm) for one in models]
@@ -65,7 +66,7 @@ def plan(
             for one, aim in zip(models, aims, strict=True)
         ]
         filled = fill(task, problems)
-        task.say("predicting", 0.95)
+        task.progress("predicting", 0.95)
         predicted = forecast(
             task.model(filled.route.plan, filled.station_choices[0].problem.instrument), tool_length_mm
         )

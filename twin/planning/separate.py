@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, closest_name
+from twin._common.progress import Progress, silent
 from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
 from twin.diagnosis.problem.problem import RANK_TOLERANCE, Problem
@@ -40,7 +41,7 @@ from twin.planning.fill import fill
 from twin.planning.kit import Kit
 from twin.planning.model import as_evaluated, setup_of
 from twin.planning.result import ODDS, Plan, Separation
-from twin.planning.task import Say, Task
+from twin.planning.task import Task
 
 POWER: Final = 1.645
 """One-sided 95 % quantile of the normal distribution: probability that the odds are reached."""
@@ -103,7 +104,7 @@ def separate(
     calibration: Calibration | None = None,
     after: Measurements | None = None,
     seed: int = 0,
-    say: Say | None = None,
+    progress: Progress = silent,
 ) -> Plan:
     """Plan the measurement that best distinguishes two causes.
 
@@ -116,7 +117,7 @@ def separate(
         calibration: calibration whose uncertainty is included; None: that of the machine file.
         after: earlier readings to be evaluated together with the new ones; stations and targets are set up anew.
         seed: random seed.
-        say: progress callback: stage and share done.
+        progress: progress callback: stage and share done.
 
     Raises:
         InputError: a cause does not exist on this machine or cannot be planned for, the two causes are the same, or the time budget is
@@ -128,11 +129,11 @@ def separate(
             raise InputError(
                 "the two causes are the same", expected="two effects, or one effect in two places", value=second
             )
-        task = Task.of(machine, kit, minutes, calibration, seed, say)
+        task = Task.of(machine, kit, minutes, calibration, seed, progress)
         if after is not None:
             rounds = max((int(name) for name in after.round if str(name).isdecimal()), default=0)
             task = replace(task, kit=_with_new_names(task.kit, after), first_round=1 + rounds)
-        task.say("drawing candidates", 0.0)
+        task.progress("drawing candidates", 0.0)
         every = _in_sessions(candidates(machine, task.kit, task.rng).plan, _sessions(causes))
         question = _Question(task, causes, after)
         cells = question.cells(every.plan)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, final
@@ -11,6 +11,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError, closest_name
+from twin._common.progress import Progress
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
@@ -18,7 +19,6 @@ from twin.measurement.table import Measurements
 from twin.planning.kit import Kit
 from twin.planning.model import MOST_FUNCTIONS, PlanModel
 
-Say = Callable[[str, float], None]
 AIMS: Final = ("tool", "everything", "weakest")
 MOST_READINGS: Final = 10_000
 """Limit of the number of readings: computing time grows with its square; a day allows some 5,000."""
@@ -43,7 +43,7 @@ class Task:
         minutes: time budget, including set-up.
         expected: expected size of the errors, for the prior.
         seed: random seed.
-        say: progress callback: stage and share done.
+        progress: progress callback: stage and share done.
         reduce: uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``).
         first_round: number of the first round.
     """
@@ -53,7 +53,7 @@ class Task:
     minutes: float
     expected: Calibration
     seed: int
-    say: Say
+    progress: Progress
     reduce: tuple[str, ...]
     first_round: int = 1
 
@@ -65,7 +65,7 @@ class Task:
         minutes: float,
         expected: Calibration | None,
         seed: int,
-        say: Say | None,
+        progress: Progress,
         reduce: str | Sequence[str] = "tool",
     ) -> Task:
         """Return the task; defaults are `Kit.default` and the machine file's calibration.
@@ -83,7 +83,7 @@ class Task:
                 value=minutes,
             )
         sizes = Calibration.default(machine) if expected is None else expected
-        return cls(machine, own, minutes, sizes, seed, say or (lambda stage, part: None), names)
+        return cls(machine, own, minutes, sizes, seed, progress, names)
 
     @cached_property
     def rng(self) -> np.random.Generator:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
+from twin._common.progress import Progress, silent
 from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, warnings_to_json
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
@@ -38,7 +39,6 @@ from twin.uncertainty.budget import without_missing_channels
 
 SCHEMA: Final = "twin.reporting/1"
 SEED: Final = 0
-Say = Callable[[str, float], None]
 
 
 @final
@@ -233,7 +233,7 @@ def machine_report(
     identified: Path | None = None,
     measured: Sequence[tuple[Path, Measurements]] = (),
     seed: int = SEED,
-    say: Say | None = None,
+    progress: Progress = silent,
 ) -> MachineReport:
     """Compute the report of a machine.
 
@@ -246,12 +246,11 @@ def machine_report(
         identified: JSON file that ``twin identify`` wrote with the calibration.
         measured: measurement tables of the same machine with their files, to be compared with the calibration.
         seed: random seed of the draws from the covariance.
-        say: progress callback: called with stage and completed fraction.
+        progress: progress callback: called with stage and completed fraction.
 
     Raises:
         InputError: a temperature that no effect knows; invalid files; no pose inside the domains of all curves.
     """
-    tell = say or (lambda stage, part: None)
     at = Conditions() if conditions is None else conditions
     at.check(calibration)
     identification = None if identified is None else Identified.load(identified, calibration)
@@ -259,12 +258,12 @@ def machine_report(
     origin = sources(calibration, identified, [path for path, _ in measured], seed, made)
     known, left_out = without_missing_channels(at, calibration)
     real = Kinematics(machine, known, tool_length_mm=tool_length_mm, conditions=at)
-    error_budget, error_motions, error_field, outcome = _over_the_volume(real, seed, tell)
-    found = tuple(_comparisons(measured, known, tell))
+    error_budget, error_motions, error_field, outcome = _over_the_volume(real, seed, progress)
+    found = tuple(_comparisons(measured, known, progress))
     gaps = Gaps(_absent(known), error_budget.without_uncertainty, left_out, at.unused(calibration))
-    tell("control's tables", 0.9)
+    progress("control's tables", 0.9)
     tables = tables_left(real, calibration, left_out)
-    tell("words", 0.95)
+    progress("words", 0.95)
     return MachineReport(
         machine=machine,
         calibration=calibration,
@@ -285,23 +284,23 @@ def machine_report(
 
 
 def _over_the_volume(
-    real: Kinematics, seed: int, tell: Say
+    real: Kinematics, seed: int, progress: Progress
 ) -> tuple[Budget, tuple[Motion, ...], Field, CompensationForecast]:
-    tell("budget", 0.05)
+    progress("budget", 0.05)
     error_budget = budget(real)
-    tell("curves", 0.3)
+    progress("curves", 0.3)
     error_motions = motions(real)
-    tell("field", 0.35)
+    progress("field", 0.35)
     error_field = field(real)
-    tell("compensation", 0.4)
+    progress("compensation", 0.4)
     return error_budget, error_motions, error_field, forecast_compensation(error_budget, seed)
 
 
 def _comparisons(
-    measured: Sequence[tuple[Path, Measurements]], known: Calibration, tell: Say
+    measured: Sequence[tuple[Path, Measurements]], known: Calibration, progress: Progress
 ) -> Iterator[PointComparison]:
     for i, (path, data) in enumerate(measured):
-        tell("measured", 0.5 + 0.35 * i / len(measured))
+        progress("measured", 0.5 + 0.35 * i / len(measured))
         yield compare_points(data, known.machine, known, path)
 
 

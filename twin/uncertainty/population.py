@@ -11,7 +11,7 @@ machines: distributions are stored as counts over fine bins.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Final, final
@@ -23,6 +23,7 @@ from threadpoolctl import threadpool_limits
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
+from twin._common.progress import Progress, silent
 from twin._common.provenance import SourceWarning, warnings_to_json
 from twin._common.units import MM, UM
 from twin.compute.batch import BatchFunction
@@ -397,7 +398,7 @@ def draw_machines(
     seed: int = 0,
     digits: int = 1,
     workers: Workers | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress = silent,
 ) -> Population:
     """Draw machines from the calibration's covariance and evaluate each over the volume.
 
@@ -426,7 +427,7 @@ def draw_machines(
         raise InputError("seed must not be negative", expected="0 or more", value=seed)
     # The last digits of matrix products depend on the number of threads.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _drawn(kinematics, trials, poses, seed, digits, workers, progress or (lambda stage, fraction: None))
+        return _drawn(kinematics, trials, poses, seed, digits, workers, progress)
 
 
 def _drawn(
@@ -436,7 +437,7 @@ def _drawn(
     seed: int,
     digits: int,
     workers: Workers | None,
-    say: Callable[[str, float], None],
+    progress: Progress,
 ) -> Population:
     calibration = kinematics.calibration
     tool = ToolUncertainty(kinematics)
@@ -448,7 +449,7 @@ def _drawn(
         )
     q = inside_domains(volume(kinematics.machine, poses), calibration)
     sides = random_approach(q)
-    say("preparing", 0.0)
+    progress("preparing", 0.0)
     draws = Draws(
         kinematics.machine, calibration, kinematics.tool_length_mm, kinematics.conditions, q, sides, seed
     ).pilot()
@@ -456,9 +457,9 @@ def _drawn(
     parts = map_in_order(Draws.part, draws, tasks, workers, name=lambda task: f"machines of task {task[0]}")
     total = next(parts)
     for part in parts:
-        say("drawing", total.machines / trials)
+        progress("drawing", total.machines / trials)
         total = total.plus(part)
-    say("drawing", 1.0)
+    progress("drawing", 1.0)
     return _population(draws, total, tool, digits)
 
 

@@ -15,7 +15,7 @@ GOOD = {
 }
 BAD = [
     ("grid.csv", "9,9,0,1", "9,9,0,x", 9, "not a number"),
-    ("grid.csv", "9,9,0,1", "9,0,0,1", 9, "given twice"),
+    ("grid.csv", "9,9,0,1", "9,0,0,1", 9, "duplicate point"),
     ("grid.csv", "9,9,0,1,2,3\n", "", None, "a point is missing"),
     ("grid.csv", "dX_um", "eX_um", None, "columns"),
 ]

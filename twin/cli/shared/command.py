@@ -132,7 +132,7 @@ def path_parameters(function: Callable[..., Any]) -> dict[str, Output | None]:
 
 
 @contextmanager
-def progress() -> Iterator[Any]:
+def progress_bar() -> Iterator[Any]:
     """Show a progress bar on stderr; show nothing if stderr is not a terminal."""
     console = Console(stderr=True)
     if not console.is_terminal:  # a disabled `Progress` of rich before 14.1 writes an empty line

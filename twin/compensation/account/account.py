@@ -17,8 +17,8 @@ from twin.compensation.account.shortfalls import ShortfallTally
 from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections, CorrectionTally
 from twin.compensation.account.uncorrected import uncorrected
-from twin.compensation.bench import Bench, CorrectionAim
 from twin.compensation.comparison import Commands, ComparedPoses
+from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving import Corrected
 from twin.compensation.solving.rows import Rows
 from twin.kinematics.forward import angle_between_rad
@@ -42,23 +42,23 @@ class CompensationAccount:
     """Builds the report of one compensated program.
 
     Args:
-        bench: machine, calibration and options.
+        prepared: machine, calibration and options.
         aim: what was corrected.
         source: the program's name.
     """
 
-    def __init__(self, bench: Bench, aim: CorrectionAim, source: str) -> None:
-        self._bench, self._aim, self._source = bench, aim, source
+    def __init__(self, prepared: PreparedMachine, aim: CorrectionAim, source: str) -> None:
+        self._prepared, self._aim, self._source = prepared, aim, source
         self._before, self._after = CompensationTally(4, 4), CompensationTally(4, 4)
         self._point, self._axis = CorrectionTally("tool point", "um"), CorrectionTally("tool axis", "urad")
         self._sample = Sample()
         self._shortfalls = ShortfallTally()
         self._residual_um = {"rounding": 0.0, "solver": 0.0}
-        self._largest = np.zeros(len(bench.machine.axes))
+        self._largest = np.zeros(len(prepared.machine.axes))
         self._motions = self._split = self._added = self._rewritten = self._cutting = 0
         self._idle = self._any_tcp = False
         self._all_tcp = True
-        self._reversals = np.zeros(len(bench.machine.axes), dtype=int)
+        self._reversals = np.zeros(len(prepared.machine.axes), dtype=int)
         self._approach_notes: list[LineNote] = []
 
     def add(self, corrected: Corrected) -> None:
@@ -81,7 +81,7 @@ class CompensationAccount:
         if not self._idle:
             for found in uncorrected(corrected, residual_um):
                 self._shortfalls.add(found)
-        axes = self._bench.backlash.axes
+        axes = self._prepared.backlash.axes
         self._reversals[axes] += np.count_nonzero(rows.reverses[rows.backlash_move][:, axes], axis=0)
         self._approach_notes += approach_notes(corrected)
         self._motions += len(pieces.start) - context
@@ -94,24 +94,24 @@ class CompensationAccount:
             moves: number of its moves.
             notices: notices of the program reader.
         """
-        bench, options = self._bench, self._bench.options
+        prepared, options = self._prepared, self._prepared.options
         notes = (
-            *setup_notes(bench, all_tcp=self._all_tcp, any_tcp=self._any_tcp),
-            *condition_notes(bench),
+            *setup_notes(prepared, all_tcp=self._all_tcp, any_tcp=self._any_tcp),
+            *condition_notes(prepared),
             *self._approach_notes,
             *(LineNote(notice.line + 1, notice.text) for notice in notices),
         )
-        unused = options.conditions.unused(bench.calibration)
+        unused = options.conditions.unused(prepared.calibration)
         not_corrected = self._shortfalls.shortfalls()
         return Report(
             program=self._source,
-            machine=bench.machine.name,
-            calibration=str(bench.calibration.path or "none"),
-            calibration_source=bench.calibration.source,
-            warnings=bench.calibration.warnings,
+            machine=prepared.machine.name,
+            calibration=str(prepared.calibration.path or "none"),
+            calibration_source=prepared.calibration.source,
+            warnings=prepared.calibration.warnings,
             method=options.method,
             scope="as in the thesis" if options.method == "thesis" else str(self._aim.scope),
-            tool_length_mm=bench.real.tool_length_mm,
+            tool_length_mm=prepared.real.tool_length_mm,
             tolerance_um=options.tolerance_mm * 1e3,
             lines=lines,
             moves=moves,
@@ -120,7 +120,7 @@ class CompensationAccount:
             added=self._added,
             largest_correction={
                 axis.name: (float(most), axis.unit)
-                for axis, most in zip(bench.machine.axes, self._largest, strict=True)
+                for axis, most in zip(prepared.machine.axes, self._largest, strict=True)
             },
             before=Deviation.of(self._before),
             after=Deviation.of(self._after),
@@ -133,7 +133,7 @@ class CompensationAccount:
             cutting=self._cutting,
             idle=self._idle,
             conditions={name: value for name, value in options.conditions.channels.items() if name not in unused},
-            reversals=tuple(reversal_notes(bench, self._aim, self._reversals)),
+            reversals=tuple(reversal_notes(prepared, self._aim, self._reversals)),
             control=self._control_note(),
         )
 
@@ -147,7 +147,7 @@ class CompensationAccount:
         ways = path_errors.ways(corrected.rows, corrected.rows.printed, as_run=True)
         # An idle program is written unchanged, so its arcs stay arcs.
         ends = Commands(rows.nominal), Commands(rows.nominal if pieces.idle else rows.commands)
-        directed = bool(self._bench.backlash.axes)
+        directed = bool(self._prepared.backlash.axes)
         if not directed:
             yield SimulatedPoints(rows.motion, *ends, valid=~rows.backlash_move)
         for portion in [dense] if directed else path_errors.portions(dense):
@@ -187,7 +187,7 @@ class CompensationAccount:
         for end, dense in zip(ends, inside, strict=True):
             both = np.concatenate([end.as_array(), dense.as_array()])
             side = np.zeros(both.shape)
-            side[order] = self._bench.backlash.sides(corrected.pieces.path, motion[order], both[order])
+            side[order] = self._prepared.backlash.sides(corrected.pieces.path, motion[order], both[order])
             commands.append(Commands(both))
             sides.append(side)
         # A move that only takes up backlash has no nominal position.
@@ -201,8 +201,8 @@ class CompensationAccount:
             lines: (motions,) line number of each motion.
             first: number of the stretch's first motion within the program.
         """
-        before = self._bench.comparison.poses(points.nominal, points.nominal, points.nominal_sides)
-        after = self._bench.comparison.poses(points.nominal, points.written, points.written_sides)
+        before = self._prepared.comparison.poses(points.nominal, points.nominal, points.nominal_sides)
+        after = self._prepared.comparison.poses(points.nominal, points.written, points.written_sides)
         keep = before.known & after.known
         if points.valid is not None:
             keep &= points.valid
@@ -231,9 +231,9 @@ class CompensationAccount:
         """
         aim = self._aim
         compensated = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is reported separately
-        moved = self._bench.nominal_comparison.poses(Commands(rows.nominal), Commands(compensated))
+        moved = self._prepared.nominal_comparison.poses(Commands(rows.nominal), Commands(compensated))
         keep = ~rows.untouched & ~rows.backlash_move & moved.known
-        keep &= rows_all_true(~self._bench.real.outside_domain(rows.nominal))
+        keep &= rows_all_true(~self._prepared.real.outside_domain(rows.nominal))
         if not np.any(keep):
             return
         if not keep.all():
@@ -244,7 +244,7 @@ class CompensationAccount:
             at_point = _uncertainty(aim.at_point, rows)
             self._point.add(line_of, rows.motion, moved.distance_mm * 1e3, at_point[:, 0], aim.at_point)
         turned = ~rows.singular  # the others are listed as not corrected
-        orientation_corrected = aim.scope.orientation and self._bench.thesis is None
+        orientation_corrected = aim.scope.orientation and self._prepared.thesis is None
         if orientation_corrected and aim.at_axis is not None and np.any(turned):
             uncertainty = (
                 at_point if at_point is not None and aim.at_axis is aim.at_point else _uncertainty(aim.at_axis, rows)
@@ -256,28 +256,28 @@ class CompensationAccount:
 
     def _control_note(self) -> ControlNote | None:
         """Return the share that the control's own tables correct, at the sampled poses; None if the calibration has no tables."""
-        section, alone = self._bench.calibration.control, self._bench.control_alone
+        section, alone = self._prepared.calibration.control, self._prepared.control_alone
         if section is None:
             return None
         files = tuple(entry.file.name for entry in section.tables)
         if alone is None:
             return ControlNote(section.errors_are, files, (), None, None, section.caution)
         before, before_from, _, _ = self._sample.poses()
-        moved = alone.forward(before, before_from).point_mm - self._bench.space.nominal.forward(before).point_mm
+        moved = alone.forward(before, before_from).point_mm - self._prepared.space.nominal.forward(before).point_mm
         share = np.linalg.norm(moved, axis=1) * 1e3
-        axes = tuple(dict.fromkeys(table.axis.name for table in self._bench.calibration.corrections))
+        axes = tuple(dict.fromkeys(table.axis.name for table in self._prepared.calibration.corrections))
         return ControlNote(section.errors_are, files, axes, _rms(share), float(share.max(initial=0.0)))
 
     def _classes(self, *, all_corrected: bool) -> Iterator[ClassShare]:
         """Yield the share of each class; ``all_corrected``: whether every block is corrected."""
         before, before_from, after, after_from = self._sample.poses()
-        nominal = self._bench.space.nominal
+        nominal = self._prepared.space.nominal
         nominal_poses, reached = nominal.forward(before), nominal.forward(after)
         for name, alone in self._aim.by_class.items():
             alone_before = alone.forward(before, before_from)
             share = np.linalg.norm(alone_before.point_mm - nominal_poses.point_mm, axis=1) * 1e3
             turn = angle_between_rad(alone_before.axis, nominal_poses.axis) * 1e6
-            corrected = None if self._bench.thesis is not None else name in self._aim.scope.classes
+            corrected = None if self._prepared.thesis is not None else name in self._aim.scope.classes
             residual = np.linalg.norm(alone.forward(after, after_from).point_mm - reached.point_mm, axis=1) * 1e3
             yield ClassShare(
                 name=name,

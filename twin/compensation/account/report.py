@@ -17,7 +17,7 @@ from twin.machine.conditions import TIME
 from twin.uncertainty.at_tool import DEFINITION
 
 SCHEMA = "twin.compensation/1"
-NO_ERRORS = "NOTHING CORRECTED: the calibration has no error motion in scope, so no position is changed"
+NO_ERRORS = "NOTHING CORRECTED: no error motion is in scope, so no position is changed"
 IN_SCOPE: Final = {True: "corrected", False: "not in scope", None: ""}
 
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from twin.compensation.account.shortfalls import FoundShortfalls
-from twin.compensation.bench import Bench
+from twin.compensation.prepared import PreparedMachine
 from twin.compensation.solving import Corrected
 from twin.kinematics.inverse import SLACK
 
@@ -26,15 +26,15 @@ def uncorrected(corrected: Corrected, residual_um: Mapping[str, np.ndarray]) -> 
     """
     yield from _beyond_range(corrected, residual_um["rounding"])
     yield from _off_in_orientation(corrected)
-    if corrected.pieces.bench.thesis is None:
+    if corrected.pieces.prepared.thesis is None:
         yield from _not_solved(corrected, residual_um["solver"])
         yield from _off_between(corrected)
         yield from _beginning_off(corrected)
 
 
-def _allowed_um(bench: Bench) -> float:
+def _allowed_um(prepared: PreparedMachine) -> float:
     """Return the tolerance plus the error of rounding to the least increment, µm."""
-    return 1e3 * (bench.options.tolerance_mm + 0.5 * float(np.linalg.norm(bench.increment[:3])))
+    return 1e3 * (prepared.options.tolerance_mm + 0.5 * float(np.linalg.norm(prepared.increment[:3])))
 
 
 def _cutting(corrected: Corrected) -> np.ndarray:
@@ -48,10 +48,13 @@ def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundSho
         corrected: the stretch.
         off_um: (rows,) distance of the tool point from its target at the end points, µm.
     """
-    bench, rows = corrected.pieces.bench, corrected.own
-    machine = bench.machine
+    prepared, rows = corrected.pieces.prepared, corrected.own
+    machine = prepared.machine
     ranges = machine.limits / machine.scale[:, None]
-    for mask, requested, limits in ((rows.untouched, rows.nominal, ranges), (rows.clamped, rows.exact, bench.limits)):
+    for mask, requested, limits in (
+        (rows.untouched, rows.nominal, ranges),
+        (rows.clamped, rows.exact, prepared.limits),
+    ):
         at = np.flatnonzero(mask)
         beyond = np.maximum(limits[:, 0] - requested[at], requested[at] - limits[:, 1])
         beyond = np.where(beyond > SLACK, beyond, 0.0)
@@ -63,7 +66,7 @@ def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundSho
             if mask is rows.clamped:
                 off = off_um[at[which]]
                 reason = f"the compensated position is beyond the range of {names or 'an axis'}: stopped at the limit"
-                yield FoundShortfalls("range", reason, "um", lines, off, cuts & (off > _allowed_um(bench)))
+                yield FoundShortfalls("range", reason, "um", lines, off, cuts & (off > _allowed_um(prepared)))
             else:
                 what = f"outside the range of {names}" if names else "outside the range of an axis between end points"
                 unit = machine.axes[int(np.argmax(axes))].unit
@@ -73,7 +76,7 @@ def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundSho
 def _off_in_orientation(corrected: Corrected) -> Iterator[FoundShortfalls]:
     rows, scope = corrected.own, corrected.pieces.aim.scope
     at = np.flatnonzero(rows.singular & ~rows.untouched)
-    why = np.array([_why_not(corrected.pieces.bench, rows.commands[row]) for row in at], dtype=object)
+    why = np.array([_why_not(corrected.pieces.prepared, rows.commands[row]) for row in at], dtype=object)
     for reason in dict.fromkeys(why.tolist()):
         which = at[why == reason]
         motion = rows.motion[which]
@@ -84,14 +87,14 @@ def _off_in_orientation(corrected: Corrected) -> Iterator[FoundShortfalls]:
         )
 
 
-def _why_not(bench: Bench, commands: np.ndarray) -> str:
+def _why_not(prepared: PreparedMachine, commands: np.ndarray) -> str:
     """Return why the rotary axes cannot correct the orientation at these commands."""
-    for i in bench.machine.rotary:
-        axis = bench.machine.axes[i]
-        for limit in bench.limits[i]:
+    for i in prepared.machine.rotary:
+        axis = prepared.machine.axes[i]
+        for limit in prepared.limits[i]:
             if abs(commands[i] - limit) < axis.increment:
                 return f"{axis.name} is at its limit of {limit:g}°"
-    return f"near a singular pose, a rotary axis would have to turn by more than {bench.options.rotary_limit_deg:g}°"
+    return f"near a singular pose, a rotary axis would have to turn by more than {prepared.options.rotary_limit_deg:g}°"
 
 
 def _not_solved(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundShortfalls]:
@@ -109,7 +112,7 @@ def _off_between(corrected: Corrected) -> Iterator[FoundShortfalls]:
     error_um, count = corrected.path_errors.motion_errors_mm(rows) * 1e3, pieces.count(rows)
     error_um[rows.motion[rows.clamped | rows.untouched]] = 0.0
     error_um[: corrected.context] = 0.0
-    over = np.flatnonzero(error_um > 1e3 * pieces.bench.options.tolerance_mm)
+    over = np.flatnonzero(error_um > 1e3 * pieces.prepared.options.tolerance_mm)
     for pieces_each in np.unique(count[over]).tolist():
         which = over[count[over] == pieces_each]
         reason = f"error between end points above the tolerance, with {pieces_each} pieces per block"
@@ -124,7 +127,7 @@ def _beginning_off(corrected: Corrected) -> Iterator[FoundShortfalls]:
     begins = begins[begins >= corrected.context]
     if begins.size:
         off = corrected.path_errors.motion_errors_as_run_mm(begins, corrected.rows) * 1e3
-        which = off > _allowed_um(corrected.pieces.bench)
+        which = off > _allowed_um(corrected.pieces.prepared)
         reason = "begins at an uncorrected position"
         yield FoundShortfalls(
             "tolerance", reason, "um", corrected.lines[begins[which]], off[which], np.full(which.sum(), True)

@@ -53,11 +53,11 @@ def account(refitter: RunRefitter, job: RefitJob) -> PathReport:
     """Execute the output on the machine with its errors, and return the report.
 
     Args:
-        refitter: made the fewer blocks; its bench has the whole tolerance.
+        refitter: made the fewer blocks; its prepared has the whole tolerance.
         job: the input and the results.
     """
-    bench, errors = refitter.bench, refitter.bench.calibration
-    tolerance = bench.options.tolerance_mm
+    prepared, errors = refitter.prepared, refitter.prepared.calibration
+    tolerance = prepared.options.tolerance_mm
     runs = tuple(_runs(refitter, job))
     notes = [LineNote(notice.line + 1, notice.text) for notice in (*job.reading.notices, *job.path.notices)]
     if not runs:
@@ -65,7 +65,7 @@ def account(refitter: RunRefitter, job: RefitJob) -> PathReport:
     compensation = job.result.report if job.result is not None and refitter.compensated else None
     return PathReport(
         program=job.program.source,
-        machine=bench.machine.name,
+        machine=prepared.machine.name,
         calibration=str(errors.path or "none"),
         warnings=errors.warnings if refitter.compensated else (),
         shares=job.shares,
@@ -104,7 +104,7 @@ def _runs(refitter: RunRefitter, job: RefitJob) -> Iterator[RunReport]:
     done = _done(refitter, job, np.repeat(in_run, counts), begins)
     ins = {move.line: i for i, move in enumerate(moves)}
     outs = {move.line: i for i, move in enumerate(short_moves)}
-    lever, tolerance = refitter.lever, refitter.bench.options.tolerance_mm
+    lever, tolerance = refitter.lever, refitter.prepared.options.tolerance_mm
     for run in job.fitted:
         lines = run.end_points.run.lines
         kept = np.flatnonzero(run.end_points.kept)
@@ -132,9 +132,9 @@ def _runs(refitter: RunRefitter, job: RefitJob) -> Iterator[RunReport]:
 def _done(refitter: RunRefitter, job: RefitJob, dense: np.ndarray, begins: np.ndarray) -> Executed:
     """Return the executed output; ``begins``: index of the first output move of each move of the shortened program."""
     read_back = job.dialect.read(job.text.encode("latin-1"), job.program.source)
-    tcp = refitter.bench.options.tcp and not refitter.posted
+    tcp = refitter.prepared.options.tcp and not refitter.posted
     reading = job.dialect.moves(read_back, refitter.space.axes, tcp=tcp)
-    executed = execute_words(read_back, reading, refitter.space, refitter.bench.real, dense)
+    executed = execute_words(read_back, reading, refitter.space, refitter.prepared.real, dense)
     if job.result is None:
         return executed
     # A move that only takes up backlash has no nominal position.

@@ -14,8 +14,8 @@ from typing import NamedTuple, final
 import numpy as np
 
 from twin._common.errors import OutputError
-from twin.compensation.bench import Bench
 from twin.compensation.fewer_blocks.runs import Run
+from twin.compensation.prepared import PreparedMachine
 from twin.compensation.toolpath import WordSpace, turns_tool
 from twin.nc.blocks import Interpretation, Move, Program, Rewrite
 from twin.nc.dialect import Dialect
@@ -61,7 +61,7 @@ def shortened(
     dialect: Dialect,
     reading: Interpretation,
     runs: Sequence[RunEndPoints],
-    bench: Bench,
+    prepared: PreparedMachine,
     *,
     posted: bool = False,
     others: Sequence[tuple[Move, np.ndarray]] = (),
@@ -73,7 +73,7 @@ def shortened(
         dialect: its language.
         reading: its moves.
         runs: new end points of its runs.
-        bench: machine, calibration and options.
+        prepared: machine, calibration and options.
         posted: whether axis words are written even for tool-tip input; end points of runs are then axis positions, with straight
             lines between them.
         others: further moves to be rewritten rounded to their increments, with their words.
@@ -81,7 +81,7 @@ def shortened(
     Raises:
         OutputError: the number of lines changed: a defect of `twin`.
     """
-    space, increment = bench.space, bench.printed_increment(dialect, posted=posted)
+    space, increment = prepared.space, prepared.printed_increment(dialect, posted=posted)
     by_line = {move.line: move for move in reading.moves}
     turns, vectors = turns_tool(reading.moves, space.axes), dialect.vector_decimals
     rewrites = [
@@ -108,7 +108,7 @@ def shortened(
         program.dialect,
         tuple("" if index in removed else line for index, line in enumerate(written.texts)),
     )
-    found = dialect.moves(left, space.axes, tcp=bench.options.tcp)
+    found = dialect.moves(left, space.axes, tcp=prepared.options.tcp)
     moves = tuple(_exactly(move, exact, space, posted=posted) if move.line in exact else move for move in found.moves)
     return Shortened(left, Interpretation(moves, found.notices, found.lost_positions))
 

@@ -15,7 +15,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.compensation.bench import Bench, Options, Progress
+from twin._common.progress import Progress, silent
 from twin.compensation.checked import motionless
 from twin.compensation.compensator import Compensation, Compensator
 from twin.compensation.fewer_blocks.account import RefitJob, account
@@ -24,6 +24,7 @@ from twin.compensation.fewer_blocks.points import is_points, points_program
 from twin.compensation.fewer_blocks.report import PathReport, ToleranceShares
 from twin.compensation.fewer_blocks.run_refitter import RunRefitter
 from twin.compensation.fewer_blocks.runs import Run, find_runs
+from twin.compensation.prepared import Options, PreparedMachine
 from twin.compensation.toolpath import ToolPath, follow
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -69,15 +70,15 @@ class Refitter:
         self, machine: Machine, calibration: Calibration, options: Options | None = None, *, compensated: bool = True
     ) -> None:
         chosen = Options(tolerance_mm=DEFAULT_TOLERANCE_MM) if options is None else options
-        self.bench = Bench(machine, calibration if compensated else Calibration.zero(machine), chosen)
+        self.prepared = PreparedMachine(machine, calibration if compensated else Calibration.zero(machine), chosen)
         self.compensation_requested = compensated
-        self.compensated = compensated and not self.bench.calibration.empty
+        self.compensated = compensated and not self.prepared.calibration.empty
 
     def refit(
         self,
         program: Program,
         dialect: Dialect,
-        progress: Progress | None = None,
+        progress: Progress = silent,
         *,
         into: Dialect | None = None,
         printed: bool = False,
@@ -95,50 +96,49 @@ class Refitter:
             InputError: the program cannot be read, or contains something that must not pass; rounding alone exceeds the tolerance.
             OutputError: the output, read back, differs from the intended positions.
         """
-        say = progress or (lambda stage, fraction: None)
-        say("reading", 0.0)
-        space = self.bench.space
+        progress("reading", 0.0)
+        space = self.prepared.space
         written_in = dialect if into is None else into
         posted = written_in.name != dialect.name
-        increment = self.bench.printed_increment(dialect, posted=posted)
-        refitter = RunRefitter(self.bench, increment, compensated=self.compensated, posted=posted, printed=printed)
-        reading = dialect.moves(program, space.axes, tcp=self.bench.options.tcp)
+        increment = self.prepared.printed_increment(dialect, posted=posted)
+        refitter = RunRefitter(self.prepared, increment, compensated=self.compensated, posted=posted, printed=printed)
+        reading = dialect.moves(program, space.axes, tcp=self.prepared.options.tcp)
         path = follow(program, reading, space)
         if not path.motions:
             raise motionless(program.source)
         runs = find_runs(program, dialect, path, space)
         fitted = []
         for i, run in enumerate(runs):
-            say("fitting", 0.05 + 0.5 * i / len(runs))
+            progress("fitting", 0.05 + 0.5 * i / len(runs))
             fitted.append(refitter.refit(run, path))
-        say("writing", 0.55)
+        progress("writing", 0.55)
         others = _others(path, runs) if printed else ()
         places = [one.end_points for one in fitted]
-        short = shortened(program, dialect, reading, places, self.bench, posted=posted, others=others)
+        short = shortened(program, dialect, reading, places, self.prepared, posted=posted, others=others)
         shares = min((one.shares for one in fitted), key=lambda one: one.path, default=refitter.shares(False))
-        result = self._result(short, dialect, shares, say, into=into) if self.compensated or posted else None
+        result = self._result(short, dialect, shares, progress, into=into) if self.compensated or posted else None
         text = short.program.text if result is None else result.text
         if not posted:
             text = dialect.renumbered(program, text)
-        say("checking", 0.9)
+        progress("checking", 0.9)
         job = RefitJob(
             program, reading, path, tuple(fitted), shares, short, text, written_in, result, self.compensation_requested
         )
         report = account(refitter, job)
-        say("done", 1.0)
+        progress("done", 1.0)
         return Refit(text, report)
 
     def _result(
-        self, short: Shortened, dialect: Dialect, shares: ToleranceShares, say: Progress, *, into: Dialect | None
+        self, short: Shortened, dialect: Dialect, shares: ToleranceShares, progress: Progress, *, into: Dialect | None
     ) -> Compensation:
         """Return the shortened program compensated, posted, or both, as requested."""
         share = shares.compensation if self.compensated else shares.tolerance
-        options = replace(self.bench.options, tolerance_mm=share * 1e-3)
-        compensator = Compensator(self.bench.machine, self.bench.calibration, options)
+        options = replace(self.prepared.options, tolerance_mm=share * 1e-3)
+        compensator = Compensator(self.prepared.machine, self.prepared.calibration, options)
         return compensator.compensate(
             short.program,
             dialect,
-            lambda stage, fraction: say(stage, 0.55 + 0.35 * fraction),
+            lambda stage, fraction: progress(stage, 0.55 + 0.35 * fraction),
             into=into,
             reading=short.reading,
         )
@@ -159,7 +159,7 @@ def refit(
     compensated: bool = True,
     output: str | Path | None = None,
     feed: float | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Refit:
     """Refit the program of a file (or a sample program of twin), or the points of a table.
 
@@ -184,7 +184,7 @@ def refit(
     target = dialect_for(Path(output)) if output is not None else None
     if points:
         target = target or DIALECTS[0]
-        read, dialect = points_program(source, refitter.bench.space.axes, DIALECTS, target, feed)
+        read, dialect = points_program(source, refitter.prepared.space.axes, DIALECTS, target, feed)
     else:
         if feed is not None:
             raise InputError(

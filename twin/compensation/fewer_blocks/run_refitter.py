@@ -10,13 +10,13 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.compensation.bench import Bench
 from twin.compensation.fewer_blocks.chords import between, few_blocks
 from twin.compensation.fewer_blocks.distance import largest_distance
 from twin.compensation.fewer_blocks.emit import RunEndPoints
 from twin.compensation.fewer_blocks.fit import CurvePiece, Fitter, Polyline, Tool
 from twin.compensation.fewer_blocks.report import ToleranceShares
 from twin.compensation.fewer_blocks.runs import SAME_MM, Run, corners
+from twin.compensation.prepared import PreparedMachine
 from twin.compensation.toolpath import ToolPath
 
 LEVER_MM: Final = 100.0
@@ -93,7 +93,7 @@ class RunRefitter:
     """Refits runs with fewer blocks.
 
     Args:
-        bench: machine, calibration and options, with the whole tolerance.
+        prepared: machine, calibration and options, with the whole tolerance.
         increment: (axes,) least increments of the output words.
         compensated: whether a share of the tolerance is reserved for the compensation between end points.
         posted: whether axis words are written even for tool-tip input.
@@ -104,10 +104,16 @@ class RunRefitter:
     """
 
     def __init__(
-        self, bench: Bench, increment: np.ndarray, *, compensated: bool, posted: bool = False, printed: bool = False
+        self,
+        prepared: PreparedMachine,
+        increment: np.ndarray,
+        *,
+        compensated: bool,
+        posted: bool = False,
+        printed: bool = False,
     ) -> None:
-        self.bench = bench
-        self.space = bench.space
+        self.prepared = prepared
+        self.space = prepared.space
         self.increment = increment
         self.compensated = compensated
         self.posted = posted
@@ -125,7 +131,7 @@ class RunRefitter:
         half = self.increment / 2.0
         half[3:] = np.radians(half[3:]) * self.lever if turning else 0.0
         rounding = float(np.linalg.norm(half))
-        tolerance = self.bench.options.tolerance_mm
+        tolerance = self.prepared.options.tolerance_mm
         available = tolerance - rounding
         if available <= 0.0:
             raise InputError(
@@ -148,7 +154,7 @@ class RunRefitter:
         allowed = shares.path * 1e-3
         tool = self._tool(turning, first.tcp)
         modes = np.full(len(run.words), first.tcp)
-        if np.any(self.bench.outside(self.space.commands(run.words, modes))):
+        if np.any(self.prepared.outside(self.space.commands(run.words, modes))):
             return self._unchanged(run, shares, "outside the range of an axis")
         places = tool(run.words)
         moving = np.append(True, np.linalg.norm(np.diff(places, axis=0), axis=1) > SAME_MM)
@@ -195,7 +201,7 @@ class RunRefitter:
     def _beyond(self, words: np.ndarray, *, tcp: bool) -> bool:
         """Return whether words leave an axis's range or the domain of its error motions."""
         commands = self.space.commands(words, np.full(len(words), tcp))
-        lower, upper = self.bench.limits.T
+        lower, upper = self.prepared.limits.T
         return bool(np.any((commands < lower) | (commands > upper)))
 
     def _unchanged(self, run: Run, shares: ToleranceShares, why: str) -> RefittedRun:

@@ -13,7 +13,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.compensation.bench import Progress
+from twin._common.progress import Progress
 from twin.compensation.solving.path_errors import PathErrors
 from twin.compensation.solving.pieces import Pieces
 from twin.compensation.solving.reversals import insert_backlash_moves
@@ -99,27 +99,27 @@ def new_positions(stretches: Sequence[Corrected], moves: int, axes: int) -> NewP
     return NewPositions(first, count, positions, vectors)
 
 
-def correct(pieces: Pieces, say: Progress, *, context: int = 0) -> Corrected:
+def correct(pieces: Pieces, progress: Progress, *, context: int = 0) -> Corrected:
     """Solve all blocks, and split those whose error between end points exceeds the tolerance.
 
     Args:
         pieces: the program, or a stretch of it.
-        say: called with a stage and the fraction done.
+        progress: called with a stage and the fraction done.
         context: number of its first motions that belong to the stretch before.
 
     Raises:
         InputError: a position that the calibration does not cover; an arc that cannot be compensated as a whole.
     """
-    bench, lines = pieces.bench, pieces.path.columns.line + 1
+    prepared, lines = pieces.prepared, pieces.path.columns.line + 1
     commands = pieces.space.commands(pieces.end[context:], pieces.tcp[context:])
-    check_domains(bench.real, pieces.source, lines[context:], commands)
+    check_domains(prepared.real, pieces.source, lines[context:], commands)
     path_errors = PathErrors(pieces)
     rows = pieces.ends(np.arange(len(pieces.legs.motion)))
     if not pieces.idle:
-        if bench.thesis is None:
-            rows = _whole(pieces, path_errors, _split(pieces, path_errors, rows, say))
+        if prepared.thesis is None:
+            rows = _whole(pieces, path_errors, _split(pieces, path_errors, rows, progress))
         _check_arcs(pieces, rows)
-        if bench.thesis is None:
+        if prepared.thesis is None:
             _check_ranges(pieces, rows)
             if pieces.aim.backlash.axes:
                 path_errors.forget()
@@ -127,14 +127,14 @@ def correct(pieces: Pieces, say: Progress, *, context: int = 0) -> Corrected:
     return Corrected(pieces, path_errors, rows, context)
 
 
-def _split(pieces: Pieces, path_errors: PathErrors, rows: Rows, say: Progress) -> Rows:
+def _split(pieces: Pieces, path_errors: PathErrors, rows: Rows, progress: Progress) -> Rows:
     """Split blocks until the path between their end points is within tolerance, or splitting no longer helps."""
-    legs, tolerance = pieces.legs, pieces.bench.options.tolerance_mm
+    legs, tolerance = pieces.legs, pieces.prepared.options.tolerance_mm
     candidates = np.flatnonzero(pieces.interpolated[legs.motion])
     for step in range(1, MOST_ROUNDS + 1):
         if not candidates.size:
             break
-        say("splitting", min(0.7, 0.2 + 0.05 * step))
+        progress("splitting", min(0.7, 0.2 + 0.05 * step))
         worst = path_errors.leg_errors_mm(candidates, rows)
         stuck = np.zeros(len(pieces.start), dtype=bool)
         stuck[rows.motion[rows.clamped | rows.untouched]] = True
@@ -171,7 +171,7 @@ def _check_arcs(pieces: Pieces, rows: Rows) -> None:
     of = np.full(ARC_POINTS, arcs[0])
     words = pieces.words_at(of, np.arange(1, ARC_POINTS + 1) / ARC_POINTS)
     commands = pieces.space.commands(words, pieces.tcp[of])
-    machine = pieces.bench.machine
+    machine = pieces.prepared.machine
     limits = machine.limits / machine.scale[:, None]
     beyond = np.maximum(limits[:, 0] - commands, commands - limits[:, 1])
     at_end = bool(np.any(beyond[-1] > SLACK))
@@ -190,7 +190,7 @@ def _check_arcs(pieces: Pieces, rows: Rows) -> None:
 
 def _check_ranges(pieces: Pieces, rows: Rows) -> None:
     """Raise `InputError` if a corrected block leaves the range of an empirical effect between its end points."""
-    calibration = pieces.bench.calibration
+    calibration = pieces.prepared.calibration
     if calibration.empirical:
         nominal = rows.nominal[~rows.untouched]
         lines = pieces.path.columns.line[rows.motion[~rows.untouched]] + 1

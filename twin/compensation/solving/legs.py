@@ -13,7 +13,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.compensation.bench import Bench
+from twin.compensation.prepared import PreparedMachine
 from twin.compensation.solving.rows import repeat_with_index
 from twin.compensation.toolpath import PathMotion
 
@@ -72,12 +72,12 @@ class Legs:
 
 
 def turning_points(
-    bench: Bench, motions: Sequence[PathMotion], which: np.ndarray, axes: Sequence[int]
+    prepared: PreparedMachine, motions: Sequence[PathMotion], which: np.ndarray, axes: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the points at which axes reverse inside motions.
 
     Args:
-        bench: the machine without errors, and the set-up.
+        prepared: the machine without errors, and the set-up.
         motions: all motions.
         which: indices of the interpolated ones.
         axes: indices of the axes to consider.
@@ -93,7 +93,7 @@ def turning_points(
     of, index = repeat_with_index(curved, counts + 1)
     grid = index / np.repeat(counts, counts + 1)
     found_of, found_at = [], []
-    velocity = np.where(np.abs(v := _velocity(bench, motions, of, grid)) > AT_REST, np.sign(v), 0.0)
+    velocity = np.where(np.abs(v := _velocity(prepared, motions, of, grid)) > AT_REST, np.sign(v), 0.0)
     for axis in axes:
         moving = np.flatnonzero(velocity[:, axis])
         first, last = moving[:-1], moving[1:]
@@ -102,11 +102,11 @@ def turning_points(
         low, high, sign = grid[first], grid[last], velocity[first, axis]
         for _ in range(HALVINGS if first.size else 0):
             middle = (low + high) / 2.0
-            before = _velocity(bench, motions, of[first], middle)[:, axis] * sign > 0.0
+            before = _velocity(prepared, motions, of[first], middle)[:, axis] * sign > 0.0
             low, high = np.where(before, middle, low), np.where(before, high, middle)
         found_of.append(of[first])
         found_at.append((low + high) / 2.0)
-    return _resolvable(bench, motions, np.concatenate(found_of), np.concatenate(found_at))
+    return _resolvable(prepared, motions, np.concatenate(found_of), np.concatenate(found_at))
 
 
 def _can_turn(motion: PathMotion) -> bool:
@@ -119,21 +119,23 @@ def _steps(motion: PathMotion) -> int:
     return max(4, int(np.ceil(max(turned, arc) / STEP_DEG)))
 
 
-def _velocity(bench: Bench, motions: Sequence[PathMotion], of: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+def _velocity(
+    prepared: PreparedMachine, motions: Sequence[PathMotion], of: np.ndarray, fraction: np.ndarray
+) -> np.ndarray:
     """Return (n, axes) differences of commands just after and just before fractions of motions, in ascending order."""
     bounds = np.append(np.flatnonzero(np.diff(of, prepend=-1)), len(of))
     tcp = np.array([motions[i].move.tcp for i in of])
 
     def commands(at: np.ndarray) -> np.ndarray:
         words = np.concatenate([motions[of[i]].along(at[i:j]) for i, j in pairwise(bounds)])
-        return bench.space.commands(words, tcp)
+        return prepared.space.commands(words, tcp)
 
     before, behind = np.clip(fraction - HALF_INTERVAL, 0.0, 1.0), np.clip(fraction + HALF_INTERVAL, 0.0, 1.0)
     return commands(behind) - commands(before)
 
 
 def _resolvable(
-    bench: Bench, motions: Sequence[PathMotion], of: np.ndarray, at: np.ndarray
+    prepared: PreparedMachine, motions: Sequence[PathMotion], of: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the points in order, without those that rounded words cannot distinguish from the one before or from an end point."""
     kept: list[tuple[int, float]] = []
@@ -142,7 +144,7 @@ def _resolvable(
         words = motions[motion].along(np.array([0.0, *places, 1.0]))
         last = words[0]
         for place, here in zip(places.tolist(), words[1:-1], strict=True):
-            if all(np.any(np.abs(here - there) >= 2.0 * bench.increment) for there in (last, words[-1])):
+            if all(np.any(np.abs(here - there) >= 2.0 * prepared.increment) for there in (last, words[-1])):
                 kept.append((motion, place))
                 last = here
     return np.array([point[0] for point in kept], dtype=int), np.array([point[1] for point in kept], dtype=float)

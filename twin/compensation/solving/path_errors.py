@@ -98,7 +98,7 @@ class PathErrors:
         """Return (n, axes) approach directions inside pieces."""
         row = _rows_of(samples, ways)
         sides = rows.approach[row[samples.piece]]
-        for axis in set(self._pieces.aim.backlash.axes) & set(self._pieces.bench.machine.rotary):
+        for axis in set(self._pieces.aim.backlash.axes) & set(self._pieces.prepared.machine.rotary):
             # A rotary axis may be partly through its play at either end point. After an unobserved reversal it is fully through.
             last = np.maximum(row - 1, 0)
             unseen = rows.reverses[row, axis] & ~rows.backlash_move[last]

@@ -13,7 +13,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import rows_all_true
-from twin.compensation.bench import Bench, CorrectionAim
+from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving.legs import Legs, turning_points
 from twin.compensation.solving.rows import Rows
 from twin.compensation.toolpath import ToolPath
@@ -30,7 +30,7 @@ class Pieces:
     """One program, or a stretch of it, cut into pieces.
 
     Args:
-        bench: machine, calibration and options.
+        prepared: machine, calibration and options.
         path: the program as motions.
         aim: errors to correct.
         dialect: the program's language.
@@ -51,12 +51,19 @@ class Pieces:
     """
 
     def __init__(
-        self, bench: Bench, path: ToolPath, aim: CorrectionAim, dialect: Dialect, *, source: str, posted: bool = False
+        self,
+        prepared: PreparedMachine,
+        path: ToolPath,
+        aim: CorrectionAim,
+        dialect: Dialect,
+        *,
+        source: str,
+        posted: bool = False,
     ) -> None:
-        self.bench, self.path, self.aim, self.source, self.posted = bench, path, aim, source, posted
-        self.space = bench.space
+        self.prepared, self.path, self.aim, self.source, self.posted = prepared, path, aim, source, posted
+        self.space = prepared.space
         self.idle = aim.idle and not posted
-        self.increment = bench.printed_increment(dialect, posted=posted)
+        self.increment = prepared.printed_increment(dialect, posted=posted)
         self.vector_decimals = dialect.vector_decimals
         columns = path.columns
         self.tcp, self.start, self.end = columns.tcp, columns.start, columns.end
@@ -67,13 +74,13 @@ class Pieces:
         self.by_vector[[i for i, move in columns.special.items() if move.vector is not None and not posted]] = True
         self.interpolated = ~columns.rapid & rows_all_true(np.isfinite(self.start))
         # From outside the range there is no nominal path; such a start is reported with its own block.
-        self.interpolated &= ~bench.outside(self.space.commands(self.start, self.tcp))
-        turning = turning_points(bench, path.motions, np.flatnonzero(self.interpolated), aim.backlash.axes)
+        self.interpolated &= ~prepared.outside(self.space.commands(self.start, self.tcp))
+        turning = turning_points(prepared, path.motions, np.flatnonzero(self.interpolated), aim.backlash.axes)
         self.legs = Legs.of(len(columns), turning)
         if not self.idle:
             whole = np.ones(len(columns), dtype=int)
             for i in np.flatnonzero(~self.straight).tolist():
-                whole[i] = path.motions[i].chords(bench.options.tolerance_mm)
+                whole[i] = path.motions[i].chords(prepared.options.tolerance_mm)
             share = self.legs.end - self.legs.begin
             self.legs.count = np.maximum(np.ceil(whole[self.legs.motion] * share), 1).astype(int)
 
@@ -119,17 +126,17 @@ class Pieces:
             fraction: (n,) fractions of their motions.
             approach: (n, axes) approach directions; unknown if None.
         """
-        limits = self.bench.limits
+        limits = self.prepared.limits
         of = self.legs.motion[leg]
         sides = np.zeros((len(of), len(limits))) if approach is None else approach
         words = self.words_at(of, fraction)
         nominal = self.space.commands(words, self.tcp[of])
-        untouched = self.bench.outside(nominal)
+        untouched = self.prepared.outside(nominal)
         safe = np.where(untouched[:, None], np.clip(nominal, limits[:, 0], limits[:, 1]), nominal)
         target = self.space.nominal.forward(safe)
         vectors, orientation_residual_rad = np.full((len(of), 3), np.nan), np.zeros(len(of))
-        if self.bench.thesis is not None:
-            exact = self.bench.thesis.commands(safe)
+        if self.prepared.thesis is not None:
+            exact = self.prepared.thesis.commands(safe)
         else:
             commands, orientation_residual_rad = self.oriented(target, safe, sides)
             commands, vectors = self._rotary_as_printed(commands, of)
@@ -168,8 +175,8 @@ class Pieces:
         if inverse is None or real is None:
             return commands, np.zeros(len(start))
         solution = inverse.solve(target, start, approach=sides)
-        rotary = list(self.bench.machine.rotary)
-        low, high = self.bench.limits[rotary].T
+        rotary = list(self.prepared.machine.rotary)
+        low, high = self.prepared.limits[rotary].T
         turned = solution.positions[:, rotary]
         able = ((turned >= low - SLACK) & (turned <= high + SLACK)).all(axis=1)
         commands[np.ix_(able, rotary)] = turned[able]
@@ -184,10 +191,10 @@ class Pieces:
 
     def printed(self, rows: Rows) -> Rows:
         """Return the rows with ``exact`` converted to words and rounded to their increments."""
-        limits, increment = self.bench.limits, self.increment
+        limits, increment = self.prepared.limits, self.increment
         wanted = rows.exact + rows.overshoot
         clipped = np.clip(wanted, limits[:, 0], limits[:, 1])
-        clamped = ~rows_all_true(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.bench.increment)
+        clamped = ~rows_all_true(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.prepared.increment)
         tcp_out = self.tcp_out[rows.motion]
         out = self.space.words(clipped, tcp_out)
         printed = np.round(out / increment) * increment
@@ -201,7 +208,7 @@ class Pieces:
 
     def _rotary_as_printed(self, commands: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return commands with the rotary axes at the rounded words, and tool vectors for programs that use these."""
-        rotary, space = list(self.bench.machine.rotary), self.space
+        rotary, space = list(self.prepared.machine.rotary), self.space
         commands = np.array(commands)
         offset, increment = space.offset[3:], self.increment[3:]
         vectors = np.full((len(of), 3), np.nan)

@@ -27,8 +27,8 @@ def insert_backlash_moves(pieces: Pieces, rows: Rows) -> Rows:
     at = _rows_to_insert_before(pieces, rows, intended, turned)
     begin = np.where(rows.motion[at] == rows.motion[at - 1], rows.fraction[at - 1], 0.0)
     # An axis that jumps ahead when it reverses is moved beyond that position and back, so that it has reversed.
-    ahead = turned[at] & (pieces.aim.backlash.size >= pieces.bench.machine_increment)
-    beyond = np.where(ahead, -OVERSHOOT * pieces.bench.machine_increment * sides[at], 0.0)
+    ahead = turned[at] & (pieces.aim.backlash.size >= pieces.prepared.machine_increment)
+    beyond = np.where(ahead, -OVERSHOOT * pieces.prepared.machine_increment * sides[at], 0.0)
     over = np.flatnonzero(ahead.any(axis=1))
     of = np.concatenate([np.arange(len(rows.leg)), at, at[over]])
     order = np.lexsort((np.repeat([2, 1, 0], [len(rows.leg), len(at), len(over)]), of))
@@ -41,9 +41,11 @@ def insert_backlash_moves(pieces: Pieces, rows: Rows) -> Rows:
         overshoot=np.concatenate([np.zeros_like(sides), np.zeros_like(beyond), beyond[over]])[order],
         untouched=found.untouched | pieces.left_as_written(rows)[found.motion],
     )
-    found = _without_steps_back(pieces, pieces.printed(found).distinct(), found.approach, pieces.bench.machine.rotary)
+    found = _without_steps_back(
+        pieces, pieces.printed(found).distinct(), found.approach, pieces.prepared.machine.rotary
+    )
     return _without_steps_back(
-        pieces, _linear_axes_solved_again(pieces, found), found.approach, pieces.bench.machine.linear
+        pieces, _linear_axes_solved_again(pieces, found), found.approach, pieces.prepared.machine.linear
     ).distinct()
 
 
@@ -57,9 +59,11 @@ def _rows_to_insert_before(pieces: Pieces, rows: Rows, intended: np.ndarray, tur
     at = np.flatnonzero(turned.any(axis=1))
     motion = rows.motion[at]
     passed = np.array([passage.before for passage in pieces.path.passages], dtype=int)
-    short = (np.abs(intended[at] - intended[at - 1]) < size + OVERSHOOT * pieces.bench.machine_increment) & turned[at]
+    short = (np.abs(intended[at] - intended[at - 1]) < size + OVERSHOOT * pieces.prepared.machine_increment) & turned[
+        at
+    ]
     start = pieces.start[motion]
-    known = np.isfinite(start).all(axis=1) & ~pieces.bench.outside(pieces.space.commands(start, pieces.tcp[motion]))
+    known = np.isfinite(start).all(axis=1) & ~pieces.prepared.outside(pieces.space.commands(start, pieces.tcp[motion]))
     free = pieces.interpolated[motion] | (known & (short & (size > 0.0)).any(axis=1))
     free &= ~rows.untouched[at] & ((motion == rows.motion[at - 1]) | ~np.isin(motion, passed))
     return at[free]
@@ -67,7 +71,7 @@ def _rows_to_insert_before(pieces: Pieces, rows: Rows, intended: np.ndarray, tur
 
 def _intended(pieces: Pieces, rows: Rows) -> np.ndarray:
     """Return (rows, axes) the intended axis positions: compensated for everything but backlash, not rounded."""
-    start = np.clip(rows.nominal, *pieces.bench.limits.T)
+    start = np.clip(rows.nominal, *pieces.prepared.limits.T)
     commands, _ = pieces.oriented(rows.target, start, None)
     solved = pieces.aim.point_inverse.solve(rows.target, commands, rotary=False).positions
     return np.where(rows.untouched[:, None], rows.nominal, solved)
@@ -75,7 +79,7 @@ def _intended(pieces: Pieces, rows: Rows) -> np.ndarray:
 
 def _linear_axes_solved_again(pieces: Pieces, rows: Rows) -> Rows:
     """Solve the linear axes again for rotary axes that, as printed, reach their new side only in part."""
-    rotary = list(pieces.bench.machine.rotary)
+    rotary = list(pieces.prepared.machine.rotary)
     if not set(rotary) & set(pieces.aim.backlash.axes):
         return rows
     sides, start = np.array(rows.approach), np.array(rows.exact)
@@ -95,7 +99,7 @@ def _without_steps_back(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tup
     """
     increment = pieces.increment
     commands = rows.commands.copy()
-    fixed = rows.untouched | rows.clamped | (pieces.by_vector[rows.motion] & (axes == pieces.bench.machine.rotary))
+    fixed = rows.untouched | rows.clamped | (pieces.by_vector[rows.motion] & (axes == pieces.prepared.machine.rotary))
     for axis in set(pieces.aim.backlash.axes) & set(axes):
         passed = [passage.before for passage in pieces.path.passages if passage.moved[axis]]
         breaks = [*np.searchsorted(rows.motion, passed), *np.flatnonzero(fixed), *(np.flatnonzero(fixed) + 1)]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, final
 
 from twin._common.errors import InputError
-from twin.compensation.bench import Bench, CorrectionAim
+from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.toolpath import Follower, MotionColumns
 from twin.nc.blocks import Notice
 from twin.nc.columns import MoveColumns
@@ -114,7 +114,7 @@ class PartReader:
     """Reads a program part by part.
 
     Args:
-        bench: machine, calibration and options.
+        prepared: machine, calibration and options.
         source: the program.
         turns: whether it moves rotary axes; None to decide from its first motions.
 
@@ -125,11 +125,11 @@ class PartReader:
         failed: the error that ended reading; None if there is none.
     """
 
-    def __init__(self, bench: Bench, source: ProgramFile, turns: bool | None) -> None:
-        self._bench, self._source = bench, source
-        self._aim = None if turns is None else bench.aim(turns=turns)
-        self._reader = IsoReader(str(source.path), bench.space.axes, tcp=bench.options.tcp)
-        self._follower = Follower(str(source.path), bench.space)
+    def __init__(self, prepared: PreparedMachine, source: ProgramFile, turns: bool | None) -> None:
+        self._prepared, self._source = prepared, source
+        self._aim = None if turns is None else prepared.aim(turns=turns)
+        self._reader = IsoReader(str(source.path), prepared.space.axes, tcp=prepared.options.tcp)
+        self._follower = Follower(str(source.path), prepared.space)
         self._notices: list[Notice] = []
         self._turns = False
         self.lines = 0
@@ -145,7 +145,7 @@ class PartReader:
         """Yield the program as read; if reading `failed`, everything before."""
         a_part = self._source.lines / max(self._source.lines // PART_LINES, 1)
         full, read = a_part, list[ReadStretch]()
-        motions = [MotionColumns.of({}, len(self._bench.space.axes.names))]
+        motions = [MotionColumns.of({}, len(self._prepared.space.axes.names))]
         try:
             for data in self._source.stretches():
                 read.append(self._read(data))
@@ -163,7 +163,7 @@ class PartReader:
         return ProgramPart(read, MotionColumns.joined(motions), len(motions[0]), self._aim)
 
     def _read(self, data: bytes) -> ReadStretch:
-        stretch = Chunk(data, self.lines, self._bench.space.axes.names)
+        stretch = Chunk(data, self.lines, self._prepared.space.axes.names)
         self.lines += len(stretch)
         moves = self._reader.read(stretch)
         self._notices += self._reader.notices()
@@ -173,8 +173,8 @@ class PartReader:
     def _followed(self, read: ReadStretch, before: int) -> MotionColumns:
         """Return the motions of a stretch; ``before``: number of earlier moves in its part."""
         motions = self._follower.columns(read.moves, self._reader.lost_positions(), read.stretch.text_of)
-        self._turns = self._turns or read.moves.turns(self._bench.space.axes.rotary)
+        self._turns = self._turns or read.moves.turns(self._prepared.space.axes.rotary)
         if self._aim is None and len(motions):
-            self._aim = self._bench.aim(turns=self._turns)
+            self._aim = self._prepared.aim(turns=self._turns)
         self.turns_later = self._turns and self._aim is not None and not self._aim.turns
         return replace(motions, move=motions.move + before)

@@ -18,9 +18,10 @@ from typing import BinaryIO, Final, final
 
 import numpy as np
 
+from twin._common.progress import Progress
 from twin.compensation.account import CompensationAccount, Report
-from twin.compensation.bench import Bench, Progress
 from twin.compensation.checked import motionless
+from twin.compensation.prepared import PreparedMachine
 from twin.compensation.solving import Corrected, Pieces, correct, new_positions
 from twin.compensation.solving.path_errors import SAMPLES_A_PIECE
 from twin.compensation.solving.rows import even_cuts, spacings
@@ -46,7 +47,7 @@ class Streamed:
     """Compensation of one ISO program from file to file.
 
     Args:
-        bench: machine, calibration and options. The calibration must have no backlash, because an approach direction is not known
+        prepared: machine, calibration and options. The calibration must have no backlash, because an approach direction is not known
             before the axis's next reversal, any number of blocks later.
         source: the program.
         progress: called with a stage and the fraction done.
@@ -55,10 +56,10 @@ class Streamed:
         InputError: the program cannot be read.
     """
 
-    def __init__(self, bench: Bench, source: Path, progress: Progress) -> None:
-        self._bench = bench
+    def __init__(self, prepared: PreparedMachine, source: Path, progress: Progress) -> None:
+        self._prepared = prepared
         self._source = ProgramFile(source)
-        self._say = progress
+        self._progress = progress
         self._account: CompensationAccount | None = None
 
     def run(self, out: BinaryIO) -> Report | None:
@@ -78,14 +79,14 @@ class Streamed:
         for turns in (None, True):
             _empty(out)
             self._account = None
-            reader = PartReader(self._bench, self._source, turns)
-            writer = PartWriter(self._bench, self._source, out)
+            reader = PartReader(self._prepared, self._source, turns)
+            writer = PartWriter(self._prepared, self._source, out)
             began = monotonic()
             with closing(self._solved(reader)) as parts:
                 for part, new in parts:
                     writer.write(part, new)
                     rate = writer.moves / max(monotonic() - began, 1e-3)
-                    self._say(f"{writer.moves:,} blocks, {rate:,.0f}/s", 0.99 * writer.bytes / self._source.size)
+                    self._progress(f"{writer.moves:,} blocks, {rate:,.0f}/s", 0.99 * writer.bytes / self._source.size)
             if reader.failed is not None:
                 raise reader.failed
             if reader.drills:
@@ -100,7 +101,7 @@ class Streamed:
             _empty(out)
             for data in self._source.stretches():
                 out.write(data)
-        self._say("done", 1.0)
+        self._progress("done", 1.0)
         return report
 
     def _solved(self, reader: PartReader) -> Generator[tuple[ProgramPart, NewPositions], None, None]:
@@ -140,20 +141,20 @@ class Streamed:
         cuts: list[Corrected] = []
         if len(part.motions) > part.context and part.aim is not None:
             begin = part.context
-            for end in _ends(part, self._bench.options.tolerance_mm):
+            for end in _ends(part, self._prepared.options.tolerance_mm):
                 context = min(begin, 1)
                 motions = part.motions.part(begin - context, end)
                 path = ToolPath(motions, motions)
-                pieces = Pieces(self._bench, path, part.aim, ISO, source=str(self._source.path))
+                pieces = Pieces(self._prepared, path, part.aim, ISO, source=str(self._source.path))
                 cuts.append(correct(pieces, _silent, context=context))
                 begin = end
-        return new_positions(cuts, part.moves, len(self._bench.space.axes.names)), cuts
+        return new_positions(cuts, part.moves, len(self._prepared.space.axes.names)), cuts
 
     def _add(self, solved: Future[Solved]) -> None:
         """Add a part to the report."""
         for cut in solved.result()[1]:
             if self._account is None:
-                self._account = CompensationAccount(self._bench, cut.pieces.aim, str(self._source.path))
+                self._account = CompensationAccount(self._prepared, cut.pieces.aim, str(self._source.path))
             self._account.add(cut)
 
 

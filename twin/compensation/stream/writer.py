@@ -7,8 +7,8 @@ from typing import BinaryIO, Final, final
 
 from twin._common.errors import InputError
 from twin._common.provenance import program_comments
-from twin.compensation.bench import Bench
 from twin.compensation.checked import check, unreadable
+from twin.compensation.prepared import PreparedMachine
 from twin.compensation.stream.parts import ProgramFile, ProgramPart, ReadStretch
 from twin.nc.header import HEAD_LINES
 from twin.nc.iso.bulk import NewPositions
@@ -23,7 +23,7 @@ class PartWriter:
     """Writes a program part by part.
 
     Args:
-        bench: machine, calibration and options.
+        prepared: machine, calibration and options.
         source: the original program.
         out: output stream.
 
@@ -32,11 +32,11 @@ class PartWriter:
         bytes: bytes of the original program that have been written.
     """
 
-    def __init__(self, bench: Bench, source: ProgramFile, out: BinaryIO) -> None:
-        self._bench, self._axes, self._name = bench, bench.space.axes, str(source.path)
+    def __init__(self, prepared: PreparedMachine, source: ProgramFile, out: BinaryIO) -> None:
+        self._prepared, self._axes, self._name = prepared, prepared.space.axes, str(source.path)
         self._begins = source.begins()
         self._out = out
-        self._checker = IsoReader(self._name, self._axes, tcp=bench.options.tcp)
+        self._checker = IsoReader(self._name, self._axes, tcp=prepared.options.tcp)
         self._rewriter: IsoRewriter | None = None
         self._pending: list[bytes] = []
         self._head: bytes | None = b""
@@ -87,7 +87,7 @@ class PartWriter:
             return
         self._head += data
         if last or self._lines >= HEAD_LINES:
-            comments = program_comments(self._bench.calibration.warnings)
+            comments = program_comments(self._prepared.calibration.warnings)
             self._out.write(ISO.with_comments(self._head.decode("latin-1"), comments).encode("latin-1"))
             self._head = None
 

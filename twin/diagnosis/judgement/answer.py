@@ -26,8 +26,8 @@ from twin.diagnosis.problem.forms import LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.problem.noise import ReadingNoise
 from twin.diagnosis.problem.problem import Problem, rms, unwhiten, unwhitened_um
 from twin.diagnosis.result import Trend, Unexplained, Verdict
+from twin.diagnosis.selection.pattern_test import PatternTest, scan_patterns
 from twin.diagnosis.selection.structure import Findings
-from twin.diagnosis.selection.unnamed import PatternTest, scan_patterns
 from twin.identification.solve import setup_unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect

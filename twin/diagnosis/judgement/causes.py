@@ -20,8 +20,8 @@ from twin._common.arrays import read_only
 from twin._common.distributions import normal_sf
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.candidates.following_error import FOLLOWING_ERROR, READ_BACK
+from twin.diagnosis.judgement.alternatives import equivalent, points_to_measure, ruled_out
 from twin.diagnosis.judgement.evidence import curve_flaw, evidence
-from twin.diagnosis.judgement.in_place import equivalent, points_to_measure, ruled_out
 from twin.diagnosis.judgement.second_opinion import Comparison, SingleEffect, compare_with_search, second_opinion
 from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.forms import Candidates, Form, log_p_value

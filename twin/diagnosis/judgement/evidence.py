@@ -11,7 +11,7 @@ from twin.diagnosis.candidates.flaws import ITSELF, constant_dropped, flaw, time
 from twin.diagnosis.estimate.estimate import Estimate
 from twin.diagnosis.problem.forms import Candidates, Form
 from twin.diagnosis.result import readable_unit
-from twin.diagnosis.selection.left_out import predicts_held_out
+from twin.diagnosis.selection.cross_validation import predicts_held_out
 from twin.diagnosis.wording.words import listed
 from twin.machine.calibration import Calibration
 from twin.machine.effects.specification import FittedCause

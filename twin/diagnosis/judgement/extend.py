@@ -18,9 +18,9 @@ from twin.diagnosis.judgement.held_out import held_out_patterns
 from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.problem import Problem, rms, unwhitened_um
 from twin.diagnosis.result import Extension, HeldOut, Term
-from twin.diagnosis.selection.left_out import ENOUGH
+from twin.diagnosis.selection.cross_validation import ENOUGH
 from twin.diagnosis.selection.likelihood import Likelihood
-from twin.diagnosis.selection.unnamed import PatternTest
+from twin.diagnosis.selection.pattern_test import PatternTest
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Empirical
 from twin.machine.empirical_entry import acting_frame, available_in_programs, unused_place

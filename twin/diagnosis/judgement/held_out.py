@@ -9,7 +9,7 @@ import numpy as np
 from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.forms import Candidates, Form
 from twin.diagnosis.result import HeldOut
-from twin.diagnosis.selection.left_out import (
+from twin.diagnosis.selection.cross_validation import (
     HeldOutFolds,
     choose_folds,
     folds_at_positions,
@@ -33,7 +33,7 @@ def held_out(sized: SizedCauses, written: Collection[int] = ()) -> HeldOut | Non
     be held out.
 
     Args:
-        sized: the causes with their sizes; they decide what is held out (`twin.diagnosis.selection.left_out`).
+        sized: the causes with their sizes; they decide what is held out (`twin.diagnosis.selection.cross_validation`).
         written: numbers of the patterns that are in the file as well.
     """
     found, forms = sized.found, sized.forms

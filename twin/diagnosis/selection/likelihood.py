@@ -18,7 +18,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
-from twin.diagnosis.selection.unnamed import PatternTest
+from twin.diagnosis.selection.pattern_test import PatternTest
 
 STEPS: Final = 40
 """Largest number of iterations."""

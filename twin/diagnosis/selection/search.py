@@ -14,7 +14,7 @@ import numpy as np
 from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.problem.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
 from twin.diagnosis.problem.readings import DiagnosisTask
-from twin.diagnosis.selection.left_out import choose_folds
+from twin.diagnosis.selection.cross_validation import choose_folds
 
 SHARE: Final = 0.25
 """A family's share of `ALARMS` grows with its number of forms to this power, less than proportionally."""

@@ -8,7 +8,7 @@ from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.estimate.estimate import estimate
 from twin.diagnosis.problem.forms import Form
 from twin.diagnosis.problem.readings import DiagnosisTask
-from twin.diagnosis.selection.left_out import predicts_held_out, without_overfitting
+from twin.diagnosis.selection.cross_validation import predicts_held_out, without_overfitting
 from twin.diagnosis.selection.patterns import patterns
 from twin.diagnosis.selection.payload import select_with_payload
 from twin.diagnosis.selection.search import Selection, candidates_of

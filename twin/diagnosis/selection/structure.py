@@ -19,9 +19,9 @@ from twin.diagnosis.problem.forms import DEVIANCE_RULED_OUT, Candidates, Form, c
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import DiagnosisTask
 from twin.diagnosis.selection.likelihood import Likelihood, Model
+from twin.diagnosis.selection.pattern_test import ALARMS, PatternTest, scan_patterns
 from twin.diagnosis.selection.patterns import Pattern
 from twin.diagnosis.selection.search import FEW, excess_ratio_of
-from twin.diagnosis.selection.unnamed import ALARMS, PatternTest, scan_patterns
 
 MOST: Final = 3
 """Largest number of patterns."""
@@ -106,7 +106,7 @@ class Findings:
         candidates: the causes, with the set-up projected out.
         beside: the same with the patterns found projected out as well; ``candidates`` itself without patterns.
         structure: the selected causes and patterns.
-        refuted: causes that fit the readings but do not predict held-out ones (`twin.diagnosis.selection.left_out`).
+        refuted: causes that fit the readings but do not predict held-out ones (`twin.diagnosis.selection.cross_validation`).
     """
 
     task: DiagnosisTask

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
+from twin._common.progress import Progress, silent
 from twin.compensation.execute import Execution, execute_file
 from twin.compensation.toolpath import Setup
 from twin.display import in_iframe
@@ -20,7 +20,6 @@ from twin.nc import find_program
 from twin.reporting.scene.draw import scene_html
 from twin.reporting.scene.path import ScenePath
 
-Progress = Callable[[str, float], None]
 HEIGHT_PX: Final = 600
 """Height of the frame in a notebook."""
 
@@ -56,7 +55,7 @@ def draw_program(
     setup: Setup | None = None,
     conditions: Conditions | None = None,
     exaggeration: float | None = None,
-    progress: Progress = lambda stage, fraction: None,
+    progress: Progress = silent,
 ) -> Scene:
     """Return the animation of a machine running an NC program.
 

@@ -91,7 +91,7 @@ class SpatialGrid(TableFormat[CorrectionGrid]):
         for line, found in zip(lines, numbers, strict=True):
             place = tuple(at[i].index(float(found[i])) for i in range(3))
             if not np.isnan(values[place][0]):
-                raise line.error("a point given twice", "each once", line.text)
+                raise line.error("duplicate point", "each once", line.text)
             values[place] = found[3:]
         if np.isnan(values).any():
             place = np.argwhere(np.isnan(values[..., 0]))[0]

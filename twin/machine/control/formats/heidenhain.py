@@ -223,7 +223,7 @@ class _Rows:
         self.head_line = lines[1]
         self.head = tuple(self.head_line.text.split())
         if len(set(self.head)) != len(self.head):
-            raise self.head_line.error("a column given twice", "each once", self.head_line.text)
+            raise self.head_line.error("duplicate column", "each once", self.head_line.text)
         self.rows: list[tuple[TableLine, Mapping[str, str]]] = []
         for line in lines[2:-1]:
             cells = line.text.split()

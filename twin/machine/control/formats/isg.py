@@ -110,7 +110,7 @@ class Isg(TableFormat[VolumetricCorrection]):
         """Return the component errors from parameter files; a compensation list (``.lis``) among them is ignored.
 
         Raises:
-            InputError: a column has an unknown name, a block has two arguments, a parameter is given twice, the dimensions are those of
+            InputError: a column has an unknown name, a block has two arguments, a parameter is duplicated, the dimensions are those of
                 another machine, there are position errors of linear axes, or a value is not a number.
         """
         curves: dict[str, dict[int, ControlCurve]] = {name: {} for name in machine.names}
@@ -135,7 +135,7 @@ class Isg(TableFormat[VolumetricCorrection]):
                 for component, curve in _of_block(block, axis).items():
                     if component in own:
                         what = f"E{DIRECTIONS[component]}{axis.name}"
-                        raise block.head.error("given twice", "each error once", what)
+                        raise block.head.error("duplicate error", "each error once", what)
                     own[component] = curve
             else:
                 _constants(block, machine, curves)
@@ -218,7 +218,7 @@ def _blocks(lines: Sequence[TableLine]) -> Iterator[_Block]:
             block = None
         elif text and block is None:
             if len(set(cells)) != len(cells):
-                raise line.error("a column given twice", "each once", text)
+                raise line.error("duplicate column", "each once", text)
             block = _Block(line, tuple(cells))
         elif text and block is not None:
             if len(cells) != len(block.names):

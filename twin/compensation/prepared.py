@@ -25,8 +25,6 @@ from twin.machine.machine import Machine
 from twin.nc.dialect import Dialect
 from twin.uncertainty.at_tool import ToolUncertainty
 
-Progress = Callable[[str, float], None]
-"""Called with the name of a stage and the fraction done."""
 Keep = Callable[[str], bool]
 KeepTable = Callable[[ControlCorrection], bool]
 
@@ -75,7 +73,7 @@ class Options:
 
 
 @final
-class Bench:
+class PreparedMachine:
     """One machine with one calibration and the options of a compensation, ready for any program.
 
     Args:
@@ -184,7 +182,7 @@ class CorrectionAim:
     """Errors to correct in one program, and machine models with only these errors.
 
     Args:
-        bench: machine, calibration and options.
+        prepared: machine, calibration and options.
         turns: whether the program moves rotary axes.
 
     Attributes:
@@ -193,15 +191,17 @@ class CorrectionAim:
         backlash: reversal values that are corrected.
     """
 
-    def __init__(self, bench: Bench, turns: bool) -> None:
-        self._bench = bench
+    def __init__(self, prepared: PreparedMachine, turns: bool) -> None:
+        self._prepared = prepared
         self.turns = turns
-        self.scope = scope = bench.options.scope or Scope.everything(orientation=turns)
-        corrected = bench.calibration_with(
-            lambda name: scope.at_point(name, bench.machine) or (turns and scope.in_orientation(name, bench.machine)),
+        self.scope = scope = prepared.options.scope or Scope.everything(orientation=turns)
+        corrected = prepared.calibration_with(
+            lambda name: (
+                scope.at_point(name, prepared.machine) or (turns and scope.in_orientation(name, prepared.machine))
+            ),
             self._table_at_point,
         )
-        self.backlash = Backlash(corrected if bench.thesis is None else bench.space.nominal.calibration)
+        self.backlash = Backlash(corrected if prepared.thesis is None else prepared.space.nominal.calibration)
 
     def _table_at_point(self, table: ControlCorrection) -> bool:
         return self.scope.covers(_classes_of(table))
@@ -209,13 +209,13 @@ class CorrectionAim:
     @cached_property
     def point(self) -> Kinematics:
         """Machine with the errors corrected at the functional point, less the control's own correction of them."""
-        machine = self._bench.machine
-        return self._bench.with_errors(lambda name: self.scope.at_point(name, machine), self._table_at_point)
+        machine = self._prepared.machine
+        return self._prepared.with_errors(lambda name: self.scope.at_point(name, machine), self._table_at_point)
 
     @cached_property
     def comparison(self) -> PoseComparison:
         """Pose comparison of that machine with the nominal pose."""
-        return PoseComparison(self.point, self._bench.space.nominal)
+        return PoseComparison(self.point, self._prepared.space.nominal)
 
     @cached_property
     def point_inverse(self) -> Inverse:
@@ -225,8 +225,8 @@ class CorrectionAim:
     @cached_property
     def orientation(self) -> Kinematics | None:
         """Machine with the errors corrected by the rotary axes; None if these do not move for it."""
-        limited = self._bench.with_errors(
-            lambda name: self.scope.in_orientation(name, self._bench.machine),
+        limited = self._prepared.with_errors(
+            lambda name: self.scope.in_orientation(name, self._prepared.machine),
             lambda table: not table.axis.linear and (self.scope.orientation or self._table_at_point(table)),
         )
         return limited if self.turns and not limited.calibration.empty else None
@@ -236,12 +236,12 @@ class CorrectionAim:
         """Inverse kinematics of that machine; None if the rotary axes do not move for it."""
         if self.orientation is None:
             return None
-        return Inverse(self.orientation, rotary_limit_deg=self._bench.options.rotary_limit_deg)
+        return Inverse(self.orientation, rotary_limit_deg=self._prepared.options.rotary_limit_deg)
 
     @property
     def idle(self) -> bool:
         """Whether there is nothing to correct."""
-        return self.point.calibration.empty and self.orientation is None and self._bench.thesis is None
+        return self.point.calibration.empty and self.orientation is None and self._prepared.thesis is None
 
     @cached_property
     def at_point(self) -> ToolUncertainty:
@@ -262,9 +262,10 @@ class CorrectionAim:
     @cached_property
     def by_class(self) -> Mapping[str, Kinematics]:
         """Machine with the errors of one class alone, for every class in which it has errors."""
-        bench = self._bench
+        prepared = self._prepared
         found = {
-            basic: bench.with_errors(partial(_is_of, basic, bench.machine), lambda table: False) for basic in BASIC
+            basic: prepared.with_errors(partial(_is_of, basic, prepared.machine), lambda table: False)
+            for basic in BASIC
         }
         return {name: alone for name, alone in found.items() if not alone.calibration.empty}
 

@@ -14,9 +14,9 @@ from twin.diagnosis.candidates.signatures import base_column
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.selection.likelihood import Likelihood
+from twin.diagnosis.selection.pattern_test import log_tail, scan_patterns
 from twin.diagnosis.selection.patterns import Pattern, patterns
 from twin.diagnosis.selection.searcher import Searcher
-from twin.diagnosis.selection.unnamed import log_tail, scan_patterns
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements

@@ -237,7 +237,7 @@ def without_overfitting(candidates: Candidates, forms: Sequence[Form]) -> list[F
 
     Causes enter in order of the chi² they explain, and each must be significant against the residual after it (F-to-enter, Efroymson
     1960). Of these the smallest number is kept whose held-out error is within one standard error of the minimum (Breiman and others
-    1984). If only one axis moved, causes that are not promised (`twin.diagnosis.selection.left_out.predicts_held_out`) are kept: they
+    1984). If only one axis moved, causes that are not promised (`predicts_held_out`) are kept: they
     make no claim between the measured positions.
 
     Args:
