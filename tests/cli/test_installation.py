@@ -109,11 +109,11 @@ def test_unknown_name() -> None:
 def test_a_path_instead_of_what_was_read_from_it() -> None:
     machine = twin.Machine.load("dmu50")
     with pytest.raises(
-        TypeError, match="data must be a Measurements, not str; Measurements.load reads one from a file"
+        TypeError, match=r"data must be a Measurements, not str; Measurements[.]load reads one from a file"
     ):
-        twin.identify("measured.csv", machine)  # type: ignore[arg-type]
+        twin.identify("measured.csv", machine)
     with pytest.raises(TypeError, match="data must be a Measurements"):
-        twin.diagnose(Path("measured.csv"), machine)  # type: ignore[arg-type]
+        twin.diagnose(Path("measured.csv"), machine)
     with pytest.raises(TypeError, match="first must be a Calibration"):
         twin.compare("old.yaml", "new.yaml")
     with pytest.raises(TypeError, match="machine must be a Machine"):
