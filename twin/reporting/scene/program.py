@@ -85,7 +85,7 @@ def draw_program(
     page = scene_html(
         Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=conditions),
         ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines),
-        title=f"{source.name} on {machine.name}",
+        title=source.name,
         exaggeration=exaggeration,
         warnings=errors.warnings,
     )
