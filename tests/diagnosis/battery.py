@@ -43,7 +43,8 @@ from twin.machine.calibration import Calibration
 from twin.machine.effects import PitchError, ThermalDrift
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
-from twin.measurement.table import Measurements, machine_state
+from twin.measurement.state import machine_state
+from twin.measurement.table import Measurements
 from twin.numerics.covariance import Covariance
 
 FAR = 4.0

@@ -25,7 +25,8 @@ from twin.diagnosis.selection.cross_validation import choose_folds
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements, machine_state
+from twin.measurement.state import machine_state
+from twin.measurement.table import Measurements
 from twin.numerics.covariance import Covariance
 
 EFFECTS = (Hidden("reversal", "Y", {"size": 6.0}), Hidden("squareness", "E_A0Z", {"angle": 12.0}))

@@ -99,7 +99,7 @@ def test_lengths_from_four_stations(dmu50: Machine, tmp_path: Path, seed: int) -
     truth = written(tmp_path / "t.yaml", errors)
     found = identify(read_by_truth(four_stations(dmu50, rng, 150), truth, dead_mm=500.0), dmu50)
     check_exact(found, truth, errors)
-    assert found.setup.lengths_only
+    assert all(one.reads == "length" for one in found.setup.reads)
     # The datum fixes the targets, and with them the stations: dead paths and places come back too, in mm.
     assert found.setup.dead * 1e3 == pytest.approx(500.0 + 10.0 * np.arange(4), abs=1e-6)
     for name, place in zip(found.setup.targets, found.setup.place, strict=True):

@@ -294,7 +294,7 @@ def test_an_axis_on_neither_path_is_named(tmp_path: Path, command: str, capsys: 
 def test_good_data_raise_no_complaint(dmu50: Machine, instrument: Instrument, noise: bool) -> None:
     """The thesis's plan with the bundled errors, with and without noise, and lengths from four stations."""
     rng = np.random.default_rng(SEED)
-    plan = four_stations(dmu50, rng, 60) if instrument.lengths_only else thesis_plan.plan(dmu50)
+    plan = four_stations(dmu50, rng, 60) if instrument.specification.free_start else thesis_plan.plan(dmu50)
     data = simulate(plan, dmu50, Calibration.default(dmu50), instrument, rng, noise=noise)[0]
     _, left, _ = prepare(dmu50, data, instrument)
     assert len(left) == len(data) and not left.notices and not left.set_aside

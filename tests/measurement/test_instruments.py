@@ -28,7 +28,7 @@ from twin.measurement.instruments import (
 )
 from twin.measurement.instruments.interferometer import TRACKING
 from twin.measurement.instruments.refraction import length_scale
-from twin.measurement.instruments.tracker import AT960_ABSOLUTE
+from twin.measurement.instruments.tracker import AT960, AT960_ABSOLUTE
 from twin.measurement.simulate import Placement, Station, simulate
 from twin.measurement.table import Measurements
 
@@ -42,7 +42,7 @@ def test_a_specification_says_everything_and_cannot_change(instrument: Instrumen
     assert of.name and of.title and of.columns
     assert len(set(of.columns)) == len(of.columns)
     assert set(of.rides_on) <= set(SIDES)
-    assert "refraction_scale" in of.effects  # all of them measure with light
+    assert of.source
     with pytest.raises(FrozenInstanceError):
         of.name = "another"  # type: ignore[misc]
 
@@ -50,8 +50,12 @@ def test_a_specification_says_everything_and_cannot_change(instrument: Instrumen
 def test_names_are_distinct_and_the_usual_ones_come_first() -> None:
     names = [one.name for one in INSTRUMENTS]
     assert len(set(names)) == len(names)
-    assert default_instrument(lengths_only=False) is INSTRUMENTS[0]
-    assert default_instrument(lengths_only=True).specification.free_start
+    assert default_instrument("point") is AT960
+    assert default_instrument("length").specification.free_start
+    assert default_instrument("point", "work", 3.0).name == "r-test"
+    assert default_instrument("point", "work", 300.0) is AT960
+    assert default_instrument("length", "work", 150.0).name == "ball-bar"
+    assert default_instrument("null", "tool").name == "probe"
 
 
 @every

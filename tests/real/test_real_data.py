@@ -22,7 +22,7 @@ from twin.identification.unknowns import Unknowns
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.instruments import LaserTracker
+from twin.measurement.instruments import LaserTracker, StationInstruments, default_instrument
 from twin.measurement.table import Measurements
 from twin.numerics.curves import POWER, CurveSpace
 
@@ -84,7 +84,7 @@ def found(robot: Robot) -> Identification:
 def fitted(machine: Machine, data: Measurements, unknowns: Unknowns) -> tuple[Network, FitSolution]:
     """Return stations, targets and some of the machine's unknowns, by least squares."""
     network = Network(machine, data, LaserTracker(), unknowns)
-    setup, _ = initial_setup(machine, data, lengths_only=False)
+    setup, _ = initial_setup(machine, data, StationInstruments.same(default_instrument("point"), data.station))
     return network, solve(network, np.zeros(len(unknowns)), setup, np.ones(len(data)))
 
 

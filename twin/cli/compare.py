@@ -50,13 +50,13 @@ def compare(
     """
     loaded = Machine.load(machine)
     older, newer = (Calibration.load(path, loaded) for path in (first, second))
-    with progress_bar() as progress:
+    with progress_bar() as bar:
         found = compared(
             older,
             newer,
             tool_length_mm=tool_length,
             conditions=options.conditions(temperature, time),
             tolerance_mm=tolerance,
-            progress=progress,
+            progress=bar,
         )
     return CommandResult(text_of(found), found.to_dict, met=not found.unjudged)

@@ -109,8 +109,8 @@ def compensate(
     errors = options.calibration_of(calibration, loaded)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)
     if len(programs) > 1 or (output.is_dir() and not output.suffix):
-        with progress_bar() as progress:
-            every = compensate_files(programs, output, loaded, errors, options=settings, workers=own, progress=progress)
+        with progress_bar() as bar:
+            every = compensate_files(programs, output, loaded, errors, options=settings, workers=own, progress=bar)
             outcomes_done, interrupted = _collect(every, strict)
         result = _summary(programs, outcomes_done, output, warning_texts(errors.warnings), interrupted=interrupted)
     elif scheduler is not None:
@@ -134,8 +134,8 @@ def _compensate_one(program: Path, output: Path, compensator: Compensator, *, st
             expected=f"-o with {' '.join(dialect.suffixes)}",
             file=output,
         )
-    with progress_bar() as progress:
-        report = compensator.compensate_file(source, output, progress, into=target)
+    with progress_bar() as bar:
+        report = compensator.compensate_file(source, output, bar, into=target)
     return CommandResult(report.to_text(), report.to_dict, met=report.strictly_complete if strict else report.complete)
 
 

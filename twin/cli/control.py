@@ -140,10 +140,10 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
     if output.is_dir():
         check_writable(outputs_of(output, request.kind, machine))
     known, missing = without_missing_channels(request.conditions, errors)
-    with progress_bar() as progress:
-        progress("tables", 0.0)
+    with progress_bar() as bar:
+        bar("tables", 0.0)
         made = make(machine, known, request)
-        progress("what remains", 0.6)
+        bar("what remains", 0.6)
         account = write_folder(made, errors, known, missing, output)
     _print(account, errors, request.conditions, json_file)
     own = written_by(made)

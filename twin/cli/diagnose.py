@@ -57,11 +57,11 @@ def diagnose(
         options.need_pictures("the HTML report")
     loaded = Machine.load(machine)
     errors = options.calibration_of(calibration, loaded)
-    with progress_bar() as progress:
-        progress("reading", 0.0)
+    with progress_bar() as bar:
+        bar("reading", 0.0)
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         reader = None if instrument is None else options.instrument_named(instrument)
-        found = run_diagnosis(data, loaded, errors, instrument=reader, empirical=empirical, progress=progress)
+        found = run_diagnosis(data, loaded, errors, instrument=reader, empirical=empirical, progress=bar)
     if extended is not None:
         found.extended.save(extended)
     if html_file is not None:

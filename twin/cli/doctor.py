@@ -51,9 +51,9 @@ def doctor(json_file: JsonOption = None) -> CommandResult:
     )
     found: list[Finding] = []
     clock = perf_counter()
-    with progress_bar() as progress:
+    with progress_bar() as bar:
         for i, (stage, check) in enumerate(checks):
-            progress(stage, i / len(checks))
+            bar(stage, i / len(checks))
             found += check()
     taken = perf_counter() - clock
     failed = [one.name for one in found if one.status == "FAILED"]

@@ -94,8 +94,8 @@ def identify(
                 nearest=closest_name(pattern, names),
             )
     tables = tables_on(control, loaded) if control else None
-    with progress_bar() as progress:
-        progress("reading", 0.0)
+    with progress_bar() as bar:
+        bar("reading", 0.0)
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         found = run_identification(
             data,
@@ -103,7 +103,7 @@ def identify(
             instrument=None if instrument is None else options.instrument_named(instrument),
             wanted=lambda name: only is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in only),
             spread=noise_source.value,
-            progress=progress,
+            progress=bar,
         )
     calibration = found.calibration.with_control(tables)
     with scratch_folder() as folder:

@@ -69,10 +69,10 @@ def info(
     at.check(errors)
     known, missing = without_missing_channels(at, errors)
     kinematics = Kinematics(loaded, known, tool_length_mm=tool_length, conditions=at)
-    with progress_bar() as progress:
-        progress("budget", 0.0)
+    with progress_bar() as bar:
+        bar("budget", 0.0)
         rows, classes = error_budget(loaded, known, tool_length_mm=tool_length, conditions=at)
-        progress("uncertainty", 0.8)
+        bar("uncertainty", 0.8)
         uncertainty = ToolUncertainty(kinematics)
         over = uncertainty.over_volume() if uncertainty.parameters else None
     if output is not None:

@@ -76,16 +76,9 @@ def path(
         conditions=options.conditions(temperature, time),
     )
     errors = options.calibration_of(calibration, loaded)
-    with progress_bar() as progress:
+    with progress_bar() as bar:
         result = refit(
-            found,
-            loaded,
-            errors,
-            options=settings,
-            compensated=compensated,
-            output=output,
-            feed=feed,
-            progress=progress,
+            found, loaded, errors, options=settings, compensated=compensated, output=output, feed=feed, progress=bar
         )
     write_atomic(output, result.text.encode("latin-1"))
     report = result.report

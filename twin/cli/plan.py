@@ -113,7 +113,7 @@ def plan(
         raise InputError("--separate and --reduce exclude each other", expected="one of them", value=" ".join(reduce))
     if judged is not None:
         return _judged(judged, loaded, own, errors, instrument, tool_length)
-    with progress_bar() as progress:
+    with progress_bar() as bar:
         if causes is not None:
             made = separate(
                 loaded,
@@ -123,7 +123,7 @@ def plan(
                 calibration=errors,
                 after=None if after is None else Measurements.load(after, loaded),
                 seed=seed,
-                progress=progress,
+                progress=bar,
             )
         else:
             made = make_plan(
@@ -134,7 +134,7 @@ def plan(
                 expected=errors,
                 tool_length_mm=tool_length,
                 seed=seed,
-                progress=progress,
+                progress=bar,
             )
     if output is not None:
         made.save(output)
@@ -147,8 +147,8 @@ def _judged(
     """Evaluate a given plan: expected uncertainties and duration."""
     table = Measurements.load(options.plan_file(plan), machine, plan=True)
     reader = options.instrument_named(instrument)
-    with progress_bar() as progress:
-        progress("judging", 0.0)
+    with progress_bar() as bar:
+        bar("judging", 0.0)
         forecast = judge(
             table, machine, instrument=reader, expected=errors, known=kit.known, tool_length_mm=tool_length_mm
         )

@@ -44,8 +44,8 @@ def report(
     loaded = Machine.load(machine)
     errors = options.calibration_of(calibration, loaded)
     at = options.conditions(temperature, time)
-    with progress_bar() as progress:
-        progress("reading", 0.0)
+    with progress_bar() as bar:
+        bar("reading", 0.0)
         found = machine_report(
             loaded,
             errors,
@@ -55,13 +55,13 @@ def report(
             identified=identified,
             measured=[(path, Measurements.load(path, loaded)) for path in measured or []],
             seed=seed,
-            progress=lambda stage, part: progress(stage, 0.5 * part),
+            progress=lambda stage, part: bar(stage, 0.5 * part),
         )
         from twin.reporting.page import (
             machine_html,
         )  # imports matplotlib and meshcat, which are slow and needed only here
 
-        progress("drawing", 0.5)
+        bar("drawing", 0.5)
         page = machine_html(found)
     write_atomic(output, page)
     text = "\n".join([*_first_screen(found), *options.unused(at, errors), ""])

@@ -49,7 +49,7 @@ def scene(
     source = find_program(program)
     errors = options.calibration_of(calibration, loaded)
     at = options.conditions(temperature, time)
-    with progress_bar() as progress:
+    with progress_bar() as bar:
         drawn = draw_program(
             source,
             loaded,
@@ -59,7 +59,7 @@ def scene(
             setup=options.setup(loaded, work_offset, work_origin),
             conditions=at,
             exaggeration=exaggeration,
-            progress=progress,
+            progress=bar,
         )
     run = drawn.execution
     drawn.save(output)

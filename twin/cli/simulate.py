@@ -73,10 +73,10 @@ def simulate(
     around = _surroundings(air, drift)
     source = options.plan_file(plan)
     truth = options.calibration_of(calibration, loaded)
-    with progress_bar() as progress:
-        progress("reading", 0.0)
+    with progress_bar() as bar:
+        bar("reading", 0.0)
         planned = Measurements.load(source, loaded, plan=True)
-        progress("measuring", 0.3)
+        bar("measuring", 0.3)
         rng = np.random.default_rng(seed)
         measured, setting = run_simulation(planned, loaded, truth, reader, rng, noise=noise, surroundings=around)
     comment = [

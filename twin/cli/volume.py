@@ -56,11 +56,11 @@ def volume(
     kinematics = Kinematics(loaded, errors, tool_length_mm=tool_length, conditions=at)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)
     began = monotonic()
-    with progress_bar() as progress:
+    with progress_bar() as bar:
 
         def report_rate(stage: str, fraction: float) -> None:
             rate = fraction * trials * poses / (monotonic() - began)
-            progress(f"{rate / 1e6:.1f} million poses/s" if fraction else stage, fraction)
+            bar(f"{rate / 1e6:.1f} million poses/s" if fraction else stage, fraction)
 
         found = draw_machines(
             kinematics, trials=trials, poses=poses, seed=seed, digits=digits, workers=own, progress=report_rate

@@ -55,10 +55,9 @@ def compare(
     Raises:
         InputError: calibrations of different machines; one measured under control tables and the other without; conditions that
             neither calibration uses; a tolerance that is not positive.
-        TypeError: a path instead of what was read from it.
     """
-    require_type("first", first, Calibration)
-    require_type("second", second, Calibration)
+    for name, side in (("first", first), ("second", second)):
+        require_type(name, side, Calibration)
     machine = first.machine
     notices, named = _check_tables(first, second), (_label(first, "the first"), _label(second, "the second"))
     first, second = (side.with_control(None) if side.corrections else side for side in (first, second))

@@ -87,7 +87,7 @@ def _determined_model(
         raise data.error("no axis moved", expected="two or more positions of an axis", row=0)
 
     def network(unknowns: Unknowns) -> Network:
-        return Network(machine, data, placed.instrument, unknowns, covariance=covariance)
+        return Network(machine, data, placed.instruments, unknowns, covariance=covariance)
 
     while True:
         largest_network = network(largest_unknowns)

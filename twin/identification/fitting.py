@@ -16,6 +16,7 @@ from twin.identification.setup import SetUp
 from twin.identification.start import LARGEST_MISFIT_M, initial_setup, nominal_carriers
 from twin.machine.machine import Machine
 from twin.measurement.checks import RowNote, outside_axis_range
+from twin.measurement.instruments import StationInstruments
 from twin.measurement.table import POINT_COLUMNS, Measurements
 
 WRONG_COLUMN_SHARE: Final = 0.2
@@ -45,23 +46,23 @@ RADIANS: Final = 180.0 / np.pi
 Change = tuple[Measurements, str]
 
 
-def agreeing_rows(machine: Machine, data: Measurements, *, lengths_only: bool) -> tuple[Measurements, SetUp]:
+def agreeing_rows(machine: Machine, data: Measurements, instruments: StationInstruments) -> tuple[Measurements, SetUp]:
     """Return the rows whose command agrees with the measured motion, and the set-up estimated with the nominal machine.
 
     Args:
         machine: the machine.
         data: the measurements.
-        lengths_only: whether only lengths were read.
+        instruments: those of its stations.
 
     Raises:
         InputError: more than a fifth of the rows do not agree, or fewer that agree after one change of the columns, or readings that
             do not follow the commands; with the change that would make them agree, if there is one.
     """
     try:
-        setup, miss = initial_setup(machine, data, lengths_only=lengths_only)
+        setup, miss = initial_setup(machine, data, instruments)
     except InputError:
         # Readings in a left-handed frame may be due to one wrong command column; if several would explain them, the frame is wrong.
-        candidates = _one_change(machine, data, 1.0, np.inf, lengths_only)
+        candidates = _one_change(machine, data, 1.0, np.inf, instruments)
         if len(candidates) != 1:
             raise
         raise data.error(
@@ -74,7 +75,7 @@ def agreeing_rows(machine: Machine, data: Measurements, *, lengths_only: bool) -
     share = float(np.mean(bad))
     ratio, motion = misfit_ratio(machine, data, setup, miss)
     candidates = (
-        _one_change(machine, data, share, ratio, lengths_only)
+        _one_change(machine, data, share, ratio, instruments)
         if share > SUSPECT_COLUMN_SHARE or ratio > SUSPECT_RATIO
         else []
     )
@@ -98,7 +99,7 @@ def agreeing_rows(machine: Machine, data: Measurements, *, lengths_only: bool) -
             file=data.source,
             line=notes[0].line,
         )
-    return agreeing, initial_setup(machine, agreeing, lengths_only=lengths_only)[0]
+    return agreeing, initial_setup(machine, agreeing, instruments)[0]
 
 
 def _notes_of_disagreement(data: Measurements, bad: np.ndarray, miss: np.ndarray) -> tuple[RowNote, ...]:
@@ -137,8 +138,14 @@ def misfit_ratio(machine: Machine, data: Measurements, setup: SetUp, miss: np.nd
     index = {name: i for i, name in enumerate(setup.targets)}
     place = setup.place[[index[name] for name in data.target]]
     points = carried.points + np.einsum("nij,nj->ni", carried.rotation, place)
-    if setup.lengths_only:
-        points = np.nan_to_num(data.point_mm[:, :1]) * MM
+    kind = np.array([setup.reads[setup.stations.index(name)].reads for name in data.station])
+    lengths = np.zeros_like(points)
+    lengths[:, 0] = np.nan_to_num(data.point_mm[:, 0]) * MM
+    points = np.where((kind == "length")[:, None], lengths, points)
+    if np.any(kind == "null"):  # the target is always at the station's origin: the motion is that of the linear axes
+        linear = np.array([axis.linear for axis in machine.axes])
+        travel = np.linalg.norm(np.where(linear, data.positions - np.median(data.positions, axis=0), 0.0), axis=1) * MM
+        points = np.where((kind == "null")[:, None], travel[:, None] * np.array([1.0, 0.0, 0.0]), points)
     moved = np.empty(len(points))
     for station, target in dict.fromkeys(zip(data.station, data.target, strict=True)):
         rows = (data.station == station) & (data.target == target)
@@ -149,19 +156,19 @@ def misfit_ratio(machine: Machine, data: Measurements, setup: SetUp, miss: np.nd
     return float(np.minimum(miss, largest).sum() / moved.sum()), largest
 
 
-def other_unit(machine: Machine, data: Measurements, *, lengths_only: bool) -> str | None:
+def other_unit(machine: Machine, data: Measurements, instruments: StationInstruments) -> str | None:
     """Return, in words, which columns would agree in another unit; None if none would, or if all agree as given."""
     try:
-        setup, miss = initial_setup(machine, data, lengths_only=lengths_only)
+        setup, miss = initial_setup(machine, data, instruments)
     except InputError:
         return None
     ratio = misfit_ratio(machine, data, setup, miss)[0]
-    candidates = _in_units(machine, _sample(data), 1.0, ratio, lengths_only) if ratio > SUSPECT_RATIO else []
+    candidates = _in_units(machine, _sample(data), 1.0, ratio, instruments) if ratio > SUSPECT_RATIO else []
     return candidates[0][1] if candidates else None
 
 
 def _one_change(
-    machine: Machine, data: Measurements, share: float, ratio: float, lengths_only: bool
+    machine: Machine, data: Measurements, share: float, ratio: float, instruments: StationInstruments
 ) -> list[tuple[float, str]]:
     """Return the changes that make the readings agree: two columns swapped, one with opposite sign, some in another unit.
 
@@ -170,7 +177,7 @@ def _one_change(
         data: the measurements.
         share: share of rows that do not agree.
         ratio: misfit over motion.
-        lengths_only: whether only lengths were read.
+        instruments: those of its stations.
 
     Returns:
         Misfit over motion and description of each change.
@@ -178,24 +185,24 @@ def _one_change(
     sample = _sample(data)
     found = []
     for changed, text in _swapped_or_mirrored(machine, sample):
-        after = _fit_after(machine, changed, lengths_only)
+        after = _fit_after(machine, changed, instruments)
         if after is not None and (
             after[1] < share / IMPROVEMENT
             if share > SUSPECT_COLUMN_SHARE
             else after[0] < min(GOOD_RATIO, ratio / IMPROVEMENT)
         ):
             found.append((after[0], text))
-    return found or _in_units(machine, sample, share, ratio, lengths_only)
+    return found or _in_units(machine, sample, share, ratio, instruments)
 
 
 def _in_units(
-    machine: Machine, data: Measurements, share: float, ratio: float, lengths_only: bool
+    machine: Machine, data: Measurements, share: float, ratio: float, instruments: StationInstruments
 ) -> list[tuple[float, str]]:
     """Return the change of unit that explains the readings, as `_one_change`; equivalent changes are joined in its description."""
     for single in (False, True):
         found = []
         for changed, text in _units(machine, data, single=single):
-            after = _fit_after(machine, changed, lengths_only)
+            after = _fit_after(machine, changed, instruments)
             if (
                 after is not None
                 and after[0] < min(GOOD_RATIO, ratio / IMPROVEMENT)
@@ -208,10 +215,10 @@ def _in_units(
     return []
 
 
-def _fit_after(machine: Machine, changed: Measurements, lengths_only: bool) -> tuple[float, float] | None:
+def _fit_after(machine: Machine, changed: Measurements, instruments: StationInstruments) -> tuple[float, float] | None:
     """Return misfit over motion and the share of wrong rows; None if no station can be placed, or nothing moves."""
     try:
-        setup, miss = initial_setup(machine, changed, lengths_only=lengths_only)
+        setup, miss = initial_setup(machine, changed, instruments)
     except InputError:
         return None
     ratio, motion = misfit_ratio(machine, changed, setup, miss)

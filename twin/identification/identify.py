@@ -70,7 +70,9 @@ def identify(
     with threadpool_limits(limits=1, user_api="blas"):
         progress("placing the stations", 0.0)
         placed = prepare(machine, data, instrument)
-        from_repeats = covariance_from_repeats(placed.data, placed.instrument) if spread == "repeats" else None
+        from_repeats = (
+            covariance_from_repeats(machine, placed.data, placed.instruments) if spread == "repeats" else None
+        )
         progress("choosing the curves", 0.1)
         model = _best([_model(one, placed) for one in determined_models(machine, placed, wanted, from_repeats)])
         progress("estimating", 0.75)

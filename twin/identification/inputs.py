@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from twin.identification.setup import SetUp
 from twin.identification.start import initial_setup, nominal_carriers
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
-from twin.measurement.instruments import Instrument, default_instrument
+from twin.measurement.instruments import SIDES, Instrument, StationInstruments, default_instrument, instrument_named
+from twin.measurement.observation import CarriedTargets
 from twin.measurement.table import POINT_COLUMNS, Measurements
 
 FEWEST_ROWS: Final = 3
@@ -25,6 +26,8 @@ IN_LINE: Final = 0.01
 """Ratio of width to length below which points are on a line, which has no sides."""
 NOTICEABLE_MOTION_M: Final = 1e-5
 """Motion, m, above which a constant reading gives a notice."""
+NOT_PROBED_M: Final = 0.02
+"""Motion, m, of a sphere in the frame of its probe that is no error of a machine: the positions are not those of its centre."""
 LENGTH_SHARE: Final = 0.01
 """Share of the motion by which a column must change to be taken for a length; across the beam, anything would fit."""
 FARTHEST_STATION_M: Final = 50.0
@@ -32,30 +35,31 @@ FARTHEST_STATION_M: Final = 50.0
 
 
 class PreparedData(NamedTuple):
-    """The instrument, the rows whose command agrees with the readings, and the initial set-up."""
+    """The instruments, the rows whose command agrees with the readings, and the initial set-up."""
 
-    instrument: Instrument
+    instruments: StationInstruments
     data: Measurements
     setup: SetUp
 
 
 def prepare(machine: Machine, data: Measurements, instrument: Instrument | None) -> PreparedData:
-    """Return the instrument, the rows whose command agrees with the readings, and the initial set-up.
+    """Return the instruments, the rows whose command agrees with the readings, and the initial set-up.
 
     Args:
         machine: the machine.
         data: the measurements.
-        instrument: the instrument; if None, a laser tracker, or a tracking interferometer if only x_mm is given and is no coordinate.
+        instrument: the instrument of the stations whose instrument the table does not name; if None, the one that their readings
+            indicate (`_instruments`).
 
     Raises:
         InputError: a sensor that does not follow its target; a single column that is no coordinate and no length; readings that do
             not belong to the instrument; commands that do not agree with the readings (`agreeing_rows`).
     """
-    data = _check_sensors(machine, data)
-    reader, notices = _instrument(machine, data, instrument)
+    instruments, notices = _instruments(machine, data, instrument)
+    data = _check_sensors(machine, data, instruments)
     assumed = any(text.startswith(ASSUMED) for text in notices)
     try:
-        agreeing, setup = agreeing_rows(machine, data, lengths_only=reader.lengths_only)
+        agreeing, setup = agreeing_rows(machine, data, instruments)
     except InputError as error:
         if not assumed:
             raise
@@ -66,8 +70,6 @@ def prepare(machine: Machine, data: Measurements, instrument: Instrument | None)
             line=error.line,
             value=error.value,
         ) from None
-    if not reader.specification.free_start:
-        setup = replace(setup, free_start=False, dead=np.zeros(len(setup.stations)))
     far = float(np.linalg.norm(setup.origin, axis=1).max())
     if assumed and far > FARTHEST_STATION_M:
         raise data.error(
@@ -82,19 +84,23 @@ def prepare(machine: Machine, data: Measurements, instrument: Instrument | None)
         *_unobserved_axes(machine, agreeing),
         *_mirrored_planes(agreeing, setup),
     )
-    return PreparedData(reader, replace(agreeing, notices=all_notices), setup)
+    return PreparedData(instruments, replace(agreeing, notices=all_notices), setup)
 
 
-def _check_sensors(machine: Machine, data: Measurements) -> Measurements:
+def _check_sensors(machine: Machine, data: Measurements, instruments: StationInstruments) -> Measurements:
     """Return the data with a notice for each coordinate that never changes.
 
     Raises:
-        InputError: a target of which no coordinate ever changes, although the commands move it wherever it sits on its carrier.
+        InputError: a target of which no coordinate ever changes, although the commands move it wherever it sits on its carrier; a
+            sphere that is not at the tip of its probe.
     """
     points = nominal_carriers(machine, data)
     notices = []
     for station in dict.fromkeys(data.station):
         at = data.station == station
+        if instruments.by_station[station].specification.reads == "null":
+            _check_spheres(data, points, station)
+            continue
         for target in dict.fromkeys(data.target[at]):
             rows = np.flatnonzero(at & (data.target == target))
             constant = _constant(data, rows)
@@ -117,6 +123,21 @@ def _check_sensors(machine: Machine, data: Measurements) -> Measurements:
                 notices.append(f"{message} {moved / MM:.2g} mm: the sensor is dead or its resolution is coarse")
         notices += _constant_coordinates(data, points.points, station)
     return replace(data, notices=(*data.notices, *notices)) if notices else data
+
+
+def _check_spheres(data: Measurements, points: CarriedTargets, station: str) -> None:
+    """Raise `InputError` if a sphere moves in the frame of its probe, wherever it sits on its carrier."""
+    at = data.station == station
+    for target in dict.fromkeys(data.target[at]):
+        rows = np.flatnonzero(at & (data.target == target))
+        off = _least_motion(points.points[rows], points.rotation[rows], data.place_mm[rows[0]] * MM)
+        distance = np.linalg.norm(off, axis=1)
+        if distance.max() > NOT_PROBED_M:
+            raise data.error(
+                f"with these positions, sphere {target} moves by {distance.max() / MM:.3g} mm in the frame of probe {station}",
+                expected="the positions of the linear axes at which the tip was at the centre of the sphere",
+                row=rows[int(np.argmax(distance))],
+            )
 
 
 def _constant(data: Measurements, rows: np.ndarray) -> np.ndarray:
@@ -179,7 +200,7 @@ def _mirrored_planes(data: Measurements, setup: SetUp) -> list[str]:
         point = data.point_mm[data.station == setup.stations[i]]
         read = np.isfinite(point).any(axis=0)
         whole = point[np.isfinite(point[:, read]).all(axis=1)][:, read]
-        if setup.lengths_only or np.count_nonzero(read) != 2 or len(whole) < FEWEST_ROWS:
+        if setup.reads[i].reads != "point" or np.count_nonzero(read) != 2 or len(whole) < FEWEST_ROWS:
             continue
         size = np.linalg.svd(whole - whole.mean(axis=0), compute_uv=False)
         unread = int(np.flatnonzero(~read)[0])
@@ -192,10 +213,37 @@ def _mirrored_planes(data: Measurements, setup: SetUp) -> list[str]:
     return found
 
 
-def _instrument(
+def _instruments(
     machine: Machine, data: Measurements, instrument: Instrument | None
+) -> tuple[StationInstruments, tuple[str, ...]]:
+    """Return the instrument of each station, and notices of assumptions.
+
+    A station has the instrument that the table names. If it names none, stations of the same kind (the side on which they ride, the
+    coordinates that were read, and whether all readings are zero) have the same.
+    """
+    kinds: dict[tuple[Any, ...], list[str]] = {}
+    for station in dict.fromkeys(data.station.tolist()):
+        rows = data.station == station
+        read, side = np.isfinite(data.point_mm[rows]), str(data.station_carrier[rows][0])
+        zero = side != SIDES[0] and not np.any(np.nan_to_num(data.point_mm[rows]))
+        kinds.setdefault((str(data.instrument[rows][0]), side, zero, *read.any(axis=0)), []).append(station)
+    found: dict[str, Instrument] = {}
+    notices: list[str] = []
+    for (name, side, zero, *_), stations in kinds.items():
+        part = data if len(kinds) == 1 else data.select(np.isin(data.station.astype(str), stations))
+        named = instrument_named(name) if name else instrument
+        if named is None and zero:
+            named = default_instrument("null", side)
+        own, notes = _instrument(machine, part, named, side)
+        found |= dict.fromkeys(stations, own)
+        notices += notes
+    return StationInstruments(found), tuple(dict.fromkeys(notices))
+
+
+def _instrument(
+    machine: Machine, data: Measurements, instrument: Instrument | None, side: str
 ) -> tuple[Instrument, tuple[str, ...]]:
-    """Return the instrument, and notices of assumptions.
+    """Return the instrument of stations of one kind, and notices of assumptions.
 
     An empty field is a coordinate that was not measured: a scale parallel to a stage reads x alone. The length of a tracking
     interferometer is also in x_mm; the motion shows which of the two it is.
@@ -204,21 +252,21 @@ def _instrument(
         InputError: readings that do not belong to the instrument; a single column that does not follow the commands.
     """
     read = [i for i in range(3) if np.isfinite(data.point_mm[:, i]).any()]
-    if instrument is not None and instrument.lengths_only:
+    if instrument is not None and instrument.specification.columns == ("x_mm",):
         if read != [0]:
             raise data.error(
-                f"{instrument.name} reads lengths only, but y_mm or z_mm is given",
-                expected="the length in x_mm, y_mm and z_mm empty",
+                f"{instrument.name} reads one number, but y_mm or z_mm is given",
+                expected="the reading in x_mm, y_mm and z_mm empty",
                 row=np.flatnonzero(np.isfinite(data.point_mm[:, 1:]).any(axis=1))[0],
             )
         return instrument, ()
     if len(read) > 1 or np.isfinite(data.station_pose).all():
-        return instrument or default_instrument(lengths_only=False), ()
-    column = POINT_COLUMNS[read[0]]
+        return instrument or default_instrument("point", side, float(np.nanmax(np.abs(data.point_mm)))), ()
+    column, points = POINT_COLUMNS[read[0]], default_instrument("point", side)
     if _follows_as_coordinate(machine, data):
         notice = f"only {column} is given: taken as the coordinate of all targets along a line"
-        return instrument or default_instrument(lengths_only=False), () if read == [0] else (notice,)
-    unit = other_unit(machine, data, lengths_only=False)
+        return instrument or points, () if read == [0] else (notice,)
+    unit = other_unit(machine, data, StationInstruments.same(points, data.station))
     if unit is not None or read != [0] or instrument is not None or not _may_be_length(machine, data):
         named = "" if instrument is None else f" that {instrument.name} read"
         raise data.error(
@@ -227,7 +275,11 @@ def _instrument(
             row=0,
             value=f"{data.point_mm[0, read[0]]:g}",
         )
-    return default_instrument(lengths_only=True), (
+    if side != SIDES[0]:
+        bar = default_instrument("length", side, float(np.nanmax(data.point_mm[:, 0])))
+        notice = f"{ASSUMED}x_mm is an absolute length, read by a {bar.specification.title} whose pivot is on the {side} side."
+        return bar, (notice,)
+    return default_instrument("length"), (
         f"{ASSUMED}x_mm is a length from an unknown zero, read by a tracking interferometer: only x_mm is given, and it does not "
         "follow the commands as a coordinate. Otherwise name the instrument, or give y_mm and z_mm.",
     )
@@ -236,7 +288,8 @@ def _instrument(
 def _follows_as_coordinate(machine: Machine, data: Measurements) -> bool:
     """Return whether a single column follows the commands as a coordinate along one line."""
     try:
-        _, miss = initial_setup(machine, data, lengths_only=False)
+        points = StationInstruments.same(default_instrument("point"), data.station)
+        _, miss = initial_setup(machine, data, points)
     except InputError:
         return False
     return float(np.mean(miss > miss_limit(data, miss))) <= WRONG_COLUMN_SHARE

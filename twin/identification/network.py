@@ -20,7 +20,7 @@ from twin.identification.setup import SetUp
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.instruments import Instrument
+from twin.measurement.instruments import StationInstruments
 from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import cross_matrix
@@ -96,7 +96,7 @@ class Network:
     Args:
         machine: the machine.
         data: the measurements.
-        instrument: the instrument; its covariance is used where the table gives no uncertainties.
+        instruments: those of its stations; their covariance is used where the table gives no uncertainties.
         unknowns: unknowns of the machine.
         base: errors that are known; none if None.
         covariance: (n, 3, 3) of the readings, m²; that of the table and the instrument if None.
@@ -107,7 +107,7 @@ class Network:
         self,
         machine: Machine,
         data: Measurements,
-        instrument: Instrument,
+        instruments: StationInstruments,
         unknowns: Unknowns,
         base: Calibration | None = None,
         covariance: np.ndarray | None = None,
@@ -116,11 +116,11 @@ class Network:
     ) -> None:
         self.machine = machine
         self.data = data
-        self.instrument = instrument
+        self.instruments = instruments
         self.unknowns = unknowns
         self.read = read_only(np.isfinite(data.point_mm))
         self.readings = read_only(np.where(self.read, data.point_mm, 0.0) * MM)
-        self.covariance = stated_covariance(data, instrument) if covariance is None else covariance
+        self.covariance = stated_covariance(data, instruments) if covariance is None else covariance
         self.whitening = read_only(_whitening(self.covariance, self.read))
         self._observation = Observation(machine)
         self._q = np.asarray(data.positions) * machine.scale
@@ -187,9 +187,10 @@ class Network:
         return np.einsum("nji,nj->ni", setup.rotation[station], points - setup.origin[station])
 
     def _residuals(self, seen: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
-        predicted = np.nan_to_num(self.instrument.read(seen), nan=0.0)
-        if setup.lengths_only:
-            predicted[:, 0] -= setup.dead[self._order(setup)[0][rows]]
+        predicted = np.empty_like(seen)
+        for instrument, some in self.instruments.groups(self.data.station[rows]):
+            predicted[some] = np.nan_to_num(instrument.read(seen[some]), nan=0.0)
+        predicted[:, 0] -= setup.dead[self._order(setup)[0][rows]]
         return np.where(self.read[rows], self.readings[rows] - predicted, 0.0)
 
     def view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> LinearisedReadings:
@@ -217,7 +218,9 @@ class Network:
         )
         seen = self._seen(carried.points, setup, rows)
         whitening = self.whitening[rows]
-        by_seen = whitening @ self.instrument.jacobian(seen)
+        by_seen = np.empty_like(whitening)
+        for instrument, some in self.instruments.groups(self.data.station[rows]):
+            by_seen[some] = whitening[some] @ instrument.jacobian(seen[some])
         by_base = by_seen @ setup.rotation[station].transpose(0, 2, 1)
         return LinearisedReadings(
             rows=rows,
@@ -261,11 +264,12 @@ class Network:
                 into[of, :, at] = view.by_place[of]
 
 
-def stated_covariance(data: Measurements, instrument: Instrument) -> np.ndarray:
-    """Return (n, 3, 3) m²: from the table's standard uncertainties if all of a row are given, else from the instrument's model."""
+def stated_covariance(data: Measurements, instruments: StationInstruments) -> np.ndarray:
+    """Return (n, 3, 3) m²: from the table's standard uncertainties if all of a row are given, else from the instruments' models."""
     read = np.isfinite(data.point_mm)
     points = np.where(read, data.point_mm, 0.0) * MM
-    found = np.array(instrument.covariance(np.where(np.linalg.norm(points, axis=1, keepdims=True) > 0, points, 1e-3)))
+    away = np.where(np.linalg.norm(points, axis=1, keepdims=True) > 0, points, 1e-3)
+    found = np.array(instruments.covariance(away, data.station))
     given = np.all(np.isfinite(data.u_mm) | ~read, axis=1) & read.any(axis=1)
     found[given] = 0.0
     for i in range(3):

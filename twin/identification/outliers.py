@@ -144,7 +144,11 @@ def outlier_notes(
         sigmas = float(np.linalg.norm(whitened[row]))
         repeats_of_row = np.flatnonzero((group == group[row]) & ~bad)
         text = f"target {data.target[row]}, round {data.round[row]}, station {data.station[row]}: residual {size * 1e3:.1f} µm"
-        if not network.instrument.lengths_only and size > 0.0:
+        if (
+            network.instruments.by_station[data.station[row]].specification.beam
+            and np.isfinite(data.point_mm[row]).all()
+            and size > 0.0
+        ):
             beam = network.readings[row] / np.linalg.norm(network.readings[row])
             along = float(off @ beam) / MM
             text += f", {abs(along) * 1e3:.1f} µm of it along the beam"

@@ -126,7 +126,7 @@ class Identification:
         Raises:
             KeyError: a station or target that is not part of this estimate.
         """
-        other = Network(self.network.machine, data, self.network.instrument, self.network.unknowns)
+        other = Network(self.network.machine, data, self.network.instruments, self.network.unknowns)
         residual = other.residuals_m(self.solution.theta, self.setup.of(data), np.arange(len(data)))
         return read_only(np.where(other.read, residual / MM, np.nan))
 
@@ -176,7 +176,7 @@ class Identification:
         stations = {}
         for i, name in enumerate(order.stations):
             stations[name] = {"origin_mm": order.origin[i] / MM, "known": order.station_known[i]}
-            if order.lengths_only:
+            if order.reads[i].free_start:
                 stations[name]["dead_path_mm"] = order.dead[i] / MM
         found = {
             "schema": SCHEMA,
@@ -332,7 +332,7 @@ def residuals_of(calibration: Calibration, network: Network, setup: SetUp) -> tu
     """
     no_unknowns = Unknowns(network.machine, (), ())
     alone = Network(
-        network.machine, network.data, network.instrument, no_unknowns, calibration, network.covariance, check=False
+        network.machine, network.data, network.instruments, no_unknowns, calibration, network.covariance, check=False
     )
     residual = alone.residuals_m(np.zeros(0), setup, np.arange(len(network.data)))
     return residual, np.einsum("nij,nj->ni", network.whitening, residual)

@@ -9,6 +9,7 @@ from typing import Final, Literal, NamedTuple, final
 import numpy as np
 
 from twin._common.units import DEG, MM
+from twin.measurement.instruments import InstrumentSpecification, StationInstruments
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import rotation_exp
 
@@ -47,8 +48,7 @@ class SetUp:
         targets: names.
         place: (targets, 3) on their carriers.
         station_known, target_known: whether the table gives the pose or place.
-        lengths_only: whether the stations read lengths only, which do not depend on their rotation.
-        free_start: whether these lengths count from an unknown zero.
+        reads: what the instrument of each station reads.
         shift: (unknowns,) change of each parameter by `moved` since its initial value, metres and radians; None for zero.
     """
 
@@ -60,12 +60,11 @@ class SetUp:
     place: np.ndarray
     station_known: np.ndarray
     target_known: np.ndarray
-    lengths_only: bool
-    free_start: bool = True
+    reads: tuple[InstrumentSpecification, ...]
     shift: np.ndarray | None = None
 
     @classmethod
-    def from_table(cls, data: Measurements, *, lengths_only: bool) -> SetUp:
+    def from_table(cls, data: Measurements, instruments: StationInstruments) -> SetUp:
         """Return the poses and places given in a table; identity and zero for the others."""
         stations, first = _first_rows(data.station)
         targets, first_target = _first_rows(data.target)
@@ -77,7 +76,8 @@ class SetUp:
         origin = np.where(station_known[:, None], pose[:, :3] * MM, 0.0)
         place = np.where(target_known[:, None], place, 0.0)
         dead = np.zeros(len(stations))
-        return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, lengths_only)
+        reads = tuple(instruments.by_station[name].specification for name in stations)
+        return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, reads)
 
     def of(self, data: Measurements) -> SetUp:
         """Return the stations and targets of other data, with the values of this set-up.
@@ -96,6 +96,7 @@ class SetUp:
             rotation=self.rotation[stations],
             origin=self.origin[stations],
             dead=self.dead[stations],
+            reads=tuple(self.reads[i] for i in stations),
             targets=tuple(named[1]),
             place=self.place[targets],
             station_known=self.station_known[stations],
@@ -115,12 +116,12 @@ class SetUp:
             start = found[-1].at.stop if found else 0
             found.append(Slot(kind, number, slice(start, start + count)))
 
-        for i, known in enumerate(self.station_known.tolist()):
-            if not self.lengths_only and not known:
+        for i, (known, reads) in enumerate(zip(self.station_known.tolist(), self.reads, strict=True)):
+            if reads.turns and not known:
                 add("turn", i)
             if not known:
                 add("origin", i)
-            if self.lengths_only and self.free_start:
+            if reads.free_start:
                 add("dead path", i, 1)
         for i in np.flatnonzero(~self.target_known).tolist():
             add("place", i)

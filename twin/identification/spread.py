@@ -12,7 +12,10 @@ from twin._common.distributions import chi2_sf, f_sf
 from twin._common.units import MM
 from twin.identification.network import Network
 from twin.identification.solve import FitSolution
-from twin.measurement.instruments import Instrument
+from twin.identification.start import nominal_carriers
+from twin.machine.machine import Machine
+from twin.measurement.instruments import StationInstruments
+from twin.measurement.state import at_origin
 from twin.measurement.table import Measurements
 
 Spread = Literal["stated", "repeats", "between poses", "between rounds"]
@@ -82,8 +85,12 @@ def misfit(
 
 
 def repeat_groups(data: Measurements) -> np.ndarray:
-    """Return (n,) the index of the point that each row repeats: same command, target, station and directions of approach."""
-    keys = np.concatenate([np.round(data.positions, 6), data.approach], axis=1)
+    """Return (n,) the index of the point that each row repeats: same command, target, station and directions of approach.
+
+    A probe finds the same point again at slightly other positions of the axes.
+    """
+    positions = np.where(at_origin(data)[:, None], np.round(data.positions, 0), np.round(data.positions, 6))
+    keys = np.concatenate([positions, data.approach], axis=1)
     _, pose = np.unique(keys, axis=0, return_inverse=True)
     _, target = np.unique(data.target.astype(str), return_inverse=True)
     _, station = np.unique(data.station.astype(str), return_inverse=True)
@@ -91,29 +98,36 @@ def repeat_groups(data: Measurements) -> np.ndarray:
     return np.asarray(group.reshape(-1))
 
 
-def covariance_from_repeats(data: Measurements, instrument: Instrument) -> np.ndarray:
-    """Return (n, 3, 3) the covariance of the readings from repeats, m²: the instrument's model, pooled over all points.
+def covariance_from_repeats(machine: Machine, data: Measurements, instruments: StationInstruments) -> np.ndarray:
+    """Return (n, 3, 3) the covariance of the readings from repeats, m²: each instrument's model, pooled over all its points.
 
     Args:
+        machine: the machine.
         data: the measurements.
-        instrument: the instrument.
+        instruments: those of their stations.
 
     Raises:
-        InputError: fewer than ten degrees of freedom of repeats.
+        InputError: fewer than ten degrees of freedom of repeats of an instrument.
     """
     points = np.where(np.isfinite(data.point_mm), data.point_mm, 0.0) * MM
-    group = repeat_groups(data)
-    size = np.bincount(group)
-    dof = int(np.sum(np.maximum(size - 1, 0)))
-    if dof < 10:
-        raise data.error(
-            "too few repeats to estimate the noise",
-            expected="at least ten repeated readings",
-            value=dof,
-        )
-    mean = np.stack([np.bincount(group, points[:, i]) / size for i in range(3)], axis=1)
-    deviations = np.where(size[group, None] > 1, points - mean[group], 0.0)
-    return read_only(instrument.pooled(points, deviations, dof))
+    # A probe reads zero: its repeats differ in the axis positions.
+    points = np.where(at_origin(data)[:, None], nominal_carriers(machine, data).points, points)
+    every = repeat_groups(data)
+    found = np.zeros((len(data), 3, 3))
+    for instrument, rows in instruments.groups(data.station):
+        group, own = every[rows], points[rows]
+        size = np.bincount(group)
+        dof = int(np.sum(np.maximum(size - 1, 0)))
+        if dof < 10:
+            raise data.error(
+                f"too few repeats to estimate the noise of the {instrument.name}",
+                expected="at least ten repeated readings",
+                value=dof,
+            )
+        mean = np.stack([np.bincount(group, own[:, i]) / np.maximum(size, 1) for i in range(3)], axis=1)
+        deviations = np.where(size[group, None] > 1, own - mean[group], 0.0)
+        found[rows] = instrument.pooled(own, deviations, dof)
+    return read_only(found)
 
 
 def covariance_of(network: Network, solution: FitSolution, weight: np.ndarray, spread: Spread) -> np.ndarray:

@@ -17,6 +17,7 @@ from twin._common.arrays import read_only
 from twin._common.units import MM
 from twin.identification.setup import SetUp
 from twin.machine.machine import Machine
+from twin.measurement.instruments import StationInstruments
 from twin.measurement.observation import CarriedTargets, Observation
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import cross_matrix, rotation_exp
@@ -40,22 +41,25 @@ class InitialSetUp(NamedTuple):
     miss: np.ndarray
 
 
-def initial_setup(machine: Machine, data: Measurements, *, lengths_only: bool) -> InitialSetUp:
+def initial_setup(machine: Machine, data: Measurements, instruments: StationInstruments) -> InitialSetUp:
     """Estimate the set-up with the nominal machine.
 
     Args:
         machine: the machine.
         data: the measurements.
-        lengths_only: whether only lengths from an unknown zero were read.
+        instruments: those of its stations. Stations that read lengths and others are estimated independently.
 
     Raises:
         InputError: a station with fewer than three points, or one whose readings are in a left-handed frame.
     """
-    initial = SetUp.from_table(data, lengths_only=lengths_only)
+    initial = SetUp.from_table(data, instruments)
+    lengths = np.array([one.reads == "length" for one in initial.reads])
+    if lengths.any() and not lengths.all():
+        return _by_kind(machine, data, instruments, initial)
     carried = nominal_carriers(machine, data)
     station = np.array([initial.stations.index(name) for name in data.station])
     target = np.array([initial.targets.index(name) for name in data.target])
-    if lengths_only:
+    if lengths.any():
         length = np.where(np.isfinite(data.point_mm[:, 0]), data.point_mm[:, 0], 0.0) * MM
         return _by_lengths(initial, _Lengths(carried.points, carried.rotation, length, station, target))
     return _by_points(initial, carried, data, station, target)
@@ -72,6 +76,25 @@ def nominal_carriers(machine: Machine, data: Measurements) -> CarriedTargets:
 def _observation(machine: Machine) -> Observation:
     """Return the forward model, cached: building its graph takes longer than a set-up of some hundred rows."""
     return Observation(machine)
+
+
+def _by_kind(machine: Machine, data: Measurements, instruments: StationInstruments, initial: SetUp) -> InitialSetUp:
+    """Return the set-up of stations that read points and of stations that read lengths, each estimated from its own rows."""
+    rotation, origin, dead, place = (
+        np.array(x) for x in (initial.rotation, initial.origin, initial.dead, initial.place)
+    )
+    miss, placed = np.zeros(len(data)), set()
+    for kind in (False, True):
+        names = [n for n, one in zip(initial.stations, initial.reads, strict=True) if (one.reads == "length") == kind]
+        rows = np.flatnonzero(np.isin(data.station.astype(str), names))
+        own, miss[rows] = initial_setup(machine, data.select(rows), instruments)
+        at = [initial.stations.index(name) for name in own.stations]
+        rotation[at], origin[at], dead[at] = own.rotation, own.origin, own.dead
+        for name, own_place in zip(own.targets, own.place, strict=True):
+            if name not in placed:
+                place[initial.targets.index(name)] = own_place
+                placed.add(name)
+    return InitialSetUp(replace(initial, rotation=rotation, origin=origin, dead=dead, place=place), miss)
 
 
 @final
@@ -297,11 +320,12 @@ def _by_lengths(initial: SetUp, lengths: _Lengths) -> InitialSetUp:
     for i in range(len(initial.stations)):
         of = np.flatnonzero(lengths.station == i)
         if initial.station_known[i]:
-            dead[i] = np.median(np.linalg.norm(points[of] - origin[i], axis=1) - lengths.length[of])
+            if initial.reads[i].free_start:
+                dead[i] = np.median(np.linalg.norm(points[of] - origin[i], axis=1) - lengths.length[of])
             continue
         # From one target, so that on the tool side its unknown place only shifts the station.
         of = of[lengths.target[of] == np.bincount(lengths.target[of]).argmax()]
-        origin[i], dead[i] = _multilateration(points[of], lengths.length[of])
+        origin[i], dead[i] = _multilateration(points[of], lengths.length[of], free_start=initial.reads[i].free_start)
     setup = replace(initial, origin=read_only(origin), dead=read_only(dead))
     for _ in range(SWEEPS):
         setup, change, misfit = lengths.step(setup)
@@ -310,16 +334,19 @@ def _by_lengths(initial: SetUp, lengths: _Lengths) -> InitialSetUp:
     return InitialSetUp(replace(setup, shift=None), misfit)
 
 
-def _multilateration(p: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, float]:
+def _multilateration(p: np.ndarray, l: np.ndarray, *, free_start: bool) -> tuple[np.ndarray, float]:
     """Return the station and its dead path from (n, 3) points and (n,) lengths, metres.
 
     (l + d)² = |p − o|², so l² + 2·l·d = |p|² − 2 p·o + (|o|² − d²): linear in o, d and the last bracket.
     """
-    matrix = np.concatenate([2.0 * p, 2.0 * l[:, None], -np.ones((len(p), 1))], axis=1)
+    # Centred, so that points in a plane give the station in that plane, not one near the frame's origin.
+    centre = p.mean(axis=0)
+    p = p - centre
+    matrix = np.concatenate([2.0 * p, 2.0 * float(free_start) * l[:, None], -np.ones((len(p), 1))], axis=1)
     right = np.sum(p * p, axis=1) - l * l
     weight = np.ones(len(p))
     for _ in range(SWEEPS):
         root = np.sqrt(weight)
         solved = np.linalg.lstsq(matrix * root[:, None], right * root, rcond=1e-12)[0]
         weight = FLOOR / np.maximum(np.abs(right - matrix @ solved), FLOOR)
-    return solved[:3], float(solved[3])
+    return solved[:3] + centre, float(solved[3])

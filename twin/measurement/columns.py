@@ -71,6 +71,7 @@ def table_columns(machine: Machine) -> tuple[TableColumns, ...]:
         TableColumns("point_mm", POINT_COLUMNS, needed=True),
         TableColumns("station", ("station",), "words", "1", needed=True),
         TableColumns("station_carrier", ("station_carrier",), "words", SIDES[0]),
+        TableColumns("instrument", ("instrument",), "words"),
         TableColumns("round", ("round",), "words", "1", needed=True),
         TableColumns("time_s", ("time_s",)),
         TableColumns("approach", tuple(f"approach_{axis.name}" for axis in machine.axes), "signs"),

@@ -21,7 +21,8 @@ from twin.machine.effects import assemble
 from twin.machine.effects.empirical import check_ranges
 from twin.machine.machine import Machine
 from twin.measurement.instruments.base import SIDES
-from twin.measurement.table import CARRIERS, Measurements, machine_state
+from twin.measurement.state import machine_state
+from twin.measurement.table import CARRIERS, Measurements
 
 
 @final

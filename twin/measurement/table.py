@@ -83,6 +83,7 @@ class Measurements:
         approach: (n, axes) direction of approach +1 or −1; 0 if unknown.
         place_mm: (n, 3) the target's place on its carrier (tool: frame of the spindle nose; work: work frame); NaN where unknown.
         station_carrier: (n,) side on which the station rides: ``base``, ``tool`` or ``work``.
+        instrument: (n,) name of the station's instrument (`twin.measurement.instruments`); empty where not given.
         station_pose: (n, 6) the station's origin in the frame on which it rides, mm, and rotation vector, degrees; NaN where unknown.
         temperature_degC: (n,) temperatures by axis or sensor; NaN where not given.
         channels: (n,) other columns that an effect may use, by column name (``spindle_rpm``); NaN where not given.
@@ -100,6 +101,7 @@ class Measurements:
     readback: np.ndarray = field(default_factory=_absent)
     station: np.ndarray = field(default_factory=_absent)
     station_carrier: np.ndarray = field(default_factory=_absent)
+    instrument: np.ndarray = field(default_factory=_absent)
     round: np.ndarray = field(default_factory=_absent)
     point_mm: np.ndarray = field(default_factory=_absent)
     u_mm: np.ndarray = field(default_factory=_absent)
@@ -121,6 +123,7 @@ class Measurements:
             "readback": ((n, axes), np.nan),
             "station": ((n,), "1"),
             "station_carrier": ((n,), SIDES[0]),
+            "instrument": ((n,), ""),
             "round": ((n,), "1"),
             "point_mm": ((n, 3), np.nan),
             "u_mm": ((n, 3), np.nan),
@@ -324,20 +327,6 @@ def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray
         planned_places = np.stack([reader.numbers(f"{PLANNED}{name}") for name in names], axis=1)
         found = np.where(np.isfinite(found).any(axis=1, keepdims=True), found, planned_places)
     return read_only(found)
-
-
-def machine_state(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
-    """Return the positions and every channel that has no gaps, by name: ``approach_X``, ``time_s``, ``T_X_degC``, ``spindle_rpm``."""
-    found = {axis.name: np.asarray(data.positions[:, i]) for i, axis in enumerate(machine.axes)}
-    for i, axis in enumerate(machine.axes):
-        if np.any(data.approach[:, i]):
-            found[f"approach_{axis.name}"] = np.asarray(data.approach[:, i], dtype=float)
-    if np.all(np.isfinite(data.time_s)):
-        found["time_s"] = np.asarray(data.time_s)
-    for name, values in data.temperature_degC.items():
-        if np.all(np.isfinite(values)):
-            found[f"T_{name}_degC"] = np.asarray(values)
-    return found | {name: np.asarray(values) for name, values in data.channels.items() if np.all(np.isfinite(values))}
 
 
 def _check_names(table: Measurements) -> None:

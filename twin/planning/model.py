@@ -26,7 +26,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.effects import split_name
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
-from twin.measurement.instruments import Instrument
+from twin.measurement.instruments import Instrument, StationInstruments
 from twin.measurement.simulate import Placement, simulate
 from twin.measurement.table import Measurements
 from twin.numerics.curves import Basis, CurveSpace, bases_for
@@ -183,7 +183,9 @@ class PlanModel:
             setting=self.setting,
             noise=False,
         )
-        network = Network(self.machine, readings, self.instrument, self.unknowns)
+        network = Network(
+            self.machine, readings, StationInstruments.same(self.instrument, readings.station), self.unknowns
+        )
         found = np.empty((len(readings), 3, self.free.shape[1]))
         for start in range(0, len(readings), CHUNK):
             piece = network.chunk(self.linearised_at, self.setup, np.arange(start, min(start + CHUNK, len(readings))))
@@ -289,7 +291,7 @@ def as_evaluated(plan: Measurements, known: Collection[str]) -> Measurements:
 
 def setup_of(plan: Measurements, setting: Placement, instrument: Instrument) -> SetUp:
     """Return the set-up at the planned poses and positions; known are only those the plan gives to an evaluation."""
-    known = SetUp.from_table(plan, lengths_only=instrument.lengths_only)
+    known = SetUp.from_table(plan, StationInstruments.same(instrument, plan.station))
     return replace(
         known,
         rotation=rotation_exp(np.array([setting.stations[name].rotation_rad for name in known.stations])),

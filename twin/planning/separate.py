@@ -31,7 +31,7 @@ from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import TIME
 from twin.machine.machine import Machine
-from twin.measurement.instruments import Instrument, default_instrument
+from twin.measurement.instruments import Instrument, Reads, StationInstruments, default_instrument
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.planning.aims import LinearAim
@@ -206,13 +206,15 @@ class _Question:
 
     def _problem(self, data: Measurements, instrument: Instrument, setup: SetUp) -> Problem:
         machine, known = self.task.machine, self.task.expected
-        return Problem(Network(machine, data, instrument, Unknowns(machine, [], []), known), setup, known)
+        instruments = StationInstruments.same(instrument, data.station)
+        return Problem(Network(machine, data, instruments, Unknowns(machine, [], []), known), setup, known)
 
     def _earlier_precision(self, instrument: Instrument, after: Measurements) -> np.ndarray:
         """Return the precision (k, k) of calibration errors and causes from earlier readings, their set-up projected out."""
         lengths_only = bool(np.isnan(after.point_mm[:, 1:]).all())
-        kept, setup = agreeing_rows(self.task.machine, after, lengths_only=lengths_only)
-        reader = instrument if lengths_only or not instrument.lengths_only else default_instrument(lengths_only=False)
+        reads: Reads = "length" if lengths_only else "point"
+        reader = instrument if instrument.specification.reads == reads else default_instrument(reads)
+        kept, setup = agreeing_rows(self.task.machine, after, StationInstruments.same(reader, after.station))
         problem = self._problem(kept, reader, setup)
         columns = [problem.signature(cell.columns) for _, cell in self.cells(kept)]
         own, calibration_errors = np.split(problem.nuisance, [len(problem.setup)], axis=1)

@@ -30,7 +30,8 @@ from twin.machine.calibration import Calibration
 from twin.machine.conditions import APPROACH, required_channels
 from twin.machine.effects import Effect, split_name, unit_of
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements, machine_state
+from twin.measurement.state import machine_state
+from twin.measurement.table import Measurements
 
 LEGIBLE: Final = 5.0
 """An estimate is omitted if its interval exceeds the curve's largest value by this factor."""
@@ -124,7 +125,7 @@ def compare_points(data: Measurements, machine: Machine, calibration: Calibratio
     placed = readings(data, machine, held)
     network, good = placed.network, ~placed.bad
     nominal_network = Network(
-        machine, network.data, network.instrument, Unknowns(machine, (), ()), None, network.covariance
+        machine, network.data, network.instruments, Unknowns(machine, (), ()), None, network.covariance
     )
     nominal_setup = solve(nominal_network, np.zeros(0), placed.setup, good.astype(float)).setup
     every = np.arange(len(network.data))

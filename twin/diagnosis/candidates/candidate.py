@@ -13,7 +13,8 @@ from twin.diagnosis.candidates.signatures import Column
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect, Specification
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements, machine_state
+from twin.measurement.state import machine_state
+from twin.measurement.table import Measurements
 from twin.numerics.curves import CurveSpace
 from twin.numerics.functions import CachingState
 

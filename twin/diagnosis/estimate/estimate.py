@@ -18,7 +18,7 @@ from twin.diagnosis.problem.forms import Form, pseudo_inverse
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.result import Quantity
 from twin.machine.effects import Effect
-from twin.measurement.table import machine_state
+from twin.measurement.state import machine_state
 from twin.numerics.covariance import Covariance
 
 STEPS: Final = 12

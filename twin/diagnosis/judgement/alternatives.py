@@ -23,7 +23,7 @@ from twin.diagnosis.selection.search import excess_ratio
 from twin.diagnosis.selection.structure import Findings
 from twin.identification.network import Network
 from twin.machine.effects import Effect, assemble
-from twin.measurement.table import machine_state
+from twin.measurement.state import machine_state
 from twin.uncertainty.budget import volume
 
 RIVALS: Final = 2
@@ -243,7 +243,7 @@ def _prediction(problem: Problem, forms: Sequence[Form], plan: Any) -> np.ndarra
 def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan: Any) -> np.ndarray:
     network = problem.network
     one = np.broadcast_to(np.eye(3), (len(plan), 3, 3))
-    other = Network(network.machine, plan, network.instrument, network.unknowns, covariance=one)
+    other = Network(network.machine, plan, network.instruments, network.unknowns, covariance=one)
     view = other.view(np.zeros(0), problem.setup, np.arange(len(plan)))
     by_setup = np.zeros((len(plan), 3, len(problem.setup)))
     other.fill_setup_columns(view, problem.setup, by_setup)

@@ -19,7 +19,8 @@ from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
 from twin.machine.effects.empirical import Empirical, channel_name
 from twin.machine.machine import Machine
-from twin.measurement.table import Measurements, machine_state
+from twin.measurement.state import machine_state
+from twin.measurement.table import Measurements
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.budget import volume
 
@@ -87,7 +88,7 @@ def residuals_as_written(problem: Problem, extended: Calibration, instrument: np
     as_written = Network(
         network.machine,
         network.data,
-        network.instrument,
+        network.instruments,
         network.unknowns,
         extended,
         network.covariance,

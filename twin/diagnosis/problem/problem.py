@@ -22,7 +22,7 @@ from twin.diagnosis.problem.signature_products import PointBlock, Signatures
 from twin.identification.network import LinearisedReadings, Network
 from twin.identification.setup import SetUp
 from twin.machine.calibration import Calibration
-from twin.measurement.table import machine_state
+from twin.measurement.state import machine_state
 from twin.numerics.functions import Rows, pieces
 
 RANK_TOLERANCE: Final = 1e-9

@@ -79,7 +79,7 @@ class Readings:
         fewer = Network(
             network.machine,
             replace(data, set_aside=(*data.set_aside, *notes)),
-            network.instrument,
+            network.instruments,
             network.unknowns,
             self.calibration,
             covariance,

@@ -20,7 +20,8 @@ from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import Column, SignatureTerm
 from twin.machine.effects.waves import APPROACH, Waves, terms
 from twin.machine.machine import Axis, Machine
-from twin.measurement.table import CARRIERS, Measurements, machine_state
+from twin.measurement.state import machine_state
+from twin.measurement.table import CARRIERS, Measurements
 from twin.numerics.functions import Functions, Rows
 
 ALONE: Final = 16

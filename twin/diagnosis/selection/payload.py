@@ -23,7 +23,7 @@ from twin.machine.effects import Payload
 from twin.machine.effects.gravity_compliance import GRAVITY_COMPLIANCE, UNKNOWN_PAYLOAD, payloads_of
 from twin.machine.effects.payload import CENTRE_RANGE_MM, MASS, SIDES, Side, max_payload_kg, side_of
 from twin.machine.machine import Axis
-from twin.measurement.table import machine_state
+from twin.measurement.state import machine_state
 
 ROUNDS: Final = 4
 """Largest number of repeated searches."""

@@ -13,7 +13,7 @@ from twin.diagnosis.selection.patterns import patterns
 from twin.diagnosis.selection.payload import select_with_payload
 from twin.diagnosis.selection.search import Selection, candidates_of
 from twin.diagnosis.selection.structure import Findings, Structure, joint_selection, with_patterns
-from twin.measurement.table import machine_state
+from twin.measurement.state import machine_state
 
 LARGE: Final = 100.0
 """χ² of a cause above which its residual between two tabulated periods or time constants could look like another cause."""

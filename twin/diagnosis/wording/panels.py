@@ -17,7 +17,7 @@ from twin.machine.effects.names import axis_of, motion_in_words
 from twin.machine.effects.specification import Drawing
 from twin.machine.effects.waves import APPROACH
 from twin.machine.machine import DIRECTIONS, Machine
-from twin.measurement.table import machine_state
+from twin.measurement.state import machine_state
 
 STOPS: Final = 24
 """Number of distinct positions up to which each forms a group."""

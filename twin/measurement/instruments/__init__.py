@@ -6,20 +6,61 @@ command; it has the same `InstrumentSpecification`.
 
 from typing import Final
 
-from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification
+import numpy as np
+
+from twin._common.errors import InputError, closest_name
+from twin.measurement.instruments.ball_bar import BallBar
+from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification, Reads, StationInstruments
 from twin.measurement.instruments.interferometer import TrackingInterferometer
+from twin.measurement.instruments.linear import LinearInterferometer
 from twin.measurement.instruments.multi_axis import MultiAxis
 from twin.measurement.instruments.multi_axis_solve import Displacement, measure
+from twin.measurement.instruments.probe import TouchProbe
+from twin.measurement.instruments.r_test import RTest
 from twin.measurement.instruments.refraction import STANDARD_AIR, Air, length_scale, refractive_index
 from twin.measurement.instruments.tracker import AT960, AT960_ABSOLUTE, LaserTracker
 
-INSTRUMENTS: Final[tuple[Instrument, ...]] = (AT960, AT960_ABSOLUTE, TrackingInterferometer())
-"""Instruments whose readings a measurement table can contain, default ones first (`default_instrument`)."""
+INSTRUMENTS: Final[tuple[Instrument, ...]] = (
+    TouchProbe(),
+    RTest(),
+    BallBar(),
+    AT960,
+    AT960_ABSOLUTE,
+    TrackingInterferometer(),
+    LinearInterferometer(),
+)
+"""Instruments whose readings a measurement table can contain, those for the most particular readings first (`default_instrument`)."""
 
 
-def default_instrument(*, lengths_only: bool) -> Instrument:
-    """Return the default instrument: the first that reads lengths only, or the first that reads coordinates."""
-    return next(one for one in INSTRUMENTS if one.lengths_only == lengths_only)
+def instrument_named(name: str) -> Instrument:
+    """Return the instrument of a name.
+
+    Raises:
+        InputError: an unknown name.
+    """
+    names = [one.name for one in INSTRUMENTS]
+    if name not in names:
+        raise InputError(
+            "unknown instrument", expected=f"one of {', '.join(names)}", value=name, nearest=closest_name(name, names)
+        )
+    return INSTRUMENTS[names.index(name)]
+
+
+def default_instrument(reads: Reads, side: str = SIDES[0], largest_mm: float = np.inf) -> Instrument:
+    """Return the first instrument for readings of a kind.
+
+    Args:
+        reads: what is read.
+        side: side on which the station rides.
+        largest_mm: largest reading.
+    """
+    return next(
+        one
+        for one in INSTRUMENTS
+        if one.specification.reads == reads
+        and side in one.specification.rides_on
+        and largest_mm <= one.specification.range_mm
+    )
 
 
 __all__ = [
@@ -27,11 +68,17 @@ __all__ = [
     "SIDES",
     "STANDARD_AIR",
     "Air",
+    "BallBar",
     "Displacement",
     "Instrument",
     "InstrumentSpecification",
     "LaserTracker",
+    "LinearInterferometer",
     "MultiAxis",
+    "RTest",
+    "Reads",
+    "StationInstruments",
+    "TouchProbe",
     "TrackingInterferometer",
     "length_scale",
     "measure",

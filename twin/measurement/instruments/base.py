@@ -7,13 +7,19 @@ A new instrument is one file with an `InstrumentSpecification` and one class, an
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, Literal, final
 
 import numpy as np
 
+from twin._common.units import UM
+
 SIDES: Final = ("base", "tool", "work")
 """Sides on which a station can ride (column ``station_carrier``): base frame, frame of the spindle nose, or work frame."""
+Reads = Literal["point", "length", "coordinate", "null"]
+"""What an instrument reads of a target in its station's frame: coordinates; the distance from the station's origin; the coordinate
+along its x; nothing, because the axis positions in the row are those at which the target was at the station's origin."""
 
 
 @final
@@ -25,17 +31,30 @@ class InstrumentSpecification:
         name: the name that selects it.
         title: its full name.
         columns: columns of the table that it fills.
+        reads: what it reads of a target.
         free_start: whether it counts from an unknown zero; an estimate then contains a dead path for each station.
         rides_on: sides on which its station can ride. Readings are of the target in the station's frame.
+        range_mm: largest reading.
+        beam: whether it measures along and across a beam, with different uncertainties.
+        source: where its default uncertainty comes from.
         effects: instrument errors that a diagnosis may look for (names of effects).
     """
 
     name: str
     title: str
     columns: tuple[str, ...]
+    reads: Reads
     free_start: bool
     rides_on: tuple[str, ...]
     effects: tuple[str, ...]
+    source: str
+    range_mm: float = np.inf
+    beam: bool = True
+
+    @property
+    def turns(self) -> bool:
+        """Whether a reading depends on the rotation of the station."""
+        return self.reads in ("point", "coordinate")
 
 
 class Instrument(ABC):
@@ -77,16 +96,119 @@ class Instrument(ABC):
         """The name that selects it."""
         return self.specification.name
 
-    @property
-    def lengths_only(self) -> bool:
-        """Whether it reads a length and no coordinates."""
-        return self.specification.columns == ("x_mm",)
-
     def noise(self, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Return (n, 3) a random draw of the readings' noise, metres."""
         values, vectors = np.linalg.eigh(self.covariance(points))
         scale = np.sqrt(np.maximum(values, 0.0))
         return np.einsum("nij,nj->ni", vectors, scale * rng.standard_normal((len(points), 3)))
+
+
+class LengthReading(Instrument):
+    """An instrument that reads the distance from its station's origin, in the table's ``x_mm``; y and z stay empty."""
+
+    @abstractmethod
+    def sigma_m(self, points: np.ndarray) -> np.ndarray:
+        """Return (n,) the standard uncertainty of the lengths to (n, 3) points, metres."""
+
+    def read(self, points: np.ndarray) -> np.ndarray:
+        """See `Instrument.read`."""
+        readings = np.full((len(points), 3), np.nan)
+        readings[:, 0] = np.linalg.norm(points, axis=1)
+        return readings
+
+    def jacobian(self, points: np.ndarray) -> np.ndarray:
+        """See `Instrument.jacobian`."""
+        rows = np.zeros((len(points), 3, 3))
+        rows[:, 0, :] = points / np.linalg.norm(points, axis=1, keepdims=True)
+        return rows
+
+    def covariance(self, points: np.ndarray) -> np.ndarray:
+        """See `Instrument.covariance`."""
+        return _first_only(self.sigma_m(points) ** 2)
+
+    def pooled(self, readings: np.ndarray, deviations: np.ndarray, dof: int) -> np.ndarray:
+        """See `Instrument.pooled`: one variance for all lengths."""
+        return _first_only(np.full(len(readings), np.sum(deviations[:, 0] ** 2) / dof))
+
+
+class IsotropicNoise(Instrument):
+    """An instrument whose coordinates have the same, independent uncertainty.
+
+    Attributes:
+        sigma_um: standard uncertainty of a coordinate.
+    """
+
+    sigma_um: float
+
+    def read(self, points: np.ndarray) -> np.ndarray:
+        """See `Instrument.read`."""
+        return np.array(points, dtype=float)
+
+    def jacobian(self, points: np.ndarray) -> np.ndarray:
+        """See `Instrument.jacobian`."""
+        return np.broadcast_to(np.eye(3), (len(points), 3, 3))
+
+    def covariance(self, points: np.ndarray) -> np.ndarray:
+        """See `Instrument.covariance`."""
+        return np.broadcast_to((self.sigma_um * UM) ** 2 * np.eye(3), (len(points), 3, 3))
+
+    def pooled(self, readings: np.ndarray, deviations: np.ndarray, dof: int) -> np.ndarray:
+        """See `Instrument.pooled`: one variance for all coordinates."""
+        variance = float(np.sum(deviations**2)) / (3.0 * dof)
+        return np.broadcast_to(variance * np.eye(3), (len(readings), 3, 3))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class StationInstruments:
+    """The instruments of the stations of a table.
+
+    Attributes:
+        by_station: the instrument of each station, by name.
+    """
+
+    by_station: Mapping[str, Instrument]
+
+    @classmethod
+    def same(cls, instrument: Instrument, stations: np.ndarray) -> StationInstruments:
+        """Return one instrument for all of the stations (n,)."""
+        return cls(dict.fromkeys(stations.tolist(), instrument))
+
+    @property
+    def every(self) -> tuple[Instrument, ...]:
+        """The different instruments."""
+        return tuple(dict.fromkeys(self.by_station.values()))
+
+    @property
+    def name(self) -> str:
+        """Their names, in words."""
+        return " and ".join(one.name for one in self.every)
+
+    def groups(self, stations: np.ndarray) -> Iterator[tuple[Instrument, np.ndarray]]:
+        """Yield each instrument with the indices of its rows, from the station (n,) of each row."""
+        if len(self.every) == 1:
+            yield self.every[0], np.arange(len(stations))
+            return
+        number = {name: self.every.index(one) for name, one in self.by_station.items()}
+        which = np.array([number[name] for name in stations], dtype=int)
+        for i, instrument in enumerate(self.every):
+            rows = np.flatnonzero(which == i)
+            if len(rows):
+                yield instrument, rows
+
+    def covariance(self, points: np.ndarray, stations: np.ndarray) -> np.ndarray:
+        """Return (n, 3, 3) the covariance of the readings of (n, 3) points by the instruments of (n,) stations, m²."""
+        found = np.empty((len(points), 3, 3))
+        for instrument, rows in self.groups(stations):
+            found[rows] = instrument.covariance(points[rows])
+        return found
+
+
+def _first_only(variance: np.ndarray) -> np.ndarray:
+    """Return (n, 3, 3) covariances of readings of one number, from (n,) variances."""
+    found = np.zeros((len(variance), 3, 3))
+    found[:, 0, 0] = variance
+    return found
 
 
 def along_and_across(points: np.ndarray, along: np.ndarray, across: np.ndarray) -> np.ndarray:

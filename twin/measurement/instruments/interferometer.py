@@ -8,7 +8,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification
+from twin.measurement.instruments.base import SIDES, InstrumentSpecification, LengthReading
 
 DATA_SHEET_FACTOR: Final = 2.0
 """Coverage factor of the expanded uncertainty in the data sheet."""
@@ -16,19 +16,20 @@ TRACKING: Final = InstrumentSpecification(
     name="interferometer",
     title="tracking interferometer (LaserTRACER-NG)",
     columns=("x_mm",),
+    reads="length",
     free_start=True,
     rides_on=SIDES,
     effects=("frame_shift", "refraction_scale", "station_drift", "target_shift", "time_skew"),
+    source="expanded uncertainty (k = 2) of the data sheet",
 )
 
 
 @final
 @dataclass(frozen=True)
-class TrackingInterferometer(Instrument):
+class TrackingInterferometer(LengthReading):
     """A tracking interferometer; LaserTRACER-NG by default, U = 0.2 µm + 0.3 µm/m (thesis 2.8).
 
-    Its reading is the distance minus the dead path, in the table's ``x_mm``; y and z stay empty. An evaluation has to identify the dead
-    path; a simulation sets it.
+    Its reading is the distance minus the dead path. An evaluation has to identify the dead path; a simulation sets it.
 
     Attributes:
         length_um, length_um_per_m: expanded uncertainty of a length.
@@ -43,25 +44,9 @@ class TrackingInterferometer(Instrument):
 
     def read(self, points: np.ndarray) -> np.ndarray:
         """See `Instrument.read`."""
-        readings = np.full((len(points), 3), np.nan)
-        readings[:, 0] = np.linalg.norm(points, axis=1) - self.dead_path_m
-        return readings
+        return super().read(points) - np.array([self.dead_path_m, 0.0, 0.0])
 
-    def jacobian(self, points: np.ndarray) -> np.ndarray:
-        """See `Instrument.jacobian`."""
-        rows = np.zeros((len(points), 3, 3))
-        rows[:, 0, :] = points / np.linalg.norm(points, axis=1, keepdims=True)
-        return rows
-
-    def covariance(self, points: np.ndarray) -> np.ndarray:
-        """See `Instrument.covariance`."""
+    def sigma_m(self, points: np.ndarray) -> np.ndarray:
+        """See `LengthReading.sigma_m`."""
         length = np.linalg.norm(points, axis=1)
-        matrix = np.zeros((len(points), 3, 3))
-        matrix[:, 0, 0] = ((self.length_um + self.length_um_per_m * length) * UM / DATA_SHEET_FACTOR) ** 2
-        return matrix
-
-    def pooled(self, readings: np.ndarray, deviations: np.ndarray, dof: int) -> np.ndarray:
-        """See `Instrument.pooled`: one variance for all lengths."""
-        found = np.zeros((len(readings), 3, 3))
-        found[:, 0, 0] = np.sum(deviations[:, 0] ** 2) / dof
-        return found
+        return np.asarray((self.length_um + self.length_um_per_m * length) * UM / DATA_SHEET_FACTOR)

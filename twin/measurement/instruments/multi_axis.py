@@ -97,9 +97,11 @@ class MultiAxis:
             name="multi-axis",
             title="multi-axis interferometer",
             columns=tuple(f"beam_{name}_mm" for name in self.beams),
+            reads="length",
             free_start=True,
             rides_on=("base",),
             effects=("refraction_scale",),
+            source="standard deviation of a beam, stated by the layout",
         )
 
     @property

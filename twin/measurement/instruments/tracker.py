@@ -16,9 +16,11 @@ INTERFEROMETER: Final = InstrumentSpecification(
     name="tracker",
     title="laser tracker, lengths by its interferometer (AT960)",
     columns=("x_mm", "y_mm", "z_mm"),
+    reads="point",
     free_start=False,
     rides_on=SIDES,
     effects=("frame_shift", "refraction_scale", "station_drift", "target_shift", "affine_scale", "time_skew"),
+    source="maximum permissible errors of the data sheet, taken as two standard deviations",
 )
 ABSOLUTE: Final = replace(
     INTERFEROMETER, name="tracker-absolute", title="laser tracker, lengths by its absolute distance meter (AT960)"

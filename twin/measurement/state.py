@@ -1,0 +1,28 @@
+"""What the rows of a measurement table state: the machine's state for effects, and targets read at the origin of their station."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.machine.machine import Machine
+from twin.measurement.instruments import SIDES
+from twin.measurement.table import Measurements
+
+
+def machine_state(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
+    """Return the positions and every channel that has no gaps, by name: ``approach_X``, ``time_s``, ``T_X_degC``, ``spindle_rpm``."""
+    found = {axis.name: np.asarray(data.positions[:, i]) for i, axis in enumerate(machine.axes)}
+    for i, axis in enumerate(machine.axes):
+        if np.any(data.approach[:, i]):
+            found[f"approach_{axis.name}"] = np.asarray(data.approach[:, i], dtype=float)
+    if np.all(np.isfinite(data.time_s)):
+        found["time_s"] = np.asarray(data.time_s)
+    for name, values in data.temperature_degC.items():
+        if np.all(np.isfinite(values)):
+            found[f"T_{name}_degC"] = np.asarray(values)
+    return found | {name: np.asarray(values) for name, values in data.channels.items() if np.all(np.isfinite(values))}
+
+
+def at_origin(data: Measurements) -> np.ndarray:
+    """Return (n,) whether a target was read at its station's origin: a probe's tip at the centre of a sphere."""
+    return np.asarray((data.station_carrier != SIDES[0]) & (np.nan_to_num(data.point_mm, nan=1.0) == 0.0).all(axis=1))
