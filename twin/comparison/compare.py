@@ -56,9 +56,6 @@ def compare(
         InputError: calibrations of different machines; one measured under control tables and the other without; conditions that
             neither calibration uses; a tolerance that is not positive.
     """
-    for name, side in (("first", first), ("second", second)):
-        require_type(name, side, Calibration)
-    machine = first.machine
     notices, named = _check_tables(first, second), (_label(first, "the first"), _label(second, "the second"))
     first, second = (side.with_control(None) if side.corrections else side for side in (first, second))
     at = _checked_conditions(conditions, first, second, tolerance_mm)
@@ -74,7 +71,7 @@ def compare(
         sides[0], sides[1], known, tool_length_mm=tool_length_mm, conditions=at, poses=poses, progress=progress
     )
     found = Changes(
-        machine=machine,
+        machine=first.machine,
         warnings=merge_warnings(first.warnings, second.warnings),
         first=named[0],
         second=named[1],
@@ -174,6 +171,8 @@ def _check_tables(first: Calibration, second: Calibration) -> list[str]:
     Raises:
         InputError: the calibrations are not comparable, because the tables are not in both or differ.
     """
+    for name, side in (("first", first), ("second", second)):
+        require_type(name, side, Calibration)
     one, two = first.control, second.control
     kinds = ["remaining" if c is not None and c.errors_are == "remaining" else "uncorrected" for c in (one, two)]
     if kinds[0] != kinds[1]:
