@@ -147,7 +147,7 @@ def test_a_single_column_is_taken_as_lengths_with_a_notice(
     """The notice precedes the results, in text and JSON; a named instrument needs none."""
     lengths = measured(four_stations(dmu50, np.random.default_rng(SEED), 30), dmu50, TrackingInterferometer())
     reader, data, _ = prepare(dmu50, lengths, None)
-    assert isinstance(reader, TrackingInterferometer)
+    assert isinstance(reader.every[0], TrackingInterferometer)
     assert data.notices[0].startswith(f"{ASSUMED}x_mm is a length") and "name the instrument" in data.notices[0]
     assert not prepare(dmu50, lengths, TrackingInterferometer())[1].notices
     lengths.save(tmp_path / "m.csv", dmu50)
@@ -183,7 +183,7 @@ def test_a_column_that_does_not_follow_the_command(
 
 def test_single_y_that_follows_the_commands_is_accepted(drill: Machine, stage: Measurements) -> None:
     reader, data, _ = prepare(drill, with_points(stage, stage.point_mm[:, [1, 0, 2]]), None)
-    assert isinstance(reader, LaserTracker)
+    assert isinstance(reader.every[0], LaserTracker)
     assert data.notices == ("only y_mm is given: taken as the coordinate of all targets along a line",)
 
 

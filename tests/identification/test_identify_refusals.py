@@ -149,7 +149,7 @@ def test_the_instrument_must_fit_the_columns(dmu50: Machine, data: Measurements)
     only = replace(data, point_mm=read_only(lengths))
     with pytest.raises(InputError, match="only x_mm is given, and as a coordinate"):
         identify(only, dmu50, instrument=LaserTracker())
-    with pytest.raises(InputError, match="interferometer reads lengths only, but y_mm or z_mm is given") as caught:
+    with pytest.raises(InputError, match="interferometer reads one number, but y_mm or z_mm is given") as caught:
         identify(data, dmu50, instrument=TrackingInterferometer())
     assert caught.value.line == data.lines[0]
 

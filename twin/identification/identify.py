@@ -12,8 +12,9 @@ from twin._common.arrays import read_only
 from twin._common.errors import require_type
 from twin._common.progress import Progress, silent
 from twin._common.units import MM
+from twin.identification.constant_errors import constant_errors
 from twin.identification.determined import DeterminedModel, Wanted, determined_models
-from twin.identification.inputs import PreparedData, prepare
+from twin.identification.inputs import PreparedData, implausible_tips, prepare
 from twin.identification.orders import Choice, choose
 from twin.identification.outliers import many_outliers_notice, outlier_notes
 from twin.identification.priors import prior_precision
@@ -117,6 +118,7 @@ def _result(
         unidentified=unidentified(machine, data, model.determined, wanted, solution.setup, held),
         held_by_prior={name: float(machine.plausible(name)) for name in held},
         setup=solution.setup,
+        constants=constant_errors(machine, data, network.instruments, solution.setup, network.covariance),
         setup_u=dict(zip(solution.setup.names, (float(v) for v in u), strict=True)),
         misfit=statistics,
         choice=model.choice,
@@ -128,6 +130,7 @@ def _result(
         set_aside=(*data.set_aside, *outlier_notes(network, residual, whitened, rows.bad)),
         notices=(
             *data.notices,
+            *implausible_tips(data, solution.setup),
             *overstated_noise(rms_um(residual_mm[used]), statistics.chi2, statistics.dof),
             *many_outliers_notice(rows),
             *unknown_reference(solution, unknowns),

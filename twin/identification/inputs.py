@@ -16,6 +16,7 @@ from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
 from twin.measurement.instruments import SIDES, Instrument, StationInstruments, default_instrument, instrument_named
 from twin.measurement.observation import CarriedTargets
+from twin.measurement.state import at_origin
 from twin.measurement.table import POINT_COLUMNS, Measurements
 
 FEWEST_ROWS: Final = 3
@@ -28,6 +29,8 @@ NOTICEABLE_MOTION_M: Final = 1e-5
 """Motion, m, above which a constant reading gives a notice."""
 NOT_PROBED_M: Final = 0.02
 """Motion, m, of a sphere in the frame of its probe that is no error of a machine: the positions are not those of its centre."""
+ABOVE_NOSE_M: Final = 0.01
+"""Height of a probe's tip above the spindle nose, m, that is no measurement error."""
 LENGTH_SHARE: Final = 0.01
 """Share of the motion by which a column must change to be taken for a length; across the beam, anything would fit."""
 FARTHEST_STATION_M: Final = 50.0
@@ -55,8 +58,8 @@ def prepare(machine: Machine, data: Measurements, instrument: Instrument | None)
         InputError: a sensor that does not follow its target; a single column that is no coordinate and no length; readings that do
             not belong to the instrument; commands that do not agree with the readings (`agreeing_rows`).
     """
+    data = _check_sensors(machine, data)
     instruments, notices = _instruments(machine, data, instrument)
-    data = _check_sensors(machine, data, instruments)
     assumed = any(text.startswith(ASSUMED) for text in notices)
     try:
         agreeing, setup = agreeing_rows(machine, data, instruments)
@@ -87,7 +90,7 @@ def prepare(machine: Machine, data: Measurements, instrument: Instrument | None)
     return PreparedData(instruments, replace(agreeing, notices=all_notices), setup)
 
 
-def _check_sensors(machine: Machine, data: Measurements, instruments: StationInstruments) -> Measurements:
+def _check_sensors(machine: Machine, data: Measurements) -> Measurements:
     """Return the data with a notice for each coordinate that never changes.
 
     Raises:
@@ -98,7 +101,7 @@ def _check_sensors(machine: Machine, data: Measurements, instruments: StationIns
     notices = []
     for station in dict.fromkeys(data.station):
         at = data.station == station
-        if instruments.by_station[station].specification.reads == "null":
+        if np.all(at_origin(data)[at]):
             _check_spheres(data, points, station)
             continue
         for target in dict.fromkeys(data.target[at]):
@@ -138,6 +141,20 @@ def _check_spheres(data: Measurements, points: CarriedTargets, station: str) -> 
                 expected="the positions of the linear axes at which the tip was at the centre of the sphere",
                 row=rows[int(np.argmax(distance))],
             )
+
+
+def implausible_tips(data: Measurements, setup: SetUp) -> tuple[str, ...]:
+    """Return a notice for each probe whose tip would be above the spindle nose: the positions are probably those of the tip."""
+    found = []
+    for i, name in enumerate(setup.stations):
+        rows = data.station == name
+        above = float(setup.origin[i, 2])
+        if np.all(at_origin(data)[rows]) and data.station_carrier[rows][0] == "tool" and above > ABOVE_NOSE_M:
+            found.append(
+                f"the tip of probe {name} would be {above / MM:.0f} mm above the spindle nose: the positions may be those of the tip "
+                "(tool centre point control active), not those of the axes"
+            )
+    return tuple(found)
 
 
 def _constant(data: Measurements, rows: np.ndarray) -> np.ndarray:
@@ -225,7 +242,7 @@ def _instruments(
     for station in dict.fromkeys(data.station.tolist()):
         rows = data.station == station
         read, side = np.isfinite(data.point_mm[rows]), str(data.station_carrier[rows][0])
-        zero = side != SIDES[0] and not np.any(np.nan_to_num(data.point_mm[rows]))
+        zero = bool(np.all(at_origin(data)[rows]))
         kinds.setdefault((str(data.instrument[rows][0]), side, zero, *read.any(axis=0)), []).append(station)
     found: dict[str, Instrument] = {}
     notices: list[str] = []

@@ -15,6 +15,7 @@ from twin._common.provenance import warning_texts, warnings_to_json
 from twin._common.units import MM
 from twin.display import card, count_with_noun, note, pairs, table
 from twin.display.numbers import COVERAGE_FACTOR
+from twin.identification.constant_errors import ConstantErrors
 from twin.identification.network import Network
 from twin.identification.orders import Choice
 from twin.identification.setup import SetUp
@@ -54,6 +55,7 @@ class Identification:
         held_by_prior: errors among these that are in the calibration nevertheless, because others refer to them, with the standard
             deviation of their prior, µm or µrad.
         setup: stations and targets as estimated.
+        constants: which constant errors the readings determine; None if no axis with any moved.
         setup_u: standard uncertainty of each of their parameters, by name; metres and radians.
         misfit: chi², lack of fit, pure error.
         choice: number of functions of each curve, and prediction errors of the alternatives.
@@ -71,6 +73,7 @@ class Identification:
     unidentified: tuple[Unidentified, ...]
     held_by_prior: Mapping[str, float]
     setup: SetUp
+    constants: ConstantErrors | None
     setup_u: Mapping[str, float]
     misfit: FitStatistics
     choice: Choice
@@ -187,6 +190,7 @@ class Identification:
             "verdict": self.verdict,
             "uncertainty": self.spread,
             "errors": self.rows(),
+            "constants": self.constants,
             "table": table,
             "not_identifiable": [
                 {
@@ -277,6 +281,8 @@ class Identification:
             "  components of higher degree.",
             f"  {EXPLANATION[self.calibration.datum]}",
         ]
+        if self.constants is not None and self.constants.lost:
+            lines += ["", self.constants.text]
         if self.unidentified:
             lines += ["", "not identifiable from these data:"]
             lines += [f"  {', '.join(names)}: {reason}" for reason, names in self._by_reason().items()]

@@ -14,7 +14,8 @@ from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.instruments import STANDARD_AIR, Air, Instrument, length_scale
+from twin.measurement.checks import outside_axis_range
+from twin.measurement.instruments import STANDARD_AIR, Air, Instrument, instrument_named, length_scale
 from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import rotation_exp
@@ -181,7 +182,8 @@ def simulate(
         plan: positions, targets, carriers, stations and rounds; its coordinates are not used.
         machine: the machine.
         calibration: its true errors.
-        instrument: the instrument.
+        instrument: the instrument of the stations whose instrument the plan does not name. For a probe, the positions of the linear
+            axes become those at which its tip is at the centre of the sphere.
         rng: random generator.
         setting: stations and places; if None, those of the plan, with the others drawn.
         noise: whether measurement noise is added.
@@ -192,25 +194,41 @@ def simulate(
         them), no places and no station poses (an evaluation has to identify them).
 
     Raises:
-        InputError: a position outside the domain of a curve; a drift of an unknown station, or without ``time_s``.
+        InputError: a position outside the domain of a curve; a drift of an unknown station, or without ``time_s``; a sphere that the
+            probe cannot reach.
     """
     around = Environment() if surroundings is None else surroundings
     around.check(plan)
     placed = Placement.draw(plan, rng) if setting is None else setting
     places = np.array([placed.places_mm[target] for target in plan.target])
+    named = {
+        str(n): instrument_named(str(i)) if i else instrument
+        for n, i in zip(plan.station, plan.instrument, strict=True)
+    }
+    probed = np.array([named[name].specification.reads == "null" for name in plan.station.astype(str)])
+    if np.any(probed):
+        off = np.zeros((len(plan), 3))
+        for name in dict.fromkeys(plan.station[probed].astype(str)):
+            of = plan.station == name
+            off[of] = named[name].noise(np.zeros((int(np.count_nonzero(of)), 3)), rng) / MM if noise else 0.0
+        plan = at_centres(machine, calibration, plan, placed, off, probed)
     base = Observation(machine).points_mm(calibration, plan, places)
     readings = np.empty((len(plan), 3))
     for name, station in placed.stations.items():
         rows = plan.station == name
+        reader = named[name]
+        if reader.specification.reads == "null":
+            readings[rows] = 0.0
+            continue
         points = base[rows]
         if name in around.drift_um_per_h:
             points = points - around.drift_mm(plan, name)
         seen = station.to_station_mm(points) * MM
         # A reading is a length, or coordinates proportional to one. An interferometer counts wavelengths from where it was zeroed. In
         # constant air the dead path is never counted, so the factor applies to the reading, not to the distance.
-        found = instrument.read(seen) * around.scale
+        found = reader.read(seen) * around.scale
         if noise:
-            found = found + instrument.noise(seen, rng)
+            found = found + reader.noise(seen, rng)
         readings[rows] = found / MM
     measured = replace(
         plan,
@@ -223,6 +241,58 @@ def simulate(
         simulated=True,
     )
     return measured, placed
+
+
+def at_centres(
+    machine: Machine,
+    calibration: Calibration,
+    plan: Measurements,
+    setting: Placement,
+    off_mm: np.ndarray,
+    rows: np.ndarray,
+) -> Measurements:
+    """Return a plan with the positions of the linear axes at which the tips of probes are at the centres of their spheres.
+
+    Args:
+        machine: the machine.
+        calibration: its errors.
+        plan: the plan; its linear positions are the initial values.
+        setting: tips (the stations' origins) and spheres (the places).
+        off_mm: (n, 3) position of the sphere in the frame of the tip that counts as its centre (noise).
+        rows: (n,) which rows are probed; the others remain unchanged.
+
+    Raises:
+        InputError: a sphere that the axes do not reach.
+    """
+    linear = [i for i, axis in enumerate(machine.axes) if axis.linear]
+    places = np.array([setting.places_mm[target] for target in plan.target])
+    observation, zero = Observation(machine), np.where(rows[:, None], off_mm, 0.0)
+
+    def seen(positions: np.ndarray, errors: Calibration) -> np.ndarray:
+        at = replace(plan, positions=read_only(positions.copy()))
+        points, found = observation.points_mm(errors, at, places), np.zeros((len(plan), 3))
+        for name, station in setting.stations.items():
+            of = plan.station == name
+            found[of] = station.to_station_mm(points[of])
+        return np.asarray(found - zero)
+
+    positions, nominal = np.array(plan.positions, dtype=float), Calibration.zero(machine)
+    for errors in (nominal, nominal, calibration, calibration):
+        here = seen(positions, errors)
+        step = np.stack([seen(positions + np.eye(len(machine.axes))[i], errors) - here for i in linear], axis=2)
+        positions[np.ix_(np.flatnonzero(rows), np.array(linear))] -= np.linalg.solve(step[rows], here[rows, :, None])[
+            :, :, 0
+        ]
+    for i in linear:
+        beyond = np.flatnonzero(rows & outside_axis_range(machine.axes[i], positions[:, i]))
+        if len(beyond):
+            raise plan.error(
+                f"sphere {plan.target[beyond[0]]} is beyond the range of {machine.axes[i].name}",
+                expected=f"{machine.axes[i].lower:g} to {machine.axes[i].upper:g} mm",
+                row=int(beyond[0]),
+                value=f"{positions[beyond[0], i]:.3f}",
+            )
+    return replace(plan, positions=read_only(positions.copy()))
 
 
 def _three(values: np.ndarray) -> tuple[float, float, float]:

@@ -21,15 +21,15 @@ from twin.measurement.instruments.refraction import STANDARD_AIR, Air, length_sc
 from twin.measurement.instruments.tracker import AT960, AT960_ABSOLUTE, LaserTracker
 
 INSTRUMENTS: Final[tuple[Instrument, ...]] = (
-    TouchProbe(),
-    RTest(),
-    BallBar(),
     AT960,
     AT960_ABSOLUTE,
     TrackingInterferometer(),
     LinearInterferometer(),
+    TouchProbe(),
+    RTest(),
+    BallBar(),
 )
-"""Instruments whose readings a measurement table can contain, those for the most particular readings first (`default_instrument`)."""
+"""Instruments whose readings a measurement table can contain; the first of several alike is the default (`default_instrument`)."""
 
 
 def instrument_named(name: str) -> Instrument:
@@ -47,20 +47,21 @@ def instrument_named(name: str) -> Instrument:
 
 
 def default_instrument(reads: Reads, side: str = SIDES[0], largest_mm: float = np.inf) -> Instrument:
-    """Return the first instrument for readings of a kind.
+    """Return the instrument for readings of a kind: the one of the smallest range that includes them, the first of several.
 
     Args:
         reads: what is read.
         side: side on which the station rides.
         largest_mm: largest reading.
     """
-    return next(
+    fitting = [
         one
         for one in INSTRUMENTS
         if one.specification.reads == reads
         and side in one.specification.rides_on
         and largest_mm <= one.specification.range_mm
-    )
+    ]
+    return min(fitting, key=lambda one: one.specification.range_mm)
 
 
 __all__ = [
@@ -80,8 +81,9 @@ __all__ = [
     "StationInstruments",
     "TouchProbe",
     "TrackingInterferometer",
+    "default_instrument",
+    "instrument_named",
     "length_scale",
     "measure",
     "refractive_index",
-    "usual",
 ]
