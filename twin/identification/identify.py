@@ -20,6 +20,7 @@ from twin.identification.outliers import many_outliers_notice, outlier_notes
 from twin.identification.priors import prior_precision
 from twin.identification.result import Identification, residuals_of, rms_um
 from twin.identification.robust import FinalEstimate, RobustStart, robust_start, without_outliers
+from twin.identification.shares import instrument_shares
 from twin.identification.spread import Spread, covariance_from_repeats, covariance_of, misfit
 from twin.identification.unidentified import held_by_prior, unidentified, unknown_reference
 from twin.machine.machine import Machine
@@ -119,6 +120,7 @@ def _result(
         held_by_prior={name: float(machine.plausible(name)) for name in held},
         setup=solution.setup,
         constants=constant_errors(machine, data, network.instruments, solution.setup, network.covariance),
+        shares=instrument_shares(network, solution.setup, used, residual_mm, whitened),
         setup_u=dict(zip(solution.setup.names, (float(v) for v in u), strict=True)),
         misfit=statistics,
         choice=model.choice,

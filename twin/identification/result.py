@@ -19,6 +19,7 @@ from twin.identification.constant_errors import ConstantErrors
 from twin.identification.network import Network
 from twin.identification.orders import Choice
 from twin.identification.setup import SetUp
+from twin.identification.shares import InstrumentShare
 from twin.identification.solve import FitSolution
 from twin.identification.spread import FitStatistics, misfit
 from twin.identification.table import TableTilt
@@ -56,6 +57,7 @@ class Identification:
             deviation of their prior, µm or µrad.
         setup: stations and targets as estimated.
         constants: which constant errors the readings determine; None if no axis with any moved.
+        shares: the part of each instrument; empty if there is only one.
         setup_u: standard uncertainty of each of their parameters, by name; metres and radians.
         misfit: chi², lack of fit, pure error.
         choice: number of functions of each curve, and prediction errors of the alternatives.
@@ -74,6 +76,7 @@ class Identification:
     held_by_prior: Mapping[str, float]
     setup: SetUp
     constants: ConstantErrors | None
+    shares: tuple[InstrumentShare, ...]
     setup_u: Mapping[str, float]
     misfit: FitStatistics
     choice: Choice
@@ -191,6 +194,7 @@ class Identification:
             "uncertainty": self.spread,
             "errors": self.rows(),
             "constants": self.constants,
+            "instruments": self.shares,
             "table": table,
             "not_identifiable": [
                 {
@@ -272,6 +276,7 @@ class Identification:
                 f"repeats: reduced chi² {fit.pure_reduced:.3f} ({fit.pure_dof} degrees of freedom); lack of fit "
                 + ("cannot be tested" if np.isnan(fit.lack_p_value) else f"p = {fit.lack_p_value:.2g}")
             )
+        lines += [f"  {one.text}" for one in self.shares]
         lines += [self.verdict, "", f"error motions (95 % intervals from {_spread_text(self.spread)}):"]
         lines += [_row_text(row) for row in self.rows()]
         table = TableTilt.of(self.calibration)

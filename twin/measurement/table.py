@@ -199,13 +199,17 @@ class Measurements:
 
     @classmethod
     def join(cls, tables: Sequence[Measurements]) -> Measurements:
-        """Join tables of one machine, for example the rounds of an export. Line numbers remain those of each file.
+        """Join tables of one machine: the rounds of an export, or the readings of several instruments.
+
+        Line numbers remain those of each file. A station that another table has on another side or with another instrument is another
+        station: it and its rounds get the name of their file.
 
         Raises:
             InputError: no table, or a target or station whose place differs between tables.
         """
         if not tables:
             raise InputError("no measurements", expected="at least one table")
+        tables = _with_own_stations(tables)
         first = tables[0]
         merged: dict[str, Any] = {
             name: read_only(np.concatenate([table.arrays()[name] for table in tables])) for name in first.arrays()
@@ -327,6 +331,24 @@ def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray
         planned_places = np.stack([reader.numbers(f"{PLANNED}{name}") for name in names], axis=1)
         found = np.where(np.isfinite(found).any(axis=1, keepdims=True), found, planned_places)
     return read_only(found)
+
+
+def _with_own_stations(tables: Sequence[Measurements]) -> list[Measurements]:
+    """Return the tables with a name of its own for each station that has another side or instrument in an earlier table."""
+    kinds: dict[str, tuple[str, str, bool]] = {}
+    found = []
+    for table in tables:
+        station, rounds = np.array(table.station, dtype=object), np.array(table.round, dtype=object)
+        for name in dict.fromkeys(table.station):
+            rows = table.station == name
+            zero = not np.any(np.nan_to_num(table.point_mm[rows]))
+            kind = str(table.station_carrier[rows][0]), str(table.instrument[rows][0]), zero
+            if kinds.setdefault(name, kind) != kind:
+                own = f"{name} ({Path(table.source).name})"
+                kinds[own], station[rows] = kind, own
+                rounds[rows] = [f"{one} ({Path(table.source).name})" for one in rounds[rows]]
+        found.append(replace(table, station=read_only(station), round=read_only(rounds)))
+    return found
 
 
 def _check_names(table: Measurements) -> None:
