@@ -95,7 +95,7 @@ def test_bad_usage_leaves_nothing(measured: Path, tmp_path: Path, capsys: pytest
     for arguments, words in (
         (["--only", "E_QQ"], "--only matches no error"),
         (["--instrument", "ruler"], "one of tracker"),
-        (["--instrument", "interferometer"], "reads lengths only"),
+        (["--instrument", "interferometer"], "reads one number"),
     ):
         assert status("identify", measured, "-o", out, *arguments) == 2
         assert words in capsys.readouterr().err and not out.exists()

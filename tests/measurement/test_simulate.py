@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.measurement.test_instruments import READING
 from tests.truth.machine import TruthMachine, carried, seen
 from twin import cli
 from twin._common.errors import InputError
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.instruments import INSTRUMENTS, Air, Instrument, LaserTracker, TrackingInterferometer
+from twin.measurement.instruments import Air, Instrument, LaserTracker, TrackingInterferometer
 from twin.measurement.simulate import Environment, Placement, Station, simulate
 from twin.measurement.table import Measurements
 from twin.samples import thesis_plan
@@ -60,7 +61,7 @@ def test_the_same_seed_gives_the_same_data(dmu50: Machine, calibration: Calibrat
 def test_noise_is_the_instruments(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     """Whitened by the stated covariance, the readings' errors are standard normal: chi² of 60 repeats within 4 sigma."""
     setting = Placement.draw(plan, np.random.default_rng(5))
-    for instrument in INSTRUMENTS:
+    for instrument in READING:
         exact, _ = simulate(
             plan, dmu50, calibration, instrument, np.random.default_rng(0), setting=setting, noise=False
         )
@@ -106,7 +107,7 @@ def shop(
 
 def test_no_ambient_influence_by_default(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
     """Bit for bit, noise included; the air that the instrument assumes has no influence either."""
-    for instrument in INSTRUMENTS:
+    for instrument in READING:
         without = shop(plan, dmu50, calibration, instrument, None)
         for around in (Environment(), Environment(air=Air())):
             assert np.array_equal(shop(plan, dmu50, calibration, instrument, around), without, equal_nan=True)

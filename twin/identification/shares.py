@@ -63,11 +63,10 @@ def instrument_shares(
         own = rows[used[rows]]
         read = network.read[own]
         part = data.select(own)
-        alone = (
-            constant_errors(network.machine, part, network.instruments, setup.of(part), network.covariance[own])
-            if len(own)
-            else None
-        )
+        alone = None
+        if len(own):
+            part_setup, part_covariance = setup.of(part), network.covariance[own]
+            alone = constant_errors(network.machine, part, network.instruments, part_setup, part_covariance)
         square = float(np.mean(whitened[own][read] ** 2)) if read.any() else float("nan")
         rms = float(np.sqrt(np.nanmean(residual_mm[own] ** 2))) * 1e3 if read.any() else float("nan")
         stations = tuple(dict.fromkeys(data.station[rows].tolist()))

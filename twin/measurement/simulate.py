@@ -15,7 +15,7 @@ from twin._common.units import DEG, MM, UM
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.checks import outside_axis_range
-from twin.measurement.instruments import STANDARD_AIR, Air, Instrument, instrument_named, length_scale
+from twin.measurement.instruments import SIDES, STANDARD_AIR, Air, Instrument, instrument_named, length_scale
 from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import rotation_exp
@@ -215,8 +215,7 @@ def simulate(
     base = Observation(machine).points_mm(calibration, plan, places)
     readings = np.empty((len(plan), 3))
     for name, station in placed.stations.items():
-        rows = plan.station == name
-        reader = named[name]
+        rows, reader = plan.station == name, named.get(name, instrument)
         if reader.specification.reads == "null":
             readings[rows] = 0.0
             continue
@@ -226,7 +225,7 @@ def simulate(
         seen = station.to_station_mm(points) * MM
         # A reading is a length, or coordinates proportional to one. An interferometer counts wavelengths from where it was zeroed. In
         # constant air the dead path is never counted, so the factor applies to the reading, not to the distance.
-        found = reader.read(seen) * around.scale
+        found = reader.read(seen) * (around.scale if "refraction_scale" in reader.specification.effects else 1.0)
         if noise:
             found = found + reader.noise(seen, rng)
         readings[rows] = found / MM
@@ -262,8 +261,16 @@ def at_centres(
         rows: (n,) which rows are probed; the others remain unchanged.
 
     Raises:
-        InputError: a sphere that the axes do not reach.
+        InputError: a sphere that the axes do not reach, or that is on the side of the probe.
     """
+    wrong = np.flatnonzero(rows & ((plan.station_carrier == plan.carrier) | (plan.station_carrier == SIDES[0])))
+    if len(wrong):
+        raise plan.error(
+            "a probe rides on the side opposite to its sphere",
+            expected="station_carrier tool and carrier work",
+            row=int(wrong[0]),
+            value=f"station_carrier {plan.station_carrier[wrong[0]]}, carrier {plan.carrier[wrong[0]]}",
+        )
     linear = [i for i, axis in enumerate(machine.axes) if axis.linear]
     places = np.array([setting.places_mm[target] for target in plan.target])
     observation, zero = Observation(machine), np.where(rows[:, None], off_mm, 0.0)
