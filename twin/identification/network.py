@@ -22,7 +22,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.observation import Observation
-from twin.measurement.table import Measurements
+from twin.measurement.table import CARRIERS, Measurements
 from twin.numerics.spatial import cross_matrix
 
 CHUNK: Final = 1024
@@ -61,11 +61,15 @@ class LinearisedReadings:
     Attributes:
         rows: rows in the data.
         residual: (k, 3) whitened.
-        points: (k, 3) in the base frame.
+        points: (k, 3) the targets in the base frame.
         seen: (k, 3) the points in their stations' frames.
         whitening: (k, 3, 3).
         by_seen: (k, 3, 3) derivative of the reading with respect to the point in the station's frame.
+        by_ride: (k, 3, 3) with respect to the point in the frame on which the station rides.
         by_base: (k, 3, 3) with respect to the point in the base frame.
+        by_tool, by_work: (k, 3, 3) with respect to a shift of that side along the axes of the base frame: of the target, of the
+            station, or of neither.
+        by_tool_frame, by_work_frame: (k, 3, 3) with respect to a shift of that side along the axes of its own frame.
         by_error: (k, 3, 6·frames) with respect to every component of every error frame.
         by_place: (k, 3, 3) with respect to the target's place on its carrier.
     """
@@ -76,7 +80,12 @@ class LinearisedReadings:
     seen: np.ndarray
     whitening: np.ndarray
     by_seen: np.ndarray
+    by_ride: np.ndarray
     by_base: np.ndarray
+    by_tool: np.ndarray
+    by_work: np.ndarray
+    by_tool_frame: np.ndarray
+    by_work_frame: np.ndarray
     by_error: np.ndarray
     by_place: np.ndarray
 
@@ -221,17 +230,29 @@ class Network:
         by_seen = np.empty_like(whitening)
         for instrument, some in self.instruments.groups(self.data.station[rows]):
             by_seen[some] = whitening[some] @ instrument.jacobian(seen[some])
-        by_base = by_seen @ setup.rotation[station].transpose(0, 2, 1)
+        by_ride = by_seen @ setup.rotation[station].transpose(0, 2, 1)
+        by_base = by_ride @ carried.ride.transpose(0, 2, 1)
+        by_place = by_ride @ carried.rotation
+        sides: list[np.ndarray] = []
+        for side in CARRIERS:
+            own = (self.data.carrier[rows] == side)[:, None, None]
+            rides = (self.data.station_carrier[rows] == side)[:, None, None]
+            sides += [by_base * (1.0 * own - rides), by_place * own - by_ride * rides]
         return LinearisedReadings(
             rows=rows,
             residual=np.einsum("nij,nj->ni", whitening, self._residuals(seen, setup, rows)),
-            points=carried.points,
+            points=np.einsum("nij,nj->ni", carried.ride, carried.points) + carried.ride_origin,
             seen=seen,
             whitening=whitening,
             by_seen=by_seen,
+            by_ride=by_ride,
             by_base=by_base,
-            by_error=by_base @ carried.by_error,
-            by_place=by_base @ carried.rotation,
+            by_tool=sides[0],
+            by_tool_frame=sides[1],
+            by_work=sides[2],
+            by_work_frame=sides[3],
+            by_error=by_ride @ carried.by_error,
+            by_place=by_place,
         )
 
     def chunk(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> WhitenedRows:
@@ -257,7 +278,7 @@ class Network:
             if kind == "turn":
                 into[of, :, at] = view.by_seen[of] @ cross_matrix(view.seen[of])
             elif kind == "origin":
-                into[of, :, at] = -view.by_base[of]
+                into[of, :, at] = -view.by_ride[of]
             elif kind == "dead path":
                 into[of, :, at] = -view.whitening[of][:, :, :1]
             else:

@@ -34,11 +34,15 @@ class CarriedTargets:
         points: (n, 3).
         by_error: (n, 3, 6·frames) derivative with respect to every component of every error frame.
         rotation: (n, 3, 3) of the carrier, which is the derivative with respect to the place on the carrier.
+        ride: (n, 3, 3) rotation in the base frame of the frame on which the station rides.
+        ride_origin: (n, 3) origin of that frame in the base frame.
     """
 
     points: np.ndarray
     by_error: np.ndarray
     rotation: np.ndarray
+    ride: np.ndarray
+    ride_origin: np.ndarray
 
 
 @final
@@ -124,12 +128,15 @@ class Observation:
         """
         n = len(q)
         points, by_error, rotation = np.empty((n, 3)), np.empty((n, errors.shape[1], 3)), np.empty((n, 3, 3))
+        ride, ride_origin = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
         for function, rows in self._functions(carrier, station_carrier, derivatives=True):
             found = function(q[rows], errors[rows], places[rows])
             points[rows] = found[0]
             by_error[rows] = found[1].reshape(-1, errors.shape[1], 3)
             rotation[rows] = found[2].reshape(-1, 3, 3)
-        return CarriedTargets(points, by_error.transpose(0, 2, 1), rotation.transpose(0, 2, 1))
+            if len(found) > 3:
+                ride[rows], ride_origin[rows] = found[3].reshape(-1, 3, 3).transpose(0, 2, 1), found[4]
+        return CarriedTargets(points, by_error.transpose(0, 2, 1), rotation.transpose(0, 2, 1), ride, ride_origin)
 
     def _functions(
         self, carrier: np.ndarray, station_carrier: np.ndarray | None, *, derivatives: bool
@@ -151,8 +158,11 @@ class Observation:
         e = ca.SX.sym("e", 6 * len(self.machine.frames))
         place = ca.SX.sym("place", 3)
         pose = frame_pose(self.machine, frames[side], q, e)
-        if station in frames:
-            pose = frame_pose(self.machine, frames[station], q, e).inverse().then(pose)
+        ride = frame_pose(self.machine, frames[station], q, e) if station in frames else None
+        if ride is not None:
+            pose = ride.inverse().then(pose)
         point = pose.then(Pose(ca.SX.eye(3), place)).translation
         found = [point, ca.jacobian(point, e), pose.rotation] if derivatives else [point]
+        if derivatives and ride is not None:
+            found += [ride.rotation, ride.translation]
         return ca.Function("carried", [q, e, place], found)
