@@ -44,7 +44,7 @@ def read(plan: Measurements, machine: Machine, errors: Calibration, seed: int | 
 
 
 def constants_of(plan: Measurements, machine: Machine, *, places: bool, tip: bool) -> ConstantErrors:
-    """What the nominal machine's readings tell if spheres or tips are known."""
+    """Return the constants that readings of the nominal machine determine if spheres or tips are known."""
     exact = read(plan, machine, Calibration.zero(machine))
     known = replace(
         exact,

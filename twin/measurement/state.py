@@ -1,4 +1,4 @@
-"""What the rows of a measurement table state: the machine's state for effects, and targets read at the origin of their station."""
+"""State of the machine for effects, and rows that were read at the origin of their station, from a measurement table."""
 
 from __future__ import annotations
 
