@@ -22,6 +22,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.observation import Observation
+from twin.measurement.state import of_angles
 from twin.measurement.table import CARRIERS, Measurements
 from twin.numerics.spatial import cross_matrix
 
@@ -132,6 +133,7 @@ class Network:
         self.covariance = stated_covariance(data, instruments) if covariance is None else covariance
         self.whitening = read_only(_whitening(self.covariance, self.read))
         self._observation = Observation(machine)
+        self._angles = of_angles(data)
         self._q = np.asarray(data.positions) * machine.scale
         known = Calibration.zero(machine) if base is None else base
         self._base = self._observation.errors(known, data, check=check)
@@ -186,7 +188,9 @@ class Network:
         """Return (k, 3) measured minus predicted, metres, in each station's frame; zero where nothing was read."""
         q, errors = self._q[rows], self.errors(theta, rows)
         place = setup.place[self._order(setup)[1][rows]]
-        points = self._observation.points(q, errors, self.data.carrier[rows], place, self.data.station_carrier[rows])
+        points = self._observation.points(
+            q, errors, self.data.carrier[rows], place, self.data.station_carrier[rows], self._angles[rows]
+        )
         seen = self._seen(points, setup, rows)
         return self._residuals(seen, setup, rows)
 
@@ -224,6 +228,7 @@ class Network:
             self.data.carrier[rows],
             setup.place[target],
             self.data.station_carrier[rows],
+            self._angles[rows],
         )
         seen = self._seen(carried.points, setup, rows)
         whitening = self.whitening[rows]
@@ -231,13 +236,14 @@ class Network:
         for instrument, some in self.instruments.groups(self.data.station[rows]):
             by_seen[some] = whitening[some] @ instrument.jacobian(seen[some])
         by_ride = by_seen @ setup.rotation[station].transpose(0, 2, 1)
-        by_base = by_ride @ carried.ride.transpose(0, 2, 1)
+        shifted = by_ride * ~self._angles[rows, None, None]  # a shift changes no angle
+        by_base = shifted @ carried.ride.transpose(0, 2, 1)
         by_place = by_ride @ carried.rotation
         sides: list[np.ndarray] = []
         for side in CARRIERS:
             own = (self.data.carrier[rows] == side)[:, None, None]
             rides = (self.data.station_carrier[rows] == side)[:, None, None]
-            sides += [by_base * (1.0 * own - rides), by_place * own - by_ride * rides]
+            sides += [by_base * (1.0 * own - rides), shifted @ carried.rotation * own - shifted * rides]
         return LinearisedReadings(
             rows=rows,
             residual=np.einsum("nij,nj->ni", whitening, self._residuals(seen, setup, rows)),
@@ -282,7 +288,7 @@ class Network:
             elif kind == "dead path":
                 into[of, :, at] = -view.whitening[of][:, :, :1]
             else:
-                into[of, :, at] = view.by_place[of]
+                into[of, :, at] = view.by_place[of, :, : at.stop - at.start]
 
 
 def stated_covariance(data: Measurements, instruments: StationInstruments) -> np.ndarray:

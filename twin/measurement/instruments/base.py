@@ -17,9 +17,10 @@ from twin._common.units import UM
 
 SIDES: Final = ("base", "tool", "work")
 """Sides on which a station can ride (column ``station_carrier``): base frame, frame of the spindle nose, or work frame."""
-Reads = Literal["point", "length", "coordinate", "null"]
+Reads = Literal["point", "length", "coordinate", "null", "angle"]
 """Kinds of reading of a target in its station's frame: coordinates; the distance from the station's origin; the coordinate
-along its x; nothing, because the axis positions in the row are those at which the target was at the station's origin."""
+along its x; nothing, because the axis positions in the row are those at which the target was at the station's origin; the end of a
+line of 1 m that turns with the target about the station's origin."""
 
 
 @final
