@@ -183,7 +183,7 @@ def reduce_contacts(contacts: Contacts, machine: Machine, probing: Probing) -> R
         )
     how = "as stated" if probing.u_contact_mm is not None else f"from the residuals, {dof} degrees of freedom"
     notes = (*notes, *_normals(contacts, points, fits, groups, probing))
-    notes = (f"standard uncertainty of a contact {noise * 1e3:.3g} µm, {how}", *notes)
+    notes = (f"standard uncertainty of a contact: {noise * 1e3:.3g} µm, {how}", *notes)
     return ReducedContacts(_table(contacts, machine, centres, columns), tuple(centres), noise, notes)
 
 

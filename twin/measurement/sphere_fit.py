@@ -150,7 +150,7 @@ def fit_sphere(
     design = jacobian(found.x)
     left, singular, right = np.linalg.svd(design, full_matrices=False)
     if not np.isfinite(found.x).all() or not found.success:
-        raise InputError("the sphere fit does not converge", expected="contacts on a sphere", file=file, line=line)
+        raise _undetermined("the fit does not converge", file, line)
     if singular[-1] <= SMALLEST_SINGULAR_VALUE * singular[0]:
         raise _undetermined(f"no change along {_direction(right[-1, :3])}", file, line)
     return Sphere(

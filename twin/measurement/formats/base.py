@@ -109,7 +109,7 @@ class Conversion:
 
     Attributes:
         measurements: the table.
-        notes: assumptions and findings, one sentence each.
+        notes: assumptions (they begin with ``assumed``) and findings, one sentence each.
         centres: sphere centres with their covariances, if the file has single contacts.
     """
 

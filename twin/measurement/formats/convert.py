@@ -48,7 +48,7 @@ class ConvertedFiles:
     Attributes:
         specification: format of the files.
         measurements: the table.
-        notes: assumptions and findings, one sentence each.
+        notes: assumptions (they begin with ``assumed``) and findings, one sentence each.
         centres: sphere centres with their covariances, if the files have single contacts.
         origins: names, sizes and SHA-256 of the files.
     """
@@ -60,17 +60,14 @@ class ConvertedFiles:
     origins: tuple[str, ...]
 
     @property
-    def assumed(self) -> tuple[str, ...]:
-        """All that was assumed, and what of the format is not verified, one line each."""
-        return (
-            *(f"assumed: {note}" for note in self.notes),
-            *(f"not verified: {text}" for text in self.specification.unverified),
-        )
+    def remarks(self) -> tuple[str, ...]:
+        """Assumptions, findings, and the parts of the format that are not verified, one line each."""
+        return (*self.notes, *(f"not verified: {text}" for text in self.specification.unverified))
 
     @property
     def comment(self) -> str:
         """Comment lines for the table: origin, assumptions, what is not verified."""
-        return "\n".join((*(f"converted from {origin}" for origin in self.origins), *self.assumed))
+        return "\n".join((*(f"converted from {origin}" for origin in self.origins), *self.remarks))
 
     def save(self, path: str | Path, machine: Machine) -> None:
         """Write the table atomically, with its origin in comments."""
@@ -82,7 +79,7 @@ class ConvertedFiles:
         lines = [
             f"{self.specification.title}: {count_with_noun(len(self.measurements), 'row')}, {rounds}; "
             f"{self.specification.gives}",
-            *(f"  {text}" for text in self.assumed),
+            *(f"  {text}" for text in self.remarks),
         ]
         return "\n".join(lines) + "\n"
 
@@ -93,7 +90,7 @@ class ConvertedFiles:
             "format": self.specification.name,
             "files": list(self.origins),
             "rows": len(self.measurements),
-            "assumed": list(self.notes),
+            "notes": list(self.notes),
             "not_verified": list(self.specification.unverified),
             "centres": [centre.to_dict() for centre in self.centres],
         }

@@ -71,8 +71,12 @@ class HeidenhainContacts(MeasuredFormat):
             name = "sphere" if sphere is None else f"{sphere:g}"
             rows.append(ContactRow(line, values, name, (direction[0], direction[1], direction[2])))
         return reduced(rows, path, machine, given).with_notes(
-            "X, Y, Z are axis positions at the contact, without the radius of the tip",
-            *(() if SPHERE in file_words(path) else ("consecutive contacts in one pose are contacts with one sphere",)),
+            "assumed: X, Y, Z are axis positions at the contact, without the radius of the tip",
+            *(
+                ()
+                if SPHERE in file_words(path)
+                else ("assumed: consecutive contacts in one pose are contacts with one sphere",)
+            ),
         )
 
 

@@ -62,6 +62,6 @@ class LinuxCncProbeLog(MeasuredFormat):
                     )
             rows.append(ContactRow(number, {name: value for name, value in values.items() if name in machine.names}))
         return reduced(rows, path, machine, given).with_notes(
-            "every number is in mm or degrees; the coordinates plus the work offset are axis positions",
-            "consecutive contacts in one pose are contacts with one sphere",
+            "assumed: every number is in mm or degrees; the coordinates plus the work offset are axis positions",
+            "assumed: consecutive contacts in one pose are contacts with one sphere",
         )

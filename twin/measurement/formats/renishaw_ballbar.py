@@ -103,8 +103,8 @@ class RenishawBallbar(MeasuredFormat):
         return Conversion(
             Measurements.join(tables),
             (
-                f"readings from {', '.join(found)}, {named}",
-                f"first reading at {given.start_deg:g}° from +{circle.axes[0]}, last after {given.sweep_deg:g}°, equal steps",
+                f"assumed: the readings are in {', '.join(found)}, {named}",
+                f"assumed: first reading at {given.start_deg:g}° from +{circle.axes[0]}, last after {given.sweep_deg:g}°, equal steps",
                 *sorted(notes),
             ),
         )
@@ -260,7 +260,7 @@ def _run(
         feed_mm_min=read_only(np.full(n, _feed(run, circle, path))),
     )
     counted = "the length itself" if absolute else f"deviations from the nominal length {circle.length_mm:g} mm"
-    return table, f"the readings are {counted}"
+    return table, f"assumed: the readings are {counted}"
 
 
 def _feed(run: Element, circle: _Circle, path: Path) -> float:

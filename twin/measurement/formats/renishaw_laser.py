@@ -110,8 +110,8 @@ class RenishawLaser(MeasuredFormat):
         axis, how = _axis(parts, machine, given, path)
         return _converted(parts, runs, axis, path, machine, given).with_notes(
             how,
-            "the beam is along the axis, and the length grows with its position",
-            "all readings of a run are approached in the direction of the run",
+            "assumed: the beam is along the axis, and the length grows with its position",
+            "assumed: all readings of a run are approached in the direction of the run",
         )
 
 
@@ -260,9 +260,9 @@ def _temperatures(parts: _File, path: Path, n: int) -> tuple[dict[str, np.ndarra
         start, end = numbers_in(words[:2], name, path, line)
         code_in(words[2], UNITS, f"unit of {name}", path, line)
         if start == end == NO_SENSOR:
-            notes.append(f"{name}: {NO_SENSOR:g} at the start and at the end, taken as no sensor")
+            notes.append(f"{name}: {NO_SENSOR:g} at the start and at the end, assumed to mean no sensor")
             continue
-        found[TEMPERATURES[name]] = read_only(np.full(n, (start + end) / 2.0))
+        found[TEMPERATURES[name]] = read_only(np.full(n, round((start + end) / 2.0, 6)))
     if found:
         notes.append("temperatures are the means of start and end")
     return found, tuple(notes)

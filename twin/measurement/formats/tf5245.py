@@ -122,7 +122,7 @@ def _converted(records: list[_Record], rounds: np.ndarray, path: Path, machine: 
         notes.append(f"{len(centres)} centres as the file states them, without uncertainty")
     joined = Measurements.join(tables)
     table = joined.select(np.argsort(joined.lines, kind="stable"))
-    return Conversion(table, (*notes, "one sphere in all poses"), found.centres if found is not None else ())
+    return Conversion(table, (*notes, "assumed: one sphere in all poses"), found.centres if found is not None else ())
 
 
 def _records(path: Path) -> Iterator[_Record]:

@@ -59,7 +59,7 @@ class TrackerExport(MeasuredFormat):
             station_carrier=read_only(plan.station_carrier[rows]),
             approach=read_only(plan.approach[rows]),
         )
-        return Conversion(table, (f"positions and targets of the plan {plan.source}",))
+        return Conversion(table, (f"assumed: the lines are in the order of the plan {plan.source}",))
 
 
 def _blocks(plan: Measurements) -> tuple[list[str], str, np.ndarray]:
