@@ -1,4 +1,4 @@
-"""Sphere fit: published points, another formulation, coverage of the covariance over seeded draws, contacts that determine no centre."""
+"""Sphere fit: published points, another formulation, coverage of the covariance, contacts that determine no centre."""
 
 from __future__ import annotations
 

@@ -13,6 +13,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, closest_name
 from twin._common.files import read_bytes
+from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, warnings_to_json
 from twin.display import count_with_noun
 from twin.machine.machine import Machine
 from twin.measurement.checks import check_ranges
@@ -60,9 +61,14 @@ class ConvertedFiles:
     origins: tuple[str, ...]
 
     @property
+    def _warnings(self) -> tuple[SourceWarning, ...]:
+        return (SIMULATED,) if self.measurements.simulated else ()
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Assumptions, findings, and the parts of the format that are not verified, one line each."""
-        return (*self.notes, *(f"not verified: {text}" for text in self.specification.unverified))
+        warnings = warning_texts(self._warnings)
+        return (*warnings, *self.notes, *(f"not verified: {text}" for text in self.specification.unverified))
 
     @property
     def comment(self) -> str:
@@ -93,6 +99,7 @@ class ConvertedFiles:
             "notes": list(self.notes),
             "not_verified": list(self.specification.unverified),
             "centres": [centre.to_dict() for centre in self.centres],
+            "warnings": warnings_to_json(self._warnings),
         }
 
 
