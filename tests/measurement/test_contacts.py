@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from tests.measurement.formats.cases.spheres import DIRECTIONS
 from tests.truth.reference import dmu50_pose
@@ -14,6 +15,7 @@ from twin._common.errors import InputError
 from twin.identification import identify
 from twin.machine.machine import Machine
 from twin.measurement.contacts import Contacts, Probing, ReducedContacts, numbered_rounds, reduce_contacts
+from twin.measurement.sphere_fit import fit_sphere
 
 MACHINE = Machine.load("dmu50")
 RADIUS, TOOL = 13.0, 150.0
@@ -122,6 +124,27 @@ def test_an_outlier_is_named(stated: float | None) -> None:
     with pytest.raises(InputError, match="a contact is an outlier") as caught:
         reduced(contacts(points, poses), Probing(u_contact_mm=stated))
     assert caught.value.line == 15
+
+
+@pytest.mark.parametrize(("sigmas", "refused"), [(4.0, False), (4.4, True)])
+def test_an_outlier_is_significant_after_correction_for_the_number_of_contacts(sigmas: float, refused: bool) -> None:
+    """With 24 contacts, p = 0.001 corrected is 4.2e-5 for one: 4.10 standard deviations of its residual (scipy.stats)."""
+    assert 4.0 < norm.isf(0.5e-3 / 24) < 4.2
+    leverage = fit_sphere(RADIUS * DIRECTIONS).leverage[5]
+    points = np.tile([250.0, 225.0, -200.0] + RADIUS * DIRECTIONS, (3, 1))
+    points[13] += sigmas * NOISE / np.sqrt(1.0 - leverage) * DIRECTIONS[5]
+    given = contacts(points, np.repeat([[0.0, 0.0], [0.0, 90.0], [0.0, 180.0]], 8, axis=0))
+    if refused:
+        with pytest.raises(InputError, match="outlier"):
+            reduced(given, Probing(u_contact_mm=NOISE))
+    else:
+        reduced(given, Probing(u_contact_mm=NOISE))
+
+
+def test_a_stated_noise_that_is_too_small_is_no_outlier() -> None:
+    offsets = DIRECTIONS * np.random.default_rng(4).normal(0, 20 * NOISE, (8, 1))
+    found = reduced(one_sphere(offsets), Probing(u_contact_mm=NOISE))
+    assert found.u_contact_mm == NOISE and any("significantly more than stated" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("stated", [None, NOISE])

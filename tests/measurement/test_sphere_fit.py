@@ -66,7 +66,7 @@ def test_a_known_radius_makes_the_centre_of_a_cap_more_certain() -> None:
 @pytest.mark.parametrize("known", [False, True])
 @pytest.mark.parametrize("stated", [False, True])
 def test_the_covariance_covers_the_true_centre(known: bool, stated: bool) -> None:
-    """Of 95 % ellipsoids, 95 % contain the centre: χ² for a stated noise, Hotelling's T² for one from the residuals."""
+    """95 % of the 95 % ellipsoids contain the centre: χ² for a stated noise, Hotelling's T² for one from the residuals."""
     rng, draws, noise, radius = np.random.default_rng(20), 1500, 0.004, 12.5
     inside = 0
     for _ in range(draws):

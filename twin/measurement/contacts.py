@@ -20,7 +20,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.distributions import normal_sf, student_sf
+from twin._common.distributions import chi2_sf, normal_sf, student_sf
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.measurement.observation import Observation
@@ -183,7 +183,7 @@ def reduce_contacts(contacts: Contacts, machine: Machine, probing: Probing) -> R
         )
     how = "as stated" if probing.u_contact_mm is not None else f"from the residuals, {dof} degrees of freedom"
     notes = (*notes, *_normals(contacts, points, fits, groups, probing))
-    notes = (f"standard uncertainty of a contact: {noise * 1e3:.3g} µm, {how}", *notes)
+    notes = (f"standard uncertainty of a contact: {noise * 1e3:.3g} µm, {how}", *_excess(fits, dof, probing), *notes)
     return ReducedContacts(_table(contacts, machine, centres, columns), tuple(centres), noise, notes)
 
 
@@ -288,7 +288,8 @@ def _check_outliers(
 ) -> None:
     """Raise `InputError` if the worst contact is an outlier.
 
-    Its residual is divided by the stated noise, or by that of all other contacts (externally studentised).
+    Its residual is divided by the stated noise, or by that of all other contacts (externally studentised) where none is stated or
+    theirs is significantly larger: a statement that is too small makes no outliers.
     """
     rows, of = np.concatenate(groups), np.repeat(np.arange(len(fits)), [len(group) for group in groups])
     residuals = np.concatenate([fit.residuals_mm for fit in fits])
@@ -296,10 +297,10 @@ def _check_outliers(
     tested = free > FREE
     scaled = np.where(tested, residuals, 0.0) / np.sqrt(np.where(tested, free, 1.0))
     worst = int(np.argmax(np.abs(scaled)))
-    if probing.u_contact_mm is not None:
+    others = max(float(residuals @ residuals) - scaled[worst] ** 2, ROUNDING_MM**2)
+    if probing.u_contact_mm is not None and not _exceeds(others, dof - 1, probing.u_contact_mm):
         p = 2.0 * float(normal_sf(abs(scaled[worst]) / probing.u_contact_mm))
     elif dof > 1:
-        others = max(float(residuals @ residuals) - scaled[worst] ** 2, ROUNDING_MM**2)
         p = 2.0 * float(student_sf(abs(scaled[worst]) / np.sqrt(others / (dof - 1)), dof - 1))
     else:
         return
@@ -315,6 +316,22 @@ def _check_outliers(
         file=contacts.source,
         line=int(contacts.lines[row]),
         value=f"residual {residuals[worst] * 1e3:.3g} µm",
+    )
+
+
+def _exceeds(sum_mm2: float, dof: int, noise_mm: float) -> bool:
+    """Return whether a sum of squared residuals is significantly larger than a noise lets expect."""
+    return dof > 0 and float(chi2_sf(sum_mm2 / noise_mm**2, dof)) < OUTLIER_P
+
+
+def _excess(fits: Sequence[Sphere], dof: int, probing: Probing) -> tuple[str, ...]:
+    """Return a note if the residuals are significantly larger than the stated noise."""
+    total = sum(float(fit.residuals_mm @ fit.residuals_mm) for fit in fits)
+    if probing.u_contact_mm is None or not _exceeds(total, dof, probing.u_contact_mm):
+        return ()
+    return (
+        f"the residuals correspond to {np.sqrt(total / dof) * 1e3:.3g} µm for each contact, significantly more than stated: the "
+        "uncertainties of the centres are too small (form of the sphere, lobing of the probe, drift)",
     )
 
 

@@ -106,6 +106,7 @@ class RenishawBallbar(MeasuredFormat):
                 f"assumed: the readings are in {', '.join(found)}, {named}",
                 f"assumed: first reading at {given.start_deg:g}° from +{circle.axes[0]}, last after {given.sweep_deg:g}°, equal steps",
                 *sorted(notes),
+                f"nominal length {circle.length_mm:g} mm",
             ),
         )
 

@@ -11,7 +11,7 @@ DIRECTIONS = np.array(
 POSES = (((250.0, 225.0, -200.0), 0.0, 0.0), ((251.5, 225.25, -199.5), 0.0, 90.0), ((249.0, 190.5, -180.0), 30.0, 0.0))
 """Positions of the tip at the centre, B and C."""
 RADIUS = 15.0
-"""Of the tip's centre around the sphere's."""
+"""Radius of the tip's centre around the sphere's."""
 
 
 def contacts(radius: float = RADIUS) -> list[tuple[np.ndarray, np.ndarray, float, float]]:
