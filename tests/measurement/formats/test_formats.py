@@ -86,6 +86,10 @@ def test_every_format_is_documented(form: MeasuredFormat) -> None:
     spec = form.specification
     row = f"| `{spec.name}` {spec.title} | {' '.join(spec.suffixes)} | {spec.gives} | {spec.needs or '(complete)'} |"
     assert row in page_text("twin.measurement.formats") and spec.source
+    (line,) = (
+        text for text in page_text("twin.measurement.formats").splitlines() if text.startswith(f"- `{spec.name}` (")
+    )
+    assert spec.source in line and all(text in line for text in spec.unverified)
     assert [one.name for one in FORMATS].count(form.name) == 1
 
 

@@ -34,8 +34,12 @@ numbers with a unit of length in each run; `--trace` names the element otherwise
 from `--start-angle` (0°: +A) over `--sweep` (360°), counter-clockwise from +A to +B. Compare the table with the plot of the ball bar's
 own program before you use it.
 
-**Heidenhain.** The logs of the control's own cycles hold no sphere centres and are refused. The module
-`twin.measurement.formats.heidenhain` gives a mask for `FN 16` that prints what is needed.
+**Heidenhain.** The logs of the control's own cycles (`TCHPR451.TXT` and the like) hold no sphere centres and are refused. A program can
+print the contacts: `TCH PROBE 0` touches, `FN 18: SYSREAD` with `ID360 NR2 IDX1` … `IDX3` reads the touch point in machine coordinates,
+and `FN 16: F-PRINT` prints it with this mask. Q204 and Q205 are the rotary axes; other machines have entries with the names of their
+axes. `SPHERE` (a number) and `DX DY DZ` (the probing direction) are optional.
+
+    MASK
 
     import twin
     from twin.measurement.formats import Given
@@ -44,10 +48,15 @@ own program before you use it.
     found = twin.convert("x.rtl", machine, Given(axis="X", at={"Y": 225, "Z": -200, "B": 0, "C": 0}))
     found.save("measured.csv", machine)
     data = found.measurements
+
+**Not verified**, because no public description covers it, and **sources**:
+
+NOT VERIFIED
 """
 
 from twin.measurement.formats.base import Conversion, FormatSpecification, Given, MeasuredFormat
 from twin.measurement.formats.convert import FORMATS, ConvertedFiles, convert, format_named, format_of
+from twin.measurement.formats.heidenhain import MASK
 
 __all__ = [
     "FORMATS",
@@ -61,11 +70,22 @@ __all__ = [
     "format_of",
 ]
 
-__doc__ = (__doc__ or "").replace(
-    "FORMATS\n",
-    "".join(
-        f"| `{one.name}` {one.title} | {' '.join(one.suffixes)} | {one.gives} | {one.needs or '(complete)'} |\n"
-        for one in (form.specification for form in FORMATS)
-    ),
-    1,
+__doc__ = (
+    (__doc__ or "")
+    .replace(
+        "FORMATS\n",
+        "".join(
+            f"| `{one.name}` {one.title} | {' '.join(one.suffixes)} | {one.gives} | {one.needs or '(complete)'} |\n"
+            for one in (form.specification for form in FORMATS)
+        ),
+        1,
+    )
+    .replace(
+        "NOT VERIFIED\n",
+        "".join(
+            f"- `{one.name}` ({one.source}): {'; '.join(one.unverified) or 'complete'}.\n"
+            for one in (form.specification for form in FORMATS)
+        ),
+        1,
+    )
 )

@@ -4,11 +4,8 @@ The logs of the touch probe cycles themselves hold no sphere centres: for cycle 
 "Log function") lists angles, dispersion, backlash, the averaged positioning error and compensation values; those of cycles 408 to 431
 hold features of a workpiece. They are refused. A program can write what is needed: ``TCH PROBE 0`` touches the sphere, ``FN 18:
 SYSREAD`` with ``ID360 NR2`` reads the last touch point in machine coordinates, without radius and length of the probe (TNC 426/430
-Technical Manual, ID360), and ``FN 16`` prints it with this mask, one entry for each axis of the machine:
-
-    "CONTACT X=%+.4lf Y=%+.4lf Z=%+.4lf B=%+.4lf C=%+.4lf SPHERE=%.0lf",Q201,Q202,Q203,Q204,Q205,Q206;
-
-Q204 and Q205 are the rotary axes as programmed; ``SPHERE`` (a number) and ``DX DY DZ`` (probing direction) are optional.
+Technical Manual, ID360), and ``FN 16`` prints it with `MASK`, one entry for each axis of the machine. Q204 and Q205 are the rotary axes
+as programmed; ``SPHERE`` (a number) and ``DX DY DZ`` (probing direction) are optional.
 """
 
 from __future__ import annotations
@@ -23,6 +20,8 @@ from twin.measurement.formats.base import ContactRow, Conversion, FormatSpecific
 from twin.measurement.formats.lines import file_lines, number_in
 
 START: Final = "CONTACT"
+MASK: Final = '"CONTACT X=%+.4lf Y=%+.4lf Z=%+.4lf B=%+.4lf C=%+.4lf SPHERE=%.0lf",Q201,Q202,Q203,Q204,Q205,Q206;'
+"""Line of a mask for ``FN 16`` on a machine with the axes X, Y, Z, B, C."""
 DIRECTION: Final = ("DX", "DY", "DZ")
 SPHERE: Final = "SPHERE"
 CYCLE_LOG: Final = re.compile(r"measuring log|measurement log|messprotokoll|TCH ?PROBE\s+4\d\d|cycle\s+4\d\d", re.I)

@@ -191,6 +191,15 @@ def _check_complete(parts: _File, path: Path) -> list[np.ndarray]:
                 f"run {run} goes back and forth", expected="targets in one direction", file=path, line=line
             )
         runs.append(rows)
+    zero = [all(parts.readings[i][3] == 0.0 for i in rows) for rows in runs]
+    if any(zero) and not all(zero):
+        run = zero.index(True)
+        raise InputError(
+            f"run {run + 1} reads zero at every target",
+            expected="a measured run; programs fill the way back of a unidirectional test with zeros: remove such runs",
+            file=path,
+            line=parts.readings[runs[run][0]][0],
+        )
     return runs
 
 

@@ -40,6 +40,12 @@ ROWS = _rows()
 SIDES = ("laser X", "base", "tool")
 AGREES_MM = 1e-9
 BAD = [
+    (
+        "".join(f"2   {i + 1}      {DOWN[i]}\n" for i in reversed(range(6))),
+        "".join(f"2   {i + 1}      0\n" for i in reversed(range(6))),
+        32,
+        "run 2 reads zero at every target",
+    ),
     ("RUNS::", "RUMS::", 21, "unknown section"),
     ("Target-count: 6", "Target-count: 7", 8, "6 targets"),
     ("Run-count:2", "Run-count:4", 22, "2 runs"),
