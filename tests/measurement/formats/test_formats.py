@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.measurement.formats.cases import CASES
+from tests.measurement.formats.cases import CASES, spheres
 from twin._common.errors import InputError
 from twin.cli.doc import page_text
 from twin.machine.machine import Machine
 from twin.measurement.formats import FORMATS, ConvertedFiles, MeasuredFormat, convert, format_named, format_of
+from twin.measurement.formats.heidenhain import MASK
 from twin.measurement.table import Measurements
 
 every_format = pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
@@ -148,6 +149,14 @@ def test_an_unknown_file(tmp_path: Path) -> None:
         format_of(tmp_path / "a.txt")
     with pytest.raises(InputError, match="no such format"):
         format_named("renishaw_laser")
+
+
+def test_the_mask_of_the_manual_prints_what_is_read() -> None:
+    """The text of the mask, filled in by the rules of printf, gives the file of the case."""
+    text, _, parameters = MASK.removeprefix('"').partition('",')
+    assert parameters.count("Q") == text.count("%") == 6 and f"    {MASK}\n" in page_text("twin.measurement.formats")
+    printed = "".join(text % (*point, b, c, 1) + "\n" for point, _, b, c in spheres.contacts())
+    assert printed == CASES["heidenhain"].GOOD
 
 
 def test_a_binary_dynamic_capture_is_refused(tmp_path: Path) -> None:

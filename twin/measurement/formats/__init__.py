@@ -70,22 +70,16 @@ __all__ = [
     "format_of",
 ]
 
-__doc__ = (
-    (__doc__ or "")
-    .replace(
-        "FORMATS\n",
-        "".join(
-            f"| `{one.name}` {one.title} | {' '.join(one.suffixes)} | {one.gives} | {one.needs or '(complete)'} |\n"
-            for one in (form.specification for form in FORMATS)
-        ),
-        1,
-    )
-    .replace(
-        "NOT VERIFIED\n",
-        "".join(
-            f"- `{one.name}` ({one.source}): {'; '.join(one.unverified) or 'complete'}.\n"
-            for one in (form.specification for form in FORMATS)
-        ),
-        1,
-    )
-)
+_SPECIFICATIONS = [form.specification for form in FORMATS]
+_GENERATED = {
+    "FORMATS": [
+        f"| `{one.name}` {one.title} | {' '.join(one.suffixes)} | {one.gives} | {one.needs or '(complete)'} |"
+        for one in _SPECIFICATIONS
+    ],
+    "    MASK": [f"    {MASK}"],
+    "NOT VERIFIED": [
+        f"- `{one.name}` ({one.source}): {'; '.join(one.unverified) or 'complete'}." for one in _SPECIFICATIONS
+    ],
+}
+for _mark, _lines in _GENERATED.items():
+    __doc__ = (__doc__ or "").replace(f"\n{_mark}\n", "\n" + "\n".join(_lines) + "\n", 1)
