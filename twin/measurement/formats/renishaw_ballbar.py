@@ -250,7 +250,7 @@ def _run(
     table = Measurements(
         source=str(path),
         lines=read_only(np.full(n, trace.line)),
-        positions=read_only(positions),
+        positions=read_only(np.round(positions, 9)),
         target=words("ball"),
         carrier=words("tool"),
         station=words("pivot"),
