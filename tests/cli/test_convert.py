@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -95,9 +96,25 @@ def test_hostile_xml_is_refused_in_one_line(tmp_path: Path, capsys: pytest.Captu
     assert "nested too deeply" in refused(capsys, "convert", tmp_path / "a.b5r", "-o", tmp_path / "m.csv")
 
 
-def test_a_file_that_is_too_large_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_long_lines_are_read_in_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No pattern takes more than linear time: 200 kB of blanks, brackets and digits in one line."""
+    started = time.process_time()
+    for start in (
+        "HEADER::\nFile type",
+        "SYSCALIBFITADDRECORD",
+        "CONTACT ",
+        "<BALLBAR_RUN>",
+        "1 2 3 4",
+        "a, 1, 2",
+        "contact_x_mm,",
+    ):
+        for filling in (" ", "(", "1", "V.", "<a/>"):
+            (tmp_path / "a.txt").write_text(start + filling * (200_000 // len(filling)))
+            refused(capsys, "convert", tmp_path / "a.txt", "-o", tmp_path / "m.csv")
+    assert time.process_time() - started < 35 * 0.5  # quadratic time would be minutes
+
+
+def test_a_file_that_is_too_large_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "a.rtl"
     with path.open("wb") as stream:
         stream.truncate(2**26 + 2**20)

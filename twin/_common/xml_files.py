@@ -12,6 +12,8 @@ from twin._common.errors import InputError
 
 MAX_NESTING: Final = 100
 """Deepest nesting of elements; a URDF needs six."""
+MAX_ELEMENTS: Final = 200_000
+"""Largest number of elements; each takes about 1 kB of memory."""
 
 
 @final
@@ -58,15 +60,19 @@ def parse_xml(text: str, path: Path, expected: str) -> Element:
         expected: kind of file, for messages.
 
     Raises:
-        InputError: not XML, a document type declaration, or elements nested deeper than `MAX_NESTING`.
+        InputError: not XML, a document type declaration, more than `MAX_ELEMENTS`, or elements nested deeper than `MAX_NESTING`.
     """
     parser = expat.ParserCreate("utf-8")
-    stack = [Element("", {}, 0)]
+    stack, count = [Element("", {}, 0)], 0
 
     def refuse(what: str, wanted: str) -> InputError:
         return InputError(what, expected=wanted, file=path, line=parser.CurrentLineNumber)
 
     def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal count
+        count += 1
+        if count > MAX_ELEMENTS:
+            raise refuse("too many elements", f"at most {MAX_ELEMENTS:,}")
         if len(stack) > MAX_NESTING:
             raise refuse("elements nested too deeply", f"at most {MAX_NESTING} levels")
         element = Element(name, attributes, parser.CurrentLineNumber)

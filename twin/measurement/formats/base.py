@@ -27,6 +27,7 @@ class FormatSpecification:
         title: its full name.
         suffixes: suffixes of its files, in lower case.
         gives: what the rows of the table are.
+        instrument: name of the instrument, stated in the table's comments.
         needs: what the file does not contain and the caller must give, in words.
         source: public description that it was written from.
         unverified: what no public description covers; listed with every conversion.
@@ -36,6 +37,7 @@ class FormatSpecification:
     title: str
     suffixes: tuple[str, ...]
     gives: str
+    instrument: str
     needs: str
     source: str
     unverified: tuple[str, ...]

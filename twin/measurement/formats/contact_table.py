@@ -32,6 +32,7 @@ class ContactTable(MeasuredFormat):
         title="table of single contacts",
         suffixes=(".csv",),
         gives="sphere centres",
+        instrument="probe",
         needs="positions of rotary axes that have no column",
         source="twin's own format",
         unverified=(),

@@ -73,7 +73,8 @@ class ConvertedFiles:
     @property
     def comment(self) -> str:
         """Comment lines for the table: origin, assumptions, what is not verified."""
-        return "\n".join((*(f"converted from {origin}" for origin in self.origins), *self.remarks))
+        origins = [f"converted from {origin}" for origin in self.origins]
+        return "\n".join((*origins, f"instrument: {self.specification.instrument}", *self.remarks))
 
     def save(self, path: str | Path, machine: Machine) -> None:
         """Write the table atomically, with its origin in comments."""
@@ -94,6 +95,7 @@ class ConvertedFiles:
         return {
             "schema": "twin.conversion/1",
             "format": self.specification.name,
+            "instrument": self.specification.instrument,
             "files": list(self.origins),
             "rows": len(self.measurements),
             "notes": list(self.notes),

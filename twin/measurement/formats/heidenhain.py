@@ -36,6 +36,7 @@ class HeidenhainContacts(MeasuredFormat):
         title="Heidenhain FN 16 log of contacts",
         suffixes=(".txt", ".a", ".log"),
         gives="sphere centres",
+        instrument="probe",
         needs="positions of axes that the mask does not print",
         source="iTNC 530 Cycle Programming 340 49x-05 (log function of cycle 451); TNC 426/430 Technical Manual (FN 16, FN 18 ID360)",
         unverified=(

@@ -29,6 +29,7 @@ class LinuxCncProbeLog(MeasuredFormat):
         title="LinuxCNC probe log",
         suffixes=(".txt", ".log", ".ngc"),
         gives="sphere centres",
+        instrument="probe",
         needs="the work offset, if the coordinate system of the G38 was not that of the machine",
         source="LinuxCNC manual, G-code overview, sections Probe Logging and Numbered Parameters",
         unverified=(

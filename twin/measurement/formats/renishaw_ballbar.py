@@ -67,6 +67,7 @@ class RenishawBallbar(MeasuredFormat):
         title="Renishaw ball bar .b5r",
         suffixes=(".b5r",),
         gives="lengths of a ball bar on circles",
+        instrument="ball-bar",
         needs="the centre of the circle, as positions of all axes",
         source="programs in public repositories that read or make such files; no specification by Renishaw is public",
         unverified=(

@@ -35,7 +35,6 @@ from twin.measurement.formats.lines import MAX_BYTES, code_in, file_lines, numbe
 from twin.measurement.table import Measurements
 
 SECTION: Final = re.compile(r"([A-Z][A-Z -]*)::")
-ENTRY: Final = re.compile(r"([A-Za-z][\w -]*?)\s*:\s*(.*)")
 SECTIONS: Final = (
     "HEADER",
     "TARGET DATA",
@@ -80,6 +79,7 @@ class RenishawLaser(MeasuredFormat):
         title="Renishaw laser, linear positioning runs",
         suffixes=(".rtl", ".rtx"),
         gives="lengths along the beam",
+        instrument="linear-interferometer",
         needs="positions of the other axes; the axis, if the file's Axis is not its name",
         source="programs in public repositories that read and write such files; no specification by Renishaw is public",
         unverified=(
@@ -126,16 +126,16 @@ def _parsed(path: Path) -> _File:
             if section not in SECTIONS:
                 raise InputError("unknown section", expected=", ".join(SECTIONS), file=path, line=line, value=text)
             continue
-        entry = ENTRY.fullmatch(text)
-        if entry is not None and not (section == "" or text[0].isdigit()):
-            name = entry[1].strip()
+        label, colon, rest = text.partition(":")
+        if colon and section != "" and text[0].isalpha():
+            name = label.strip()
             if section in KNOWN and name not in KNOWN[section]:
                 raise InputError(
                     f"unknown entry of {section}", expected=", ".join(KNOWN[section]), file=path, line=line, value=text
                 )
-            parts.entries[section, name] = (line, entry[2].strip())
+            parts.entries[section, name] = (line, rest.strip())
             list_of = name if name in ("Targets", "Run Target Data") else ""
-            words = entry[2].split() if list_of else []
+            words = rest.split() if list_of else []
         else:
             words = text.split()
         if section in ("", "EOF") and words:
@@ -144,7 +144,7 @@ def _parsed(path: Path) -> _File:
             parts.targets += numbers_in(words, "a target", path, line)
         elif list_of == "Run Target Data" and words:
             parts.readings.append(_reading(words, path, line))
-        elif section in KNOWN and entry is None:
+        elif section in KNOWN and not colon:
             raise InputError(f"unknown text in {section}", expected="NAME: value", file=path, line=line, value=text)
     return parts
 

@@ -56,6 +56,7 @@ class Tf5245(MeasuredFormat):
         title="Beckhoff TF5245: SysCalibFitAddRecord",
         suffixes=(".nc", ".ecy", ".txt", ".ngc"),
         gives="sphere centres",
+        instrument="probe",
         needs="",
         source="Beckhoff Infosys, TF5245: Direct input of measurement data; Sphere centre points already calculated",
         unverified=("that the coordinates are axis positions with no offset and no tool length active",),

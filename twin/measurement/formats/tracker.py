@@ -32,6 +32,7 @@ class TrackerExport(MeasuredFormat):
         title="tracker export: name, x, y, z",
         suffixes=(".csv", ".txt"),
         gives="coordinates of reflectors",
+        instrument="tracker",
         needs="a plan: targets in blocks, with the commanded positions of every line",
         source="the thesis whose data twin reproduces",
         unverified=("that the lines are in mm and in the order of the plan: the export states neither",),
