@@ -3,7 +3,8 @@
 `import twin` gives every name that notebooks and scripts need; each is imported when it is first used (PEP 562):
 
 - machine and model: `Machine`, `Calibration`, `Curve`, `Conditions`, `effect_named`, `Kinematics`, `Inverse`;
-- measurements: `Measurements`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`, `duration`, `thesis_plan`;
+- measurements: `Measurements`, `convert`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`, `duration`,
+`thesis_plan`;
 - identification: `identify`, `ToolUncertainty`, `compare`, `draw_machines`, `identify_as_thesis`;
 - diagnosis: `diagnose`, `diagnosis_html`;
 - programs: `compensate`, `compensate_file`, `compensate_files`, `Compensator`, `Options`, `Scope`, `Setup`, `Workers`, `execute_file`,
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from twin.machine.machine import Machine
     from twin.machine.motion_curve import Curve
     from twin.measurement import instruments
+    from twin.measurement.formats import convert
     from twin.measurement.simulate import Placement, simulate
     from twin.measurement.table import Measurements
     from twin.nc import find_program, read_program
@@ -77,6 +79,7 @@ __all__ = [
     "compensate",
     "compensate_file",
     "compensate_files",
+    "convert",
     "diagnose",
     "diagnosis_html",
     "diagnosis_plots",
@@ -131,6 +134,7 @@ _HOMES = {
     "compensate": ("twin.compensation", "compensate"),
     "compensate_file": ("twin.compensation", "compensate_file"),
     "compensate_files": ("twin.compensation.many", "compensate_files"),
+    "convert": ("twin.measurement.formats", "convert"),
     "diagnose": ("twin.diagnosis", "diagnose"),
     "diagnosis_html": ("twin.diagnosis.wording.report", "diagnosis_html"),
     "draw_machines": ("twin.uncertainty.population", "draw_machines"),

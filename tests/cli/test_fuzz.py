@@ -163,6 +163,7 @@ def test_no_number_overflows(
         "path": ["a.nc", "-o", "b.nc"],
         "scene": ["a.nc", "-o", "b.html"],
         "simulate": ["a.csv", "-o", "b.csv"],
+        "convert": ["a.csv", "-o", "b.csv"],
         "identify": ["a.csv", "-o", "b.yaml"],
         "compare": ["c.yaml", "c.yaml"],
         "plan": ["-o", "b.csv"],

@@ -36,6 +36,7 @@ COMMANDS: Final = {
     "path": "Fit the same tool path with fewer blocks.",
     "scene": "Show the machine running a program, in one HTML file.",
     "simulate": "Simulate the measurement of a plan on a machine with errors.",
+    "convert": "Convert measured data of other programs into a measurement table.",
     "identify": "Identify error motions from measured points, with their uncertainty.",
     "axis-run": "Identify the six error motions of a linear axis from interferometer readings.",
     "simulate-run": "Simulate the interferometer readings of a linear axis.",

@@ -15,6 +15,7 @@ from twin.cli.shared.command import CommandResult, JsonOption, command
 
 PAGES: Final = {
     "programs": "twin.compensation",
+    "convert": "twin.measurement.formats",
     "identify": "twin.identification",
     "diagnose": "twin.diagnosis",
     "plan": "twin.planning",

@@ -22,7 +22,7 @@ LEVEL: Final = InstrumentSpecification(
     beam=False,
 )
 BLIND: Final = np.array([1.0, 1.0, 0.0])
-"""It does not see a rotation about the vertical."""
+"""Coordinates of the end of the line that it reads; a rotation about the vertical does not move it."""
 
 
 @final
