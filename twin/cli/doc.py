@@ -16,6 +16,7 @@ from twin.cli.shared.command import CommandResult, JsonOption, command
 PAGES: Final = {
     "programs": "twin.compensation",
     "identify": "twin.identification",
+    "evaluate": "twin.standards",
     "diagnose": "twin.diagnosis",
     "plan": "twin.planning",
     "report": "twin.reporting",

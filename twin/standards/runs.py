@@ -1,0 +1,257 @@
+"""Runs in a measurement table: consecutive rows of one target, read from one station, between which the same axes move.
+
+The order is that of ``time_s`` where every row has it, else that of the rows. A run ends where the round changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import read_only
+from twin.machine.machine import Machine
+from twin.measurement.table import Measurements
+
+MOVED: Final = 1e-6
+"""Difference of two commands, mm or degrees, above which an axis has moved."""
+DECIMALS: Final = 4
+"""Decimals of the positions by which runs at the same place are joined."""
+FEWEST_TARGETS: Final = 3
+"""Number of target positions of a run of one axis that is not repeated."""
+FEWEST_ROWS: Final = 8
+"""Number of rows of a circle, and of an interpolated motion of linear and rotary axes."""
+CIRCLE_MM: Final = 0.02
+"""Distance of the commands from a circle, mm, up to which a path of two axes is a circle."""
+
+
+@final
+@dataclass(frozen=True)
+class Run:
+    """Rows in which only some axes move.
+
+    Attributes:
+        data: the rows, in the order of the run; parts at the same place are joined.
+        axes: indices of the axes that move.
+        part: (n,) number of the consecutive part to which each row belongs.
+        where: positions of the other axes, by name.
+    """
+
+    data: Measurements
+    axes: tuple[int, ...]
+    part: np.ndarray
+    where: Mapping[str, float]
+
+    @property
+    def station(self) -> str:
+        """Name of the station."""
+        return str(self.data.station[0])
+
+    @property
+    def target(self) -> str:
+        """Name of the target."""
+        return str(self.data.target[0])
+
+    @property
+    def positions(self) -> np.ndarray:
+        """(n, axes that move) commanded positions, mm and degrees."""
+        return np.asarray(self.data.positions[:, self.axes])
+
+    @property
+    def read(self) -> np.ndarray:
+        """(3,) whether a coordinate was read in every row."""
+        return np.isfinite(self.data.point_mm).all(axis=0)
+
+
+@final
+@dataclass(frozen=True)
+class TableRuns:
+    """All runs of a table, by kind.
+
+    Attributes:
+        single: runs of one axis.
+        circles: runs of two linear axes on a circle.
+        mixed: runs in which linear and rotary axes move together.
+        ordered_by_time: whether ``time_s`` gives the order.
+    """
+
+    single: tuple[Run, ...]
+    circles: tuple[Run, ...]
+    mixed: tuple[Run, ...]
+    ordered_by_time: bool
+
+
+def find_runs(data: Measurements, machine: Machine) -> TableRuns:
+    """Return the runs of a table.
+
+    Args:
+        data: the measured points.
+        machine: the machine that was measured.
+    """
+    by_time = bool(np.isfinite(data.time_s).all())
+    single: list[Run] = []
+    circles: list[Run] = []
+    mixed: list[Run] = []
+    for rows in _series(data, by_time=by_time):
+        part = data.select(rows)
+        moved = np.abs(np.diff(part.positions, axis=0)) > MOVED
+        ends = part.round[1:] != part.round[:-1]
+        used = np.zeros(len(part), dtype=bool)
+        for kind, found in ((mixed, _mixed(moved, ends, machine)), (circles, _circles(part, moved, ends, machine))):
+            for axes, stretch in found:
+                used[stretch] = True
+                kind.append(_run(part, machine, axes, [stretch]))
+        single += _single(part, moved, ends, used, machine)
+    return TableRuns(tuple(single), _joined(circles, machine), tuple(mixed), by_time)
+
+
+def _series(data: Measurements, *, by_time: bool) -> Iterator[np.ndarray]:
+    """Yield the rows of every pair of station and target, in order."""
+    key = np.array([f"{station}\0{target}" for station, target in zip(data.station, data.target, strict=True)])
+    for name in dict.fromkeys(key):
+        rows = np.flatnonzero(key == name)
+        yield rows[np.argsort(data.time_s[rows], kind="stable")] if by_time else rows
+
+
+def _stretches(good: np.ndarray) -> list[np.ndarray]:
+    """Return the rows of each longest stretch of transitions that are good."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
+    return [np.arange(first, last + 1) for first, last in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _run(part: Measurements, machine: Machine, axes: tuple[int, ...], stretches: Sequence[np.ndarray]) -> Run:
+    rows = np.concatenate(stretches)
+    where = {axis.name: float(part.positions[rows[0], i]) for i, axis in enumerate(machine.axes) if i not in axes}
+    numbers = np.concatenate([np.full(len(stretch), k) for k, stretch in enumerate(stretches)])
+    return Run(part.select(rows), axes, read_only(numbers), MappingProxyType(where))
+
+
+def _single(
+    part: Measurements, moved: np.ndarray, ends: np.ndarray, used: np.ndarray, machine: Machine
+) -> Iterator[Run]:
+    """Yield the runs of one axis; parts with the other axes at the same positions are joined."""
+    for i in range(len(machine.axes)):
+        alone = ~np.delete(moved, i, axis=1).any(axis=1) & ~ends
+        places: dict[bytes, list[np.ndarray]] = {}
+        for stretch in _stretches(alone):
+            if moved[stretch[:-1], i].any() and not used[stretch].all():
+                others = np.round(np.delete(part.positions[stretch[0]], i), DECIMALS) + 0.0
+                places.setdefault(others.tobytes(), []).append(stretch)
+        for stretches in places.values():
+            targets, visits = np.unique(
+                np.round(part.positions[np.concatenate(stretches), i], DECIMALS), return_counts=True
+            )
+            if len(targets) >= FEWEST_TARGETS or visits.min() >= 2:
+                yield _run(part, machine, (i,), stretches)
+
+
+def _mixed(moved: np.ndarray, ends: np.ndarray, machine: Machine) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
+    """Yield the stretches in which linear and rotary axes move, divided where another set of rotary axes moves."""
+    if not machine.linear or not machine.rotary:
+        return
+    together = moved.any(axis=1) & ~ends
+    for whole in _stretches(together):
+        turning = moved[whole[:-1]][:, machine.rotary]
+        change = np.flatnonzero((np.diff(turning.astype(int), axis=0) != 0).any(axis=1)) + 1
+        pieces = [piece for piece in np.split(np.arange(len(turning)), change) if len(piece) + 1 >= FEWEST_ROWS]
+        if sum(map(len, pieces)) < 0.8 * len(turning):  # no set of rotary axes lasts: one motion of all of them
+            pieces = [np.arange(len(turning))]
+        for piece in pieces:
+            stretch = whole[piece[0] : piece[-1] + 2]
+            axes = tuple(int(i) for i in np.flatnonzero(moved[stretch[:-1]].any(axis=0)))
+            kinds = {machine.axes[i].linear for i in axes}
+            if len(stretch) >= FEWEST_ROWS and kinds == {True, False}:
+                yield axes, stretch
+
+
+def _circles(
+    part: Measurements, moved: np.ndarray, ends: np.ndarray, machine: Machine
+) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
+    """Yield the stretches in which two linear axes move along a circle, without moves to and from it."""
+    linear = machine.linear
+    for a, b in ((a, b) for a in linear for b in linear if a < b):
+        rest = np.delete(moved, (a, b), axis=1).any(axis=1)
+        for stretch in _stretches(~rest & ~ends):
+            steps = moved[stretch[:-1]]
+            if len(stretch) < FEWEST_ROWS or not (steps[:, a].any() and steps[:, b].any()):
+                continue
+            q = part.positions[stretch][:, (a, b)]
+            centre, radius = fit_circle(q[len(q) // 4 : len(q) - len(q) // 4])
+            on = np.abs(np.hypot(*(q - centre).T) - radius) < CIRCLE_MM
+            best = max(_stretches(on[1:] & on[:-1]), key=len, default=np.zeros(0, dtype=int))
+            if len(best) >= FEWEST_ROWS and np.isfinite(radius) and radius > 10.0 * CIRCLE_MM:
+                yield (a, b), stretch[best]
+
+
+def _joined(circles: Sequence[Run], machine: Machine) -> tuple[Run, ...]:
+    """Return the circles with those of the same station, target, axes, place, radius and feed joined."""
+    groups: dict[tuple[object, ...], list[Run]] = {}
+    for run in circles:
+        centre, radius = fit_circle(run.positions)
+        feed = run.data.feed_mm_min
+        key = (
+            run.station,
+            run.target,
+            run.axes,
+            tuple(np.round([*run.where.values()], DECIMALS)),
+            tuple(np.round([*centre, radius], 1)),
+            float(np.median(feed)) if np.isfinite(feed).all() else None,
+        )
+        groups.setdefault(key, []).append(run)
+    joined = []
+    for runs in groups.values():
+        data = Measurements.join([run.data for run in runs])
+        numbers = np.concatenate([np.full(len(run.data), k) for k, run in enumerate(runs)])
+        joined.append(Run(data, runs[0].axes, read_only(numbers), runs[0].where))
+    return tuple(joined)
+
+
+def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return centre (2,) and radius of the circle through (n, 2) points by algebraic least squares; infinite for a line."""
+    middle = points.mean(axis=0)
+    x, y = (points - middle).T
+    columns = np.column_stack([2.0 * x, 2.0 * y, np.ones(len(x))])
+    solution, _, rank, _ = np.linalg.lstsq(columns, x**2 + y**2, rcond=1e-9)
+    if rank < 3:
+        return middle, float("inf")
+    centre = solution[:2]
+    return middle + centre, float(np.sqrt(max(solution[2] + centre @ centre, 0.0)))
+
+
+def directions(run: Run) -> tuple[np.ndarray, bool]:
+    """Return (n,) the direction of approach of a run of one axis, and whether it was derived from the order of the rows.
+
+    The column of the table is used where it has a value in any row; rows without one are 0, unknown. Else the direction is that of the
+    last move of the axis. The first rows of a part, approached from outside the run, have the direction of the first move. At a turning
+    point with twice as many readings as elsewhere, the second half has the direction of the next move.
+
+    Args:
+        run: a run of one axis.
+    """
+    (axis,) = run.axes
+    given = run.data.approach[:, axis]
+    if np.any(given):
+        return np.asarray(given), False
+    found = np.zeros(len(run.part))
+    for number in np.unique(run.part):
+        rows = np.flatnonzero(run.part == number)
+        found[rows] = _from_order(run.data.positions[rows, axis])
+    return found, True
+
+
+def _from_order(q: np.ndarray) -> np.ndarray:
+    starts = np.flatnonzero(np.concatenate([[True], np.abs(np.diff(q)) > MOVED]))
+    sizes = np.diff(np.append(starts, len(q)))
+    step = np.sign(np.diff(q[starts]))
+    if not len(step):
+        return np.zeros(len(q))
+    before, after = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
+    usual = np.median(sizes[before == after])
+    found = np.repeat(before, sizes)
+    for start, size, turn in zip(starts, sizes, np.where(before != after, after, 0.0), strict=True):
+        if turn and size >= 2 * usual:
+            found[start + size // 2 : start + size] = turn
+    return found
