@@ -16,12 +16,12 @@ The tests with their runs, and the keys of their values in the JSON and for tole
 - Straightness, ISO 230-1:2012: a linear axis, with coordinates across its travel. `E_YX` about the least-squares line, `E_YX_EP` about
   the end-point line, `E_YX_MZ` minimum zone.
 - Squareness, ISO 230-1:2012: two linear axes with one target and station. `E_C0Y`, `E_C0Y_EP`, `E_C0Y_MZ`.
-- Circular test, ISO 230-4: two linear axes on a circle; coordinates, or a ball bar's length in `x_mm`. `G_b`, `H`, `D`, `G`; `G_forward`,
-  `F_max_forward`, `F_min_forward` (counter-clockwise) and `_backward` (clockwise).
+- Circular test, ISO 230-4: two linear axes on a circle; coordinates, or a ball bar's length in `x_mm`. `G_b`, `H`, `D`, `G`;
+  `G_forward`, `F_max_forward`, `F_min_forward` (counter-clockwise) and `_backward` (clockwise).
 - Rotary error motion, ISO 230-7:2015: one rotary axis over a turn, three coordinates. `total`, `synchronous`, `asynchronous`,
   `residual_synchronous`.
-- Kinematic test, after ISO 10791-6:2014: linear and rotary axes move, the nominal point stands still. `range_x`, `range_y`, `range_z`, or
-  `range_length`.
+- Kinematic test, after ISO 10791-6:2014: linear and rotary axes move, the nominal point stands still. `range_x`, `range_y`,
+  `range_z`, or `range_length`.
 
 **Positioning.** A length counts as along the axis if it changes by 1 mm per mm; from three coordinates it is the component along the
 least-squares line. The angle of a rotary axis is that of a target about its least-squares circle, over at least 90°. Fewer targets

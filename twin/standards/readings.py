@@ -91,7 +91,7 @@ def station_frame(runs: Sequence[Run], machine: Machine) -> StationFrame:
     if not pairs:
         return StationFrame(base.as_matrix(), "taken as parallel to the machine's frame")
     measured, nominal = (np.array(side) for side in zip(*pairs, strict=True))
-    if np.linalg.svd(nominal, compute_uv=False)[1] > 0.5:
+    if np.linalg.matrix_rank(nominal, tol=0.5) >= 2:
         turned, _ = Rotation.align_vectors(nominal, measured)
         off = np.arccos(np.clip(np.sum(turned.apply(measured) * nominal, axis=1), -1.0, 1.0)).max() / DEG
         return StationFrame(turned.as_matrix(), "from the directions of the axes" if off < LARGEST_ANGLE_DEG else "")

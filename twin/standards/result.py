@@ -27,6 +27,8 @@ from twin.measurement.table import Measurements
 SCHEMA: Final = "twin.evaluation/1"
 WIDTH: Final = 110
 INDENT: Final = "    "
+FEW_TESTS: Final = 3
+"""Number of tests up to which the text gives the remarks with every test; for more tests, equal remarks are listed once."""
 Conformity = Literal["conforming", "nonconforming", "neither", "unknown"]
 SENTENCES: Final[Mapping[Conformity, str]] = {
     "conforming": "conformity is proven: the value plus U is within the tolerance",
@@ -158,7 +160,7 @@ class ToleranceCheck:
         unit, expanded = readable(self.value.unit), self.value.expanded
         u = f", U {figure(expanded, unit)}" if np.isfinite(expanded) else ""
         return (
-            f"{'PASS' if self.met else 'FAIL'} {self.test}: {self.value.symbol} {figure(self.value.value, unit)}{u}, "
+            f"{'PASS' if self.met else 'FAIL'} {self.test}: {self.value.symbol} {figure(self.value.value, unit, digits=4)}{u}, "
             f"tolerance {self.limit:g} {unit}; {SENTENCES[self.conformity]}"
         )
 
@@ -244,9 +246,10 @@ class EvaluationResult:
             lines += wrap(
                 "   ".join(map(_with_unit, test.values)), WIDTH, initial_indent=INDENT, subsequent_indent=INDENT
             )
-            for remark in test.remarks:
+            for remark in test.remarks if len(self.tests) <= FEW_TESTS else ():
                 lines += wrap(remark, WIDTH, initial_indent="  ", subsequent_indent="    ")
         for heading, entries in (
+            ("Remarks:", _grouped_remarks(self.tests) if len(self.tests) > FEW_TESTS else []),
             ("Not evaluated:", [f"{one.test}: {one.why}" for one in self.not_evaluated]),
             ("Assumed:", self.assumptions),
             ("Uncertainty:", [self.uncertainty] if self.uncertainty else []),
@@ -292,6 +295,19 @@ def check_tolerances(tolerances: Mapping[str, float], tests: Sequence[StandardTe
             title = f"{test.title} ({test.place})" if test.place else test.title
             found.append(ToleranceCheck(asked, limit, title, value, met, _conformity(size, limit, expanded)))
     return tuple(found)
+
+
+def _grouped_remarks(tests: Sequence[StandardTest]) -> list[str]:
+    """Return each remark once, with the tests to which it applies and their number."""
+    found: dict[str, dict[str, int]] = {}
+    for test in tests:
+        for remark in test.remarks:
+            titles = found.setdefault(remark, {})
+            titles[test.title] = titles.get(test.title, 0) + 1
+    return [
+        f"{', '.join(title if count == 1 else f'{title} ({count} runs)' for title, count in titles.items())}: {remark}"
+        for remark, titles in found.items()
+    ]
 
 
 def _conformity(size: float, limit: float, expanded: float) -> Conformity:

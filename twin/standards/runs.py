@@ -141,9 +141,10 @@ def _single(
                 others = np.round(np.delete(part.positions[stretch[0]], i), DECIMALS) + 0.0
                 places.setdefault(others.tobytes(), []).append(stretch)
         for stretches in places.values():
-            targets, visits = np.unique(
-                np.round(part.positions[np.concatenate(stretches), i], DECIMALS), return_counts=True
-            )
+            rows = np.concatenate(stretches)
+            targets, visits = np.unique(np.round(part.positions[rows, i], DECIMALS), return_counts=True)
+            if visits.max() == 1 and used[rows].any():
+                continue  # a move to or from a circle
             if len(targets) >= FEWEST_TARGETS or visits.min() >= 2:
                 yield _run(part, machine, (i,), stretches)
 
