@@ -10,7 +10,6 @@ import numpy as np
 from twin._common.errors import InputError, require_type
 from twin._common.provenance import SIMULATED
 from twin.machine.machine import Machine
-from twin.measurement.checks import ASSUMED
 from twin.measurement.evaluation import Straightness
 from twin.measurement.instruments import Instrument
 from twin.measurement.observation import Observation
@@ -192,7 +191,7 @@ def _assumptions(runs: TableRuns, tests: Iterable[StandardTest], machine: Machin
         )
     if runs.circles:
         found.append(f"direction of travel on circles from the order of {order}")
-    return tuple(f"{ASSUMED}{text}" for text in found)
+    return tuple(found)
 
 
 def _budget(data: Measurements, instrument: Instrument | None) -> str:

@@ -199,7 +199,7 @@ def straightness_tests(run: Run, machine: Machine, frame: StationFrame, u_mm: np
         remarks = [f"directions {frame.known}"] if run.read.all() else ["directions as the columns of the table"]
         if visits.max() > 1:
             remarks.append(
-                f"mean of {visits.min()} to {visits.max()} readings at each position, all directions of approach"
+                f"mean of all readings at a position, at least {visits.min()}, from all directions of approach"
             )
         ends = dict(zip((str(line) for line in LINES), CODES, strict=True))
         values = tuple(

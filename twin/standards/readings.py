@@ -23,6 +23,8 @@ from twin.standards.runs import Run
 LARGEST_ANGLE_DEG: Final = 10.0
 SLOPE_TOLERANCE: Final = 0.01
 """Difference from 1 mm per mm up to which a length is along the axis."""
+FROM_AXES: Final = "parallel to the machine's axes, found from the runs of two or more of them"
+SAME_AS_MACHINE: Final = "of the station's frame, taken as parallel to the machine's"
 
 
 class NotPossible(Exception):
@@ -89,14 +91,19 @@ def station_frame(runs: Sequence[Run], machine: Machine) -> StationFrame:
     pose = runs[0].data.station_pose[0] if runs else np.full(6, np.nan)
     base = Rotation.from_rotvec(pose[3:] * DEG) if np.isfinite(pose).all() else Rotation.identity()
     if not pairs:
-        return StationFrame(base.as_matrix(), "taken as parallel to the machine's frame")
+        return StationFrame(base.as_matrix(), SAME_AS_MACHINE)
     measured, nominal = (np.array(side) for side in zip(*pairs, strict=True))
     if np.linalg.matrix_rank(nominal, tol=0.5) >= 2:
         turned, _ = Rotation.align_vectors(nominal, measured)
         off = np.arccos(np.clip(np.sum(turned.apply(measured) * nominal, axis=1), -1.0, 1.0)).max() / DEG
-        return StationFrame(turned.as_matrix(), "from the directions of the axes" if off < LARGEST_ANGLE_DEG else "")
+        return StationFrame(
+            turned.as_matrix(),
+            "parallel to the machine's axes, found from the runs of two or more of them"
+            if off < LARGEST_ANGLE_DEG
+            else "",
+        )
     off = np.arccos(np.clip(base.apply(measured[0]) @ nominal[0], -1.0, 1.0)) / DEG
-    words = "as given by the station's pose" if np.isfinite(pose).all() else "taken as parallel to the machine's frame"
+    words = "as given by the station's pose" if np.isfinite(pose).all() else SAME_AS_MACHINE
     return StationFrame(base.as_matrix(), words if off < LARGEST_ANGLE_DEG else "")
 
 

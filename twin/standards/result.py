@@ -12,7 +12,7 @@ import numpy as np
 from twin._common.json_form import json_form
 from twin._common.provenance import SourceWarning, warning_texts, warnings_to_json
 from twin.display import card, count_with_noun, figure, note, readable, table
-from twin.display.numbers import COVERAGE_FACTOR
+from twin.display.numbers import COVERAGE_FACTOR, with_joined_units
 from twin.measurement.checks import grouped_notes
 from twin.measurement.evaluation import (
     CircularTest,
@@ -27,6 +27,7 @@ from twin.measurement.table import Measurements
 SCHEMA: Final = "twin.evaluation/1"
 WIDTH: Final = 110
 INDENT: Final = "    "
+HARD_SPACE: Final = "\u00a0"
 FEW_TESTS: Final = 3
 """Number of tests up to which the text gives the remarks with every test; for more tests, equal remarks are listed once."""
 Conformity = Literal["conforming", "nonconforming", "neither", "unknown"]
@@ -189,7 +190,7 @@ class EvaluationResult:
         machine: name of the machine.
         tests: the tests that were evaluated.
         not_evaluated: the tests that were not, with the reason.
-        assumptions: what was assumed about the table.
+        assumptions: assumptions about the table.
         uncertainty: source of the readings' uncertainty, in words; empty if unknown.
         checks: the tolerances asked for; empty if none were.
         warnings: where the readings come from.
@@ -236,7 +237,7 @@ class EvaluationResult:
         lines = [f"{self.machine}: {count_with_noun(len(self.tests), 'standard test')} from {self.data.source}"]
         lines += [*warning_texts(self.warnings)]
         for check in self.checks:
-            lines += wrap(check.text, WIDTH, subsequent_indent="    ")
+            lines += wrap(with_joined_units(check.text, HARD_SPACE), WIDTH, subsequent_indent="    ")
         for test in self.tests:
             lines += [
                 "",
@@ -251,7 +252,7 @@ class EvaluationResult:
         for heading, entries in (
             ("Remarks:", _grouped_remarks(self.tests) if len(self.tests) > FEW_TESTS else []),
             ("Not evaluated:", [f"{one.test}: {one.why}" for one in self.not_evaluated]),
-            ("Assumed:", self.assumptions),
+            ("Assumptions:", self.assumptions),
             ("Uncertainty:", [self.uncertainty] if self.uncertainty else []),
             ("Notes:", [*self.data.notices, *grouped_notes(self.data.set_aside)]),
         ):
@@ -320,4 +321,4 @@ def _conformity(size: float, limit: float, expanded: float) -> Conformity:
 
 def _with_unit(value: StandardValue) -> str:
     """Return symbol, value and unit with hard spaces, so that lines do not break within."""
-    return f"{value.symbol} {figure(value.value, readable(value.unit))}".replace(" ", "\u00a0")
+    return f"{value.symbol} {figure(value.value, readable(value.unit))}".replace(" ", HARD_SPACE)
