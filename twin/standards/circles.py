@@ -13,7 +13,7 @@ from twin.machine.machine import Machine
 from twin.measurement.evaluation import CircularTest, circular_test
 from twin.standards.readings import NotPossible
 from twin.standards.result import StandardTest, StandardValue
-from twin.standards.runs import Run, fit_circle
+from twin.standards.runs import MeasuredRun, fit_circle
 from twin.standards.words import place_of
 
 CIRCULAR: Final = "ISO 230-4:2005 and 2022, clause 3 (H: 1996)"
@@ -22,7 +22,7 @@ LARGEST_OFFSET_MM: Final = 1.0
 NOT_VERIFIED: Final = "definitions from public abstracts and publications, not checked against the text of the standard"
 
 
-def circle_test(run: Run, machine: Machine, u_mm: np.ndarray) -> StandardTest:
+def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> StandardTest:
     """Evaluate a circular test.
 
     Args:

@@ -20,7 +20,7 @@ from twin.standards.linear import linear_positioning, squareness_tests, straight
 from twin.standards.readings import NotPossible, reading_uncertainty_mm, station_frame
 from twin.standards.result import EvaluationResult, NotEvaluated, StandardTest, check_tolerances
 from twin.standards.rotary import rotary_tests
-from twin.standards.runs import Run, TableRuns, directions, find_runs
+from twin.standards.runs import MeasuredRun, TableRuns, directions, find_runs
 from twin.standards.words import place_of
 
 NO_RUN: Final = {
@@ -34,7 +34,7 @@ BUDGET: Final = (
     "U (95 %) is propagated from the standard uncertainties {source}, taken as independent. It does not contain the scale error of the "
     "instrument, temperature and set-up, which the standards' own budgets add."
 )
-Uncertainties = Callable[[Run], np.ndarray]
+Uncertainties = Callable[[MeasuredRun], np.ndarray]
 
 
 def evaluate(
@@ -65,7 +65,7 @@ def evaluate(
             )
     runs = find_runs(data, machine)
 
-    def uncertainty_mm(run: Run) -> np.ndarray:
+    def uncertainty_mm(run: MeasuredRun) -> np.ndarray:
         return reading_uncertainty_mm(run.data, instrument)
 
     tests: list[StandardTest] = []
@@ -99,7 +99,7 @@ def _single_axes(
     missing: list[NotEvaluated],
 ) -> None:
     """Add the tests of single axes, and of pairs of them."""
-    lines: list[tuple[Run, Straightness]] = []
+    lines: list[tuple[MeasuredRun, Straightness]] = []
     bent: list[StandardTest] = []
     linear = [run for run in runs.single if machine.axes[run.axes[0]].linear]
     frames = {
@@ -139,7 +139,7 @@ def _attempt(
         missing.append(NotEvaluated(title, str(reason)))
 
 
-def _title(kind: str, run: Run, machine: Machine) -> str:
+def _title(kind: str, run: MeasuredRun, machine: Machine) -> str:
     names = "".join(machine.axes[i].name for i in run.axes)
     words = "positioning and error motions" if kind == "rotary" else kind
     return f"{names}: {words} ({place_of(run)})"

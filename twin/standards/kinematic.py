@@ -18,7 +18,7 @@ from twin.machine.machine import Machine
 from twin.measurement.observation import Observation
 from twin.standards.readings import NotPossible
 from twin.standards.result import StandardTest, StandardValue
-from twin.standards.runs import Run
+from twin.standards.runs import MeasuredRun
 from twin.standards.words import place_of
 
 KINEMATIC: Final = "after ISO 10791-6:2014 (not verified)"
@@ -27,7 +27,7 @@ STANDS_STILL_MM: Final = 1.0
 LEAST_TURN_DEG: Final = 5.0
 
 
-def kinematic_test(run: Run, observation: Observation, u_mm: np.ndarray) -> StandardTest | None:
+def kinematic_test(run: MeasuredRun, observation: Observation, u_mm: np.ndarray) -> StandardTest | None:
     """Evaluate an interpolated motion of linear and rotary axes; None if the nominal point does not stand still.
 
     Args:
@@ -87,7 +87,7 @@ def kinematic_test(run: Run, observation: Observation, u_mm: np.ndarray) -> Stan
     )
 
 
-def _nominal_motion(run: Run, observation: Observation) -> tuple[np.ndarray, str | None]:
+def _nominal_motion(run: MeasuredRun, observation: Observation) -> tuple[np.ndarray, str | None]:
     """Return the motion (n, 3) of the nominal point, mm, and a remark if the target's place was fitted to the positions."""
     machine, data = observation.machine, run.data
     zero = Calibration.zero(machine)

@@ -22,7 +22,7 @@ from twin.measurement.evaluation import (
 from twin.measurement.evaluation.squareness import PAIRS, LineKind
 from twin.standards.readings import NotPossible, StationFrame, across_axis_um, along_axis_mm
 from twin.standards.result import StandardTest, StandardValue
-from twin.standards.runs import DECIMALS, Run, directions
+from twin.standards.runs import DECIMALS, MeasuredRun, directions
 from twin.standards.words import place_of
 
 POSITIONING: Final = "ISO 230-2:2014, clause 3 (tests: 4.3)"
@@ -35,7 +35,7 @@ Approaches = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Targets (m,), and deviations (m, n) of the approaches from below and from above; an array without columns if there are none."""
 
 
-def linear_positioning(run: Run, machine: Machine, u_mm: np.ndarray) -> StandardTest:
+def linear_positioning(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> StandardTest:
     """Evaluate the positioning of a linear axis by ISO 230-2.
 
     Args:
@@ -57,7 +57,7 @@ def linear_positioning(run: Run, machine: Machine, u_mm: np.ndarray) -> Standard
 
 
 def positioning(
-    run: Run, machine: Machine, deviation: np.ndarray, u: float, remarks: Sequence[str] = ()
+    run: MeasuredRun, machine: Machine, deviation: np.ndarray, u: float, remarks: Sequence[str] = ()
 ) -> StandardTest:
     """Evaluate the positioning of an axis by ISO 230-2, from both directions of approach or one.
 
@@ -174,7 +174,9 @@ def _values_of_one_direction(found: UnidirectionalPositioning, u: float) -> tupl
     )
 
 
-def straightness_tests(run: Run, machine: Machine, frame: StationFrame, u_mm: np.ndarray) -> Iterator[StandardTest]:
+def straightness_tests(
+    run: MeasuredRun, machine: Machine, frame: StationFrame, u_mm: np.ndarray
+) -> Iterator[StandardTest]:
     """Yield the straightness of a linear axis in each direction that was read.
 
     Args:
@@ -212,7 +214,7 @@ def straightness_tests(run: Run, machine: Machine, frame: StationFrame, u_mm: np
         yield StandardTest("straightness", name, STRAIGHTNESS, (axis,), place_of(run), values, tuple(remarks), found)
 
 
-def squareness_tests(found: Sequence[tuple[Run, Straightness]], machine: Machine) -> Iterator[StandardTest]:
+def squareness_tests(found: Sequence[tuple[MeasuredRun, Straightness]], machine: Machine) -> Iterator[StandardTest]:
     """Yield the squareness of every two linear axes measured with the same target from one station.
 
     Args:

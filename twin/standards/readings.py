@@ -18,7 +18,7 @@ from twin._common.units import DEG, MM, UM
 from twin.machine.machine import Axis, Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
-from twin.standards.runs import Run
+from twin.standards.runs import MeasuredRun
 
 LARGEST_ANGLE_DEG: Final = 10.0
 SLOPE_TOLERANCE: Final = 0.01
@@ -63,7 +63,7 @@ class StationFrame:
     known: str
 
 
-def relative_direction(run: Run, machine: Machine) -> np.ndarray:
+def relative_direction(run: MeasuredRun, machine: Machine) -> np.ndarray:
     """Return (3,) the nominal direction, in the machine frame, in which the readings move with a linear axis; zero if they do not.
 
     Args:
@@ -75,7 +75,7 @@ def relative_direction(run: Run, machine: Machine) -> np.ndarray:
     return (float(moves[0]) - float(moves[1])) * axis.machine_direction
 
 
-def station_frame(runs: Sequence[Run], machine: Machine) -> StationFrame:
+def station_frame(runs: Sequence[MeasuredRun], machine: Machine) -> StationFrame:
     """Return the orientation of one station.
 
     Args:
@@ -107,13 +107,13 @@ def station_frame(runs: Sequence[Run], machine: Machine) -> StationFrame:
     return StationFrame(base.as_matrix(), words if off < LARGEST_ANGLE_DEG else "")
 
 
-def measured_direction(run: Run) -> np.ndarray:
+def measured_direction(run: MeasuredRun) -> np.ndarray:
     """Return (3,) the change of the readings, mm per mm or per degree of the axis, by least squares; NaN where nothing was read."""
     q = run.positions[:, 0] - run.positions[:, 0].mean()
     return np.asarray(q @ (run.data.point_mm - run.data.point_mm.mean(axis=0)) / (q @ q))
 
 
-def along_axis_mm(run: Run, axis: Axis, u_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+def along_axis_mm(run: MeasuredRun, axis: Axis, u_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return the measured position along a linear axis, mm, its standard uncertainty (n,), and whether its zero is the axis's own.
 
     A length counts as along the axis if it changes by 1 mm per mm, with either sign. From three coordinates it is the component along
@@ -148,7 +148,7 @@ def along_axis_mm(run: Run, axis: Axis, u_mm: np.ndarray) -> tuple[np.ndarray, n
     return np.asarray(position), np.asarray(u), own_zero
 
 
-def across_axis_um(run: Run, frame: StationFrame, machine: Machine) -> dict[str, np.ndarray]:
+def across_axis_um(run: MeasuredRun, frame: StationFrame, machine: Machine) -> dict[str, np.ndarray]:
     """Return the readings across a linear axis, µm, by the ISO 230-1 name of the error motion (``E_YX``).
 
     Args:

@@ -15,7 +15,7 @@ from twin.measurement.evaluation.circular import WIDEST_GAP_DEG
 from twin.standards.linear import positioning
 from twin.standards.readings import NotPossible
 from twin.standards.result import StandardTest, StandardValue
-from twin.standards.runs import DECIMALS, Run, fit_circle
+from twin.standards.runs import DECIMALS, MeasuredRun, fit_circle
 from twin.standards.words import place_of
 
 ERROR_MOTION: Final = "ISO 230-7:2015, clause 3"
@@ -43,7 +43,7 @@ class Circle:
     angle_deg: np.ndarray
 
 
-def rotary_tests(run: Run, machine: Machine, u_mm: np.ndarray) -> Iterator[StandardTest]:
+def rotary_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Iterator[StandardTest]:
     """Yield positioning and error motions of a rotary axis.
 
     Args:
@@ -82,7 +82,7 @@ def rotary_tests(run: Run, machine: Machine, u_mm: np.ndarray) -> Iterator[Stand
             yield _motion_test(run, motion, axis.name, u * (MM / UM), (remark,))
 
 
-def _on_axis(run: Run, machine: Machine, u: float) -> Iterator[StandardTest]:
+def _on_axis(run: MeasuredRun, machine: Machine, u: float) -> Iterator[StandardTest]:
     """Yield the error motions in the directions of the station's frame, for a target centred on the axis."""
     axis = machine.axes[run.axes[0]]
     along = int(np.argmax(np.abs(axis.machine_direction)))
@@ -122,7 +122,7 @@ def _motion(theta: np.ndarray, values: np.ndarray, kind: Literal["radial", "axia
     return error_motion(angles, readings, kind, name=name)
 
 
-def _motion_test(run: Run, motion: RotaryMotion, axis: str, u: float, remarks: tuple[str, ...]) -> StandardTest:
+def _motion_test(run: MeasuredRun, motion: RotaryMotion, axis: str, u: float, remarks: tuple[str, ...]) -> StandardTest:
     range_u = float(np.sqrt(2.0) * u)
     rows = (
         ("total", "total", motion.total_value, "total error motion"),

@@ -30,7 +30,7 @@ CIRCLE_MM: Final = 0.02
 
 @final
 @dataclass(frozen=True)
-class Run:
+class MeasuredRun:
     """Rows in which only some axes move.
 
     Attributes:
@@ -78,9 +78,9 @@ class TableRuns:
         ordered_by_time: whether ``time_s`` gives the order.
     """
 
-    single: tuple[Run, ...]
-    circles: tuple[Run, ...]
-    mixed: tuple[Run, ...]
+    single: tuple[MeasuredRun, ...]
+    circles: tuple[MeasuredRun, ...]
+    mixed: tuple[MeasuredRun, ...]
     ordered_by_time: bool
 
 
@@ -92,9 +92,9 @@ def find_runs(data: Measurements, machine: Machine) -> TableRuns:
         machine: the machine that was measured.
     """
     by_time = bool(np.isfinite(data.time_s).all())
-    single: list[Run] = []
-    circles: list[Run] = []
-    mixed: list[Run] = []
+    single: list[MeasuredRun] = []
+    circles: list[MeasuredRun] = []
+    mixed: list[MeasuredRun] = []
     for rows in _series(data, by_time=by_time):
         part = data.select(rows)
         moved = np.abs(np.diff(part.positions, axis=0)) > MOVED
@@ -122,16 +122,16 @@ def _stretches(good: np.ndarray) -> list[np.ndarray]:
     return [np.arange(first, last + 1) for first, last in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _run(part: Measurements, machine: Machine, axes: tuple[int, ...], stretches: Sequence[np.ndarray]) -> Run:
+def _run(part: Measurements, machine: Machine, axes: tuple[int, ...], stretches: Sequence[np.ndarray]) -> MeasuredRun:
     rows = np.concatenate(stretches)
     where = {axis.name: float(part.positions[rows[0], i]) for i, axis in enumerate(machine.axes) if i not in axes}
     numbers = np.concatenate([np.full(len(stretch), k) for k, stretch in enumerate(stretches)])
-    return Run(part.select(rows), axes, read_only(numbers), MappingProxyType(where))
+    return MeasuredRun(part.select(rows), axes, read_only(numbers), MappingProxyType(where))
 
 
 def _single(
     part: Measurements, moved: np.ndarray, ends: np.ndarray, used: np.ndarray, machine: Machine
-) -> Iterator[Run]:
+) -> Iterator[MeasuredRun]:
     """Yield the runs of one axis; parts with the other axes at the same positions are joined."""
     for i in range(len(machine.axes)):
         alone = ~np.delete(moved, i, axis=1).any(axis=1) & ~ends
@@ -187,9 +187,9 @@ def _circles(
                 yield (a, b), stretch[best]
 
 
-def _joined(circles: Sequence[Run], machine: Machine) -> tuple[Run, ...]:
+def _joined(circles: Sequence[MeasuredRun], machine: Machine) -> tuple[MeasuredRun, ...]:
     """Return the circles with those of the same station, target, axes, place, radius and feed joined."""
-    groups: dict[tuple[object, ...], list[Run]] = {}
+    groups: dict[tuple[object, ...], list[MeasuredRun]] = {}
     for run in circles:
         centre, radius = fit_circle(run.positions)
         feed = run.data.feed_mm_min
@@ -206,7 +206,7 @@ def _joined(circles: Sequence[Run], machine: Machine) -> tuple[Run, ...]:
     for runs in groups.values():
         data = Measurements.join([run.data for run in runs])
         numbers = np.concatenate([np.full(len(run.data), k) for k, run in enumerate(runs)])
-        joined.append(Run(data, runs[0].axes, read_only(numbers), runs[0].where))
+        joined.append(MeasuredRun(data, runs[0].axes, read_only(numbers), runs[0].where))
     return tuple(joined)
 
 
@@ -222,7 +222,7 @@ def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
     return middle + centre, float(np.sqrt(max(solution[2] + centre @ centre, 0.0)))
 
 
-def directions(run: Run) -> tuple[np.ndarray, bool]:
+def directions(run: MeasuredRun) -> tuple[np.ndarray, bool]:
     """Return (n,) the direction of approach of a run of one axis, and whether it was derived from the order of the rows.
 
     The column of the table is used where it has a value in any row; rows without one are 0, unknown. Else the direction is that of the
