@@ -318,6 +318,17 @@ def test_error_motion_of_a_centred_target(dmu50: Machine, tmp_path: Path) -> Non
     )
 
 
+def test_a_target_that_the_axis_does_not_turn_shows_no_error_motion(dmu50: Machine, tmp_path: Path) -> None:
+    """A reflector at the spindle, read from the base, while the table turns: the readings are noise, not an error motion of C."""
+    c = np.tile(np.arange(0.0, 360.0, 30.0), 2)
+    points = np.random.default_rng(1).normal(0.0, 1e-3, (24, 3)) + np.array([100.0, 200.0, 300.0])
+    found = twin.evaluate(
+        Measurements.load(motions.write(tmp_path / "m.csv", motions.positions(24, C=c), points), dmu50), dmu50
+    )
+    assert found.tests == ()
+    assert any(one.test.startswith("C:") and "turns neither" in one.why for one in found.not_evaluated)
+
+
 @pytest.mark.parametrize(("moved", "name"), [("B", "BK1"), ("C", "BK2"), ("BC", "BK4")])
 @pytest.mark.parametrize("given", ["R-test", "ball bar", "touch probe"])
 def test_kinematic_tests(dmu50: Machine, tmp_path: Path, moved: str, name: str, given: str) -> None:
@@ -365,7 +376,7 @@ def test_a_point_that_moves_is_no_kinematic_test(dmu50: Machine, tmp_path: Path)
     )
     assert found.tests == ()
     missing = {one.test for one in found.not_evaluated}
-    assert {"X: positioning", "circular", "squareness", "kinematic (ISO 10791-6)"} <= missing
+    assert {"X, Y, Z, B, C: positioning", "circular", "squareness", "kinematic (ISO 10791-6)"} <= missing
 
 
 # --- tolerances, files --------------------------------------------------------------------------------------------------------

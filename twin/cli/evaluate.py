@@ -46,7 +46,7 @@ def evaluate(
 ) -> CommandResult:
     """Evaluate the standard tests for which a measurement table has the runs.
 
-    The exit status is 3 if a tolerance is not met or no test gives its value.
+    The exit status is 3 if a tolerance is not met, if no test gives its value, or if the table allows no test at all.
     """
     limits = tolerances(tolerance or [])
     if html_file is not None:
@@ -59,7 +59,7 @@ def evaluate(
         from twin.standards.page import evaluation_html  # imports matplotlib, which is slow and needed only here
 
         write_atomic(html_file, evaluation_html(found))
-    return CommandResult(found.to_text(), found.to_dict, met=found.met)
+    return CommandResult(found.to_text(), found.to_dict, met=found.met and bool(found.tests))
 
 
 def tolerances(entries: Sequence[str]) -> dict[str, float]:

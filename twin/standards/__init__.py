@@ -40,10 +40,10 @@ from the base, 4 for both together. The text of ISO 10791-6 was not available: w
 in each direction of the station's frame, and neither the names nor the quantity are verified against the standard.
 
 **Tolerances.** `A=10` applies to every test that has the value, `X:A=8` to that of X; µm or µrad. The absolute value is compared. The
-exit status is 3 if a tolerance is not met or no test gives its value. Beside pass or fail stands the decision by ISO 14253-1:
-conformity proven, nonconformity proven, or neither, because the margin is within U. U (95 %) is propagated from the
-uncertainties of the readings (columns `u_x_mm` …, or `--instrument`), taken as independent; it does not contain the instrument's scale
-error, temperature or set-up. Without an uncertainty nothing is proven.
+exit status is 3 if a tolerance is not met, if no test gives its value, or if the table allows no test at all. Beside pass or fail
+stands the decision by ISO 14253-1: conformity proven, nonconformity proven, or neither, because the margin is within U. U (95 %) is
+propagated from the uncertainties of the readings (columns `u_x_mm` …, or `--instrument`), taken as independent; it does not contain
+the instrument's scale error, temperature or set-up. Without an uncertainty nothing is proven.
 """
 
 from twin.standards.evaluate import evaluate

@@ -24,7 +24,7 @@ from twin.standards.runs import MeasuredRun, TableRuns, directions, find_runs
 from twin.standards.words import place_of
 
 NO_RUN: Final = {
-    "positioning": "no run in which only this axis moves to at least three targets, or repeatedly to two",
+    "positioning": "no run in which one axis alone moves to at least three targets, or repeatedly to two",
     "circular": "no run in which two linear axes move on a circle, over more than half a turn",
     "squareness": "no two linear axes measured across their travel from one station",
     "kinematic": "no run of linear and rotary axes in which the nominal point of the target stands still",
@@ -161,11 +161,8 @@ def _absent(tests: Iterable[StandardTest], missing: Iterable[NotEvaluated], mach
     done = {(test.kind, name) for test in tests for name in test.axes}
     tried = {one.test.partition(":")[0] for one in missing}
     kinds = {kind for kind, _ in done}
-    found = [
-        NotEvaluated(f"{axis.name}: positioning", NO_RUN["positioning"])
-        for axis in machine.axes
-        if ("positioning", axis.name) not in done and axis.name not in tried
-    ]
+    idle = [axis.name for axis in machine.axes if ("positioning", axis.name) not in done and axis.name not in tried]
+    found = [NotEvaluated(f"{', '.join(idle)}: positioning", NO_RUN["positioning"])] if idle else []
     if len(machine.linear) >= 2:
         for kind in ("squareness", "circular"):
             if kind not in kinds:

@@ -71,8 +71,13 @@ def relative_direction(run: MeasuredRun, machine: Machine) -> np.ndarray:
         machine: the machine.
     """
     axis = machine.axes[run.axes[0]]
-    moves = np.array([axis.side in ("both", side) for side in (run.data.carrier[0], run.data.station_carrier[0])])
-    return (float(moves[0]) - float(moves[1])) * axis.machine_direction
+    target, station = carried_sides(run, axis)
+    return (float(target) - float(station)) * axis.machine_direction
+
+
+def carried_sides(run: MeasuredRun, axis: Axis) -> tuple[bool, bool]:
+    """Return whether the axis carries the target, and whether it carries the station."""
+    return axis.side in ("both", run.data.carrier[0]), axis.side in ("both", run.data.station_carrier[0])
 
 
 def station_frame(runs: Sequence[MeasuredRun], machine: Machine) -> StationFrame:

@@ -9,11 +9,11 @@ from typing import Final, Literal, final
 import numpy as np
 
 from twin._common.units import DEG, MM, UM, URAD
-from twin.machine.machine import Machine
+from twin.machine.machine import Axis, Machine
 from twin.measurement.evaluation import RotaryMotion, error_motion
 from twin.measurement.evaluation.circular import WIDEST_GAP_DEG
 from twin.standards.linear import positioning
-from twin.standards.readings import NotPossible
+from twin.standards.readings import NotPossible, carried_sides
 from twin.standards.result import StandardTest, StandardValue
 from twin.standards.runs import DECIMALS, MeasuredRun, fit_circle
 from twin.standards.words import place_of
@@ -56,6 +56,8 @@ def rotary_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Iterat
     """
     axis = machine.axes[run.axes[0]]
     theta = run.positions[:, 0]
+    if not turns_readings(run, axis):
+        raise NotPossible("turns neither the target nor the station, or both: the readings do not show it")
     if not run.read.all():
         raise NotPossible("needs three coordinates of a target; lengths alone give no angle")
     if float(np.ptp(theta)) < LEAST_ARC_DEG:
@@ -80,6 +82,12 @@ def rotary_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Iterat
         motion = _motion(theta, values * (MM / UM), kind, name)  # type: ignore[arg-type]
         if motion is not None:
             yield _motion_test(run, motion, axis.name, u * (MM / UM), (remark,))
+
+
+def turns_readings(run: MeasuredRun, axis: Axis) -> bool:
+    """Return whether the axis carries the target or the station, and not both."""
+    target, station = carried_sides(run, axis)
+    return target != station
 
 
 def _on_axis(run: MeasuredRun, machine: Machine, u: float) -> Iterator[StandardTest]:
