@@ -178,6 +178,10 @@ def test_uncertainty_of_means(lines: tuple[EvaluationResult, dict[str, np.ndarra
     draws = np.random.default_rng(2).normal(0.0, 1.0, (4000, 2, 11, 5)).mean(axis=3)
     assert (draws[:, 0] - draws[:, 1]).std() == pytest.approx(by_key["B"].u, rel=0.02)
     assert np.ptp(draws[:, 0], axis=1).std() < by_key["E"].u
+    # An edge of A is x̄ + 2s; s of five normal readings has the standard deviation 0.34 µm, 1/√8 = 0.35 in linear propagation.
+    five = np.random.default_rng(3).normal(0.0, 1.0, (20_000, 2, 5))
+    edge = five.mean(axis=2) + 2.0 * five.std(axis=2, ddof=1) * [1.0, -1.0]
+    assert (edge[:, 0] - edge[:, 1]).std() == pytest.approx(by_key["A"].u, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -262,6 +266,26 @@ def test_circle(dmu50: Machine, tmp_path: Path, instrument: str) -> None:
     assert any("not checked against the text" in text for text in test.remarks)
     assert "radius 100.000 mm" in test.place
     assert not found.named("X") and not found.named("Y"), "the feed-in is not a positioning run with two directions"
+
+
+@pytest.mark.parametrize(
+    ("zero", "length", "expected"),
+    [(0.0, None, 0.0), (0.0, 100.004, -4.0), (-100.0, 100.004, 0.0), (-100.0, None, np.nan)],
+)
+def test_length_of_a_ball_bar(
+    dmu50: Machine, tmp_path: Path, zero: float, length: float | None, expected: float
+) -> None:
+    """Readings are lengths, or changes of length; the calibrated nominal length of the bar shifts D and F, and nothing else."""
+    commands, real = (np.vstack(both) for both in zip(circle(1.0), circle(-1.0), strict=True))
+    bar = np.hypot(*(real - [250.0, 225.0]).T)
+    points = np.column_stack([bar + zero, *np.full((2, len(bar)), np.nan)])
+    q = motions.positions(len(bar), X=commands[:, 0], Y=commands[:, 1])
+    table = motions.write(tmp_path / "m.csv", q, points, station_carrier=["work"] * len(q))
+    ours = values(twin.evaluate(Measurements.load(table, dmu50), dmu50, length_mm=length), "XY")
+    # Squareness and reversal leave the mean radius at 100 mm; a change of length counts from the nominal length of the bar.
+    assert ours["D"] == pytest.approx(expected, abs=0.1, nan_ok=True)
+    assert np.isnan(ours["F_max_forward"]) == np.isnan(expected)
+    assert ours["H"] > 5.0 and ours["G_b"] > 5.0
 
 
 # --- rotary axes and interpolation ----------------------------------------------------------------------------------------------
@@ -437,6 +461,43 @@ def test_files_carry_the_warning_and_the_numbers(
     (check,) = found["tolerances"]
     assert check["met"] is False and check["conformity"] == "nonconforming" and check["limit"] == 9.0
     assert found["met"] is False
+
+
+def test_page_draws_every_kind_of_test(dmu50: Machine, tmp_path: Path) -> None:
+    """One direction of approach, a circle, a turn of C and an interpolated motion of X, Y and C, in tables of their own."""
+    up = np.linspace(0.0, 400.0, 5)
+    lengths = np.column_stack([up * (1.0 + 1e-5), *np.full((2, 5), np.nan)])
+    commands, real = circle(1.0)
+    flat = np.column_stack([real, np.zeros(len(real))])
+    c = np.arange(0.0, 360.0, 15.0)
+    ball = motions.to_machine(np.tile([60.0, 20.0, 90.0], (24, 1)), 0.0 * c, c)
+    follow = motions.positions(24, C=c)
+    follow[:, :3] = ball + motions.HOME + [0.0, 0.0, 120.0]
+    wave = 1e-3 * np.column_stack([np.sin(np.radians(2.0 * c + k)) for k in range(3)])
+    parts = {
+        "length": (motions.positions(5, X=up), lengths, "base"),
+        "circle": (motions.positions(len(real), X=commands[:, 0], Y=commands[:, 1]), motions.seen(flat), "base"),
+        "turn": (motions.positions(24, C=c), wave, "work"),
+        "follow": (follow, wave, "work"),
+    }  # fmt: skip
+    data = Measurements.join(
+        [
+            Measurements.load(
+                motions.write(
+                    tmp_path / f"{name}.csv", q, points, station=[name] * len(q), station_carrier=[side] * len(q)
+                ),
+                dmu50,
+            )
+            for name, (q, points, side) in parts.items()
+        ]
+    )
+    found = twin.evaluate(data, dmu50)
+    kinds = [one.kind for one in found.tests]
+    assert kinds == ["positioning", *["rotary error motion"] * 3, "circular", "kinematic"], kinds
+    page = twin.evaluation_html(found)
+    assert page.count("<img") == 6 and "not checked against the text" in page and "not verified" in page
+    assert {one.name for one in found.tests} == {"X", "E_XC", "E_YC", "E_ZC", "XY", "BK2 (XYC)"}
+    assert "table" in found._repr_html_()
 
 
 @pytest.mark.parametrize("entry", ["A", "A=", "=3", "A=x", "A=-1", "A=inf"])

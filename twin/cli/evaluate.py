@@ -11,7 +11,7 @@ import typer
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import HTML, CommandResult, JsonOption, command
+from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command
 from twin.cli.shared.words import number
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.table import Measurements
@@ -41,6 +41,13 @@ def evaluate(
             autocompletion=complete.instruments,
         ),
     ] = None,
+    length: Annotated[
+        float | None,
+        typer.Option(
+            "--length", help="Nominal length of the ball bar, mm; default: the radius of the commanded circle."
+        ),
+        POSITIVE,
+    ] = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
 ) -> CommandResult:
@@ -54,7 +61,7 @@ def evaluate(
     loaded = Machine.load(machine)
     reader = None if instrument is None else options.instrument_named(instrument)
     data = Measurements.join([Measurements.load(path, loaded) for path in measured])
-    found = run_evaluation(data, loaded, tolerances=limits, instrument=reader)
+    found = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
     if html_file is not None:
         from twin.standards.page import evaluation_html  # imports matplotlib, which is slow and needed only here
 

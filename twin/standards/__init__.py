@@ -28,8 +28,9 @@ least-squares line. The angle of a rotary axis is that of a target about its lea
 or cycles than clause 4.3 requires are evaluated and reported; with a single cycle R and A are not determined.
 
 **Circular tests.** A circle is fitted to the commands; coordinates are aligned to it by a rigid motion, so that squareness and scale
-errors stay. G and G(b) are minimum zones; F and D need absolute lengths. H belongs to the edition of 1996; those of 2005 and 2022
-have G(b). The definitions come from the public abstracts and from publications, not from the text of the standard.
+errors stay. G and G(b) are minimum zones. F and D need absolute lengths, or with a ball bar its nominal length (`--length`), from which
+its readings count. H belongs to the edition of 1996; those of 2005 and 2022 have G(b). The definitions come from the public
+abstracts and from publications, not from the text of the standard.
 
 **Rotary error motions.** A target within 1 mm of the axis gives radial and axial error motion in the directions of the station's
 frame. A target farther away gives its radial motion in the rotating direction, and the face error motion at its radius. One target

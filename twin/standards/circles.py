@@ -23,19 +23,21 @@ LARGEST_OFFSET_MM: Final = 1.0
 NOT_VERIFIED: Final = "definitions from public abstracts and publications, not checked against the text of the standard"
 
 
-def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> StandardTest:
+def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray, length_mm: float | None = None) -> StandardTest:
     """Evaluate a circular test.
 
     Args:
         run: a run of two linear axes on a circle.
         machine: the machine.
         u_mm: (n, 3) standard uncertainties of its readings.
+        length_mm: nominal length of the ball bar, the nominal radius of lengths; the radius of the commands if None.
 
     Raises:
         NotPossible: too little of the circle was read.
     """
     names = tuple(machine.axes[i].name for i in run.axes)
-    centre, nominal = fit_circle(run.positions)
+    centre, commanded = fit_circle(run.positions)
+    nominal = commanded
     angle = np.arctan2(*(run.positions - centre).T[::-1]) / DEG
     length_only = run.read.tolist() == [True, False, False]
     remarks = [NOT_VERIFIED]
@@ -44,6 +46,11 @@ def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Standar
         remarks.append(
             "radii are the lengths of the table (ball bar); its centre pivot is taken to be at the circle's centre"
         )
+        if length_mm is not None:
+            nominal = length_mm
+            if abs(float(radius.mean())) < LARGEST_OFFSET_MM:
+                radius = radius + length_mm
+                remarks.append("lengths near zero are changes of the nominal length given")
     elif run.read.all():
         radius = _radii(run.data.point_mm, run.positions - centre)
     else:
@@ -51,7 +58,7 @@ def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Standar
     absolute = abs(float(radius.mean()) - nominal) < LARGEST_OFFSET_MM
     if not absolute:
         remarks.append(
-            f"the mean length differs from the commanded radius by {radius.mean() - nominal:.3f} mm: lengths are taken as relative, "
+            f"the mean length differs from the nominal radius by {radius.mean() - nominal:.3f} mm: lengths are taken as relative, "
             "and radial deviations F and D are not determined"
         )
         radius = radius - radius.mean() + nominal

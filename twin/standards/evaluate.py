@@ -43,6 +43,7 @@ def evaluate(
     *,
     tolerances: Mapping[str, float] | None = None,
     instrument: Instrument | None = None,
+    length_mm: float | None = None,
 ) -> EvaluationResult:
     """Evaluate all tests of ISO 230-1, 230-2, 230-4, 230-7 and ISO 10791-6 for which a table has the runs.
 
@@ -51,9 +52,10 @@ def evaluate(
         machine: the machine that was measured.
         tolerances: largest permitted values, µm or µrad, by key of the value (``A``, ``H``) or name of the test and key (``X:A``).
         instrument: instrument whose noise model gives the uncertainty of readings for which the table states none.
+        length_mm: nominal length of a ball bar, from which its radial deviations count; None for the radius of the commands.
 
     Raises:
-        InputError: a tolerance that is negative or not finite.
+        InputError: a tolerance that is negative or not finite, or a length that is not positive.
         TypeError: arguments of another type.
     """
     require_type("data", data, Measurements)
@@ -63,6 +65,8 @@ def evaluate(
             raise InputError(
                 "a tolerance must be positive", expected="µm or µrad, not negative", value=f"{name}={limit}"
             )
+    if length_mm is not None and not (np.isfinite(length_mm) and length_mm > 0.0):
+        raise InputError("the length of the ball bar must be positive", expected="mm, above 0", value=length_mm)
     runs = find_runs(data, machine)
 
     def uncertainty_mm(run: MeasuredRun) -> np.ndarray:
@@ -73,7 +77,9 @@ def evaluate(
     _single_axes(runs, machine, uncertainty_mm, tests, missing)
     observation = Observation(machine)
     for run in runs.circles:
-        _attempt(_title("circular", run, machine), tests, missing, circle_test, run, machine, uncertainty_mm(run))
+        _attempt(
+            _title("circular", run, machine), tests, missing, circle_test, run, machine, uncertainty_mm(run), length_mm
+        )
     for run in runs.mixed:
         _attempt(
             _title("kinematic", run, machine), tests, missing, kinematic_test, run, observation, uncertainty_mm(run)

@@ -20,7 +20,7 @@ MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
 }
 """Options that take several words, each with the pattern of every word after the first."""
 MANY_WORDS_OF: Final[Mapping[str, Mapping[str, re.Pattern[str]]]] = {
-    "evaluate": {"--tolerance": re.compile(r"[A-Za-z][\w:()]*=.*")},
+    "evaluate": {"--tolerance": re.compile(r"[A-Za-z][\w:()↑↓↺↻]*=.*")},
 }
 """The same for options that take several words with one command only."""
 VARIABLE: Final = "_TWIN_COMPLETE"
