@@ -390,6 +390,38 @@ def test_kinematic_tests(dmu50: Machine, tmp_path: Path, moved: str, name: str, 
         assert ours == pytest.approx({f"range_{k}": np.ptp(test.detail[:, i]) for i, k in enumerate("xyz")})
 
 
+def test_short_runs_that_follow_each_other_are_all_found(dmu50: Machine, tmp_path: Path) -> None:
+    """X, Y, Z, B and C one after the other in one round, each once through five targets, with nothing between them."""
+    ends = {"X": (0.0, 400.0), "Y": (0.0, 400.0), "Z": (-400.0, 0.0), "B": (0.0, 120.0), "C": (0.0, 240.0)}
+    q = np.vstack([motions.positions(5, **{name: np.linspace(*reach, 5)}) for name, reach in ends.items()])
+    work = motions.to_machine(np.tile([150.0, 60.0, 40.0], (25, 1)), q[:, 3], q[:, 4])
+    tool = q[:, :3] - motions.HOME
+    tables = []
+    for name, points, carrier in (("tool", tool, "tool"), ("table", work, "work")):
+        path = motions.write(tmp_path / f"{name}.csv", q, motions.seen(points), carrier=carrier)
+        path.write_text(path.read_text().replace(",K,", f",{name},"))
+        tables.append(Measurements.load(path, dmu50))
+    found = twin.evaluate(Measurements.join(tables), dmu50)
+    positioning = {one.name: one for one in found.tests if one.kind == "positioning"}
+    assert set(positioning) == set("XYZBC")
+    for one in positioning.values():
+        assert {value.key: value.value for value in one.values}["E_forward"] == pytest.approx(0.0, abs=1e-3)
+    assert {one.name for one in found.tests if one.kind == "squareness"} == {"E_C0Y", "E_B0Z", "E_A0Z"}
+    assert not [one for one in found.tests if one.kind in ("kinematic", "circular")]
+
+
+def test_kinematic_test_with_repeated_readings(dmu50: Machine, tmp_path: Path) -> None:
+    c = np.repeat(np.linspace(0.0, 180.0, 12), 2)
+    q = motions.positions(24, C=c)
+    q[:, :3] = motions.to_machine(np.tile([60.0, 20.0, 90.0], (24, 1)), 0.0 * c, c) + motions.HOME
+    points = 1e-3 * np.column_stack([np.arange(24.0), np.zeros(24), np.ones(24)])
+    found = twin.evaluate(
+        Measurements.load(motions.write(tmp_path / "m.csv", q, points, station_carrier=["work"] * 24), dmu50), dmu50
+    )
+    (test,) = found.tests
+    assert test.name == "BK2 (XYC)" and test.values[0].value == pytest.approx(23.0)
+
+
 def test_a_point_that_moves_is_no_kinematic_test(dmu50: Machine, tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     q = np.column_stack(

@@ -66,6 +66,11 @@ class StandardValue:
         """Expanded uncertainty (95 %)."""
         return COVERAGE_FACTOR * self.u
 
+    @property
+    def text(self) -> str:
+        """Symbol, value and unit with hard spaces, so that lines do not break within."""
+        return f"{self.symbol} {figure(self.value, readable(self.unit))}".replace(" ", HARD_SPACE)
+
 
 Detail = (
     Positioning | UnidirectionalPositioning | CircularTest | Straightness | SquarenessError | RotaryMotion | np.ndarray
@@ -96,6 +101,12 @@ class StandardTest:
     values: tuple[StandardValue, ...]
     remarks: tuple[str, ...]
     detail: Detail
+
+    @property
+    def main_values(self) -> tuple[StandardValue, ...]:
+        """The values of all directions of approach or travel together, if there are any; else all."""
+        found = tuple(one for one in self.values if not one.key.endswith(("_forward", "_backward")))
+        return found or self.values
 
     @property
     def title(self) -> str:
@@ -245,7 +256,7 @@ class EvaluationResult:
                 *wrap(test.place, WIDTH, initial_indent="  ", subsequent_indent="  "),
             ]
             lines += wrap(
-                "   ".join(map(_with_unit, test.values)), WIDTH, initial_indent=INDENT, subsequent_indent=INDENT
+                "   ".join(value.text for value in test.values), WIDTH, initial_indent=INDENT, subsequent_indent=INDENT
             )
             for remark in test.remarks if len(self.tests) <= FEW_TESTS else ():
                 lines += wrap(remark, WIDTH, initial_indent="  ", subsequent_indent="    ")
@@ -263,7 +274,8 @@ class EvaluationResult:
 
     def _repr_html_(self) -> str:
         rows = [
-            (test.title, test.place, "   ".join(map(_with_unit, test.values)), test.standard) for test in self.tests
+            (test.title, test.place, "   ".join(value.text for value in test.values), test.standard)
+            for test in self.tests
         ]
         loud = [note(check.text, loud=not check.met) for check in self.checks]
         warnings = [note(text, loud=True) for text in warning_texts(self.warnings)]
@@ -317,8 +329,3 @@ def _conformity(size: float, limit: float, expanded: float) -> Conformity:
     if size + expanded <= limit:
         return "conforming"
     return "nonconforming" if size - expanded > limit else "neither"
-
-
-def _with_unit(value: StandardValue) -> str:
-    """Return symbol, value and unit with hard spaces, so that lines do not break within."""
-    return f"{value.symbol} {figure(value.value, readable(value.unit))}".replace(" ", HARD_SPACE)

@@ -24,6 +24,8 @@ FEWEST_TARGETS: Final = 3
 """Number of target positions of a run of one axis that is not repeated."""
 FEWEST_ROWS: Final = 8
 """Number of rows of a circle, and of an interpolated motion of linear and rotary axes."""
+LASTING: Final = 0.8
+"""Share of the moves up to which the same rotary axes must move for a division of an interpolated motion."""
 CIRCLE_MM: Final = 0.02
 """Distance of the commands from a circle, mm, up to which a path of two axes is a circle."""
 
@@ -150,22 +152,30 @@ def _single(
 
 
 def _mixed(moved: np.ndarray, ends: np.ndarray, machine: Machine) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
-    """Yield the stretches in which linear and rotary axes move, divided where another set of rotary axes moves."""
-    if not machine.linear or not machine.rotary:
-        return
-    together = moved.any(axis=1) & ~ends
+    """Yield the stretches in which linear and rotary axes move together, divided where another set of rotary axes moves.
+
+    Repeated readings at one position belong to the stretch.
+    """
+    linear = np.asarray(moved[:, machine.linear].any(axis=1))
+    turning = np.asarray(moved[:, machine.rotary])
+    together = (linear == turning.any(axis=1)) & ~ends
     for whole in _stretches(together):
-        turning = moved[whole[:-1]][:, machine.rotary]
-        change = np.flatnonzero((np.diff(turning.astype(int), axis=0) != 0).any(axis=1)) + 1
-        pieces = [piece for piece in np.split(np.arange(len(turning)), change) if len(piece) + 1 >= FEWEST_ROWS]
-        if sum(map(len, pieces)) < 0.8 * len(turning):  # no set of rotary axes lasts: one motion of all of them
-            pieces = [np.arange(len(turning))]
+        steps = np.flatnonzero(linear[whole[:-1]])
+        if len(steps) + 1 < FEWEST_ROWS:
+            continue
+        sets = turning[whole[steps]].astype(int)
+        cuts = np.flatnonzero((np.diff(sets, axis=0) != 0).any(axis=1)) + 1
+        pieces = [piece for piece in np.split(steps, cuts) if len(piece) + 1 >= FEWEST_ROWS]
+        if sum(map(len, pieces)) < LASTING * len(steps):  # no set of rotary axes lasts: one motion of all of them
+            pieces = [steps]
         for piece in pieces:
-            stretch = whole[piece[0] : piece[-1] + 2]
-            axes = tuple(int(i) for i in np.flatnonzero(moved[stretch[:-1]].any(axis=0)))
-            kinds = {machine.axes[i].linear for i in axes}
-            if len(stretch) >= FEWEST_ROWS and kinds == {True, False}:
-                yield axes, stretch
+            first, last = piece[0], piece[-1] + 1
+            while first > 0 and not moved[whole[first - 1]].any():
+                first -= 1
+            while last + 1 < len(whole) and not moved[whole[last]].any():
+                last += 1
+            stretch = whole[first : last + 1]
+            yield tuple(int(i) for i in np.flatnonzero(moved[stretch[:-1]].any(axis=0))), stretch
 
 
 def _circles(
