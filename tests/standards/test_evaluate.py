@@ -268,6 +268,26 @@ def test_circle(dmu50: Machine, tmp_path: Path, instrument: str) -> None:
     assert not found.named("X") and not found.named("Y"), "the feed-in is not a positioning run with two directions"
 
 
+def test_circles_that_follow_each_other(dmu50: Machine, tmp_path: Path) -> None:
+    """Two feeds at radius 100 mm and one at 60 mm, without a break and with commands rounded to 1 µm: three tests."""
+    parts = [(100.0, 1000.0, 3.0), (100.0, 4000.0, 9.0), (60.0, 1000.0, 5.0)]
+    theta = np.radians(np.concatenate([np.arange(0.0, 361.0, 3.0), np.arange(360.0, -1.0, -3.0)]))
+    q = np.vstack([[250.0, 225.0] + r * np.column_stack([np.cos(theta), np.sin(theta)]) for r, _, _ in parts])
+    wave = np.concatenate([1e-3 * size / 2.0 * np.cos(3.0 * theta) for _, _, size in parts])
+    centred = q - [250.0, 225.0]
+    points = np.column_stack([centred * (1.0 + wave / np.hypot(*centred.T))[:, None], np.zeros(len(q))])
+    commands = motions.positions(len(q), X=np.round(q[:, 0], 3), Y=np.round(q[:, 1], 3))
+    feeds = np.repeat([feed for _, feed, _ in parts], len(theta))
+    times = range(len(q))  # equal readings without a time would count as copied rows
+    table = motions.write(tmp_path / "m.csv", commands, motions.seen(points), feed_mm_min=list(feeds), time_s=times)
+    found = twin.evaluate(Measurements.load(table, dmu50), dmu50)
+    assert [one.kind for one in found.tests] == ["circular"] * 3
+    for test, (radius, feed, size) in zip(found.tests, parts, strict=True):
+        assert f"radius {radius:.3f} mm" in test.place and f"feed {feed:g} mm/min" in test.place
+        # Rounded commands move the angles by some 10 µrad, not the radii.
+        assert {one.key: one.value for one in test.values}["G_b"] == pytest.approx(size, abs=0.02)
+
+
 @pytest.mark.parametrize(
     ("zero", "length", "expected"),
     [(0.0, None, 0.0), (0.0, 100.004, -4.0), (-100.0, 100.004, 0.0), (-100.0, None, np.nan)],

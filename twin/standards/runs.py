@@ -26,6 +26,8 @@ FEWEST_ROWS: Final = 8
 """Number of rows of a circle, and of an interpolated motion of linear and rotary axes."""
 LASTING: Final = 0.8
 """Share of the moves up to which the same rotary axes must move for a division of an interpolated motion."""
+LARGEST_RADIUS_MM: Final = 10_000.0
+"""Radius above which an arc counts as a line."""
 CIRCLE_MM: Final = 0.02
 """Distance of the commands from a circle, mm, up to which a path of two axes is a circle."""
 
@@ -189,12 +191,35 @@ def _circles(
             steps = moved[stretch[:-1]]
             if len(stretch) < FEWEST_ROWS or not (steps[:, a].any() and steps[:, b].any()):
                 continue
-            q = part.positions[stretch][:, (a, b)]
-            centre, radius = fit_circle(q[len(q) // 4 : len(q) - len(q) // 4])
-            on = np.abs(np.hypot(*(q - centre).T) - radius) < CIRCLE_MM
-            best = max(_stretches(on[1:] & on[:-1]), key=len, default=np.zeros(0, dtype=int))
-            if len(best) >= FEWEST_ROWS and np.isfinite(radius) and radius > 10.0 * CIRCLE_MM:
-                yield (a, b), stretch[best]
+            feed = part.feed_mm_min[stretch]
+            changes = np.flatnonzero((feed[1:] != feed[:-1]) & np.isfinite(feed[1:]) & np.isfinite(feed[:-1])) + 1
+            for piece in np.split(stretch, changes):
+                for first, last in _arcs(part.positions[piece][:, (a, b)]):
+                    yield (a, b), piece[first:last]
+
+
+def _arcs(q: np.ndarray) -> Iterator[tuple[int, int]]:
+    """Yield first row and end of each part of (n, 2) consecutive positions that is on one circle."""
+    first = 0
+    while first + FEWEST_ROWS <= len(q):
+        good = first + FEWEST_ROWS
+        if not _on_circle(q[first:good]):
+            first += 1
+            continue
+        while good < len(q) and _on_circle(q[first : min(2 * good - first, len(q))]):
+            good = min(2 * good - first, len(q))
+        bad = min(2 * good - first, len(q)) + 1
+        while bad - good > 1:  # the last position on the circle is between the two
+            middle = (good + bad) // 2
+            good, bad = (middle, bad) if _on_circle(q[first:middle]) else (good, middle)
+        yield first, good
+        first = good
+
+
+def _on_circle(q: np.ndarray) -> bool:
+    """Return whether positions are on a circle, and not on a line."""
+    centre, radius = fit_circle(q)
+    return bool(radius < LARGEST_RADIUS_MM and np.abs(np.hypot(*(q - centre).T) - radius).max() < CIRCLE_MM)
 
 
 def _joined(circles: Sequence[MeasuredRun], machine: Machine) -> tuple[MeasuredRun, ...]:
