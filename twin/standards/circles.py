@@ -37,24 +37,11 @@ def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray, length_mm:
     """
     names = tuple(machine.axes[i].name for i in run.axes)
     centre, commanded = fit_circle(run.positions)
-    nominal = commanded
     angle = np.arctan2(*(run.positions - centre).T[::-1]) / DEG
     length_only = run.read.tolist() == [True, False, False]
     remarks = [NOT_VERIFIED]
-    if length_only:
-        radius = np.asarray(run.data.point_mm[:, 0])
-        remarks.append(
-            "radii are the lengths of the table (ball bar); its centre pivot is taken to be at the circle's centre"
-        )
-        if length_mm is not None:
-            nominal = length_mm
-            if abs(float(radius.mean())) < LARGEST_OFFSET_MM:
-                radius = radius + length_mm
-                remarks.append("lengths near zero are changes of the nominal length given")
-    elif run.read.all():
-        radius = _radii(run.data.point_mm, run.positions - centre)
-    else:
-        raise NotPossible("needs three coordinates, or a length in x_mm alone")
+    radius = _lengths(run, length_mm, remarks) if length_only else _radii(run, centre)
+    nominal = length_mm if length_only and length_mm is not None else commanded
     absolute = abs(float(radius.mean()) - nominal) < LARGEST_OFFSET_MM
     if not absolute:
         remarks.append(
@@ -86,11 +73,29 @@ def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray, length_mm:
     return StandardTest("circular", "".join(names), CIRCULAR, names, place, values, tuple(remarks), found)
 
 
-def _radii(points: np.ndarray, commands: np.ndarray) -> np.ndarray:
+def _lengths(run: MeasuredRun, length_mm: float | None, remarks: list[str]) -> np.ndarray:
+    """Return the lengths of a ball bar as radii, mm, and add what was assumed to the remarks."""
+    radius = np.asarray(run.data.point_mm[:, 0])
+    remarks.append(
+        "radii are the lengths of the table (ball bar); its centre pivot is taken to be at the circle's centre"
+    )
+    if length_mm is not None and abs(float(radius.mean())) < LARGEST_OFFSET_MM:
+        radius = radius + length_mm
+        remarks.append("lengths near zero are changes of the nominal length given")
+    return radius
+
+
+def _radii(run: MeasuredRun, centre: np.ndarray) -> np.ndarray:
     """Return the distances from the centre in the plane of the circle, after a rigid alignment of the commands to the points.
 
     The alignment has no scale and no shear, which would hide squareness and scale errors.
+
+    Raises:
+        NotPossible: not all coordinates were read.
     """
+    if not run.read.all():
+        raise NotPossible("needs three coordinates, or a length in x_mm alone")
+    points, commands = run.data.point_mm, run.positions - centre
     flat = np.column_stack([commands, np.zeros(len(commands))])
     offset, middle = points.mean(axis=0), flat.mean(axis=0)
     turned, _ = Rotation.align_vectors(flat - middle, points - offset)
