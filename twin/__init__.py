@@ -6,6 +6,7 @@
 - measurements: `Measurements`, `convert`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`, `duration`,
 `thesis_plan`;
 - identification: `identify`, `ToolUncertainty`, `compare`, `draw_machines`, `identify_as_thesis`;
+- standard tests (ISO 230, ISO 10791-6): `evaluate`, `evaluation_html`;
 - diagnosis: `diagnose`, `diagnosis_html`;
 - programs: `compensate`, `compensate_file`, `compensate_files`, `Compensator`, `Options`, `Scope`, `Setup`, `Workers`, `execute_file`,
   `read_program`, `find_program`, `refit`, `ThesisMethod`;
@@ -52,6 +53,8 @@ if TYPE_CHECKING:
     from twin.reporting import machine_report as report
     from twin.reporting.scene import draw_program as scene
     from twin.samples import thesis_plan
+    from twin.standards import evaluate
+    from twin.standards.page import evaluation_html
     from twin.uncertainty.at_tool import ToolUncertainty
     from twin.uncertainty.population import draw_machines
 
@@ -86,6 +89,8 @@ __all__ = [
     "draw_machines",
     "duration",
     "effect_named",
+    "evaluate",
+    "evaluation_html",
     "execute_file",
     "find_program",
     "identification_plots",
@@ -140,6 +145,8 @@ _HOMES = {
     "draw_machines": ("twin.uncertainty.population", "draw_machines"),
     "duration": ("twin.planning", "duration"),
     "effect_named": ("twin.machine.effects.entries", "effect_named"),
+    "evaluate": ("twin.standards", "evaluate"),
+    "evaluation_html": ("twin.standards.page", "evaluation_html"),
     "execute_file": ("twin.compensation.execute", "execute_file"),
     "find_program": ("twin.nc", "find_program"),
     "identify": ("twin.identification", "identify"),

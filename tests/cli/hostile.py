@@ -193,7 +193,11 @@ def _calibration(path: Path) -> None:
 
 
 def _table(path: Path) -> None:
-    Measurements.load(path, machine()).to_csv(machine())
+    data = Measurements.load(path, machine())
+    data.to_csv(machine())
+    evaluated = twin.evaluate(data, machine(), tolerances={"A": 10.0})
+    evaluated.to_text()
+    json.dumps(evaluated.to_dict(), allow_nan=False)
 
 
 def _plan(path: Path) -> None:

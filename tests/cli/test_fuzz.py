@@ -165,6 +165,7 @@ def test_no_number_overflows(
         "simulate": ["a.csv", "-o", "b.csv"],
         "convert": ["a.csv", "-o", "b.csv"],
         "identify": ["a.csv", "-o", "b.yaml"],
+        "evaluate": ["a.csv"],
         "compare": ["c.yaml", "c.yaml"],
         "plan": ["-o", "b.csv"],
         "report": ["-o", "b.html"],

@@ -70,6 +70,8 @@ COMMANDS = {
         "identify plan.csv -o o.yaml --control siemens=tables/cec.mpf --json tables/cec.mpf",
         "tables/cec.mpf",
     ),
+    "evaluate, json over the machine": ("evaluate plan.csv -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
+    "evaluate, json over the table": ("evaluate plan.csv --json plan.csv", "plan.csv"),
     "diagnose, json over the machine": ("diagnose plan.csv -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
     "diagnose, extended over the calibration": ("diagnose plan.csv -c c.yaml --extended c.yaml", "c.yaml"),
     "compare, json over one": ("compare c.yaml dmu50.calibration.yaml --json c.yaml", "c.yaml"),

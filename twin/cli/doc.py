@@ -17,6 +17,7 @@ PAGES: Final = {
     "programs": "twin.compensation",
     "convert": "twin.measurement.formats",
     "identify": "twin.identification",
+    "evaluate": "twin.standards",
     "diagnose": "twin.diagnosis",
     "plan": "twin.planning",
     "report": "twin.reporting",
