@@ -13,6 +13,7 @@ from twin.machine.machine import Machine
 from twin.measurement.evaluation import Straightness
 from twin.measurement.instruments import Instrument
 from twin.measurement.observation import Observation
+from twin.measurement.state import of_angles
 from twin.measurement.table import Measurements
 from twin.standards.circles import circle_test
 from twin.standards.kinematic import kinematic_test
@@ -67,13 +68,18 @@ def evaluate(
             )
     if length_mm is not None and not (np.isfinite(length_mm) and length_mm > 0.0):
         raise InputError("the length of the ball bar must be positive", expected="mm, above 0", value=length_mm)
-    runs = find_runs(data, machine)
+    angles = of_angles(data)
+    runs = find_runs(data.select(~angles), machine)
 
     def uncertainty_mm(run: MeasuredRun) -> np.ndarray:
         return reading_uncertainty_mm(run.data, instrument)
 
     tests: list[StandardTest] = []
     missing: list[NotEvaluated] = []
+    if angles.any():
+        missing.append(
+            NotEvaluated("angular error motions", "readings of a level are used by `twin identify`, not evaluated here")
+        )
     _single_axes(runs, machine, uncertainty_mm, tests, missing)
     observation = Observation(machine)
     for run in runs.circles:
