@@ -162,14 +162,7 @@ class Measurements:
         columns = {name: i for i, name in enumerate(header)}
         angular = any(name in columns for name in ANGLE_COLUMNS)
         needed = [*parts[0].columns, "target", "carrier", *(() if plan or angular else POINT_COLUMNS)]
-        for name in needed:
-            if name not in columns:
-                raise InputError(
-                    f"column {name} is missing{_misnamed(name, [one for one in header if one not in needed])}",
-                    expected=f"columns {', '.join(needed)}",
-                    file=path,
-                    line=rows[0][0] - 1 if rows else 1,
-                )
+        _check_header(header, needed, path, rows[0][0] - 1 if rows else 1)
         reader = Cells(path, columns, rows)
         temperatures = {name[2:-5]: reader.numbers(name) for name in header if re.fullmatch("T_.*_degC", name)}
         places = (*PLACE_COLUMNS, *STATION_COLUMNS)
@@ -474,7 +467,12 @@ def _copies(table: Measurements, rows: np.ndarray, unknown_cells: Sequence[str])
     return {int(rows[row]): int(rows[before]) for row, before in found.items()}
 
 
-def _misnamed(name: str, others: Sequence[str]) -> str:
-    """Return a remark on the column whose name is probably misspelt."""
-    nearest = closest_name(name, others)
-    return "" if nearest is None else f" (the table has {nearest})"
+def _check_header(header: Sequence[str], needed: Sequence[str], path: Path, line: int) -> None:
+    """Raise `InputError` if a column is missing; it names the column whose name is probably misspelt."""
+    for name in needed:
+        if name not in header:
+            nearest = closest_name(name, [one for one in header if one not in needed])
+            remark = "" if nearest is None else f" (the table has {nearest})"
+            raise InputError(
+                f"column {name} is missing{remark}", expected=f"columns {', '.join(needed)}", file=path, line=line
+            )

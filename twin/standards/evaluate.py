@@ -59,15 +59,7 @@ def evaluate(
         InputError: a tolerance that is negative or not finite, or a length that is not positive.
         TypeError: arguments of another type.
     """
-    require_type("data", data, Measurements)
-    require_type("machine", machine, Machine)
-    for name, limit in (tolerances or {}).items():
-        if not (np.isfinite(limit) and limit >= 0.0):
-            raise InputError(
-                "a tolerance must be positive", expected="µm or µrad, not negative", value=f"{name}={limit}"
-            )
-    if length_mm is not None and not (np.isfinite(length_mm) and length_mm > 0.0):
-        raise InputError("the length of the ball bar must be positive", expected="mm, above 0", value=length_mm)
+    _check_arguments(data, machine, tolerances or {}, length_mm)
     angles = of_angles(data)
     runs = find_runs(data.select(~angles), machine)
 
@@ -101,6 +93,20 @@ def evaluate(
         checks=checked,
         warnings=(SIMULATED,) if data.simulated else (),
     )
+
+
+def _check_arguments(
+    data: Measurements, machine: Machine, tolerances: Mapping[str, float], length_mm: float | None
+) -> None:
+    require_type("data", data, Measurements)
+    require_type("machine", machine, Machine)
+    for name, limit in tolerances.items():
+        if not (np.isfinite(limit) and limit >= 0.0):
+            raise InputError(
+                "a tolerance must be positive", expected="µm or µrad, not negative", value=f"{name}={limit}"
+            )
+    if length_mm is not None and not (np.isfinite(length_mm) and length_mm > 0.0):
+        raise InputError("the length of the ball bar must be positive", expected="mm, above 0", value=length_mm)
 
 
 def _single_axes(
