@@ -37,8 +37,9 @@ TIME_SKEW: Final = Specification(
 def velocities(data: Measurements, machine: Machine) -> Mapping[str, np.ndarray]:
     """Return the velocity (n,) in mm/s or °/s of each axis that moved while it was measured; other axes are left out.
 
-    The feed is the speed along the path of the linear axes, in the direction from the previous row. A row where nothing moved has the
-    direction of the one before, a first row that of the next. The direction of approach, where given, sets the sign.
+    The feed is the speed along the path of the linear axes. Its direction is the mean of those from the previous row and to the next
+    one of the round, which is the tangent of a circle read at equal steps; from the previous row alone it would lag by half a step. A
+    row where nothing moved has the direction of the one before. The direction of approach, where given, sets the sign.
     """
     timed = bool(np.all(np.isfinite(data.time_s)))
     order = np.argsort(data.time_s, kind="stable") if timed else np.arange(len(data))
@@ -48,8 +49,8 @@ def velocities(data: Measurements, machine: Machine) -> Mapping[str, np.ndarray]
     moved = np.any(step != 0.0, axis=1)
     in_motion = moved & (interval > 0.0) & (interval < IN_MOTION)
     last = np.maximum.accumulate(np.where(moved, np.arange(len(q)), int(np.argmax(moved))))
-    direction = step[last]
     linear = [axis.linear for axis in machine.axes]
+    direction = _tangent(step[last], np.linalg.norm(step[last][:, linear], axis=1), data.round[order])
     path = np.linalg.norm(direction[:, linear], axis=1)
     feed = np.nan_to_num(data.feed_mm_min[order]) / 60.0
     along = np.where(path > 0.0, feed / np.where(path > 0.0, path, 1.0), 0.0)
@@ -60,6 +61,27 @@ def velocities(data: Measurements, machine: Machine) -> Mapping[str, np.ndarray]
     velocity = np.empty_like(found)
     velocity[order] = found
     return {axis.name: velocity[:, i] for i, axis in enumerate(machine.axes) if np.any(velocity[:, i] != 0.0)}
+
+
+def _tangent(step: np.ndarray, length: np.ndarray, rounds: np.ndarray) -> np.ndarray:
+    """Return (n, axes) directions at the rows from the steps that lead to them.
+
+    The mean of the steps before and after a row, where both are of one round and not opposite; at the ends of a round the direction is
+    extrapolated. A row between opposite steps, or of a short round, has the direction of the step before it.
+    """
+    unit = step / np.where(length > 0.0, length, 1.0)[:, None]
+    found = unit.copy()
+    ends = np.flatnonzero(np.append(True, rounds[1:] != rounds[:-1]))
+    for first, end in zip(ends, [*ends[1:], len(unit)], strict=True):
+        own = unit[first + 1 : end]  # the step to the first row is of another round
+        if len(own) < 2:
+            continue
+        ends_on = [2.0 * own[i] - own[j] if own[i] @ own[j] > 0.0 else own[i] for i, j in ((0, 1), (-1, -2))]
+        before, after = np.concatenate([[ends_on[0]], own]), np.concatenate([own, [ends_on[1]]])
+        smooth = np.einsum("ni,ni->n", before, after) > 0.0
+        found[first] = after[0]
+        found[first:end][smooth] = (before + after)[smooth]
+    return found
 
 
 def time_skews(inputs: CandidateInputs) -> Catalogue:
