@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, final
 
 import typer
 
@@ -11,17 +13,20 @@ from twin._common.errors import InputError
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.words import three_numbers
 from twin.machine.calibration import Calibration
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.checks import grouped_notes
-from twin.measurement.instruments import INSTRUMENTS
+from twin.measurement.instruments import INSTRUMENTS, instrument_named
 from twin.measurement.table import Measurements
-from twin.planning import Kit, duration, judge, separate
+from twin.planning import Kit, duration, judge, judge_sequence, measuring_sequence, separate
 from twin.planning import plan as make_plan
 from twin.planning.kit import bundled_kit
+from twin.planning.sequences import SEQUENCES, SET_UPS, ProbeGeometry, minutes_of
 
 MINUTES = 210.0
 MINUTES_TO_SEPARATE = 60.0
+SEQUENCE_MINUTES = 60.0
 
 KitOption = Annotated[
     Path | None,
@@ -33,7 +38,9 @@ KitOption = Annotated[
 ]
 MinutesOption = Annotated[
     float | None,
-    typer.Option("--minutes", help="Time budget in minutes, including set-up; default: 210, or 60 with --separate."),
+    typer.Option(
+        "--minutes", help="Time budget in minutes, including set-up; default: 210, or 60 with --separate or a sequence."
+    ),
     POSITIVE,
 ]
 ReduceOption = Annotated[
@@ -65,12 +72,37 @@ JudgeOption = Annotated[
     ),
 ]
 InstrumentOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--instrument",
-        help=f"Instrument, with --judge: {', '.join(one.name for one in INSTRUMENTS)}.",
+        help=f"Plan a measuring sequence for {', '.join(SET_UPS)}; with --judge: {', '.join(one.name for one in INSTRUMENTS)}.",
         autocompletion=complete.instruments,
     ),
+]
+SequenceOption = Annotated[
+    str | None,
+    typer.Option(
+        "--sequence",
+        help=f"Measuring sequence, with --instrument: {', '.join(one.name for one in SEQUENCES)}.",
+        autocompletion=complete.sequences,
+    ),
+]
+SpheresOption = Annotated[
+    list[str] | None,
+    typer.Option("--spheres", help='Spheres (nests, pivots) on the table, work frame: "x,y,z" in mm, several allowed.'),
+]
+SphereDiameterOption = Annotated[
+    float | None,
+    typer.Option("--sphere-diameter", help="Diameter of the calibration sphere, mm; default: 25."),
+    POSITIVE,
+]
+BallDiameterOption = Annotated[
+    float | None, typer.Option("--ball-diameter", help="Diameter of the stylus ball, mm; default: 6."), POSITIVE
+]
+ClearanceOption = Annotated[
+    float | None,
+    typer.Option("--clearance", help="Distance kept from the sphere before a contact, mm; default: 10."),
+    POSITIVE,
 ]
 
 
@@ -79,6 +111,8 @@ InstrumentOption = Annotated[
     "twin plan -o plan.csv --kit dmu50 --reduce E_C0Y E_A0Z",
     'twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv',
     "twin plan --judge thesis_plan.csv --json judged.json",
+    "twin plan --instrument probe -o plan.csv --tool-length 120 --minutes 45",
+    'twin plan --instrument probe --sequence turns -o plan.csv --tool-length 120 --spheres "150,0,60"',
 )
 def plan(
     output: Annotated[
@@ -94,7 +128,12 @@ def plan(
     causes: SeparateOption = None,
     after: AfterOption = None,
     judged: JudgeOption = None,
-    instrument: InstrumentOption = "tracker",
+    instrument: InstrumentOption = None,
+    sequence: SequenceOption = None,
+    spheres: SpheresOption = None,
+    sphere_diameter: SphereDiameterOption = None,
+    ball_diameter: BallDiameterOption = None,
+    clearance: ClearanceOption = None,
     tool_length: options.ToolOption = None,
     seed: Annotated[int, typer.Option("--seed", help="Random seed of the candidate poses.")] = 0,
     json_file: JsonOption = None,
@@ -113,6 +152,14 @@ def plan(
         raise InputError("--separate and --reduce exclude each other", expected="one of them", value=" ".join(reduce))
     if judged is not None:
         return _judged(judged, loaded, own, errors, instrument, tool_length)
+    sizes = {"sphere_mm": sphere_diameter, "ball_mm": ball_diameter, "clearance_mm": clearance}
+    request = _SequenceRequest(instrument, sequence, spheres, {k: v for k, v in sizes.items() if v is not None})
+    if request.for_sequence():
+        if causes is not None or reduce:
+            raise InputError(
+                "--instrument plans a sequence", expected="no --separate and no --reduce", value=instrument
+            )
+        return request.planned(loaded, own, tool_length, minutes, seed, output)
     with progress_bar() as bar:
         if causes is not None:
             made = separate(
@@ -141,12 +188,91 @@ def plan(
     return CommandResult(made.to_text(), made.to_dict, met=made.complete)
 
 
+@final
+@dataclass(frozen=True)
+class _SequenceRequest:
+    """Options of a measuring sequence: instrument, name, places on the table, sizes."""
+
+    instrument: str | None
+    sequence: str | None
+    spheres: list[str] | None
+    sizes: Mapping[str, float]
+
+    def for_sequence(self) -> bool:
+        """Return whether a measuring sequence is wanted.
+
+        Raises:
+            InputError: an option of a sequence without its instrument, or an unknown instrument.
+        """
+        if self.instrument is not None and options.instrument_named(self.instrument).name in SET_UPS:
+            return True
+        if self.sequence is not None or self.spheres or self.sizes:
+            raise InputError(
+                "a measuring sequence needs its instrument",
+                expected=f"--instrument {' or '.join(SET_UPS)}",
+                value=self.instrument,
+            )
+        return False
+
+    def planned(
+        self,
+        machine: Machine,
+        kit: Kit,
+        tool_length_mm: float | None,
+        minutes: float | None,
+        seed: int,
+        output: Path | None,
+    ) -> CommandResult:
+        """Plan the sequence and write it."""
+        instrument = instrument_named(str(self.instrument))
+        words = SET_UPS[instrument.name]
+        name = words.target if instrument.specification.reads == "null" else words.station
+        places = {
+            f"{name} {k + 1}": three_numbers("--spheres", text, text, "x,y,z in mm")
+            for k, text in enumerate(self.spheres or [])
+        }
+        made = measuring_sequence(
+            machine,
+            instrument,
+            self.sequence,
+            kit,
+            places_mm=places or None,
+            minutes=SEQUENCE_MINUTES if minutes is None else minutes,
+            geometry=ProbeGeometry(tool_length_mm, **self.sizes),
+            seed=seed,
+        )
+        if output is not None:
+            made.save(output)
+        return CommandResult(made.to_text(), made.to_dict)
+
+
+def _judged_sequence(plan: Path, machine: Machine, kit: Kit, table: Measurements) -> CommandResult:
+    """Evaluate a given measuring sequence: duration, and what it determines of the constant errors."""
+    expected = judge_sequence(table, machine)
+    minutes = minutes_of(machine, kit, table)
+    lines = [
+        f"{plan}: {len(table)} poses with {table.instrument[0]}, {minutes:.0f} minutes\n",
+        *expected.lines(),
+        *(f"  set aside, {text}" for text in grouped_notes(table.set_aside)),
+    ]
+    report = {
+        "schema": "twin.plan/1",
+        "judged": str(plan),
+        "minutes": minutes,
+        "constant_errors": expected.to_dict(),
+    }
+    return CommandResult("\n".join(lines) + "\n", lambda: report, met=not table.set_aside)
+
+
 def _judged(
-    plan: Path, machine: Machine, kit: Kit, errors: Calibration, instrument: str, tool_length_mm: float | None
+    plan: Path, machine: Machine, kit: Kit, errors: Calibration, named: str | None, tool_length_mm: float | None
 ) -> CommandResult:
     """Evaluate a given plan: expected uncertainties and duration."""
-    table = Measurements.load(options.plan_file(plan), machine, plan=True)
+    instrument = named or INSTRUMENTS[0].name
     reader = options.instrument_named(instrument)
+    table = Measurements.load(options.plan_file(plan), machine, plan=True)
+    if set(table.instrument.astype(str)) & set(SET_UPS):
+        return _judged_sequence(plan, machine, kit, table)
     with progress_bar() as bar:
         bar("judging", 0.0)
         forecast = judge(

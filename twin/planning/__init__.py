@@ -38,9 +38,22 @@ tables to `twin diagnose first.csv second.csv`. The same notebook has an example
 
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit
+from twin.planning.measure import SequencePlan, judge_sequence, measuring_sequence
 from twin.planning.plan import judge, plan
 from twin.planning.result import Plan, Separation
 from twin.planning.route import duration
 from twin.planning.separate import separate
 
-__all__ = ["Forecast", "Kit", "Plan", "Separation", "duration", "judge", "plan", "separate"]
+__all__ = [
+    "Forecast",
+    "Kit",
+    "Plan",
+    "Separation",
+    "SequencePlan",
+    "duration",
+    "judge",
+    "judge_sequence",
+    "measuring_sequence",
+    "plan",
+    "separate",
+]

@@ -1,0 +1,198 @@
+"""Positions of the linear axes of a sequence, and the points that the axes reach with clearance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Final, final
+
+import coal
+import numpy as np
+
+from twin._common.errors import InputError
+from twin._common.units import MM
+from twin.machine.machine import Machine
+from twin.measurement.observation import Observation
+from twin.measurement.table import CARRIERS
+from twin.planning.clearance import Body, Clearance
+from twin.planning.sequences.specification import ProbeGeometry, SequencePoints, SequenceTask
+from twin.planning.sight import machine_shapes
+
+STYLUS_MM: Final = 50.0
+"""Length of a stylus that is assumed free of the probe's body."""
+BODY_MM: Final = 50.0
+"""Diameter of the probe's body that is assumed above the stylus, up to the spindle nose."""
+STEM_SHARE: Final = 0.3
+"""Diameter of the sphere's stem that is assumed, as a share of that of the sphere; the stem is perpendicular to the table."""
+TABLE_SHARE: Final = 0.6
+"""Distance of a default sphere from the middle of the table, as a share of the table's radius."""
+HEIGHT_MM: Final = 60.0
+"""Height of a default sphere above the table."""
+ASSUMED_RADIUS_MM: Final = 200.0
+"""Radius of a table without shapes."""
+
+
+@final
+@dataclass(frozen=True)
+class Reached:
+    """Points of a sequence that the axes reach.
+
+    Attributes:
+        points: those points, with the positions of all axes.
+        dropped: number of the other points by reason.
+    """
+
+    points: SequencePoints
+    dropped: Mapping[str, int]
+
+
+def reach(task: SequenceTask, points: SequencePoints) -> Reached:
+    """Return the points that the axes reach with clearance, with the positions of the linear axes.
+
+    Raises:
+        InputError: the machine does not have three linear axes that move the tool in all directions.
+    """
+    machine = task.machine
+    places = np.array([task.places_mm[str(name)] for name in points.place]).reshape(-1, 3)
+    positions = linear_positions(machine, points.positions, task.tip_mm, places, points.offset_mm)
+    increment = np.array([axis.increment for axis in machine.axes])
+    positions = np.round(np.round(positions / increment) * increment, 9) + 0.0
+    linear = np.array([axis.linear for axis in machine.axes])
+    limited = np.array([axis.lower is not None for axis in machine.axes])
+    margin = np.where(linear, task.margin_mm, 0.0)
+    low, high = task.kit.ranges.T
+    outside = ((positions < low + margin) | (positions > high - margin)) & limited
+    dropped: dict[str, int] = {}
+    for i in np.flatnonzero(outside.any(axis=0)):
+        first = outside[:, i] & ~outside[:, :i].any(axis=1)
+        if first.any():
+            dropped[f"{machine.axes[i].name} beyond its range"] = int(first.sum())
+    clearance = clearance_of(machine, task)
+    kept = [int(row) for row in np.flatnonzero(~outside.any(axis=1)) if clearance.is_clear(positions[row])]
+    collided = int((~outside.any(axis=1)).sum()) - len(kept)
+    if collided:
+        dropped["too little clearance"] = collided
+    found = points.select(np.array(kept, dtype=int))
+    reached = SequencePoints(positions[kept], found.place, found.offset_mm, found.run)
+    return Reached(reached, MappingProxyType(dropped))
+
+
+def linear_positions(
+    machine: Machine,
+    positions: np.ndarray,
+    tip_mm: tuple[float, float, float],
+    places_mm: np.ndarray,
+    offset_mm: np.ndarray,
+) -> np.ndarray:
+    """Return positions (n, axes) at which a part of the tool is at given places, from the nominal kinematics.
+
+    Args:
+        machine: the machine.
+        positions: (n, axes) mm and degrees; those of the linear axes are replaced.
+        tip_mm: the part on the tool side, in the frame of the spindle nose.
+        places_mm: (n, 3) places in the work frame.
+        offset_mm: (n, 3) of the tool's part from the place, base frame.
+
+    Raises:
+        InputError: the machine does not have three linear axes that move the tool in all directions.
+    """
+    linear = list(machine.linear)
+    q = np.array(positions, dtype=float)
+    middle = [np.mean(machine.axes[i].domain) for i in linear]
+    q[:, linear] = middle
+    tips = np.broadcast_to(np.array(tip_mm), (len(q), 3))
+
+    def gap(at: np.ndarray) -> np.ndarray:
+        tool, work = (
+            carried_points_mm(machine, at, side, place) for side, place in zip(CARRIERS, (tips, places_mm), strict=True)
+        )
+        return np.asarray(tool - work - offset_mm)
+
+    here = gap(q)
+    if len(linear) != 3:
+        raise InputError("not three linear axes", expected="a machine with three linear axes", value=len(linear))
+    # Linear axes translate: the gap is an affine function of their positions.
+    step = np.stack([gap(q + np.eye(len(machine.axes))[i]) - here for i in linear], axis=2)
+    if len(q) and np.abs(np.linalg.det(step)).min() < 1e-6:
+        raise InputError("the linear axes do not move the tool in all directions", expected="three independent axes")
+    q[:, linear] -= np.linalg.solve(step, here[:, :, None])[:, :, 0]
+    return q
+
+
+def carried_points_mm(machine: Machine, positions: np.ndarray, side: str, places_mm: np.ndarray) -> np.ndarray:
+    """Return (n, 3) points on the tool side or the work side of the nominal machine, base frame, mm.
+
+    Args:
+        machine: the machine.
+        positions: (n, axes) mm and degrees.
+        side: ``tool`` or ``work``.
+        places_mm: (n, 3) in the frame of that side.
+    """
+    n = len(positions)
+    errors, carrier = np.zeros((n, 6 * len(machine.frames))), np.full(n, side, dtype=object)
+    return _observation(machine).points(positions * machine.scale, errors, carrier, places_mm * MM) / MM
+
+
+@lru_cache(maxsize=2)
+def _observation(machine: Machine) -> Observation:
+    return Observation(machine)
+
+
+def clearance_of(machine: Machine, task: SequenceTask) -> Clearance:
+    """Return the clearance check of a machine with a probe in the spindle and spheres on the table; other instruments alike."""
+    geometry, length = task.geometry, -task.tip_mm[2]
+    free = min(STYLUS_MM, length)
+    bodies = [_rod("tool", (0.0, 0.0, -length), free, geometry.ball_mm / 2.0, contact=True)]
+    if length > free:
+        bodies.append(_rod("tool", (0.0, 0.0, free - length), length - free, BODY_MM / 2.0))
+    for x, y, z in task.places_mm.values():
+        ball = coal.Sphere(geometry.sphere_mm / 2.0 * MM)
+        bodies.append(Body("work", ball, (x, y, z), contact=True))
+        if z > 0.0:
+            bodies.append(_rod("work", (x, y, 0.0), z, STEM_SHARE * geometry.sphere_mm / 2.0, contact=True))
+    return Clearance(machine, task.kit.without_targets(), tuple(bodies), geometry.clearance_mm)
+
+
+def _rod(side: str, start: tuple[float, float, float], length: float, radius: float, *, contact: bool = False) -> Body:
+    """Return a cylinder from a point along the z of its carrier, mm."""
+    x, y, z = start
+    return Body(side, coal.Cylinder(radius * MM, length * MM), (x, y, z + length / 2.0), contact=contact)
+
+
+def default_places(machine: Machine, name: str, *, central: bool) -> dict[str, tuple[float, float, float]]:
+    """Return the place of one part on the table, in the work frame, mm.
+
+    Args:
+        machine: the machine.
+        name: name of the part.
+        central: above the middle of the table, not near its rim.
+    """
+    distance = 0.0 if central else round(TABLE_SHARE * _table_radius_mm(machine), -1)
+    return {name: (distance, 0.0, HEIGHT_MM)}
+
+
+def _table_radius_mm(machine: Machine) -> float:
+    """Return the half size of the table across its normal, from the shapes of the URDF."""
+    frame = machine.model.frames[machine.work_frame]
+    sizes = [0.0]
+    for shape in machine_shapes(machine):
+        if shape.joint != frame.parentJoint:
+            continue
+        shape.geometry.computeLocalAABB()
+        half = (np.array(shape.geometry.aabb_local.max_) - np.array(shape.geometry.aabb_local.min_)) / 2.0
+        turn = np.abs((frame.placement.inverse() * shape.placement).rotation)
+        sizes.append(float((turn @ half)[:2].min()) / MM)
+    return max(sizes) or ASSUMED_RADIUS_MM
+
+
+__all__ = [
+    "ProbeGeometry",
+    "Reached",
+    "carried_points_mm",
+    "clearance_of",
+    "default_places",
+    "linear_positions",
+    "reach",
+]
