@@ -146,19 +146,12 @@ def plan(
         raise InputError("--seed must not be negative", expected="0 or more", value=seed)
     if (output is None) is (judged is None):
         raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
-    if after is not None and causes is None:
-        raise InputError("--after needs --separate", expected="two causes to distinguish", value=after)
-    if causes is not None and reduce:
-        raise InputError("--separate and --reduce exclude each other", expected="one of them", value=" ".join(reduce))
+    _check_combination(after, causes, reduce, instrument)
     if judged is not None:
         return _judged(judged, loaded, own, errors, instrument, tool_length)
     sizes = {"sphere_mm": sphere_diameter, "ball_mm": ball_diameter, "clearance_mm": clearance}
     request = _SequenceRequest(instrument, sequence, spheres, {k: v for k, v in sizes.items() if v is not None})
     if request.for_sequence():
-        if causes is not None or reduce:
-            raise InputError(
-                "--instrument plans a sequence", expected="no --separate and no --reduce", value=instrument
-            )
         return request.planned(loaded, own, tool_length, minutes, seed, output)
     with progress_bar() as bar:
         if causes is not None:
@@ -186,6 +179,18 @@ def plan(
     if output is not None:
         made.save(output)
     return CommandResult(made.to_text(), made.to_dict, met=made.complete)
+
+
+def _check_combination(
+    after: Path | None, causes: tuple[str, str] | None, reduce: list[str] | None, instrument: str | None
+) -> None:
+    """Raise `InputError` for options that exclude each other."""
+    if after is not None and causes is None:
+        raise InputError("--after needs --separate", expected="two causes to distinguish", value=after)
+    if causes is not None and reduce:
+        raise InputError("--separate and --reduce exclude each other", expected="one of them", value=" ".join(reduce))
+    if instrument in SET_UPS and (causes is not None or reduce):
+        raise InputError("--instrument plans a sequence", expected="no --separate and no --reduce", value=instrument)
 
 
 @final

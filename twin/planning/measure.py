@@ -23,7 +23,7 @@ from twin.planning.sequences import (
     MeasuringSequence,
     ProbeGeometry,
     SequenceTask,
-    default_places,
+    default_place,
     expectation,
     minutes_of,
     reach,
@@ -236,14 +236,15 @@ def _task(
     words = SET_UPS[instrument.name]
     name = words.target if instrument.specification.reads == "null" else words.station
     central = instrument.specification.reads == "length"
-    places = places_mm or default_places(machine, name, central=central)
+    tip = (0.0, 0.0, -length)
+    places = places_mm or {name: default_place(machine, tip, central=central)}
     if not np.isfinite(list(places.values())).all():
         raise InputError("a place on the table is not finite", expected="x, y, z in mm", value=dict(places))
     return SequenceTask(
         machine,
         instrument,
         Kit.default(machine) if kit is None else kit,
-        (0.0, 0.0, -length),
+        tip,
         MappingProxyType(dict(places)),
         minutes,
         geometry,

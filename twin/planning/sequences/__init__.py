@@ -13,7 +13,7 @@ from twin.planning.sequences.best import BEST
 from twin.planning.sequences.circles import CIRCLES
 from twin.planning.sequences.expectation import Expectation, expectation, minutes_of, sequence_table
 from twin.planning.sequences.interpolation import INTERPOLATION
-from twin.planning.sequences.reach import Reached, default_places, reach
+from twin.planning.sequences.reach import Reached, default_place, reach
 from twin.planning.sequences.specification import (
     SET_UPS,
     MeasuringSequence,
@@ -56,7 +56,7 @@ __all__ = [
     "Reached",
     "SequencePoints",
     "SequenceTask",
-    "default_places",
+    "default_place",
     "expectation",
     "minutes_of",
     "reach",

@@ -31,10 +31,12 @@ ATTEMPTS: Final = 4
 
 
 def _points(task: SequenceTask) -> SequencePoints:
-    candidates = _candidates(task)
+    reached = reach(task, _grid(task))
+    candidates = reached.points
     if len(candidates) < FEWEST:
+        why = ", ".join(f"{name}: {count}" for name, count in reached.dropped.items())
         raise InputError(
-            "too few poses are reached with clearance",
+            f"too few poses are reached with clearance ({why})",
             expected=f"at least {FEWEST}: other places on the table, another tool length or smaller sizes",
             value=len(candidates),
         )
@@ -69,8 +71,8 @@ def _points(task: SequenceTask) -> SequencePoints:
     return ordered
 
 
-def _candidates(task: SequenceTask) -> SequencePoints:
-    """Return the poses of a grid of the rotary axes that are reached with clearance, for every place on the table."""
+def _grid(task: SequenceTask) -> SequencePoints:
+    """Return the poses of a grid of the rotary axes, for every place on the table; linear positions not yet computed."""
     if not task.rotary:
         raise InputError(
             "the machine has no rotary axis", expected="a machine with a rotary axis", value=task.machine.name
@@ -90,7 +92,7 @@ def _candidates(task: SequenceTask) -> SequencePoints:
     if len(points) > MOST_CANDIDATES:
         some = np.random.default_rng(task.seed).permutation(len(points))[:MOST_CANDIDATES]
         points = points.select(np.sort(some))
-    return reach(task, points).points
+    return points
 
 
 def _problem(task: SequenceTask, candidates: SequencePoints) -> tuple[np.ndarray, np.ndarray, LinearAim]:

@@ -17,7 +17,7 @@ from twin.machine.machine import Machine
 from twin.measurement.observation import Observation
 from twin.measurement.table import CARRIERS
 from twin.planning.clearance import Body, Clearance
-from twin.planning.sequences.specification import ProbeGeometry, SequencePoints, SequenceTask
+from twin.planning.sequences.specification import SequencePoints, SequenceTask
 from twin.planning.sight import machine_shapes
 
 STYLUS_MM: Final = 50.0
@@ -161,16 +161,25 @@ def _rod(side: str, start: tuple[float, float, float], length: float, radius: fl
     return Body(side, coal.Cylinder(radius * MM, length * MM), (x, y, z + length / 2.0), contact=contact)
 
 
-def default_places(machine: Machine, name: str, *, central: bool) -> dict[str, tuple[float, float, float]]:
+def default_place(machine: Machine, tip_mm: tuple[float, float, float], *, central: bool) -> tuple[float, float, float]:
     """Return the place of one part on the table, in the work frame, mm.
+
+    It is above a turning table, or where the tool is in the middle of the ranges of its linear axes.
 
     Args:
         machine: the machine.
-        name: name of the part.
+        tip_mm: the part on the tool side.
         central: above the middle of the table, not near its rim.
     """
+    if all(machine.axes[i].side == "tool" for i in machine.rotary):
+        middle = np.array([[np.mean(axis.domain) if axis.linear else 0.0 for axis in machine.axes]])
+        tip = carried_points_mm(machine, middle, "tool", np.array([tip_mm]))
+        zero = carried_points_mm(machine, middle, "work", np.zeros((1, 3)))
+        unit = [carried_points_mm(machine, middle, "work", np.eye(3)[i : i + 1]) - zero for i in range(3)]
+        x, y, z = (float(np.round((tip - zero)[0] @ way[0], 0)) + 0.0 for way in unit)
+        return x, y, z
     distance = 0.0 if central else round(TABLE_SHARE * _table_radius_mm(machine), -1)
-    return {name: (distance, 0.0, HEIGHT_MM)}
+    return distance, 0.0, HEIGHT_MM
 
 
 def _table_radius_mm(machine: Machine) -> float:
@@ -185,14 +194,3 @@ def _table_radius_mm(machine: Machine) -> float:
         turn = np.abs((frame.placement.inverse() * shape.placement).rotation)
         sizes.append(float((turn @ half)[:2].min()) / MM)
     return max(sizes) or ASSUMED_RADIUS_MM
-
-
-__all__ = [
-    "ProbeGeometry",
-    "Reached",
-    "carried_points_mm",
-    "clearance_of",
-    "default_places",
-    "linear_positions",
-    "reach",
-]
