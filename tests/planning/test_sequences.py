@@ -76,7 +76,7 @@ def test_the_tool_is_at_the_part_on_the_table(
     margin = (25.0 + 6.0) / 2.0 + 10.0 if instrument == "probe" else 0.0
     assert np.all(q[:, :3] >= low[:3] + margin) and np.all(q[:, :3] <= high[:3] - margin)
     assert np.all(q[:, 3] >= low[3]) and np.all(q[:, 3] <= high[3])
-    assert np.all(np.diff(table.time_s) > 0.0) or np.all(np.diff(table.time_s) >= 0.0) and instrument == "ball-bar"
+    assert np.all(np.diff(table.time_s) > 0.0) or (np.all(np.diff(table.time_s) >= 0.0) and instrument == "ball-bar")
     # The approach is the sign of the last motion.
     step = np.diff(q, axis=0)
     moving = (step != 0.0) & (table.approach[1:] != 0.0)

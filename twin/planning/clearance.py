@@ -78,7 +78,8 @@ class Clearance:
         """Return whether the straight move between two poses has clearance, end points included; all axes move together."""
         way = np.abs(end - start)
         size = np.array([STEP_MM if axis.linear else STEP_DEG for axis in self.machine.axes])
-        count = int(np.ceil((way / size).max(initial=0.0))) + 1
+        share = min(1.0, self.margin_mm / MARGIN_MM)
+        count = int(np.ceil((way / (share * size)).max(initial=0.0))) + 1
         # Check from the middle outwards: collisions are most likely there.
         parts = sorted(np.linspace(0.0, 1.0, count + 1), key=lambda part: abs(part - 0.5))
         return all(self.is_clear(start + part * (end - start)) for part in parts)

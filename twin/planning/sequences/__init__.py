@@ -11,9 +11,10 @@ from typing import Final
 from twin._common.errors import InputError, closest_name
 from twin.planning.sequences.best import BEST
 from twin.planning.sequences.circles import CIRCLES
+from twin.planning.sequences.contacts import ContactPose, contact_poses
 from twin.planning.sequences.expectation import Expectation, expectation, minutes_of, sequence_table
 from twin.planning.sequences.interpolation import INTERPOLATION
-from twin.planning.sequences.reach import Reached, default_place, reach
+from twin.planning.sequences.reach import Reached, apart_clearance, clearance_of, default_place, reach
 from twin.planning.sequences.specification import (
     SET_UPS,
     MeasuringSequence,
@@ -50,12 +51,16 @@ def sequence_named(name: str | None, instrument: str) -> MeasuringSequence:
 __all__ = [
     "SEQUENCES",
     "SET_UPS",
+    "ContactPose",
     "Expectation",
     "MeasuringSequence",
     "ProbeGeometry",
     "Reached",
     "SequencePoints",
     "SequenceTask",
+    "apart_clearance",
+    "clearance_of",
+    "contact_poses",
     "default_place",
     "expectation",
     "minutes_of",

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final, final
 
 import coal
 import numpy as np
 
-from twin._common.errors import InputError
 from twin._common.units import MM
 from twin.machine.machine import Machine
-from twin.measurement.observation import Observation
-from twin.measurement.table import CARRIERS
 from twin.planning.clearance import Body, Clearance
+from twin.planning.sequences.contacts import contact_poses
+from twin.planning.sequences.positions import carried_points_mm, linear_positions
 from twin.planning.sequences.specification import SequencePoints, SequenceTask
 from twin.planning.sight import machine_shapes
 
@@ -30,6 +28,8 @@ TABLE_SHARE: Final = 0.6
 """Distance of a default sphere from the middle of the table, as a share of the table's radius."""
 HEIGHT_MM: Final = 60.0
 """Height of a default sphere above the table."""
+CHECKED_SHARE: Final = 0.9
+"""Share of the clearance that moves beside the sphere are checked with; they keep the whole of it by construction."""
 ASSUMED_RADIUS_MM: Final = 200.0
 """Radius of a table without shapes."""
 
@@ -69,75 +69,34 @@ def reach(task: SequenceTask, points: SequencePoints) -> Reached:
         first = outside[:, i] & ~outside[:, :i].any(axis=1)
         if first.any():
             dropped[f"{machine.axes[i].name} beyond its range"] = int(first.sum())
-    clearance = clearance_of(machine, task)
-    kept = [int(row) for row in np.flatnonzero(~outside.any(axis=1)) if clearance.is_clear(positions[row])]
-    collided = int((~outside.any(axis=1)).sum()) - len(kept)
-    if collided:
-        dropped["too little clearance"] = collided
+    inside = np.flatnonzero(~outside.any(axis=1))
+    clear = _clear(task, positions[inside], places[inside])
+    kept = inside[clear].tolist()
+    if len(kept) < len(inside):
+        dropped["too little clearance"] = len(inside) - len(kept)
     found = points.select(np.array(kept, dtype=int))
     reached = SequencePoints(positions[kept], found.place, found.offset_mm, found.run)
     return Reached(reached, MappingProxyType(dropped))
 
 
-def linear_positions(
-    machine: Machine,
-    positions: np.ndarray,
-    tip_mm: tuple[float, float, float],
-    places_mm: np.ndarray,
-    offset_mm: np.ndarray,
-) -> np.ndarray:
-    """Return positions (n, axes) at which a part of the tool is at given places, from the nominal kinematics.
-
-    Args:
-        machine: the machine.
-        positions: (n, axes) mm and degrees; those of the linear axes are replaced.
-        tip_mm: the part on the tool side, in the frame of the spindle nose.
-        places_mm: (n, 3) places in the work frame.
-        offset_mm: (n, 3) of the tool's part from the place, base frame.
-
-    Raises:
-        InputError: the machine does not have three linear axes that move the tool in all directions.
-    """
-    linear = list(machine.linear)
-    q = np.array(positions, dtype=float)
-    middle = [np.mean(machine.axes[i].domain) for i in linear]
-    q[:, linear] = middle
-    tips = np.broadcast_to(np.array(tip_mm), (len(q), 3))
-
-    def gap(at: np.ndarray) -> np.ndarray:
-        tool, work = (
-            carried_points_mm(machine, at, side, place) for side, place in zip(CARRIERS, (tips, places_mm), strict=True)
-        )
-        return np.asarray(tool - work - offset_mm)
-
-    here = gap(q)
-    if len(linear) != 3:
-        raise InputError("not three linear axes", expected="a machine with three linear axes", value=len(linear))
-    # Linear axes translate: the gap is an affine function of their positions.
-    step = np.stack([gap(q + np.eye(len(machine.axes))[i]) - here for i in linear], axis=2)
-    if len(q) and np.abs(np.linalg.det(step)).min() < 1e-6:
-        raise InputError("the linear axes do not move the tool in all directions", expected="three independent axes")
-    q[:, linear] -= np.linalg.solve(step, here[:, :, None])[:, :, 0]
-    return q
+def _clear(task: SequenceTask, positions: np.ndarray, places_mm: np.ndarray) -> np.ndarray:
+    """Return (n,) whether poses have clearance, those of a probe also beside the sphere."""
+    touching = clearance_of(task.machine, task)
+    found = np.array([touching.is_clear(position) for position in positions], dtype=bool)
+    if task.instrument.specification.reads != "null" or not len(positions):
+        return found
+    apart = apart_clearance(touching)
+    poses = contact_poses(task, positions, places_mm)
+    for row, pose in enumerate(poses):
+        starts = (pose.at(task.machine, task.geometry.around_mm * out) for out in (pose.up, *pose.sides))
+        found[row] = found[row] and pose.stem_aside and all(apart.is_clear(q) for q in starts)
+    return found
 
 
-def carried_points_mm(machine: Machine, positions: np.ndarray, side: str, places_mm: np.ndarray) -> np.ndarray:
-    """Return (n, 3) points on the tool side or the work side of the nominal machine, base frame, mm.
-
-    Args:
-        machine: the machine.
-        positions: (n, axes) mm and degrees.
-        side: ``tool`` or ``work``.
-        places_mm: (n, 3) in the frame of that side.
-    """
-    n = len(positions)
-    errors, carrier = np.zeros((n, 6 * len(machine.frames))), np.full(n, side, dtype=object)
-    return _observation(machine).points(positions * machine.scale, errors, carrier, places_mm * MM) / MM
-
-
-@lru_cache(maxsize=2)
-def _observation(machine: Machine) -> Observation:
-    return Observation(machine)
+def apart_clearance(touching: Clearance) -> Clearance:
+    """Return the clearance check for moves in which stylus and sphere do not touch."""
+    bodies = tuple(replace(body, contact=False) for body in touching.bodies)
+    return Clearance(touching.machine, touching.kit, bodies, CHECKED_SHARE * touching.margin_mm)
 
 
 def clearance_of(machine: Machine, task: SequenceTask) -> Clearance:
