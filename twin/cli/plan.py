@@ -12,7 +12,7 @@ import typer
 from twin._common.errors import InputError
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.words import three_numbers
 from twin.machine.calibration import Calibration
 from twin.machine.machine import DEFAULT, Machine
@@ -22,6 +22,7 @@ from twin.measurement.table import Measurements
 from twin.planning import Kit, duration, judge, judge_sequence, measuring_sequence, separate
 from twin.planning import plan as make_plan
 from twin.planning.kit import bundled_kit
+from twin.planning.programs import format_of, program_steps, write_program
 from twin.planning.sequences import SEQUENCES, SET_UPS, ProbeGeometry, minutes_of
 
 MINUTES = 210.0
@@ -106,13 +107,23 @@ ClearanceOption = Annotated[
 ]
 
 
+ProgramOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--program",
+        help="Measuring program for the touch probe, untested on a control: .ngc .nc (LinuxCNC), .h (HEIDENHAIN), .mpf (SINUMERIK).",
+    ),
+    Output((".ngc", ".nc", ".h", ".mpf")),
+]
+
+
 @command(
     "twin plan -o plan.csv --minutes 120",
     "twin plan -o plan.csv --kit dmu50 --reduce E_C0Y E_A0Z",
     'twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv',
     "twin plan --judge thesis_plan.csv --json judged.json",
     "twin plan --instrument probe -o plan.csv --tool-length 120 --minutes 45",
-    'twin plan --instrument probe --sequence turns -o plan.csv --tool-length 120 --spheres "150,0,60"',
+    'twin plan --instrument probe --sequence turns -o plan.csv --tool-length 120 --spheres "150,0,60" --program probe.ngc',
 )
 def plan(
     output: Annotated[
@@ -134,6 +145,7 @@ def plan(
     sphere_diameter: SphereDiameterOption = None,
     ball_diameter: BallDiameterOption = None,
     clearance: ClearanceOption = None,
+    program: ProgramOption = None,
     tool_length: options.ToolOption = None,
     seed: Annotated[int, typer.Option("--seed", help="Random seed of the candidate poses.")] = 0,
     json_file: JsonOption = None,
@@ -150,7 +162,8 @@ def plan(
     if judged is not None:
         return _judged(judged, loaded, own, errors, instrument, tool_length)
     sizes = {"sphere_mm": sphere_diameter, "ball_mm": ball_diameter, "clearance_mm": clearance}
-    request = _SequenceRequest(instrument, sequence, spheres, {k: v for k, v in sizes.items() if v is not None})
+    given = {name: value for name, value in sizes.items() if value is not None}
+    request = _SequenceRequest(instrument, sequence, spheres, given, program)
     if request.for_sequence():
         return request.planned(loaded, own, tool_length, minutes, seed, output)
     with progress_bar() as bar:
@@ -196,12 +209,13 @@ def _check_combination(
 @final
 @dataclass(frozen=True)
 class _SequenceRequest:
-    """Options of a measuring sequence: instrument, name, places on the table, sizes."""
+    """Options of a measuring sequence: instrument, name, places on the table, sizes, program to write."""
 
     instrument: str | None
     sequence: str | None
     spheres: list[str] | None
     sizes: Mapping[str, float]
+    program: Path | None
 
     def for_sequence(self) -> bool:
         """Return whether a measuring sequence is wanted.
@@ -211,7 +225,7 @@ class _SequenceRequest:
         """
         if self.instrument is not None and options.instrument_named(self.instrument).name in SET_UPS:
             return True
-        if self.sequence is not None or self.spheres or self.sizes:
+        if self.sequence is not None or self.spheres or self.sizes or self.program is not None:
             raise InputError(
                 "a measuring sequence needs its instrument",
                 expected=f"--instrument {' or '.join(SET_UPS)}",
@@ -246,9 +260,20 @@ class _SequenceRequest:
             geometry=ProbeGeometry(tool_length_mm, **self.sizes),
             seed=seed,
         )
+        text, program = made.to_text(), None
+        skipped: tuple[int, ...] = ()
+        if self.program is not None:
+            language = format_of(self.program)
+            steps = program_steps(made)
+            skipped, program = steps.skipped, {"file": str(self.program), "control": language.title}
+            text += f"note: program for {language.title}: {steps.poses} poses, UNTESTED ON A REAL CONTROL. {language.unverified}\n"
+            if skipped:
+                text += f"note: NOT PROBED for lack of clearance: poses {', '.join(map(str, skipped))}\n"
+            write_program(steps, self.program)
         if output is not None:
             made.save(output)
-        return CommandResult(made.to_text(), made.to_dict)
+        report = {**made.to_dict(), "program": program, "not_probed": list(skipped)}
+        return CommandResult(text, lambda: report, met=not skipped)
 
 
 def _judged_sequence(plan: Path, machine: Machine, kit: Kit, table: Measurements) -> CommandResult:

@@ -11,7 +11,6 @@ from typing import Final
 
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
-from twin.planning.measure import SequencePlan
 from twin.planning.programs.heidenhain import HEIDENHAIN
 from twin.planning.programs.linuxcnc import LINUXCNC
 from twin.planning.programs.siemens import SIEMENS
@@ -37,16 +36,15 @@ def format_of(path: str | Path) -> ProgramFormat:
     raise InputError("no control has programs with this suffix", expected=every, file=Path(path), value=suffix)
 
 
-def measuring_program(plan: SequencePlan, path: str | Path) -> ProgramSteps:
-    """Write the measuring program of a plan atomically, in the language that the suffix selects.
+def write_program(steps: ProgramSteps, path: str | Path) -> None:
+    """Write a measuring program atomically, in the language that the suffix of the file name selects.
 
     Raises:
-        InputError: an unknown suffix, a plan that is not for a probe, or no pose with a path with clearance.
+        InputError: an unknown suffix, or axes that the control does not have.
     """
-    chosen, steps = format_of(path), program_steps(plan)
+    chosen = format_of(path)
     name = re.sub(r"[^A-Za-z0-9]+", "_", Path(path).stem).strip("_").upper()[:LONGEST_NAME] or "TWIN"
     write_atomic(Path(path), chosen.write(steps, name if name[0].isalpha() else f"T_{name}"))
-    return steps
 
 
 __all__ = [
@@ -55,6 +53,6 @@ __all__ = [
     "ProgramStep",
     "ProgramSteps",
     "format_of",
-    "measuring_program",
     "program_steps",
+    "write_program",
 ]

@@ -44,7 +44,7 @@ def _text(program: ProgramSteps, name: str) -> str:
                 "TCH PROBE 4.1 Q10",
                 "TCH PROBE 4.2 " + " ".join(f"I{axis}{value:+.6f}" for axis, value in vector),
                 f"TCH PROBE 4.3 DIST{step.distance_mm:+.3f} F{PROBING_FEED:g} MB{step.distance_mm:+.3f} REFERENCE SYSTEM:1",
-                'FN 9: IF +Q13 EQU -1 GOTO LBL "NO_CONTACT"',
+                "FN 9: IF +Q13 EQU -1 GOTO LBL 99",
                 f"FN 16: F-PRINT TNC:\\TWIN.A / TNC:\\{name}.TXT",
             ]
             words.forget()
@@ -53,7 +53,7 @@ def _text(program: ProgramSteps, name: str) -> str:
         if found:
             feed = "FMAX" if step.kind == "rapid" else f"F{APPROACH_FEED:g}"
             lines.append(f"L {' '.join(found)} R0 {feed} M91")
-    lines += ["STOP M2", 'LBL "NO_CONTACT"', "; no contact within the search", "STOP M2", "LBL 0", f"END PGM {name} MM"]
+    lines += ["L M30", "LBL 99", "; no contact within the search", "STOP", "LBL 0", f"END PGM {name} MM"]
     return "".join(f"{number} {line}\r\n" for number, line in enumerate(lines))
 
 

@@ -126,7 +126,7 @@ class AxisWordsWriter:
 
 def ascii_text(text: str) -> str:
     """Return a text in plain ASCII without brackets and quotes, for a comment in any language."""
-    for old, new in (("µ", "u"), ("…", "..."), ("–", "-"), ("−", "-"), ("°", " deg"), ("Ø", "dia. ")):
+    for old, new in (("µ", "u"), ("…", "..."), ("–", "-"), ("−", "-"), ("°", " deg"), (";", ",")):
         text = text.replace(old, new)
-    plain = text.translate(str.maketrans("([{}])", "      ", "\"'%;"))
+    plain = text.translate(str.maketrans("([{}])", "      ", "\"'%"))
     return " ".join(plain.encode("ascii", "replace").decode().split())

@@ -99,31 +99,34 @@ class _Builder:
         return pose.at(self.machine, (self.size.around_mm + np.floor(length * 1e3) / 1e3) * pose.up)
 
     def _way(self, high: np.ndarray) -> list[np.ndarray] | None:
-        """Return the positions from the last one to a retracted one: turn first or move first; None if neither is clear."""
-        linear, rotary = list(self.machine.linear), list(self.machine.rotary)
+        """Return the positions from the last one to a retracted one; None if none of the ways tried is clear.
+
+        The rotary axes turn first or last, or in between with one linear axis at an end of its range.
+        """
+        rotary = list(self.machine.rotary)
         if not self.steps:
             return self._first(high)
         here = self.steps[-1].position
-        turned, moved = np.array(here), np.array(high)
-        turned[rotary], moved[rotary] = high[rotary], here[rotary]
-        ways = [[turned, high], [moved, high]]
-        for height in (np.maximum(here, high), np.minimum(here, high)):
-            raised, level = np.array(here), np.array(high)
-            axis = linear[int(np.argmax(np.abs(high[linear] - here[linear])))] if len(linear) else 0
-            raised[axis], level[axis] = height[axis], height[axis]
-            crossed = np.array(raised)
-            crossed[rotary] = high[rotary]
-            ways.append([raised, crossed, level, high])
-        for way in ways:
-            if self._inside(way) and self._clear([here, *way]):
-                return way
-        return None
+
+        def turned(at: np.ndarray) -> np.ndarray:
+            found = np.array(at)
+            found[rotary] = high[rotary]
+            return found
+
+        back = np.array(high)
+        back[rotary] = here[rotary]
+        ways = [[turned(here), high], [back, high]]
+        for i in self.machine.linear:
+            for end in self.task.kit.ranges[i]:
+                aside = np.array(here)
+                aside[i] = end
+                ways.append([aside, turned(aside), high])
+        return next((way for way in ways if self._inside(way) and self._clear([here, *way])), None)
 
     def _first(self, high: np.ndarray) -> list[np.ndarray]:
         """Return the first positions: the axis along the tool first, then the rotary axes, then the others; NaN does not move."""
         linear, rotary = list(self.machine.linear), list(self.machine.rotary)
-        pose = self.machine
-        along = max(linear, key=lambda i: abs(float(pose.axes[i].machine_direction[2])))
+        along = max(linear, key=lambda i: abs(float(self.machine.axes[i].machine_direction[2])))
         found, now = [], np.full(len(high), np.nan)
         for axes in ([along], rotary, linear):
             now = np.array(now)

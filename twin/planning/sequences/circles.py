@@ -48,6 +48,6 @@ CIRCLES: Final = MeasuringSequence(
         "The text of the standard was not available; the number of points is a choice. Arcs of 220° replace the circles of the "
         "vertical planes, as is usual with a pivot on the table. The bar itself is not checked for collisions."
     ),
-    limits="Rotary axes do not move: nothing is learned about them.",
+    limits="Rotary axes do not move, so their errors do not show. Scales rest on the calibrated length of the bar.",
     make=_points,
 )

@@ -88,8 +88,12 @@ def _clear(task: SequenceTask, positions: np.ndarray, places_mm: np.ndarray) -> 
     apart = apart_clearance(touching)
     poses = contact_poses(task, positions, places_mm)
     for row, pose in enumerate(poses):
-        starts = (pose.at(task.machine, task.geometry.around_mm * out) for out in (pose.up, *pose.sides))
-        found[row] = found[row] and pose.stem_aside and all(apart.is_clear(q) for q in starts)
+        if found[row]:
+            found[row] = pose.stem_aside and all(
+                apart.is_clear(pose.at(task.machine, task.geometry.around_mm * out))
+                and touching.is_clear(pose.at(task.machine, task.geometry.contact_mm * out))
+                for out in (pose.up, *pose.sides)
+            )
     return found
 
 
