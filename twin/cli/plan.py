@@ -19,7 +19,7 @@ from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.checks import grouped_notes
 from twin.measurement.instruments import INSTRUMENTS, instrument_named
 from twin.measurement.table import Measurements
-from twin.planning import Kit, duration, judge, judge_sequence, measuring_sequence, separate
+from twin.planning import Kit, Plan, duration, judge, judge_sequence, measuring_sequence, separate
 from twin.planning import plan as make_plan
 from twin.planning.kit import bundled_kit
 from twin.planning.programs import format_of, program_steps, write_program
@@ -166,32 +166,46 @@ def plan(
     request = _SequenceRequest(instrument, sequence, spheres, given, program)
     if request.for_sequence():
         return request.planned(loaded, own, tool_length, minutes, seed, output)
-    with progress_bar() as bar:
-        if causes is not None:
-            made = separate(
-                loaded,
-                *causes,
-                own,
-                minutes=MINUTES_TO_SEPARATE if minutes is None else minutes,
-                calibration=errors,
-                after=None if after is None else Measurements.load(after, loaded),
-                seed=seed,
-                progress=bar,
-            )
-        else:
-            made = make_plan(
-                loaded,
-                own,
-                minutes=MINUTES if minutes is None else minutes,
-                reduce=reduce or "tool",
-                expected=errors,
-                tool_length_mm=tool_length,
-                seed=seed,
-                progress=bar,
-            )
+    made = _made(loaded, own, errors, minutes, reduce, causes, after, tool_length, seed)
     if output is not None:
         made.save(output)
     return CommandResult(made.to_text(), made.to_dict, met=made.complete)
+
+
+def _made(
+    machine: Machine,
+    kit: Kit,
+    errors: Calibration,
+    minutes: float | None,
+    reduce: list[str] | None,
+    causes: tuple[str, str] | None,
+    after: Path | None,
+    tool_length_mm: float | None,
+    seed: int,
+) -> Plan:
+    """Return the plan for reflectors: the smallest uncertainty, or two causes distinguished."""
+    with progress_bar() as bar:
+        if causes is not None:
+            return separate(
+                machine,
+                *causes,
+                kit,
+                minutes=MINUTES_TO_SEPARATE if minutes is None else minutes,
+                calibration=errors,
+                after=None if after is None else Measurements.load(after, machine),
+                seed=seed,
+                progress=bar,
+            )
+        return make_plan(
+            machine,
+            kit,
+            minutes=MINUTES if minutes is None else minutes,
+            reduce=reduce or "tool",
+            expected=errors,
+            tool_length_mm=tool_length_mm,
+            seed=seed,
+            progress=bar,
+        )
 
 
 def _check_combination(

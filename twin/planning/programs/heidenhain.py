@@ -19,7 +19,7 @@ def _text(program: ProgramSteps, name: str) -> str:
     more = (
         "Insert the TOOL CALL of the calibrated touch probe where it is marked; its length must not act on M91 positions.",
         f"FN 16 adds one line per contact to TNC:/{name}.TXT with the format file TNC:/TWIN.A, which must exist and hold the following "
-        "line, with its text between double quotes, after a line M_APPEND; and at its end:",
+        "line, with its text between double quotes, after a line M_APPEND:",
         f"  %4.0f %2.0f %10.4f %10.4f %10.4f{' %9.4f' * len(rotary)} , Q20, Q21, Q10, Q11, Q12"
         + "".join(f", Q{22 + k}" for k in range(len(rotary))),
         f"pose, contact, {', '.join(program.linear_names)} at the contact in the machine system, {', '.join(rotary)}",
