@@ -191,6 +191,7 @@ def test_judge_the_thesis(tmp_path: Path, dmu50: Machine, capsys: pytest.Capture
         (("-o", "p.csv", "--instrument", "r-test", "--program", "p.ngc"), "touch probe"),
         (("-o", "missing/p.csv"), "missing"),
         (("--judge", "nothing.csv"), "nothing.csv"),
+        (("--judge", "thesis_plan.csv", "--sequence", "turns"), "--judge evaluates an existing plan"),
         (("--judge", "thesis_plan.csv", "--instrument", "ruler"), "ruler"),
     ],
 )

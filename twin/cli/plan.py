@@ -145,7 +145,7 @@ def plan(
     sphere_diameter: SphereDiameterOption = None,
     ball_diameter: BallDiameterOption = None,
     clearance: ClearanceOption = None,
-    program: ProgramOption = None,
+    program_file: ProgramOption = None,
     tool_length: options.ToolOption = None,
     seed: Annotated[int, typer.Option("--seed", help="Random seed of the candidate poses.")] = 0,
     json_file: JsonOption = None,
@@ -159,11 +159,12 @@ def plan(
     if (output is None) is (judged is None):
         raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
     _check_combination(after, causes, reduce, instrument)
-    if judged is not None:
-        return _judged(judged, loaded, own, errors, instrument, tool_length)
     sizes = {"sphere_mm": sphere_diameter, "ball_mm": ball_diameter, "clearance_mm": clearance}
     given = {name: value for name, value in sizes.items() if value is not None}
-    request = _SequenceRequest(instrument, sequence, spheres, given, program)
+    request = _SequenceRequest(instrument, sequence, spheres, given, program_file)
+    if judged is not None:
+        request.check_judged()
+        return _judged(judged, loaded, own, errors, instrument, tool_length)
     if request.for_sequence():
         return request.planned(loaded, own, tool_length, minutes, seed, output)
     made = _made(loaded, own, errors, minutes, reduce, causes, after, tool_length, seed)
@@ -230,6 +231,11 @@ class _SequenceRequest:
     spheres: list[str] | None
     sizes: Mapping[str, float]
     program: Path | None
+
+    def check_judged(self) -> None:
+        """Raise `InputError` if there is an option that makes a plan, where one is judged."""
+        if self.sequence is not None or self.spheres or self.sizes or self.program is not None:
+            raise InputError("--judge evaluates an existing plan", expected="no option of a measuring sequence")
 
     def for_sequence(self) -> bool:
         """Return whether a measuring sequence is wanted.

@@ -230,6 +230,10 @@ def _task(
         InputError: an impossible number.
     """
     geometry.check()
+    if len(machine.linear) != 3:
+        raise InputError(
+            "not three linear axes", expected="a machine with three linear axes", value=", ".join(machine.names)
+        )
     length = geometry.tool_length_mm or machine.tool_length_mm or 100.0
     if not 0.0 < minutes <= MOST_MINUTES:
         raise InputError("impossible time budget", expected=f"up to {MOST_MINUTES:g} minutes", value=minutes)

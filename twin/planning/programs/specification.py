@@ -11,9 +11,9 @@ import numpy as np
 
 from twin.machine.machine import Machine
 
-PROBING_FEED: Final = 120.0
+PROBING_FEED: Final = 200.0
 """Feed of a contact, mm/min."""
-APPROACH_FEED: Final = 1000.0
+APPROACH_FEED: Final = 3000.0
 """Feed next to the sphere, mm/min."""
 WIDTH: Final = 72
 """Characters per line of comment."""

@@ -22,6 +22,8 @@ STEP_DEG: Final = 15.0
 """Largest step of the grid of candidate positions of a rotary axis."""
 MOST_CANDIDATES: Final = 1500
 """Number of candidates above which a random selection is taken."""
+MOST_POSES: Final = 20_000
+"""Size of the grid above which its poses are drawn at random."""
 FEWEST: Final = 6
 """Fewest poses of a design."""
 MOST: Final = 400
@@ -83,7 +85,11 @@ def _grid(task: SequenceTask) -> SequencePoints:
         count = int(np.ceil((high - low) / STEP_DEG)) + 1
         grid = np.linspace(low, high, count)
         grids.append(grid[:-1] if task.machine.axes[i].lower is None else grid)
-    poses = np.array(list(product(*grids)))
+    if np.prod([float(len(grid)) for grid in grids]) <= MOST_POSES:
+        poses = np.array(list(product(*grids)))
+    else:
+        draw = np.random.default_rng(task.seed)
+        poses = np.stack([draw.choice(grid, MOST_CANDIDATES) for grid in grids], axis=1)
     names = list(task.places_mm)
     positions = np.tile(task.rest(), (len(poses) * len(names), 1))
     positions[:, list(task.rotary)] = np.tile(poses, (len(names), 1))
