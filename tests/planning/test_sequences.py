@@ -124,8 +124,8 @@ def test_the_design_is_better_than_the_standard_sequences_in_the_same_time(dmu50
 
 
 def test_more_time_gives_smaller_uncertainty(dmu50: Machine) -> None:
-    short, long = planned(dmu50, "probe", minutes=30.0), planned(dmu50, "probe", minutes=70.0)
-    assert short.minutes <= 30.0 and 60.0 < long.minutes <= 70.0 and len(long.table) > 2 * len(short.table)
+    short, long = planned(dmu50, "probe", minutes=25.0), planned(dmu50, "probe", minutes=45.0)
+    assert short.minutes <= 25.0 and 40.0 < long.minutes <= 45.0 and len(long.table) > 2 * len(short.table)
     names = [name for name, u in short.expected.unknown.u.items() if np.isfinite(u)]
     assert all(long.expected.unknown.u[name] < short.expected.unknown.u[name] for name in names)
 
@@ -195,7 +195,7 @@ def test_from_the_sequence_to_the_constants(tmp_path: Path, instrument: str) -> 
     """plan, simulate, identify: the constant errors that are determined come back within their uncertainty, which is that predicted."""
     (tmp_path / "truth.yaml").write_text(CONSTANTS)
     plan, measured, found, report = (tmp_path / name for name in ("p.csv", "m.csv", "c.yaml", "p.json"))
-    arguments = ("plan", "--instrument", instrument, "-o", plan, "--tool-length", 120, "--minutes", 60)
+    arguments = ("plan", "--instrument", instrument, "-o", plan, "--tool-length", 120, "--minutes", 45)
     assert status(*arguments, "--spheres", "150,0,60", "-90,120,100", "--json", report) == 0
     assert status("simulate", plan, "-o", measured, "--calibration", tmp_path / "truth.yaml", "--seed", 4) == 0
     only = ("E_*0*", "E_XX", "E_YY", "E_ZZ")
@@ -207,3 +207,5 @@ def test_from_the_sequence_to_the_constants(tmp_path: Path, instrument: str) -> 
     assert len(u) >= 7
     for name, standard in u.items():
         assert abs(errors[name]["value"] - truth[name]) < 3.5 * standard + 0.01, name
+        # The estimate also has curves of higher degree as unknowns.
+        assert 0.99 < errors[name]["u"] / standard < 2.2, name

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin._common.errors import InputError
-from twin.display import card, count_with_noun, note, pairs
+from twin.display import card, count_with_noun, note, pairs, table
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, instrument_named
 from twin.measurement.table import Measurements
@@ -34,6 +34,7 @@ from twin.planning.sequences import (
 SCHEMA: Final = "twin.plan/1"
 MINUTES: Final = 60.0
 """Time budget of a sequence that is chosen by the time."""
+BEST_COLUMN: Final = "best, nothing known"
 MOST_MINUTES: Final = 24.0 * 60.0
 
 
@@ -84,6 +85,7 @@ class SequencePlan:
             )
         if self.dropped:
             found.append("points out of reach: " + ", ".join(f"{count} ({why})" for why, count in self.dropped.items()))
+        found.append("the uncertainties hold where linear errors are the only ones that depend on the position")
         found += [text for text in (self.sequence.unverified, self.sequence.limits) if text]
         return found
 
@@ -102,7 +104,7 @@ class SequencePlan:
 
     def to_text(self) -> str:
         """Return the text report."""
-        others = {} if self.best is None else {"best, nothing known": self.best.unknown.u}
+        others = {} if self.best is None else {BEST_COLUMN: self.best.unknown.u}
         lines = [
             f"{self.machine.name}: sequence {self.sequence.name} with {self.task.instrument.specification.title}, "
             f"{count_with_noun(len(self.table), 'pose')}, {self.minutes:.0f} minutes",
@@ -137,7 +139,9 @@ class SequencePlan:
         facts += [(f"cannot tell, {title}", "; ".join(one.lost)) for title, one in self.expected.by_knowledge.items()]
         small = f"{count_with_noun(len(self.table), 'pose')}, {self.minutes:.0f} minutes"
         notes = [note(text) for text in self.notices()]
-        return card(f"Sequence {self.sequence.name}", pairs(facts), *notes, small=small).text
+        headers, rows = self.expected.rows({} if self.best is None else {BEST_COLUMN: self.best.unknown.u})
+        shown = table(headers, rows, right=tuple(range(1, len(headers))))
+        return card(f"Sequence {self.sequence.name}", pairs(facts), shown, *notes, small=small).text
 
 
 def measuring_sequence(

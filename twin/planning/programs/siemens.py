@@ -44,6 +44,7 @@ def _text(program: ProgramSteps, name: str) -> str:
             "IF $AC_MEA[1]==0",
             f'MSG("no contact: pose {step.pose}, contact {step.contact}")',
             "M0",
+            "M30",
             "ENDIF",
             f'WRITE(_ERR,"{log}","{step.pose};{step.contact};"<<{fields})',
         ]
@@ -57,6 +58,9 @@ SIEMENS: Final = ProgramFormat(
     title="Siemens SINUMERIK",
     suffixes=(".mpf",),
     source="SINUMERIK 840D sl programming manuals: MEAS, $AC_MEA, $AA_MM, WRITE, SUPA",
-    unverified="Not run on a control. SUPA together with MEAS, the number of the probe and the folder of the log are not verified.",
+    unverified=(
+        "Not run on a control. SUPA together with MEAS, the number of the probe, the folder of the log and its number of decimals are "
+        "not verified."
+    ),
     write=_text,
 )

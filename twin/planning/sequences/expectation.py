@@ -129,23 +129,29 @@ class Expectation:
         Args:
             others: further columns by title, u by name.
         """
-        columns = {name: found.u for name, found in self.by_knowledge.items()} | dict(others or {})
-        names = list(dict.fromkeys(name for found in columns.values() for name in found))
-        width = max(len(title) for title in columns) + 2
+        headers, rows = self.rows(others)
+        width = max(len(title) for title in headers[1:]) + 2
         found = [
             "constant errors, predicted standard uncertainty (k = 1); - where this sequence cannot determine it:",
-            " " * 16 + "".join(f"{title:>{width}}" for title in columns),
+            " " * 16 + "".join(f"{title:>{width}}" for title in headers[1:]),
+            *(f"  {name:<14}" + "".join(f"{cell:>{width}}" for cell in cells) for name, *cells in rows),
         ]
-        for name in names:
-            unit = readable(unit_of(name)) if "0" in name else "µm/m"
-            cells = [own.get(name, float("nan")) for own in columns.values()]
-            text = "".join(f"{_short(value):>{width}}" for value in cells)
-            found.append(f"  {name:<7}{unit:>7}{text}")
         found.append("what this sequence cannot tell:")
         for title, constants in self.by_knowledge.items():
             lost = "; ".join(constants.lost) or "nothing among the errors of the axes that it moves"
             found.append(f"  {title}: {lost} ({constants.determined} of {len(constants.u)} determined)")
         return found
+
+    def rows(
+        self, others: Mapping[str, Mapping[str, float]] | None = None
+    ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Return headers and rows of the table of uncertainties, one row per constant error; arguments as of `lines`."""
+        columns = {name: found.u for name, found in self.by_knowledge.items()} | dict(others or {})
+        rows = []
+        for name in dict.fromkeys(name for found in columns.values() for name in found):
+            unit = readable(unit_of(name)) if "0" in name else "µm/m"
+            rows.append((f"{name:<6} {unit}", *(_short(own.get(name, np.nan)) for own in columns.values())))
+        return ("error", *columns), rows
 
     def to_dict(self) -> list[dict[str, Any]]:
         """Return the JSON list, one entry for each state of knowledge."""
