@@ -207,5 +207,5 @@ def test_from_the_sequence_to_the_constants(tmp_path: Path, instrument: str) -> 
     assert len(u) >= 7
     for name, standard in u.items():
         assert abs(errors[name]["value"] - truth[name]) < 3.5 * standard + 0.01, name
-        # The estimate also has curves of higher degree as unknowns.
-        assert 0.99 < errors[name]["u"] / standard < 2.2, name
+        # The estimate also has curves of degree 12 as unknowns, which the prediction leaves out.
+        assert 0.99 < errors[name]["u"] / standard < 3.0, name
