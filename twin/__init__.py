@@ -3,9 +3,10 @@
 `import twin` gives every name that notebooks and scripts need; each is imported when it is first used (PEP 562):
 
 - machine and model: `Machine`, `Calibration`, `Curve`, `Conditions`, `effect_named`, `Kinematics`, `Inverse`;
-- measurements: `Measurements`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`, `duration`,
+- measurements: `Measurements`, `convert`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`, `duration`,
   `measuring_sequence`, `thesis_plan`;
 - identification: `identify`, `ToolUncertainty`, `compare`, `draw_machines`, `identify_as_thesis`;
+- standard tests (ISO 230, ISO 10791-6): `evaluate`, `evaluation_html`;
 - diagnosis: `diagnose`, `diagnosis_html`;
 - programs: `compensate`, `compensate_file`, `compensate_files`, `Compensator`, `Options`, `Scope`, `Setup`, `Workers`, `execute_file`,
   `read_program`, `find_program`, `refit`, `ThesisMethod`;
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from twin.machine.machine import Machine
     from twin.machine.motion_curve import Curve
     from twin.measurement import instruments
+    from twin.measurement.formats import convert
     from twin.measurement.simulate import Placement, simulate
     from twin.measurement.table import Measurements
     from twin.nc import find_program, read_program
@@ -51,6 +53,8 @@ if TYPE_CHECKING:
     from twin.reporting import machine_report as report
     from twin.reporting.scene import draw_program as scene
     from twin.samples import thesis_plan
+    from twin.standards import evaluate
+    from twin.standards.page import evaluation_html
     from twin.uncertainty.at_tool import ToolUncertainty
     from twin.uncertainty.population import draw_machines
 
@@ -78,12 +82,15 @@ __all__ = [
     "compensate",
     "compensate_file",
     "compensate_files",
+    "convert",
     "diagnose",
     "diagnosis_html",
     "diagnosis_plots",
     "draw_machines",
     "duration",
     "effect_named",
+    "evaluate",
+    "evaluation_html",
     "execute_file",
     "find_program",
     "identification_plots",
@@ -133,11 +140,14 @@ _HOMES = {
     "compensate": ("twin.compensation", "compensate"),
     "compensate_file": ("twin.compensation", "compensate_file"),
     "compensate_files": ("twin.compensation.many", "compensate_files"),
+    "convert": ("twin.measurement.formats", "convert"),
     "diagnose": ("twin.diagnosis", "diagnose"),
     "diagnosis_html": ("twin.diagnosis.wording.report", "diagnosis_html"),
     "draw_machines": ("twin.uncertainty.population", "draw_machines"),
     "duration": ("twin.planning", "duration"),
     "effect_named": ("twin.machine.effects.entries", "effect_named"),
+    "evaluate": ("twin.standards", "evaluate"),
+    "evaluation_html": ("twin.standards.page", "evaluation_html"),
     "execute_file": ("twin.compensation.execute", "execute_file"),
     "find_program": ("twin.nc", "find_program"),
     "identify": ("twin.identification", "identify"),

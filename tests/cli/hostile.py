@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 import twin
 from tests.control.cases import CASES
+from tests.measurement.formats.cases import CASES as MEASURED
 from twin.compensation.fewer_blocks.points import points_program
 from twin.identification.axis_run import (
     AxisLayout,
@@ -30,6 +31,7 @@ from twin.machine.control import ControlCurve, ControlTerm, TableSum, format_nam
 from twin.machine.control.spatial import CorrectionGrid
 from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection
 from twin.machine.machine import bundled_folder
+from twin.measurement.formats import convert
 from twin.measurement.table import Measurements
 from twin.measurement.thesis_export import load_export
 from twin.nc import DIALECTS, dialect_of
@@ -191,7 +193,11 @@ def _calibration(path: Path) -> None:
 
 
 def _table(path: Path) -> None:
-    Measurements.load(path, machine()).to_csv(machine())
+    data = Measurements.load(path, machine())
+    data.to_csv(machine())
+    evaluated = twin.evaluate(data, machine(), tolerances={"A": 10.0})
+    evaluated.to_text()
+    json.dumps(evaluated.to_dict(), allow_nan=False)
 
 
 def _plan(path: Path) -> None:
@@ -255,6 +261,19 @@ def _control(kind: str) -> Callable[[Path], None]:
     return use
 
 
+def _measured(name: str) -> Callable[[Path], None]:
+    case = MEASURED[name]
+
+    def use(path: Path) -> None:
+        machine = twin.Machine.load(case.MACHINE)
+        found = convert(path, machine, case.GIVEN, format_name=name)
+        found.measurements.to_csv(machine, comment=found.comment)
+        found.to_text()
+        json.dumps(found.to_dict(), allow_nan=False)
+
+    return use
+
+
 KINDS: Mapping[str, Kind] = {
     "calibration": Kind("a.yaml", YAML, _calibration),
     "machine": Kind("a.yaml", YAML, _machine, 3),
@@ -277,6 +296,7 @@ KINDS: Mapping[str, Kind] = {
     "plain language": Kind("a.h", NC, _program),
     "apt": Kind("a.cls", NC, _program),
     "urdf": Kind("a.urdf", XML, _urdf, 4),
+    **{f"measured by {name}": Kind(case.FILE, [], _measured(name), 2) for name, case in MEASURED.items()},
 }
 
 
@@ -389,6 +409,7 @@ _SAMPLES: Mapping[str, Callable[[], str]] = {
     ),
     "apt": lambda: "UNITS/MM\nFEDRAT/MMPM,500\nGOTO/1,2,3,0,0,1\nGOTO/2,2,3,0,0.6,0.8\nRAPID\nGOTO/5,5,5,0,0,1\nFINI\n",
     "urdf": lambda: (bundled_folder() / "dmu50.urdf").read_text(),
+    **{f"measured by {name}": (lambda case=case: case.GOOD) for name, case in MEASURED.items()},
 }
 
 

@@ -148,6 +148,7 @@ def test_a_report_never_replaces_an_input(capsys: pytest.CaptureFixture[str], tm
         (("simulate", "thesis_pla.csv", "-o", "x.csv"), "thesis_plan.csv"),
         (("simulate", "thesis_plan.csv", "-o", "x.csv", "--instrument", "traker"), "tracker"),
         (("identify", "m.csv", "-o", "x.yaml", "--only", "E_C0X"), "E_"),
+        (("evaluate", "thesis_plan.csv", "--instrument", "traker"), "tracker"),
         (("plan", "-o", "x.csv", "--reduce", "tol"), "tool"),
         (("plan", "-o", "x.csv", "--kit", "dmu5"), "dmu50"),
         (("simulate-run", "-l", "nine_beam_x.yaml", "--positions", "0,500,3", "-o", "x.csv"), "nine_beams_x.yaml"),

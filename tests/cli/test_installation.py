@@ -114,6 +114,8 @@ def test_a_path_instead_of_what_was_read_from_it() -> None:
         twin.identify("measured.csv", machine)
     with pytest.raises(TypeError, match="data must be a Measurements"):
         twin.diagnose(Path("measured.csv"), machine)
+    with pytest.raises(TypeError, match="data must be a Measurements"):
+        twin.evaluate("measured.csv", machine)
     with pytest.raises(TypeError, match="first must be a Calibration"):
         twin.compare("old.yaml", "new.yaml")
     with pytest.raises(TypeError, match="machine must be a Machine"):

@@ -19,6 +19,7 @@ from typing import Any, get_type_hints
 import pytest
 
 from tests.cli.commands import TWIN, refused
+from tests.measurement.formats.cases import CASES as MEASURED
 from twin import cli
 from twin._common.errors import InputError
 from twin._common.files import TEMPORARY_PREFIX, atomic_file, read_bytes, tracked_files, write_atomic
@@ -41,6 +42,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(folder / "dmu50.calibration.yaml", folder / "c.yaml")
     plan = Path(cli.__file__).parents[1] / "samples" / "thesis_plan.csv"
     (folder / "plan.csv").write_text("".join(plan.read_text().splitlines(keepends=True)[:40]))
+    (folder / "contacts.csv").write_text(MEASURED["contacts"].GOOD)
     with pytest.raises(SystemExit) as ended:
         cli.main(["control", "--to", "siemens", "-o", str(folder / "tables"), "--json", str(folder / "report.json")])
     assert ended.value.code == 0
@@ -68,6 +70,8 @@ COMMANDS = {
         "identify plan.csv -o o.yaml --control siemens=tables/cec.mpf --json tables/cec.mpf",
         "tables/cec.mpf",
     ),
+    "evaluate, json over the machine": ("evaluate plan.csv -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
+    "evaluate, json over the table": ("evaluate plan.csv --json plan.csv", "plan.csv"),
     "diagnose, json over the machine": ("diagnose plan.csv -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
     "diagnose, extended over the calibration": ("diagnose plan.csv -c c.yaml --extended c.yaml", "c.yaml"),
     "compare, json over one": ("compare c.yaml dmu50.calibration.yaml --json c.yaml", "c.yaml"),
@@ -81,6 +85,9 @@ COMMANDS = {
     "report, json over the URDF": ("report -o o.html -m dmu50.yaml --json dmu50.urdf", "dmu50.urdf"),
     "simulate over the plan": ("simulate plan.csv -o plan.csv", "plan.csv"),
     "simulate, json over the machine": ("simulate plan.csv -o o.csv -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
+    "convert over the contacts": ("convert contacts.csv -o contacts.csv", "contacts.csv"),
+    "convert, json over the contacts": ("convert contacts.csv -o o.csv --json contacts.csv", "contacts.csv"),
+    "convert over the plan": ("convert contacts.csv -o plan.csv --plan plan.csv", "plan.csv"),
     "plan, json over the machine": ("plan -o o.csv -m dmu50.yaml --json dmu50.yaml --minutes 60", "dmu50.yaml"),
     "plan over what was measured": (
         'plan -o plan.csv --separate "reversal X" "reversal Y" --after plan.csv',

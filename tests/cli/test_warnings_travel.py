@@ -259,6 +259,14 @@ def test_calibration_from_simulated_readings_has_the_warning(dmu50: Machine, tab
     assert [one["name"] for one in drawn.to_dict()["warnings"]] == ["simulated_readings"]
 
 
+def test_standard_tests_have_the_warning(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page, report = tmp_path / "t.html", tmp_path / "t.json"
+    for path, wanted in ((table, {SIMULATED.name}), (as_measured(table), set[str]())):
+        assert run("evaluate", path, "--html", page, "--json", report) == 0
+        printed = capsys.readouterr().out
+        assert said(printed) == said(page.read_text()) == named(report) == wanted
+
+
 def test_thesis_method_has_the_warning(dmu50: Machine, calibration: Calibration) -> None:
     readings, _ = simulate(
         thesis_plan.plan(dmu50), dmu50, calibration, LaserTracker(), np.random.default_rng(3), noise=False

@@ -20,7 +20,7 @@ from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.planning import SequencePlan, measuring_sequence
 from twin.planning.programs import PROGRAMS, ProgramFormat, format_of, program_steps, write_program
-from twin.planning.sequences import ProbeGeometry
+from twin.planning.sequences import InstrumentSizes
 
 LENGTH, SPHERE, BALL, CLEARANCE = 120.0, 25.0, 6.0, 10.0
 PLACE = np.array([150.0, 0.0, 60.0])
@@ -32,8 +32,8 @@ Motion = tuple[str, np.ndarray]
 
 @pytest.fixture(scope="module")
 def plan() -> SequencePlan:
-    sizes = ProbeGeometry(LENGTH, SPHERE, BALL, CLEARANCE)
-    return measuring_sequence(Machine.load("dmu50"), "probe", minutes=20.0, geometry=sizes)
+    sizes = InstrumentSizes(LENGTH, SPHERE, BALL, CLEARANCE)
+    return measuring_sequence(Machine.load("dmu50"), "probe", minutes=20.0, sizes=sizes)
 
 
 def linuxcnc(text: str) -> Iterator[Motion]:

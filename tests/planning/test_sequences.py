@@ -16,7 +16,7 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS
 from twin.measurement.table import Measurements
 from twin.planning import SequencePlan, judge_sequence, measuring_sequence
-from twin.planning.sequences import SEQUENCES, SET_UPS, MeasuringSequence, ProbeGeometry, sequence_named
+from twin.planning.sequences import SEQUENCES, SET_UPS, InstrumentSizes, MeasuringSequence, sequence_named
 
 LENGTH = 120.0
 PAIRS = [
@@ -30,8 +30,8 @@ every_pair = pytest.mark.parametrize(
 def planned(
     machine: Machine, instrument: str, sequence: str | None = None, *, minutes: float = 40.0, clearance: float = 10.0
 ) -> SequencePlan:
-    sizes = ProbeGeometry(LENGTH, clearance_mm=clearance)
-    return measuring_sequence(machine, instrument, sequence, minutes=minutes, geometry=sizes)
+    sizes = InstrumentSizes(LENGTH, clearance_mm=clearance)
+    return measuring_sequence(machine, instrument, sequence, minutes=minutes, sizes=sizes)
 
 
 def status(*arguments: object) -> int:
@@ -71,7 +71,7 @@ def test_the_tool_is_at_the_part_on_the_table(
         [dmu50_pose([*row[:3], *np.radians(row[3:])], {}, LENGTH)[:3, 3] - np.array(place) for row in q]  # type: ignore[arg-type]
     )
     distance = np.linalg.norm(away, axis=1)
-    assert distance == pytest.approx(made.task.radius_mm if instrument == "ball-bar" else 0.0, abs=1.5e-3)
+    assert distance == pytest.approx(made.task.sizes.bar_mm if instrument == "ball-bar" else 0.0, abs=1.5e-3)
     low, high = np.array([axis.domain for axis in dmu50.axes[:4]]).T
     margin = (25.0 + 6.0) / 2.0 + 10.0 if instrument == "probe" else 0.0
     assert np.all(q[:, :3] >= low[:3] + margin) and np.all(q[:, :3] <= high[:3] - margin)

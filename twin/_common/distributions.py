@@ -61,3 +61,8 @@ def normal_isf(chance: Any) -> Any:
 def student_isf(chance: Any, dof: Any) -> Any:
     """Return the value that Student's t with ``dof`` degrees of freedom exceeds with a given probability."""
     return -special.stdtrit(dof, chance)
+
+
+def student_sf(value: Any, dof: Any) -> Any:
+    """Return the probability that Student's t with ``dof`` degrees of freedom exceeds a value."""
+    return special.stdtr(dof, -np.asarray(value))

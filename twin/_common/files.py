@@ -59,6 +59,16 @@ station_c_deg`, the station's known origin and rotation vector in the base frame
 contradictions are errors. In a plan, `planned_place_x_mm …` and `planned_station_x_mm …` give the intended set-up. `simulate` uses
 them, but nothing treats them as known; the simulated table gives them only in its comments.
 
+`station_carrier` (`base`, `tool`, `work`) is the side on which the station rides; its readings and pose are then in the frame of that
+side. `instrument` names the instrument of the station; without it the readings indicate it. Instruments that measure the tool relative
+to the table:
+
+    instrument              station on   target on   reading
+    probe                   tool (tip)   work        0, 0, 0: X_mm … are the positions at which the tip was at the sphere's centre
+    r-test                  work         tool        x, y, z of the ball in the nest
+    ball-bar                work         tool        length in x_mm
+    linear-interferometer   base, work   tool        coordinate along the beam in x_mm
+
 **Report** (`--json`, `schema: twin.compensation/1`): `before` and `after` (RMS and maximum at the functional point in µm, of the tool
 axis in µrad and its tilt about x and y of the tool (angles independent of order), the worst line), `classes`, `rounding_um`,
  `largest_correction`, `uncertainty`, `headline`, `complete` and `strictly_complete` (exit status 0 without and with

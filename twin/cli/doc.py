@@ -15,7 +15,9 @@ from twin.cli.shared.command import CommandResult, JsonOption, command
 
 PAGES: Final = {
     "programs": "twin.compensation",
+    "convert": "twin.measurement.formats",
     "identify": "twin.identification",
+    "evaluate": "twin.standards",
     "diagnose": "twin.diagnosis",
     "plan": "twin.planning",
     "report": "twin.reporting",

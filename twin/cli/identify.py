@@ -36,8 +36,8 @@ InstrumentOption = Annotated[
     str | None,
     typer.Option(
         "--instrument",
-        help=f"Instrument: {', '.join(one.name for one in INSTRUMENTS)}; default: interferometer if the table has only lengths, "
-        "else tracker.",
+        help=f"Instrument: {', '.join(one.name for one in INSTRUMENTS)}; default: the table's column instrument, else what the "
+        "readings indicate.",
         autocompletion=complete.instruments,
     ),
 ]

@@ -23,7 +23,7 @@ from twin.planning import Kit, Plan, duration, judge, judge_sequence, measuring_
 from twin.planning import plan as make_plan
 from twin.planning.kit import bundled_kit
 from twin.planning.programs import format_of, program_steps, write_program
-from twin.planning.sequences import SEQUENCES, SET_UPS, ProbeGeometry, minutes_of
+from twin.planning.sequences import SEQUENCES, SET_UPS, InstrumentSizes, minutes_of
 
 MINUTES = 210.0
 MINUTES_TO_SEPARATE = 60.0
@@ -107,6 +107,12 @@ ClearanceOption = Annotated[
 ]
 
 
+RadiusOption = Annotated[
+    float | None, typer.Option("--radius", help="Length of the ball bar, mm; default: 100."), POSITIVE
+]
+FeedOption = Annotated[
+    float | None, typer.Option("--feed", help="Feed with a ball bar, mm/min; default: 1000."), POSITIVE
+]
 ProgramOption = Annotated[
     Path | None,
     typer.Option(
@@ -145,6 +151,8 @@ def plan(
     sphere_diameter: SphereDiameterOption = None,
     ball_diameter: BallDiameterOption = None,
     clearance: ClearanceOption = None,
+    radius: RadiusOption = None,
+    feed: FeedOption = None,
     program_file: ProgramOption = None,
     tool_length: options.ToolOption = None,
     seed: Annotated[int, typer.Option("--seed", help="Random seed of the candidate poses.")] = 0,
@@ -159,9 +167,8 @@ def plan(
     if (output is None) is (judged is None):
         raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
     _check_combination(after, causes, reduce, instrument)
-    sizes = {"sphere_mm": sphere_diameter, "ball_mm": ball_diameter, "clearance_mm": clearance}
-    given = {name: value for name, value in sizes.items() if value is not None}
-    request = _SequenceRequest(instrument, sequence, spheres, given, program_file)
+    sizes = _sizes(sphere_diameter, ball_diameter, clearance, radius, feed)
+    request = _SequenceRequest(instrument, sequence, spheres, sizes, program_file)
     if judged is not None:
         request.check_judged()
         return _judged(judged, loaded, own, errors, instrument, tool_length)
@@ -207,6 +214,12 @@ def _made(
             seed=seed,
             progress=bar,
         )
+
+
+def _sizes(*given: float | None) -> dict[str, float]:
+    """Return the sizes of the instrument that were given, by name."""
+    names = ("sphere_mm", "ball_mm", "clearance_mm", "bar_mm", "feed_mm_min")
+    return {name: value for name, value in zip(names, given, strict=True) if value is not None}
 
 
 def _check_combination(
@@ -277,7 +290,7 @@ class _SequenceRequest:
             kit,
             places_mm=places or None,
             minutes=SEQUENCE_MINUTES if minutes is None else minutes,
-            geometry=ProbeGeometry(tool_length_mm, **self.sizes),
+            sizes=InstrumentSizes(tool_length_mm, **self.sizes),
             seed=seed,
         )
         text, program = made.to_text(), None

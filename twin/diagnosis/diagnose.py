@@ -44,7 +44,7 @@ def diagnose(
 
     Raises:
         InputError: data that cannot be a measurement of this machine.
-        TypeError: a path instead of what was read from it.
+        TypeError: a path instead of the object read from it.
     """
     require_type("data", data, Measurements)
     require_type("machine", machine, Machine)

@@ -23,6 +23,14 @@ model). Derivatives are analytic. No covariance is scaled by chi². A station ma
 `station_carrier`: `base`, `tool` or `work`); its readings are then in the frame of that side. The datum is the machine's own: x is the
 mean line of X, and the xy-plane contains the mean line of Y.
 
+**Several instruments.** `twin identify probe.csv tracker.csv -o mine.yaml` fits the readings of several tables at once, each station
+with the noise of its own instrument; the report gives the residuals of each instrument and what it determines alone. A probe that finds
+the centre of a sphere reads zero: the axis positions in the row are the measurement (`twin doc files`).
+
+**Constant errors.** One line says how many of the scales, squareness errors and axis locations the readings determine, and which not.
+Spheres at unknown places, found by a probe of unknown length, show neither the common scale of X, Y and Z nor the locations that a
+shift of spheres or tip can compensate. Known places (`place_x_mm …`) or a known tip (`station_x_mm …`) add them.
+
 - Curves have no constant: it belongs to the axis's zero, to a location, or to the places of the targets.
 - Straightness curves have no slope: the reference line is the least-squares line over the range, and its direction is squareness.
   Curves from two set-ups can therefore be compared directly.

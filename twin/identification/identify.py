@@ -64,7 +64,7 @@ def identify(
 
     Raises:
         InputError: data that cannot be a measurement of this machine; too few repeats for ``spread="repeats"``; no axis that moved.
-        TypeError: a path instead of what was read from it.
+        TypeError: a path instead of the object read from it.
     """
     require_type("data", data, Measurements)
     require_type("machine", machine, Machine)

@@ -33,6 +33,8 @@ ABOVE_NOSE_M: Final = 0.01
 """Height of a probe's tip above the spindle nose, m, that is no measurement error."""
 LENGTH_SHARE: Final = 0.01
 """Share of the motion by which a column must change to be taken for a length; across the beam, anything would fit."""
+BALL_BAR_TRAVEL: Final = 0.05
+"""Relative change of a ball bar's length, at most: its travel is a few millimetres."""
 FARTHEST_STATION_M: Final = 50.0
 """Largest distance of an interferometer, m; beyond it, the column is a coordinate."""
 
@@ -279,6 +281,10 @@ def _instrument(
         return instrument, ()
     if len(read) > 1 or np.isfinite(data.station_pose).all():
         return instrument or default_instrument("point", side, float(np.nanmax(np.abs(data.point_mm)))), ()
+    length = data.point_mm[np.isfinite(data.point_mm[:, 0]), 0]
+    if instrument is None and side != SIDES[0] and read == [0] and np.ptp(length) < BALL_BAR_TRAVEL * length.mean():
+        bar = default_instrument("length", side, float(length.max()))
+        return bar, (f"{ASSUMED}x_mm is an absolute length, read by a {bar.specification.title}: it hardly changes",)
     column, points = POINT_COLUMNS[read[0]], default_instrument("point", side)
     if _follows_as_coordinate(machine, data):
         notice = f"only {column} is given: taken as the coordinate of all targets along a line"
@@ -292,10 +298,6 @@ def _instrument(
             row=0,
             value=f"{data.point_mm[0, read[0]]:g}",
         )
-    if side != SIDES[0]:
-        bar = default_instrument("length", side, float(np.nanmax(data.point_mm[:, 0])))
-        notice = f"{ASSUMED}x_mm is an absolute length, read by a {bar.specification.title} whose pivot is on the {side} side."
-        return bar, (notice,)
     return default_instrument("length"), (
         f"{ASSUMED}x_mm is a length from an unknown zero, read by a tracking interferometer: only x_mm is given, and it does not "
         "follow the commands as a coordinate. Otherwise name the instrument, or give y_mm and z_mm.",

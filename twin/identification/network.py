@@ -22,7 +22,8 @@ from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.observation import Observation
-from twin.measurement.table import Measurements
+from twin.measurement.state import of_angles
+from twin.measurement.table import CARRIERS, Measurements
 from twin.numerics.spatial import cross_matrix
 
 CHUNK: Final = 1024
@@ -61,11 +62,15 @@ class LinearisedReadings:
     Attributes:
         rows: rows in the data.
         residual: (k, 3) whitened.
-        points: (k, 3) in the base frame.
+        points: (k, 3) the targets in the base frame.
         seen: (k, 3) the points in their stations' frames.
         whitening: (k, 3, 3).
         by_seen: (k, 3, 3) derivative of the reading with respect to the point in the station's frame.
+        by_ride: (k, 3, 3) with respect to the point in the frame on which the station rides.
         by_base: (k, 3, 3) with respect to the point in the base frame.
+        by_tool, by_work: (k, 3, 3) with respect to a shift of that side along the axes of the base frame: of the target, of the
+            station, or of neither.
+        by_tool_frame, by_work_frame: (k, 3, 3) with respect to a shift of that side along the axes of its own frame.
         by_error: (k, 3, 6·frames) with respect to every component of every error frame.
         by_place: (k, 3, 3) with respect to the target's place on its carrier.
     """
@@ -76,7 +81,12 @@ class LinearisedReadings:
     seen: np.ndarray
     whitening: np.ndarray
     by_seen: np.ndarray
+    by_ride: np.ndarray
     by_base: np.ndarray
+    by_tool: np.ndarray
+    by_work: np.ndarray
+    by_tool_frame: np.ndarray
+    by_work_frame: np.ndarray
     by_error: np.ndarray
     by_place: np.ndarray
 
@@ -123,6 +133,7 @@ class Network:
         self.covariance = stated_covariance(data, instruments) if covariance is None else covariance
         self.whitening = read_only(_whitening(self.covariance, self.read))
         self._observation = Observation(machine)
+        self._angles = of_angles(data)
         self._q = np.asarray(data.positions) * machine.scale
         known = Calibration.zero(machine) if base is None else base
         self._base = self._observation.errors(known, data, check=check)
@@ -177,7 +188,9 @@ class Network:
         """Return (k, 3) measured minus predicted, metres, in each station's frame; zero where nothing was read."""
         q, errors = self._q[rows], self.errors(theta, rows)
         place = setup.place[self._order(setup)[1][rows]]
-        points = self._observation.points(q, errors, self.data.carrier[rows], place, self.data.station_carrier[rows])
+        points = self._observation.points(
+            q, errors, self.data.carrier[rows], place, self.data.station_carrier[rows], self._angles[rows]
+        )
         seen = self._seen(points, setup, rows)
         return self._residuals(seen, setup, rows)
 
@@ -215,23 +228,37 @@ class Network:
             self.data.carrier[rows],
             setup.place[target],
             self.data.station_carrier[rows],
+            self._angles[rows],
         )
         seen = self._seen(carried.points, setup, rows)
         whitening = self.whitening[rows]
         by_seen = np.empty_like(whitening)
         for instrument, some in self.instruments.groups(self.data.station[rows]):
             by_seen[some] = whitening[some] @ instrument.jacobian(seen[some])
-        by_base = by_seen @ setup.rotation[station].transpose(0, 2, 1)
+        by_ride = by_seen @ setup.rotation[station].transpose(0, 2, 1)
+        shifted = by_ride * ~self._angles[rows, None, None]  # a shift changes no angle
+        by_base = shifted @ carried.ride.transpose(0, 2, 1)
+        by_place = by_ride @ carried.rotation
+        sides: list[np.ndarray] = []
+        for side in CARRIERS:
+            own = (self.data.carrier[rows] == side)[:, None, None]
+            rides = (self.data.station_carrier[rows] == side)[:, None, None]
+            sides += [by_base * (1.0 * own - rides), shifted @ carried.rotation * own - shifted * rides]
         return LinearisedReadings(
             rows=rows,
             residual=np.einsum("nij,nj->ni", whitening, self._residuals(seen, setup, rows)),
-            points=carried.points,
+            points=np.einsum("nij,nj->ni", carried.ride, carried.points) + carried.ride_origin,
             seen=seen,
             whitening=whitening,
             by_seen=by_seen,
+            by_ride=by_ride,
             by_base=by_base,
-            by_error=by_base @ carried.by_error,
-            by_place=by_base @ carried.rotation,
+            by_tool=sides[0],
+            by_tool_frame=sides[1],
+            by_work=sides[2],
+            by_work_frame=sides[3],
+            by_error=by_ride @ carried.by_error,
+            by_place=by_place,
         )
 
     def chunk(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> WhitenedRows:
@@ -257,11 +284,11 @@ class Network:
             if kind == "turn":
                 into[of, :, at] = view.by_seen[of] @ cross_matrix(view.seen[of])
             elif kind == "origin":
-                into[of, :, at] = -view.by_base[of]
+                into[of, :, at] = -view.by_ride[of]
             elif kind == "dead path":
                 into[of, :, at] = -view.whitening[of][:, :, :1]
             else:
-                into[of, :, at] = view.by_place[of]
+                into[of, :, at] = view.by_place[of, :, : at.stop - at.start]
 
 
 def stated_covariance(data: Measurements, instruments: StationInstruments) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from twin._common.units import DEG, MM
 from twin.measurement.instruments import InstrumentSpecification, StationInstruments
+from twin.measurement.state import of_angles
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import rotation_exp
 
@@ -49,6 +50,7 @@ class SetUp:
         place: (targets, 3) on their carriers.
         station_known, target_known: whether the table gives the pose or place.
         reads: what the instrument of each station reads.
+        lines: (targets,) whether a target is a line of 1 m that turns with a level; its unknowns are x and y of its end.
         shift: (unknowns,) change of each parameter by `moved` since its initial value, metres and radians; None for zero.
     """
 
@@ -61,6 +63,7 @@ class SetUp:
     station_known: np.ndarray
     target_known: np.ndarray
     reads: tuple[InstrumentSpecification, ...]
+    lines: np.ndarray
     shift: np.ndarray | None = None
 
     @classmethod
@@ -77,7 +80,9 @@ class SetUp:
         place = np.where(target_known[:, None], place, 0.0)
         dead = np.zeros(len(stations))
         reads = tuple(instruments.by_station[name].specification for name in stations)
-        return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, reads)
+        lines = np.isin(targets, data.target[of_angles(data)].astype(str))
+        place[lines & ~target_known] = [0.0, 0.0, 1.0]
+        return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, reads, lines)
 
     def of(self, data: Measurements) -> SetUp:
         """Return the stations and targets of other data, with the values of this set-up.
@@ -97,6 +102,7 @@ class SetUp:
             origin=self.origin[stations],
             dead=self.dead[stations],
             reads=tuple(self.reads[i] for i in stations),
+            lines=self.lines[targets],
             targets=tuple(named[1]),
             place=self.place[targets],
             station_known=self.station_known[stations],
@@ -124,19 +130,20 @@ class SetUp:
             if reads.free_start:
                 add("dead path", i, 1)
         for i in np.flatnonzero(~self.target_known).tolist():
-            add("place", i)
+            add("place", i, 2 if self.lines[i] else 3)
         return tuple(found)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the unknown parameters, in the order of `moved`."""
         found: list[str] = []
-        for kind, i, _ in self.slots:
+        for kind, i, at in self.slots:
             if kind == "dead path":
                 found.append(f"station {self.stations[i]} dead path")
                 continue
             what = f"target {self.targets[i]}" if kind == "place" else f"station {self.stations[i]}"
-            found += [f"{what} turn {axis}" if kind == "turn" else f"{what} {axis}" for axis in "xyz"]
+            axes = "xyz"[: at.stop - at.start]
+            found += [f"{what} turn {axis}" if kind == "turn" else f"{what} {axis}" for axis in axes]
         return tuple(found)
 
     @property
@@ -157,7 +164,7 @@ class SetUp:
             if kind == "turn":
                 rotation[i] = rotation[i] @ rotation_exp(step[at])
             else:
-                shifted[kind][i : i + 1] += step[at]
+                shifted[kind].reshape(len(shifted[kind]), -1)[i, : at.stop - at.start] += step[at]
         shift = step if self.shift is None else self.shift + step
         origin, dead, place = shifted.values()
         return replace(self, rotation=rotation, origin=origin, dead=dead, place=place, shift=shift)

@@ -1,4 +1,4 @@
-"""What each instrument contributes to an estimate from the readings of several."""
+"""The part of each instrument in an estimate from the readings of several."""
 
 from __future__ import annotations
 

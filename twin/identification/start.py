@@ -19,6 +19,7 @@ from twin.identification.setup import SetUp
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.observation import CarriedTargets, Observation
+from twin.measurement.state import of_angles
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import cross_matrix, rotation_exp
 
@@ -28,6 +29,8 @@ LARGEST_MISFIT_M: Final = 5e-3
 """Deviation of a reading from the nominal machine, m, above which the row is wrong: no machine tool has such errors."""
 RELATIVE_RANK: Final = 1e-3
 """Relative singular value below which the readings do not determine a direction."""
+VERTICAL_M: Final = np.array([0.0, 0.0, 1.0])
+"""The line that turns with a level, metres."""
 SWEEPS: Final = 60
 LARGEST_TURN: Final = 0.5
 """Largest rotation in one step, rad."""
@@ -53,13 +56,15 @@ def initial_setup(machine: Machine, data: Measurements, instruments: StationInst
         InputError: a station with fewer than three points, or one whose readings are in a left-handed frame.
     """
     initial = SetUp.from_table(data, instruments)
-    lengths = np.array([one.reads == "length" for one in initial.reads])
-    if lengths.any() and not lengths.all():
-        return _by_kind(machine, data, instruments, initial)
+    kinds = np.array([one.reads if one.reads in ("length", "angle") else "point" for one in initial.reads])
+    if len(set(kinds)) > 1:
+        return _by_kind(machine, data, instruments, initial, kinds)
     carried = nominal_carriers(machine, data)
     station = np.array([initial.stations.index(name) for name in data.station])
     target = np.array([initial.targets.index(name) for name in data.target])
-    if lengths.any():
+    if kinds[0] == "angle":
+        return _by_angles(initial, carried, data, station)
+    if kinds[0] == "length":
         length = np.where(np.isfinite(data.point_mm[:, 0]), data.point_mm[:, 0], 0.0) * MM
         return _by_lengths(initial, _Lengths(carried.points, carried.rotation, length, station, target))
     return _by_points(initial, carried, data, station, target)
@@ -69,7 +74,9 @@ def nominal_carriers(machine: Machine, data: Measurements) -> CarriedTargets:
     """Return origin and rotation of each row's carrier on the nominal machine, in the frame on which its station rides; metres."""
     q = np.asarray(data.positions) * machine.scale
     errors, places = np.zeros((len(q), 6 * len(machine.frames))), np.zeros((len(q), 3))
-    return _observation(machine).carried(q, errors, data.carrier, places, data.station_carrier)
+    angles = of_angles(data)
+    places[angles] = VERTICAL_M
+    return _observation(machine).carried(q, errors, data.carrier, places, data.station_carrier, angles)
 
 
 @lru_cache(maxsize=2)
@@ -78,14 +85,18 @@ def _observation(machine: Machine) -> Observation:
     return Observation(machine)
 
 
-def _by_kind(machine: Machine, data: Measurements, instruments: StationInstruments, initial: SetUp) -> InitialSetUp:
-    """Return the set-up of stations that read points and of stations that read lengths, each estimated from its own rows."""
+def _by_kind(
+    machine: Machine, data: Measurements, instruments: StationInstruments, initial: SetUp, kinds: np.ndarray
+) -> InitialSetUp:
+    """Return the set-up of stations that read points, lengths and angles, each kind estimated from its own rows."""
     rotation, origin, dead, place = (
         np.array(x) for x in (initial.rotation, initial.origin, initial.dead, initial.place)
     )
     miss, placed = np.zeros(len(data)), set()
-    for kind in (False, True):
-        names = [n for n, one in zip(initial.stations, initial.reads, strict=True) if (one.reads == "length") == kind]
+    for kind in ("point", "length", "angle"):
+        names = [name for name, own_kind in zip(initial.stations, kinds, strict=True) if own_kind == kind]
+        if not names:
+            continue
         rows = np.flatnonzero(np.isin(data.station.astype(str), names))
         own, miss[rows] = initial_setup(machine, data.select(rows), instruments)
         at = [initial.stations.index(name) for name in own.stations]
@@ -95,6 +106,17 @@ def _by_kind(machine: Machine, data: Measurements, instruments: StationInstrumen
                 place[initial.targets.index(name)] = own_place
                 placed.add(name)
     return InitialSetUp(replace(initial, rotation=rotation, origin=origin, dead=dead, place=place), miss)
+
+
+def _by_angles(initial: SetUp, carried: CarriedTargets, data: Measurements, station: np.ndarray) -> InitialSetUp:
+    """Return the set-up of levels: vertical lines on their carriers, and the mean reading as the origin of each station."""
+    place = np.where(initial.target_known[:, None], initial.place, VERTICAL_M)
+    y = np.nan_to_num(data.point_mm) * MM
+    off = carried.points - y
+    origin = np.array([off[station == i].mean(axis=0) for i in range(len(initial.stations))])
+    origin = np.where(initial.station_known[:, None], initial.origin, origin)
+    miss = np.linalg.norm(np.where(np.isfinite(data.point_mm), off - origin[station], 0.0), axis=1)
+    return InitialSetUp(replace(initial, origin=read_only(origin), place=read_only(place)), miss)
 
 
 @final

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
@@ -80,7 +81,10 @@ def _confounded_with(name: str, direction: NullDirection) -> str:
     others = [move.name for move in direction.moves if move.name.split(" ")[0] != name]
     # The axis at the end of "station 1 x" and "target K rotation z" does not matter here.
     parts = [
-        " ".join(one.split(" ")[:2]) if one.startswith(("station ", "target ")) else one.split(" ")[0] for one in others
+        re.sub(r" (?:(?:turn|rotation) )?[xyz]$", "", one)
+        if one.startswith(("station ", "target "))
+        else one.split(" ")[0]
+        for one in others
     ]
     if not parts:
         return "it changes no reading"
@@ -92,6 +96,8 @@ def _remedy(name: str, machine: Machine, setup: SetUp, confounded: bool) -> str:
     _, average, axis = split_name(name)
     if confounded and average:
         return "measure a reference on the machine"
+    if confounded and len(setup.targets) > 2:
+        return "enter the targets' places (place_x_mm …), or measure with another instrument too"
     if confounded:
         return "measure a third target that is not on a line with the others"
     if average and not machine.by_name[axis].linear and not setup.target_known.all():

@@ -242,7 +242,7 @@ class Unknowns:
                 constants[name] = float(theta[i])
                 rows.append(np.eye(len(self))[i])
                 names.append(name)
-        matrix = np.array(rows).reshape(-1, len(self))
+        matrix = np.array(rows).reshape(len(rows), len(self))
         joint = (
             None
             if covariance is None

@@ -9,14 +9,13 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Final, final
-from xml.parsers import expat
+from typing import Final
 
 from twin._common.errors import InputError, closest_name
 from twin._common.files import read_text
+from twin._common.xml_files import Element, parse_xml
 
 MAX_BYTES: Final = 4_000_000
 """Largest file accepted. The files that come with twin have 20 kB."""
@@ -24,8 +23,6 @@ MAX_LINKS: Final = 1_000
 """Largest number of links. Pinocchio's reader recurses along the chain and ends the process at some 10,000."""
 MAX_MOVING_JOINTS: Final = 50
 """Largest number of moving joints. The memory of Pinocchio's data grows with the cube of it: 64 MB per table at 200."""
-MAX_NESTING: Final = 100
-"""Deepest nesting of XML elements; a URDF needs six."""
 MAX_COORDINATE_M: Final = 1e3
 """Largest coordinate and size, m. Beyond it, double precision does not resolve a picometre."""
 MAX_MASS_DISTANCE: Final = 5.0
@@ -88,27 +85,6 @@ _NOT_NEGATIVE: Final = frozenset(
 )
 
 
-@final
-@dataclass(frozen=True)
-class Element:
-    """One XML element with the number of its first line."""
-
-    name: str
-    attributes: Mapping[str, str]
-    line: int
-    children: list[Element] = field(default_factory=list)
-
-    def each(self, name: str) -> list[Element]:
-        """Return the children of that name."""
-        return [child for child in self.children if child.name == name]
-
-    def within(self) -> Iterator[Element]:
-        """Yield the element and all elements below it."""
-        yield self
-        for child in self.children:
-            yield from child.within()
-
-
 def read_urdf(path: Path) -> str:
     """Return the text of a URDF file after checking that Pinocchio can read it safely.
 
@@ -116,7 +92,7 @@ def read_urdf(path: Path) -> str:
         InputError: the file is too large, is not XML, or is not a tree of links and joints with finite numbers; it names the line.
     """
     text = _text(path)
-    robot = _parsed(text, path)
+    robot = parse_xml(text, path, "a URDF file")
     if robot.name != "robot":
         raise InputError("not a URDF", expected="a <robot> element", file=path, line=robot.line, value=robot.name)
     _check_parts(robot, path)
@@ -133,34 +109,6 @@ def _text(path: Path) -> str:
     if size > MAX_BYTES:
         raise InputError("too large for a URDF", expected=f"at most {MAX_BYTES:,} bytes", file=path, value=f"{size:,}")
     return read_text(path)
-
-
-def _parsed(text: str, path: Path) -> Element:
-    """Return the root element."""
-    parser = expat.ParserCreate("utf-8")
-    stack = [Element("", {}, 0)]
-
-    def refuse(what: str, expected: str) -> InputError:
-        return InputError(what, expected=expected, file=path, line=parser.CurrentLineNumber)
-
-    def start(name: str, attributes: dict[str, str]) -> None:
-        if len(stack) > MAX_NESTING:
-            raise refuse("elements nested too deeply", f"at most {MAX_NESTING} levels")
-        element = Element(name, attributes, parser.CurrentLineNumber)
-        stack[-1].children.append(element)
-        stack.append(element)
-
-    def doctype(*_: object) -> None:
-        raise refuse("a document type declaration", "XML without <!DOCTYPE>")
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = lambda _: stack.pop()
-    parser.StartDoctypeDeclHandler = doctype
-    try:
-        parser.Parse(text.encode("utf-8"), True)
-    except expat.ExpatError as error:
-        raise InputError("not XML", expected="a URDF file", file=path, line=error.lineno, value=error) from error
-    return stack[0].children[0]
 
 
 def _check_parts(robot: Element, path: Path) -> None:

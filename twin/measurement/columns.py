@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.csv_tables import Cells
+from twin._common.units import MM, UM
 from twin.machine.machine import Machine
 from twin.measurement.instruments.base import SIDES
 
@@ -18,6 +19,9 @@ CARRIERS: Final = ("tool", "work")
 POINT_COLUMNS: Final = ("x_mm", "y_mm", "z_mm")
 PLACE_COLUMNS: Final = tuple(f"place_{name}" for name in POINT_COLUMNS)
 STATION_COLUMNS: Final = (*(f"station_{name}" for name in POINT_COLUMNS), *(f"station_{a}_deg" for a in "abc"))
+ANGLE_COLUMNS: Final = ("a_urad", "b_urad")
+ANGULAR: Final = "level"
+"""Instrument of the rows that give angles and name none."""
 PLANNED: Final = "planned_"
 """Prefix of a place column that gives where a target or station is meant to be. Only plans have it; no evaluation uses it."""
 SIMULATED: Final = "simulated"
@@ -112,3 +116,31 @@ def comment_lines(text: str, *, simulated: bool) -> str:
     if simulated and not simulated_comments([line.lstrip("# ") for line in lines]):
         lines.insert(0, f"{SIMULATED} readings")
     return "".join(f"# {line}\n" for line in lines)
+
+
+def with_angles(cells: Cells, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a table with angles: tilts (a, b) of a target as the shift (b, −a) of the end of a line of 1 m.
+
+    Args:
+        cells: cells of the file.
+        values: the fields read so far: ``point_mm``, ``u_mm`` and ``instrument``, whose name is ``level`` where angles are given.
+    """
+    angle, u = (np.stack([cells.numbers(f"{p}{name}") for name in ANGLE_COLUMNS], axis=1) for p in ("", "u_"))
+    rows = np.isfinite(angle).any(axis=1)
+    point, u_mm, names = (np.array(values[name]) for name in ("point_mm", "u_mm", "instrument"))
+    point[rows, 2] = u_mm[rows, 2] = np.nan
+    point[rows, :2] = angle[rows, ::-1] * np.array([1.0, -1.0]) * UM / MM
+    u_mm[rows, :2] = u[rows, ::-1] * UM / MM
+    names[rows & (names == "")] = ANGULAR
+    return {"point_mm": read_only(point), "u_mm": read_only(u_mm), "instrument": read_only(names)}
+
+
+def angle_columns(point_mm: np.ndarray, u_mm: np.ndarray, rows: np.ndarray) -> dict[str, Sequence[str]]:
+    """Return the columns of angles of some rows (n,), the inverse of `with_angles`; none if there are no such rows."""
+    found: dict[str, Sequence[str]] = {}
+    angle = np.where(rows[:, None], point_mm[:, 1::-1] * np.array([-1.0, 1.0]), np.nan) * (MM / UM)
+    u = np.where(rows[:, None], u_mm[:, 1::-1], np.nan) * (MM / UM)
+    for prefix, values in (("", angle), ("u_", u)):
+        if np.isfinite(values).any():
+            found |= {f"{prefix}{n}": number_cells(column) for n, column in zip(ANGLE_COLUMNS, values.T, strict=True)}
+    return found

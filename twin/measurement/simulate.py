@@ -190,8 +190,7 @@ def simulate(
         surroundings: air and drift; none if None.
 
     Returns:
-        The measurements, and the stations and places. The measurements carry no standard uncertainties (the instrument's model gives
-        them), no places and no station poses (an evaluation has to identify them).
+        The measurements, without standard uncertainties, places and station poses, and the stations and places.
 
     Raises:
         InputError: a position outside the domain of a curve; a drift of an unknown station, or without ``time_s``; a sphere that the
@@ -200,35 +199,20 @@ def simulate(
     around = Environment() if surroundings is None else surroundings
     around.check(plan)
     placed = Placement.draw(plan, rng) if setting is None else setting
+    own = dict(zip(plan.station.tolist(), plan.instrument.tolist(), strict=True))
+    named = {station: instrument_named(name) if name else instrument for station, name in own.items()}
+    plan = _probed(machine, calibration, plan, placed, named, rng if noise else None)
     places = np.array([placed.places_mm[target] for target in plan.target])
-    named = {
-        str(n): instrument_named(str(i)) if i else instrument
-        for n, i in zip(plan.station, plan.instrument, strict=True)
-    }
-    probed = np.array([named[name].specification.reads == "null" for name in plan.station.astype(str)])
-    if np.any(probed):
-        off = np.zeros((len(plan), 3))
-        for name in dict.fromkeys(plan.station[probed].astype(str)):
-            of = plan.station == name
-            off[of] = named[name].noise(np.zeros((int(np.count_nonzero(of)), 3)), rng) / MM if noise else 0.0
-        plan = at_centres(machine, calibration, plan, placed, off, probed)
     base = Observation(machine).points_mm(calibration, plan, places)
     readings = np.empty((len(plan), 3))
     for name, station in placed.stations.items():
         rows, reader = plan.station == name, named.get(name, instrument)
-        if reader.specification.reads == "null":
-            readings[rows] = 0.0
-            continue
-        points = base[rows]
-        if name in around.drift_um_per_h:
-            points = points - around.drift_mm(plan, name)
-        seen = station.to_station_mm(points) * MM
-        # A reading is a length, or coordinates proportional to one. An interferometer counts wavelengths from where it was zeroed. In
-        # constant air the dead path is never counted, so the factor applies to the reading, not to the distance.
+        drift = around.drift_mm(plan, name) if name in around.drift_um_per_h else 0.0
+        seen = station.to_station_mm(base[rows] - drift) * MM
+        # In constant air the dead path of an interferometer is never counted: the factor applies to the reading, not the distance.
         found = reader.read(seen) * (around.scale if "refraction_scale" in reader.specification.effects else 1.0)
-        if noise:
-            found = found + reader.noise(seen, rng)
-        readings[rows] = found / MM
+        found += reader.noise(seen, rng) if noise else 0.0
+        readings[rows] = 0.0 if reader.specification.reads == "null" else found / MM
     measured = replace(
         plan,
         point_mm=read_only(readings),
@@ -240,6 +224,26 @@ def simulate(
         simulated=True,
     )
     return measured, placed
+
+
+def _probed(
+    machine: Machine,
+    calibration: Calibration,
+    plan: Measurements,
+    setting: Placement,
+    named: Mapping[str, Instrument],
+    rng: np.random.Generator | None,
+) -> Measurements:
+    """Return a plan with the positions that its probes find, with noise from a generator; unchanged without a probe."""
+    probed = np.array([named[name].specification.reads == "null" for name in plan.station.astype(str)])
+    if not np.any(probed):
+        return plan
+    off = np.zeros((len(plan), 3))
+    if rng is not None:
+        for name in dict.fromkeys(plan.station[probed].astype(str)):
+            of = plan.station == name
+            off[of] = named[name].noise(np.zeros((int(np.count_nonzero(of)), 3)), rng) / MM
+    return at_centres(machine, calibration, plan, setting, off, probed)
 
 
 def at_centres(

@@ -1,12 +1,17 @@
-"""What the rows of a measurement table state: the machine's state for effects, and targets read at the origin of their station."""
+"""State of the machine for effects, and rows that were read at the origin of their station, from a measurement table."""
 
 from __future__ import annotations
+
+from typing import Final
 
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.measurement.instruments import SIDES
+from twin.measurement.instruments import INSTRUMENTS, SIDES
 from twin.measurement.table import Measurements
+
+ANGLES: Final = tuple(one.name for one in INSTRUMENTS if one.specification.reads == "angle")
+"""Names of the instruments that read angles."""
 
 
 def machine_state(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
@@ -23,6 +28,12 @@ def machine_state(data: Measurements, machine: Machine) -> dict[str, np.ndarray]
     return found | {name: np.asarray(values) for name, values in data.channels.items() if np.all(np.isfinite(values))}
 
 
+def of_angles(data: Measurements) -> np.ndarray:
+    """Return (n,) whether a row is of an instrument that reads angles."""
+    return np.isin(data.instrument.astype(str), ANGLES)
+
+
 def at_origin(data: Measurements) -> np.ndarray:
     """Return (n,) whether a target was read at its station's origin: a probe's tip at the centre of a sphere."""
-    return np.asarray((data.station_carrier != SIDES[0]) & (np.nan_to_num(data.point_mm, nan=1.0) == 0.0).all(axis=1))
+    probed = (data.station_carrier != SIDES[0]) & ~of_angles(data)
+    return np.asarray(probed & (np.nan_to_num(data.point_mm, nan=1.0) == 0.0).all(axis=1))

@@ -33,17 +33,21 @@ from twin.measurement.checks import (
 )
 from twin.measurement.checks import RowNote as RowNote
 from twin.measurement.columns import (
-    CARRIERS as CARRIERS,
-)
-from twin.measurement.columns import (
+    ANGLE_COLUMNS,
+    ANGULAR,
     PLACE_COLUMNS,
     PLANNED,
     STATION_COLUMNS,
+    angle_columns,
     comment_lines,
     csv_text,
     number_cells,
     simulated_comments,
     table_columns,
+    with_angles,
+)
+from twin.measurement.columns import (
+    CARRIERS as CARRIERS,
 )
 from twin.measurement.columns import POINT_COLUMNS as POINT_COLUMNS
 from twin.measurement.instruments.base import SIDES
@@ -156,23 +160,24 @@ class Measurements:
         header, rows, comments = read_table(path)
         simulated_notes, parts = simulated_comments(comments), table_columns(machine)
         columns = {name: i for i, name in enumerate(header)}
-        needed = [*parts[0].columns, "target", "carrier", *(() if plan else POINT_COLUMNS)]
-        for name in needed:
-            if name not in columns:
-                raise InputError(
-                    f"column {name} is missing{_misnamed(name, [one for one in header if one not in needed])}",
-                    expected=f"columns {', '.join(needed)}",
-                    file=path,
-                    line=rows[0][0] - 1 if rows else 1,
-                )
+        angular = any(name in columns for name in ANGLE_COLUMNS)
+        needed = [*parts[0].columns, "target", "carrier", *(() if plan or angular else POINT_COLUMNS)]
+        _check_header(header, needed, path, rows[0][0] - 1 if rows else 1)
         reader = Cells(path, columns, rows)
         temperatures = {name[2:-5]: reader.numbers(name) for name in header if re.fullmatch("T_.*_degC", name)}
         places = (*PLACE_COLUMNS, *STATION_COLUMNS)
         known = {name for part in parts for name in part.columns} | {f"T_{name}_degC" for name in temperatures}
-        known |= {*places, *(f"{PLANNED}{name}" for name in places)}
+        known |= {
+            *places,
+            *ANGLE_COLUMNS,
+            *(f"u_{name}" for name in ANGLE_COLUMNS),
+            *(f"{PLANNED}{name}" for name in places),
+        }
         channels = {name: reader.numbers(name) for name in header if name not in known and CHANNEL.fullmatch(name)}
         unknown_columns = [name for name in header if name not in known and name not in channels]
         values: dict[str, Any] = {part.field: part.read(reader) for part in parts if part.columns}
+        if angular:
+            values |= with_angles(reader, values)
         if plan:
             values["point_mm"] = read_only(np.zeros((len(rows), 3)))
         table = cls(
@@ -302,14 +307,19 @@ class Measurements:
             comment: comment lines that precede the table.
             planned: names of targets and stations whose places are planned, not known (`PLANNED`).
         """
+        angles = self.instrument == ANGULAR
         columns: dict[str, Sequence[str]] = {}
         for part in table_columns(machine):
             if part.field == "temperature_degC":
                 columns |= {f"T_{name}_degC": number_cells(values) for name, values in self.temperature_degC.items()}
                 columns |= {name: number_cells(values) for name, values in self.channels.items()}
-            elif part.field != "point_mm" or np.isfinite(self.point_mm).any():
+            elif part.field in ("point_mm", "u_mm"):
                 # A plan has none of the three columns; a table of lengths has all three, with y and z empty.
+                if np.isfinite(self.point_mm).any():
+                    columns |= part.written(np.where(angles[:, None], np.nan, getattr(self, part.field)))
+            else:
                 columns |= part.written(getattr(self, part.field))
+        columns |= angle_columns(self.point_mm, self.u_mm, angles)
         for names, whose, values in (
             (PLACE_COLUMNS, self.target, self.place_mm),
             (STATION_COLUMNS, self.station, self.station_pose),
@@ -457,7 +467,12 @@ def _copies(table: Measurements, rows: np.ndarray, unknown_cells: Sequence[str])
     return {int(rows[row]): int(rows[before]) for row, before in found.items()}
 
 
-def _misnamed(name: str, others: Sequence[str]) -> str:
-    """Return a remark on the column whose name is probably misspelt."""
-    nearest = closest_name(name, others)
-    return "" if nearest is None else f" (the table has {nearest})"
+def _check_header(header: Sequence[str], needed: Sequence[str], path: Path, line: int) -> None:
+    """Raise `InputError` if a column is missing; it names the column whose name is probably misspelt."""
+    for name in needed:
+        if name not in header:
+            nearest = closest_name(name, [one for one in header if one not in needed])
+            remark = "" if nearest is None else f" (the table has {nearest})"
+            raise InputError(
+                f"column {name} is missing{remark}", expected=f"columns {', '.join(needed)}", file=path, line=line
+            )

@@ -20,8 +20,8 @@ from twin.planning.kit import Kit
 from twin.planning.sequences import (
     SET_UPS,
     Expectation,
+    InstrumentSizes,
     MeasuringSequence,
-    ProbeGeometry,
     SequenceTask,
     default_place,
     expectation,
@@ -152,7 +152,7 @@ def measuring_sequence(
     *,
     places_mm: Mapping[str, tuple[float, float, float]] | None = None,
     minutes: float = MINUTES,
-    geometry: ProbeGeometry | None = None,
+    sizes: InstrumentSizes | None = None,
     seed: int = 0,
 ) -> SequencePlan:
     """Plan a measuring sequence for an instrument that measures the tool relative to the table.
@@ -164,7 +164,7 @@ def measuring_sequence(
         kit: speeds, usable ranges and set-up time; `Kit.default` if None.
         places_mm: spheres, nests or pivots by name, in the work frame; None: one near the rim of the table (a pivot above its middle).
         minutes: time budget of the best design, set-up included; other sequences take the time that they need.
-        geometry: length of the probe, and sizes of probe and sphere.
+        sizes: length of the probe, sizes of probe and sphere, length and feed of a ball bar.
         seed: random seed of the design.
 
     Raises:
@@ -172,7 +172,7 @@ def measuring_sequence(
     """
     reader = instrument_named(instrument) if isinstance(instrument, str) else instrument
     chosen = sequence_named(sequence, reader.name)
-    task = _task(machine, reader, kit, places_mm, minutes, geometry or ProbeGeometry())
+    task = _task(machine, reader, kit, places_mm, minutes, sizes or InstrumentSizes())
     task = replace(task, seed=seed)
     with threadpool_limits(limits=1, user_api="blas"):
         reached = reach(task, chosen.make(task))
@@ -226,19 +226,19 @@ def _task(
     kit: Kit | None,
     places_mm: Mapping[str, tuple[float, float, float]] | None,
     minutes: float,
-    geometry: ProbeGeometry,
+    sizes: InstrumentSizes,
 ) -> SequenceTask:
     """Return the task, with the defaults.
 
     Raises:
         InputError: an impossible number.
     """
-    geometry.check()
+    sizes.check()
     if len(machine.linear) != 3:
         raise InputError(
             "not three linear axes", expected="a machine with three linear axes", value=", ".join(machine.names)
         )
-    length = geometry.tool_length_mm or machine.tool_length_mm or 100.0
+    length = sizes.tool_length_mm or machine.tool_length_mm or 100.0
     if not 0.0 < minutes <= MOST_MINUTES:
         raise InputError("impossible time budget", expected=f"up to {MOST_MINUTES:g} minutes", value=minutes)
     words = SET_UPS[instrument.name]
@@ -255,5 +255,5 @@ def _task(
         tip,
         MappingProxyType(dict(places)),
         minutes,
-        geometry,
+        sizes,
     )

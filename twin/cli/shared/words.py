@@ -22,6 +22,10 @@ MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
 """Options that take several words, each with the pattern of every word after the first."""
 OF_COMMAS: Final = frozenset({"--spheres"})
 """Options among them whose words contain commas."""
+MANY_WORDS_OF: Final[Mapping[str, Mapping[str, re.Pattern[str]]]] = {
+    "evaluate": {"--tolerance": re.compile(r"[A-Za-z][\w:()↑↓↺↻]*=.*")},
+}
+"""The same for options that take several words with one command only."""
 VARIABLE: Final = "_TWIN_COMPLETE"
 WORDS: Final = "COMP_WORDS"
 WORD: Final = "COMP_CWORD"
@@ -33,7 +37,7 @@ LARGEST: Final = 1e12
 
 def repeat_options(arguments: list[str]) -> list[str]:
     """Return the arguments with an option of several words repeated for each word: ``--scope L-POS L-STR``, ``--at X=1 Y=2``."""
-    patterns = MANY_WORDS
+    patterns = _many_words(arguments)
     out: list[str] = []
     gathering: str | None = None
     fresh = False
@@ -54,6 +58,12 @@ def repeat_options(arguments: list[str]) -> list[str]:
     return [*out, gathering] if gathering and fresh else out
 
 
+def _many_words(arguments: list[str]) -> Mapping[str, re.Pattern[str]]:
+    """Return the options of several words for the command that the arguments name."""
+    own = next((MANY_WORDS_OF[word] for word in arguments[:2] if word in MANY_WORDS_OF), {})
+    return {**MANY_WORDS, **own}
+
+
 def expand_bash_line() -> None:
     """Rewrite bash's command line for the parser: an option with several words is repeated before each of them."""
     if os.environ.get(VARIABLE) != "complete_bash" or WORDS not in os.environ:
@@ -67,7 +77,12 @@ def expand_bash_line() -> None:
     if any(mark in " ".join(line) for mark in "\"'\\"):
         return  # splitting at spaces would break quoted words
     words = repeat_options(before)
-    if len(words) >= 2 and words[-2] in MANY_WORDS and not current.startswith("-") and not Path(current).exists():
+    if (
+        len(words) >= 2
+        and words[-2] in _many_words(before)
+        and not current.startswith("-")
+        and not Path(current).exists()
+    ):
         words.append(words[-2])
     os.environ[WORDS] = " ".join([line[0] if line else "twin", *words, current])
     os.environ[WORD] = str(len(words) + 1)

@@ -11,6 +11,7 @@ from twin.diagnosis.candidates import (
     following_error,
     machine_effects,
     misplaced,
+    probe_lobing,
     refraction_scale,
     station_drift,
     time_skew,
@@ -19,6 +20,7 @@ from twin.diagnosis.candidates.candidate import CandidateInputs, CandidateSource
 from twin.machine.calibration import Calibration
 from twin.machine.effects import MACHINE_EFFECTS, Specification
 from twin.machine.machine import Machine
+from twin.measurement.instruments import INSTRUMENTS, StationInstruments
 from twin.measurement.table import Measurements
 
 SOURCES: Final[tuple[CandidateSource, ...]] = (
@@ -30,6 +32,7 @@ SOURCES: Final[tuple[CandidateSource, ...]] = (
     station_drift.SOURCE,
     time_skew.SOURCE,
     following_error.SOURCE,
+    probe_lobing.SOURCE,
     misplaced.SOURCE,
 )
 SPECIFICATIONS: Final[dict[str, Specification]] = {
@@ -38,17 +41,24 @@ SPECIFICATIONS: Final[dict[str, Specification]] = {
 """Every effect by its name."""
 
 
-def catalogue(machine: Machine, data: Measurements, calibration: Calibration) -> Catalogue:
-    """Return every effect of contract §5 that the machine and the columns of the data allow.
+def catalogue(
+    machine: Machine, data: Measurements, calibration: Calibration, instruments: StationInstruments | None = None
+) -> Catalogue:
+    """Return every effect of contract §5 that the machine, the columns of the data and the instruments allow.
 
     Args:
         machine: the machine.
         data: the measurements.
         calibration: the model under test; the curve of a rotary axis is a candidate only where it is a polynomial.
+        instruments: those of the stations; errors that none of them can have are left out. None: not known.
     """
     inputs = CandidateInputs(machine, data, calibration)
     found = [source.candidates(inputs) for source in SOURCES]
+    others: set[str] = set()
+    if instruments is not None:
+        others = {name for one in INSTRUMENTS for name in one.specification.effects}
+        others -= {name for one in instruments.every for name in one.specification.effects}
     return Catalogue(
-        tuple(candidate for one in found for candidate in one.candidates),
-        tuple(missing for one in found for missing in one.not_evaluated),
+        tuple(candidate for one in found for candidate in one.candidates if candidate.effect not in others),
+        tuple(missing for one in found for missing in one.not_evaluated if missing[0] not in others),
     )

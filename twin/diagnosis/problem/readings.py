@@ -97,7 +97,7 @@ class Readings:
             difference = network.residuals_m(np.zeros(0), self.setup, np.arange(len(network.data)))
             notes = outlier_notes(network, difference, network.residual(np.zeros(0), self.setup), bad)
             kept = self.select_rows(np.flatnonzero(~bad), notes)
-        known = catalogue(network.machine, kept.network.data, self.calibration)
+        known = catalogue(network.machine, kept.network.data, self.calibration, network.instruments)
         return DiagnosisTask(Problem(kept.network, self.setup, self.calibration), known, kept.noise)
 
 
@@ -130,7 +130,7 @@ def readings(
     network = Network(machine, data, reader, no_unknowns, calibration, covariance)
     setup, bad = _setup_without_outliers(network, setup)
     if not stated:
-        known = catalogue(machine, data, calibration).candidates
+        known = catalogue(machine, data, calibration, reader).candidates
         view = network.view(np.zeros(0), setup, np.flatnonzero(~bad))
         seen = network.view(np.zeros(0), setup, np.arange(len(data))).seen
         estimated = from_repeats(data.select(~bad), view, network.read[~bad], known, seen)

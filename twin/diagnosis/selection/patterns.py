@@ -1,6 +1,6 @@
 """Unnamed patterns: functions of each column of the table and of each pair of columns, on each side of the machine.
 
-A pattern shifts the targets of one side along the axes of the base frame, or of the frame that carries them. Its functions are
+A pattern shifts the targets and stations of one side along the axes of the base frame, or of the frame of that side. Its functions are
 those of `twin.machine.effects.waves`: half waves over the range of a column, harmonics of a rotary axis that made a whole turn, the
 approach direction of an axis; for a pair, their products. They can represent what low polynomials cannot: short waves, steps, and a
 reversal that depends on the position.
@@ -20,6 +20,7 @@ from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import Column, SignatureTerm
 from twin.machine.effects.waves import APPROACH, Waves, terms
 from twin.machine.machine import Axis, Machine
+from twin.measurement.instruments import SIDES
 from twin.measurement.state import machine_state
 from twin.measurement.table import CARRIERS, Measurements
 from twin.numerics.functions import Functions, Rows
@@ -69,9 +70,9 @@ class Pattern:
 
     Attributes:
         side: ``tool`` or ``work``.
-        field: ``base`` or ``place``: shifts along the axes of the base frame, or of the frame that carries the targets.
+        field: ``base`` or ``place``: shifts along the axes of the base frame, or of the frame of that side.
         channels: one or two.
-        own: (n,) which readings belong to that side.
+        own: (n,) which readings a shift of that side changes.
         highest: highest order of the functions.
     """
 
@@ -130,7 +131,11 @@ class Pattern:
         """Return the signatures, µm per unit, of the functions up to an order along some directions, sorted by direction."""
         functions = Functions(len(self.own), len(self.order), self.at, self.own)
         chosen = np.flatnonzero(self.order <= level).tolist()
-        return [Column((SignatureTerm((self.field, i), functions, k, UM),), 1.0) for i in directions for k in chosen]
+        return [
+            Column((SignatureTerm((f"{self.side} {self.field}", i), functions, k, UM),), 1.0)
+            for i in directions
+            for k in chosen
+        ]
 
 
 def patterns(machine: Machine, data: Measurements) -> list[Pattern]:
@@ -142,10 +147,8 @@ def patterns(machine: Machine, data: Measurements) -> list[Pattern]:
     """
     found = []
     channels = _channels(machine, data)
-    for side in CARRIERS:
-        own = data.carrier == side
-        if not own.any():
-            continue
+    for side in _sides(machine, data):
+        own = (data.carrier == side) != (data.station_carrier == side)
         turning = any(not axis.linear and axis.side == side for axis in machine.axes)
         for field in ("base", "place") if turning else ("base",):
             found += [Pattern(side, field, (one,), own, ALONE) for one in channels]
@@ -155,6 +158,14 @@ def patterns(machine: Machine, data: Measurements) -> list[Pattern]:
                 elif not a.direction:
                     found.append(Pattern(side, field, (b, a), own, PAIRED))
     return found
+
+
+def _sides(machine: Machine, data: Measurements) -> list[str]:
+    """Return the sides whose shifts the readings show; of two that only move relative to each other, those that axes move."""
+    found = [side for side in CARRIERS if np.any((data.carrier == side) != (data.station_carrier == side))]
+    if np.any(data.station_carrier == SIDES[0]):
+        return found
+    return [side for side in found if any(axis.side == side for axis in machine.axes)] or found
 
 
 def _channels(machine: Machine, data: Measurements) -> list[Channel]:

@@ -156,7 +156,7 @@ def error_motion(
         expected = f"neighbouring angles within {WIDEST_GAP_DEG:g}°"
         raise InputError("angles do not cover a turn", expected=expected, value=float(gaps.max()))
     mean = measured.mean(axis=0)
-    constant, (once,) = _fourier(angle, mean, 1)
+    constant, (once,) = fit_harmonics(angle, mean, 1)
     wave = once.cos * np.cos(angle * DEG) + once.sin * np.sin(angle * DEG)
     centre = constant + (np.zeros_like(wave) if kind == "axial" else wave)
     total, synchronous, residual = measured - centre, mean - centre, mean - constant - wave
@@ -168,7 +168,7 @@ def error_motion(
         readings=read_only(measured),
         constant=constant,
         once_per_turn=once,
-        harmonics=_fourier(angle, mean, min(harmonics, (len(angle) - 1) // 2))[1],
+        harmonics=fit_harmonics(angle, mean, min(harmonics, (len(angle) - 1) // 2))[1],
         total=read_only(total),
         synchronous=read_only(synchronous),
         residual=read_only(residual),
@@ -180,8 +180,16 @@ def error_motion(
     )
 
 
-def _fourier(angle: np.ndarray, values: np.ndarray, highest: int) -> tuple[float, tuple[MotionHarmonic, ...]]:
-    """Fit harmonics by least squares, also to uneven angles; for even ones it is the discrete Fourier transform."""
+def fit_harmonics(angle: np.ndarray, values: np.ndarray, highest: int) -> tuple[float, tuple[MotionHarmonic, ...]]:
+    """Fit a constant and harmonics by least squares, also to uneven angles; for even ones it is the discrete Fourier transform.
+
+    Of a radius over the angle, the constant and the first harmonic are the radius and the centre of the least-squares circle.
+
+    Args:
+        angle: (n,) degrees.
+        values: (n,) in any unit.
+        highest: highest order.
+    """
     phases = np.outer(angle * DEG, np.arange(1, highest + 1))
     columns = np.column_stack([np.ones(len(angle)), np.cos(phases), np.sin(phases)])
     constant, *rest = np.linalg.lstsq(columns, values, rcond=None)[0]

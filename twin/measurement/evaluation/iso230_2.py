@@ -155,6 +155,68 @@ class Positioning:
         return "\n".join(lines) + "\n"
 
 
+@final
+@dataclass(frozen=True)
+class UnidirectionalPositioning:
+    """Values of ISO 230-2:2014 for approaches of all targets from one direction; symbols as in `Positioning`. Arrays are read-only.
+
+    Attributes:
+        axis, unit, target_unit, target: as in `Positioning`.
+        direction: +1 or −1.
+        deviations: (m, n).
+        mean, s_i: (m,) mean and estimator of every target.
+        R, E, A: repeatability, systematic deviation and accuracy; R and A are NaN for a single cycle.
+        shortfalls: requirements of clause 4.3 that this test does not meet.
+    """
+
+    axis: str
+    unit: Unit
+    target_unit: Literal["mm", "deg"]
+    direction: int
+    target: np.ndarray
+    deviations: np.ndarray
+    mean: np.ndarray
+    s_i: np.ndarray
+    R: float
+    E: float
+    A: float
+    shortfalls: tuple[str, ...]
+
+
+def unidirectional(
+    target: ArrayLike, deviations: ArrayLike, target_unit: Literal["mm", "deg"], direction: int, *, axis: str = ""
+) -> UnidirectionalPositioning:
+    """Evaluate the approaches of one direction according to ISO 230-2:2014.
+
+    Args:
+        target: (m,) target positions, mm or degrees, each once.
+        deviations: (m, n) deviations, µm or µrad.
+        target_unit: ``mm`` or ``deg``.
+        direction: +1 or −1.
+        axis: its name.
+
+    Raises:
+        InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets.
+    """
+    up = finite_array("deviations", deviations, 2)
+    targets, _, _ = _checked(target, up, up, 1)
+    mean, s, cycles = up.mean(axis=1), _estimator(up), up.shape[1]
+    return UnidirectionalPositioning(
+        axis=axis,
+        unit="um" if target_unit == "mm" else "urad",
+        target_unit=target_unit,
+        direction=direction,
+        target=targets,
+        deviations=up,
+        mean=read_only(mean),
+        s_i=read_only(s),
+        R=float(4.0 * s.max()),
+        E=float(np.ptp(mean)),
+        A=float((mean + 2.0 * s).max() - (mean - 2.0 * s).min()),
+        shortfalls=(*_shortfalls(target_unit, targets, cycles), "approached from one direction only"),
+    )
+
+
 def linear_deviations_um(target_mm: ArrayLike, position_mm: ArrayLike) -> np.ndarray:
     """Return the deviations of a linear axis, actual minus target (3.5).
 
@@ -180,7 +242,9 @@ def rotary_deviations_urad(target_deg: ArrayLike, position_deg: ArrayLike) -> np
     return read_only((difference - 360.0 * np.round(difference / 360.0)) * (DEG / URAD))
 
 
-def linear_axis(target_mm: ArrayLike, forward_um: ArrayLike, backward_um: ArrayLike, *, axis: str = "") -> Positioning:
+def linear_axis(
+    target_mm: ArrayLike, forward_um: ArrayLike, backward_um: ArrayLike, *, axis: str = "", fewest_cycles: int = 2
+) -> Positioning:
     """Evaluate a linear axis according to ISO 230-2:2014.
 
     Args:
@@ -188,15 +252,16 @@ def linear_axis(target_mm: ArrayLike, forward_um: ArrayLike, backward_um: ArrayL
         forward_um: (m, n) deviations, approached in the positive direction.
         backward_um: (m, n) deviations, approached in the negative direction.
         axis: its name.
+        fewest_cycles: 1 to evaluate a single cycle too; its s, R and A are then NaN.
 
     Raises:
-        InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets or cycles.
+        InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets, or too few cycles.
     """
-    return _evaluate(axis, "mm", *_checked(target_mm, forward_um, backward_um))
+    return _evaluate(axis, "mm", *_checked(target_mm, forward_um, backward_um, fewest_cycles))
 
 
 def rotary_axis(
-    target_deg: ArrayLike, forward_urad: ArrayLike, backward_urad: ArrayLike, *, axis: str = ""
+    target_deg: ArrayLike, forward_urad: ArrayLike, backward_urad: ArrayLike, *, axis: str = "", fewest_cycles: int = 2
 ) -> Positioning:
     """Evaluate a rotary axis according to ISO 230-2:2014, in µrad; `Positioning.in_arcsec` converts to seconds of arc.
 
@@ -205,14 +270,17 @@ def rotary_axis(
         forward_urad: (m, n) deviations, approached in the positive direction.
         backward_urad: (m, n) deviations, approached in the negative direction.
         axis: its name.
+        fewest_cycles: as for `linear_axis`.
 
     Raises:
         InputError: as `linear_axis`.
     """
-    return _evaluate(axis, "deg", *_checked(target_deg, forward_urad, backward_urad))
+    return _evaluate(axis, "deg", *_checked(target_deg, forward_urad, backward_urad, fewest_cycles))
 
 
-def _checked(target: ArrayLike, forward: ArrayLike, backward: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _checked(
+    target: ArrayLike, forward: ArrayLike, backward: ArrayLike, fewest_cycles: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     targets = finite_array("targets", target, 1)
     up, down = finite_array("forward deviations", forward, 2), finite_array("backward deviations", backward, 2)
     check_same_length("forward deviations", up, "the targets", targets)
@@ -220,8 +288,9 @@ def _checked(target: ArrayLike, forward: ArrayLike, backward: ArrayLike) -> tupl
         raise InputError(
             "backward deviations do not match the forward ones", expected=f"the same shape {up.shape}", value=down.shape
         )
-    if len(targets) < 2 or up.shape[1] < 2:
-        raise InputError("too few targets or cycles", expected="at least 2 targets and 2 cycles", value=up.shape)
+    if len(targets) < 2 or up.shape[1] < fewest_cycles:
+        expected = f"at least 2 targets and {fewest_cycles} cycles"
+        raise InputError("too few targets or cycles", expected=expected, value=up.shape)
     found, times = np.unique(targets, return_counts=True)
     if len(found) < len(targets):
         raise InputError(
@@ -236,7 +305,7 @@ def _evaluate(
     axis: str, target_unit: Literal["mm", "deg"], target: np.ndarray, forward: np.ndarray, backward: np.ndarray
 ) -> Positioning:
     mean_up, mean_down = forward.mean(axis=1), backward.mean(axis=1)
-    s_up, s_down = forward.std(axis=1, ddof=1), backward.std(axis=1, ddof=1)
+    s_up, s_down = _estimator(forward), _estimator(backward)
     mean, reversal = (mean_up + mean_down) / 2.0, mean_up - mean_down
     r_up, r_down = 4.0 * s_up, 4.0 * s_down
     both = np.max([2.0 * s_up + 2.0 * s_down + np.abs(reversal), r_up, r_down], axis=0)
@@ -272,6 +341,11 @@ def _evaluate(
         A=float(np.ptp(np.concatenate([band_up, band_down]))),
         shortfalls=_shortfalls(target_unit, target, forward.shape[1]),
     )
+
+
+def _estimator(deviations: np.ndarray) -> np.ndarray:
+    """Return (m,) the estimators s_i of (m, n) deviations, divisor n − 1; NaN for a single cycle."""
+    return deviations.std(axis=1, ddof=1) if deviations.shape[1] > 1 else np.full(len(deviations), np.nan)
 
 
 def _shortfalls(target_unit: str, target: np.ndarray, cycles: int) -> tuple[str, ...]:

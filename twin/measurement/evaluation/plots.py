@@ -27,7 +27,8 @@ from twin.display.figures import (
     text_box_style,
 )
 from twin.measurement.evaluation.circular import RotaryMotion as ErrorMotion
-from twin.measurement.evaluation.iso230_2 import Positioning
+from twin.measurement.evaluation.iso230_2 import Positioning, UnidirectionalPositioning
+from twin.measurement.evaluation.iso230_4 import CircularTest
 from twin.measurement.evaluation.straightness import Straightness
 
 BESIDE: Final[dict[str, Any]] = {"loc": "upper left", "frameon": False, "borderaxespad": 0.0, "fontsize": 9}
@@ -68,6 +69,31 @@ def plot_positioning(result: Positioning, *, title: str = "") -> Figure:
     if result.shortfalls:
         text = "Not by the standard (4.3): " + "; ".join(result.shortfalls)
         figure.text(0.01, 0.01, text, color=BACKWARD, fontsize=8)
+    return figure
+
+
+def plot_unidirectional(result: UnidirectionalPositioning, *, title: str = "") -> Figure:
+    """Plot an ISO 230-2 evaluation of one direction of approach: deviations of all runs, mean, and band of ±2s.
+
+    Args:
+        result: the evaluation.
+        title: a heading; the axis and the standard if empty.
+    """
+    figure = new_figure(9.0, 5.0)
+    plot = figure.subplots()
+    style_axes(plot)
+    order = np.argsort(result.target)
+    target, mean, two_s = result.target[order], result.mean[order], 2.0 * result.s_i[order]
+    colour, marker, arrow = (FORWARD, "^", "↑") if result.direction > 0 else (BACKWARD, "v", "↓")
+    if np.isfinite(two_s).all():
+        plot.fill_between(target, mean - two_s, mean + two_s, color=colour, alpha=0.15, linewidth=0, label="± 2s")
+    runs = plot.plot(target, result.deviations[order], color=colour, linewidth=0, marker=marker, markersize=3.5)
+    runs[0].set_label(f"runs {arrow} ({result.deviations.shape[1]})")
+    plot.plot(target, mean, color=colour, linewidth=1.8, label=f"mean x̄{arrow}")
+    plot.set_title(title or f"Axis {result.axis}: positioning by ISO 230-2:2014", loc="left", fontweight="bold")
+    unit = readable(result.unit)
+    plot.set(xlabel=f"target position [{readable(result.target_unit)}]", ylabel=f"deviation, actual − target [{unit}]")
+    plot.legend(bbox_to_anchor=(1.01, 1.0), **BESIDE)
     return figure
 
 
@@ -213,6 +239,11 @@ def _turns(polar: PolarAxes, result: ErrorMotion) -> None:
     circle: dict[str, Any] = {"color": BACKWARD, "linewidth": 1.1, "linestyle": "--"}
     polar.plot(around, np.full(361, result.synchronous.max()), **circle, label="circles containing it")
     polar.plot(around, np.full(361, result.synchronous.min()), **circle)
+    _radial_scale(polar, extent)
+
+
+def _radial_scale(polar: PolarAxes, extent: float) -> None:
+    """Draw the radial scale of deviations up to ``extent`` around a circle of arbitrary radius."""
     polar.set_ylim(-2.2 * extent, 1.15 * extent)
     ticks = _ticks(extent)
     polar.set_yticks(ticks, [""] * len(ticks))
@@ -221,6 +252,43 @@ def _turns(polar: PolarAxes, result: ErrorMotion) -> None:
         polar.text(105.0 * DEG, tick, radius_label(tick), fontsize=8, **where)
     polar.set_xticks(np.arange(0.0, 360.0, 30.0) * DEG)
     polar.grid(color="#cccccc", linewidth=0.5)
+
+
+def plot_circular(result: CircularTest, *, title: str = "") -> Figure:
+    """Plot a circular test in polar coordinates: the paths of both directions about their common centre, and the nominal circle.
+
+    Args:
+        result: the evaluation.
+        title: a heading; the axes and the standard if empty.
+    """
+    figure = new_figure(9.5, 6.8, layout=None)
+    polar: Any = figure.add_subplot(projection="polar", position=(0.05, 0.07, 0.6, 0.8))
+    centre = result.centre_um
+    shown = [
+        (arrow, path, path.radius_um - centre @ np.array([np.cos(path.angle_deg * DEG), np.sin(path.angle_deg * DEG)]))
+        for arrow, path in result.paths
+    ]
+    extent = max(max(float(np.abs(values).max()) for _, _, values in shown), 1e-12)
+    for (arrow, path, values), colour, style in zip(shown, (FORWARD, BACKWARD), ("-", "--"), strict=False):
+        angle = np.append(path.angle_deg, path.angle_deg[0] + 360.0) * DEG
+        polar.plot(
+            angle, np.append(values, values[0]), color=colour, linestyle=style, linewidth=1.4, label=f"path {arrow}"
+        )
+    around = np.linspace(0.0, 2.0 * np.pi, 361)
+    polar.plot(around, np.zeros(361), color=BOTH, linewidth=0.9, label="nominal circle")
+    _radial_scale(polar, extent)
+    figure.text(0.04, 0.95, title or f"{result.name}: circular test by ISO 230-4", fontweight="bold", fontsize=12)
+    about = f"radius {result.radius_mm:g} mm, about the centre of the least-squares circle; radial scale [µm]"
+    figure.text(0.04, 0.915, about, fontsize=9, color=RUN)
+    rows = [("G(b)", result.G_b_um), ("H", result.H_um), ("D", result.D_um)]
+    rows += [(f"G{arrow}", path.G_um) for arrow, path in result.paths]
+    figure.text(0.70, 0.60, "values [µm]", fontsize=9, color=RUN)
+    for i, (label, value) in enumerate((label, value) for label, value in rows if value is not None):
+        figure.text(0.70, 0.56 - 0.037 * i, label)
+        figure.text(0.85, 0.56 - 0.037 * i, f"{value:.2f}", horizontalalignment="right", fontweight="bold")
+    place = {"bbox_to_anchor": (0.69, 0.88), "bbox_transform": figure.transFigure}
+    polar.legend(**place, loc="upper left", frameon=False, fontsize=9)
+    return figure
 
 
 def _bars(plot: Axes, result: ErrorMotion, unit: str) -> None:

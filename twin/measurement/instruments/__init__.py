@@ -12,6 +12,7 @@ from twin._common.errors import InputError, closest_name
 from twin.measurement.instruments.ball_bar import BallBar
 from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification, Reads, StationInstruments
 from twin.measurement.instruments.interferometer import TrackingInterferometer
+from twin.measurement.instruments.level import Level
 from twin.measurement.instruments.linear import LinearInterferometer
 from twin.measurement.instruments.multi_axis import MultiAxis
 from twin.measurement.instruments.multi_axis_solve import Displacement, measure
@@ -25,6 +26,7 @@ INSTRUMENTS: Final[tuple[Instrument, ...]] = (
     AT960_ABSOLUTE,
     TrackingInterferometer(),
     LinearInterferometer(),
+    Level(),
     TouchProbe(),
     RTest(),
     BallBar(),
@@ -74,6 +76,7 @@ __all__ = [
     "Instrument",
     "InstrumentSpecification",
     "LaserTracker",
+    "Level",
     "LinearInterferometer",
     "MultiAxis",
     "RTest",

@@ -17,9 +17,10 @@ from twin._common.units import UM
 
 SIDES: Final = ("base", "tool", "work")
 """Sides on which a station can ride (column ``station_carrier``): base frame, frame of the spindle nose, or work frame."""
-Reads = Literal["point", "length", "coordinate", "null"]
-"""What an instrument reads of a target in its station's frame: coordinates; the distance from the station's origin; the coordinate
-along its x; nothing, because the axis positions in the row are those at which the target was at the station's origin."""
+Reads = Literal["point", "length", "coordinate", "null", "angle"]
+"""Kinds of reading of a target in its station's frame: coordinates; the distance from the station's origin; the coordinate
+along its x; nothing, because the axis positions in the row are those at which the target was at the station's origin; the end of a
+line of 1 m that turns with the target about the station's origin."""
 
 
 @final
@@ -181,7 +182,7 @@ class StationInstruments:
 
     @property
     def name(self) -> str:
-        """Their names, in words."""
+        """Names of the instruments, in words."""
         return " and ".join(one.name for one in self.every)
 
     def groups(self, stations: np.ndarray) -> Iterator[tuple[Instrument, np.ndarray]]:

@@ -14,7 +14,7 @@ PROBE: Final = InstrumentSpecification(
     reads="null",
     free_start=False,
     rides_on=("tool",),
-    effects=("frame_shift", "target_shift"),
+    effects=("frame_shift", "target_shift", "probe_lobing"),
     source="assumed: repeatability of touch-trigger probes (0.25 to 1 µm in one direction, data sheets) and lobing after averaging",
     beam=False,
 )

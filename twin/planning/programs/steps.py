@@ -59,7 +59,7 @@ class _Builder:
     def __init__(self, task: SequenceTask) -> None:
         self.task = task
         self.machine = task.machine
-        self.size = task.geometry
+        self.size = task.sizes
         self.touching = clearance_of(task.machine, task)
         self.apart = apart_clearance(self.touching)
         self.steps: list[ProgramStep] = []
@@ -178,7 +178,7 @@ class _Builder:
 
 def _header(plan: SequencePlan, builder: _Builder) -> list[str]:
     """Return the comments of the program."""
-    size, task = plan.task.geometry, plan.task
+    size, task = plan.task.sizes, plan.task
     places = ", ".join(f"{name} at x {x:g} y {y:g} z {z:g}" for name, (x, y, z) in task.places_mm.items())
     found = [
         "Measuring program by twin. UNTESTED ON A REAL CONTROL: read it, run it dry, then with low override.",

@@ -17,8 +17,8 @@ from twin.planning.sequences.interpolation import INTERPOLATION
 from twin.planning.sequences.reach import Reached, apart_clearance, clearance_of, default_place, reach
 from twin.planning.sequences.specification import (
     SET_UPS,
+    InstrumentSizes,
     MeasuringSequence,
-    ProbeGeometry,
     SequencePoints,
     SequenceTask,
 )
@@ -53,8 +53,8 @@ __all__ = [
     "SET_UPS",
     "ContactPose",
     "Expectation",
+    "InstrumentSizes",
     "MeasuringSequence",
-    "ProbeGeometry",
     "Reached",
     "SequencePoints",
     "SequenceTask",

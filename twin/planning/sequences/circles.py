@@ -28,7 +28,7 @@ def _points(task: SequenceTask) -> SequencePoints:
             angle = np.radians(np.linspace(*arc, count) + start)
             circle = np.zeros((count, 3))
             circle[:, first], circle[:, second] = np.cos(angle), np.sin(angle)
-            runs += [task.radius_mm * circle, task.radius_mm * circle[::-1]]
+            runs += [task.sizes.bar_mm * circle, task.sizes.bar_mm * circle[::-1]]
             places += [name, name]
     size = [len(run) for run in runs]
     return SequencePoints(

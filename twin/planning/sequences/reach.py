@@ -90,8 +90,8 @@ def _clear(task: SequenceTask, positions: np.ndarray, places_mm: np.ndarray) -> 
     for row, pose in enumerate(poses):
         if found[row]:
             found[row] = pose.stem_aside and all(
-                apart.is_clear(pose.at(task.machine, task.geometry.around_mm * out))
-                and touching.is_clear(pose.at(task.machine, task.geometry.contact_mm * out))
+                apart.is_clear(pose.at(task.machine, task.sizes.around_mm * out))
+                and touching.is_clear(pose.at(task.machine, task.sizes.contact_mm * out))
                 for out in (pose.up, *pose.sides)
             )
     return found
@@ -105,17 +105,17 @@ def apart_clearance(touching: Clearance) -> Clearance:
 
 def clearance_of(machine: Machine, task: SequenceTask) -> Clearance:
     """Return the clearance check of a machine with a probe in the spindle and spheres on the table; other instruments alike."""
-    geometry, length = task.geometry, -task.tip_mm[2]
+    sizes, length = task.sizes, -task.tip_mm[2]
     free = min(STYLUS_MM, length)
-    bodies = [_rod("tool", (0.0, 0.0, -length), free, geometry.ball_mm / 2.0, contact=True)]
+    bodies = [_rod("tool", (0.0, 0.0, -length), free, sizes.ball_mm / 2.0, contact=True)]
     if length > free:
         bodies.append(_rod("tool", (0.0, 0.0, free - length), length - free, BODY_MM / 2.0))
     for x, y, z in task.places_mm.values():
-        ball = coal.Sphere(geometry.sphere_mm / 2.0 * MM)
+        ball = coal.Sphere(sizes.sphere_mm / 2.0 * MM)
         bodies.append(Body("work", ball, (x, y, z), contact=True))
         if z > 0.0:
-            bodies.append(_rod("work", (x, y, 0.0), z, STEM_SHARE * geometry.sphere_mm / 2.0, contact=True))
-    return Clearance(machine, task.kit.without_targets(), tuple(bodies), geometry.clearance_mm)
+            bodies.append(_rod("work", (x, y, 0.0), z, STEM_SHARE * sizes.sphere_mm / 2.0, contact=True))
+    return Clearance(machine, task.kit.without_targets(), tuple(bodies), sizes.clearance_mm)
 
 
 def _rod(side: str, start: tuple[float, float, float], length: float, radius: float, *, contact: bool = False) -> Body:

@@ -41,20 +41,24 @@ SET_UPS: Final = {
 
 @final
 @dataclass(frozen=True)
-class ProbeGeometry:
-    """Sizes that keep the probe clear of the sphere, and motions within the ranges.
+class InstrumentSizes:
+    """Sizes of the instrument: they keep the probe clear of the sphere, and motions within the ranges.
 
     Attributes:
         tool_length_mm: from the spindle nose to the tip or the ball; None: that of the machine file, or 100 mm.
         sphere_mm: diameter of the calibration sphere.
         ball_mm: diameter of the stylus ball.
         clearance_mm: distance that is kept from the sphere outside of contacts, and from everything else.
+        bar_mm: length of a ball bar.
+        feed_mm_min: feed of a ball bar.
     """
 
     tool_length_mm: float | None = None
     sphere_mm: float = 25.0
     ball_mm: float = 6.0
     clearance_mm: float = 10.0
+    bar_mm: float = 100.0
+    feed_mm_min: float = 1000.0
 
     @property
     def contact_mm(self) -> float:
@@ -70,13 +74,17 @@ class ProbeGeometry:
         """Raise `InputError` unless all sizes are positive."""
         if self.tool_length_mm is not None and not 0.0 < self.tool_length_mm < 1e4:
             raise InputError("impossible length of the probe", expected="0 to 10000 mm", value=self.tool_length_mm)
-        for name, value in (
-            ("sphere", self.sphere_mm),
-            ("stylus ball", self.ball_mm),
-            ("clearance", self.clearance_mm),
-        ):
+        named = {
+            "sphere": self.sphere_mm,
+            "stylus ball": self.ball_mm,
+            "clearance": self.clearance_mm,
+            "bar": self.bar_mm,
+        }
+        for name, value in named.items():
             if not 0.0 < value < 1e3:
                 raise InputError(f"size of the {name} is impossible", expected="0 to 1000 mm", value=value)
+        if not 0.0 < self.feed_mm_min < 1e6:
+            raise InputError("impossible feed", expected="a positive number of mm/min", value=self.feed_mm_min)
 
 
 @final
@@ -91,9 +99,7 @@ class SequenceTask:
         tip_mm: (3,) the tool-side part in the frame of the spindle nose.
         places_mm: the parts on the table by name, in the work frame.
         minutes: time budget, set-up included.
-        geometry: sizes of probe and sphere.
-        radius_mm: nominal length of a ball bar.
-        feed_mm_min: feed of a ball bar.
+        sizes: sizes of the instrument.
         seed: random seed.
     """
 
@@ -103,9 +109,7 @@ class SequenceTask:
     tip_mm: tuple[float, float, float]
     places_mm: Mapping[str, tuple[float, float, float]]
     minutes: float
-    geometry: ProbeGeometry
-    radius_mm: float = 100.0
-    feed_mm_min: float = 1000.0
+    sizes: InstrumentSizes
     seed: int = 0
 
     @property
@@ -116,7 +120,7 @@ class SequenceTask:
     @property
     def margin_mm(self) -> float:
         """Distance that linear axes keep from the ends of their ranges."""
-        return self.geometry.around_mm if self.instrument.specification.reads == "null" else 1.0
+        return self.sizes.around_mm if self.instrument.specification.reads == "null" else 1.0
 
     @property
     def rotary(self) -> tuple[int, ...]:

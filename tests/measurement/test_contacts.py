@@ -1,0 +1,185 @@
+"""Reduction of contacts: a machine with errors probed by the second implementation, statistics, degenerate groups, outliers."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from tests.measurement.formats.cases.spheres import DIRECTIONS
+from tests.truth.reference import dmu50_pose
+from twin._common.errors import InputError
+from twin.identification import identify
+from twin.machine.machine import Machine
+from twin.measurement.contacts import Contacts, Probing, ReducedContacts, numbered_rounds, reduce_contacts
+from twin.measurement.sphere_fit import fit_sphere
+
+MACHINE = Machine.load("dmu50")
+RADIUS, TOOL = 13.0, 150.0
+NOISE = 0.001
+SPHERE = np.array([60.0, -40.0, 90.0])
+"""Place of the sphere in the work frame."""
+
+
+def contacts(points: np.ndarray, poses: np.ndarray, direction: np.ndarray | None = None) -> Contacts:
+    n = len(points)
+    return Contacts(
+        source="contacts.csv",
+        lines=np.arange(2, n + 2),
+        positions=np.column_stack([points, poses]),
+        sphere=np.full(n, "S", dtype=object),
+        round=np.full(n, "1", dtype=object),
+        direction=np.full((n, 3), np.nan) if direction is None else direction,
+    )
+
+
+def probed(errors: dict[str, np.ndarray], rng: np.random.Generator) -> Contacts:
+    """Return contacts with a sphere on the table of the second implementation, whose linear axes have no errors."""
+    points, poses = [], []
+    for b in (0.0, 30.0, 60.0, 90.0):
+        for c in range(0, 360, 60):
+
+            def tip(x: np.ndarray, b: float = b, c: float = c) -> np.ndarray:
+                return dmu50_pose(np.array([*x, np.radians(b), np.radians(c)]), errors, TOOL)[:3, 3]
+
+            zero = tip(np.zeros(3))
+            motion = np.column_stack([tip(axis) - zero for axis in np.eye(3)])
+            centre = np.linalg.solve(motion, SPHERE - zero)
+            for normal in DIRECTIONS:
+                points.append(centre + (RADIUS + rng.normal(0, NOISE)) * normal)
+                poses.append([b, c])
+    return contacts(np.array(points), np.array(poses))
+
+
+def test_the_location_of_the_rotary_axes_is_identified_from_contacts() -> None:
+    """Offsets of the average lines of B and C, in contacts made by a simulator that shares no code with twin."""
+    truth, others = {"E_X0C": 40.0, "E_A0C": 30.0}, ("E_A0B", "E_B0C")
+    errors = {"L_C": np.array([0.040, 0.0, 0.0, 30e-6, 0.0, 0.0])}
+    found = reduce_contacts(probed(errors, np.random.default_rng(3)), MACHINE, Probing())
+    assert found.u_contact_mm == pytest.approx(NOISE, rel=0.2)
+    identified = identify(found.measurements, MACHINE, wanted=lambda name: name in (*truth, *others)).calibration
+    u = dict(zip(identified.covariance.names, np.sqrt(np.diag(identified.covariance.matrix)), strict=True))
+    for name, size in (truth | dict.fromkeys(others, 0.0)).items():
+        assert abs(identified.location[name] - size) < 3.0 * u[name], name
+    assert u["E_X0C"] < 1.0  # 40 µm are seen, not hidden in the uncertainty
+
+
+def test_the_covariance_travels_into_the_table() -> None:
+    """Stated uncertainties cover the true positions: z-scores of all coordinates have a variance of one."""
+    rng = np.random.default_rng(5)
+    points, poses = [], []
+    for k in range(150):
+        points += [np.array([250.0, 225.0, -200.0]) + (RADIUS + rng.normal(0, NOISE)) * normal for normal in DIRECTIONS]
+        poses += [[0.0, float(k)]] * len(DIRECTIONS)
+    found = reduce_contacts(contacts(np.array(points), np.array(poses)), MACHINE, Probing())
+    scores = (found.measurements.positions[:, :3] - [250.0, 225.0, -200.0]) / found.measurements.u_mm
+    assert found.measurements.u_mm.shape == (150, 3) and len(found.centres) == 150
+    # 450 squares of normal variables: mean 1 ± 3.3 standard deviations of √(2/450).
+    assert np.mean(scores**2) == pytest.approx(1.0, abs=3.3 * np.sqrt(2 / 450))
+
+
+def one_sphere(offsets: np.ndarray | None = None, normals: np.ndarray = DIRECTIONS) -> Contacts:
+    points = np.array([250.0, 225.0, -200.0]) + RADIUS * normals
+    return contacts(points + (0.0 if offsets is None else offsets), np.zeros((len(normals), 2)))
+
+
+def reduced(given: Contacts, probing: Probing | None = None) -> ReducedContacts:
+    return reduce_contacts(given, MACHINE, Probing() if probing is None else probing)
+
+
+def test_the_radius_of_the_tip_is_compensated_along_the_direction() -> None:
+    exact = one_sphere()
+    with_direction = contacts(exact.positions[:, :3], np.zeros((8, 2)), -DIRECTIONS)
+    found = reduced(with_direction, Probing(tip_radius_mm=3.0, u_contact_mm=NOISE))
+    assert found.centres[0].radius_mm == pytest.approx(RADIUS - 3.0)
+    skew = -DIRECTIONS + [0.0, 0.0, 0.1]
+    skew /= np.linalg.norm(skew, axis=1)[:, None]
+    tilted = reduced(contacts(exact.positions[:, :3], np.zeros((8, 2)), skew), Probing(None, 3.0, 1.0))
+    # A tilt of 0.1 turns the horizontal directions by atan 0.1 = 5.7°, and by more where the fitted centre moves.
+    (note,) = (note for note in tilted.notes if note.startswith("largest angle between probing direction and normal"))
+    assert 5.7 <= float(note.split("normal ")[1].split("°")[0]) < 9.0
+
+
+def test_the_noise_of_all_spheres_serves_those_without_residuals() -> None:
+    with pytest.raises(InputError, match="no residuals to estimate the noise from") as caught:
+        reduced(one_sphere(normals=DIRECTIONS[[0, 1, 2, 4]]))
+    assert caught.value.line == 2 and caught.value.setting == "contact uncertainty"
+    rng = np.random.default_rng(2)
+    first = one_sphere(rng.normal(0, NOISE, (8, 3)))
+    points = np.vstack([first.positions[:, :3], one_sphere().positions[[0, 1, 2, 4], :3]])
+    found = reduced(contacts(points, np.array([[0.0, 0.0]] * 8 + [[0.0, 90.0]] * 4)))
+    assert np.isfinite(found.measurements.u_mm).all() and found.centres[1].contacts == 4
+
+
+@pytest.mark.parametrize("stated", [None, NOISE])
+def test_an_outlier_is_named(stated: float | None) -> None:
+    rng = np.random.default_rng(1)
+    offsets = rng.normal(0, NOISE, (24, 3))
+    offsets[13] += 0.04 * DIRECTIONS[5]
+    points = np.tile([250.0, 225.0, -200.0] + RADIUS * DIRECTIONS, (3, 1)) + offsets
+    poses = np.repeat([[0.0, 0.0], [0.0, 90.0], [0.0, 180.0]], 8, axis=0)
+    with pytest.raises(InputError, match="a contact is an outlier") as caught:
+        reduced(contacts(points, poses), Probing(u_contact_mm=stated))
+    assert caught.value.line == 15
+
+
+@pytest.mark.parametrize(("sigmas", "refused"), [(4.0, False), (4.4, True)])
+def test_an_outlier_is_significant_after_correction_for_the_number_of_contacts(sigmas: float, refused: bool) -> None:
+    """With 24 contacts, p = 0.001 corrected is 4.2e-5 for one: 4.10 standard deviations of its residual (scipy.stats)."""
+    assert 4.0 < norm.isf(0.5e-3 / 24) < 4.2
+    leverage = fit_sphere(RADIUS * DIRECTIONS).leverage[5]
+    points = np.tile([250.0, 225.0, -200.0] + RADIUS * DIRECTIONS, (3, 1))
+    points[13] += sigmas * NOISE / np.sqrt(1.0 - leverage) * DIRECTIONS[5]
+    given = contacts(points, np.repeat([[0.0, 0.0], [0.0, 90.0], [0.0, 180.0]], 8, axis=0))
+    if refused:
+        with pytest.raises(InputError, match="outlier"):
+            reduced(given, Probing(u_contact_mm=NOISE))
+    else:
+        reduced(given, Probing(u_contact_mm=NOISE))
+
+
+def test_a_stated_noise_that_is_too_small_is_no_outlier() -> None:
+    offsets = DIRECTIONS * np.random.default_rng(4).normal(0, 20 * NOISE, (8, 1))
+    found = reduced(one_sphere(offsets), Probing(u_contact_mm=NOISE))
+    assert found.u_contact_mm == NOISE and any("significantly more than stated" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("stated", [None, NOISE])
+def test_false_alarms_of_the_outlier_test_are_rare(stated: float | None) -> None:
+    rng, refused = np.random.default_rng(8), 0
+    for _ in range(60):
+        offsets = DIRECTIONS * rng.normal(0, NOISE, (8, 1))
+        try:
+            reduced(one_sphere(offsets), Probing(u_contact_mm=stated))
+        except InputError:
+            refused += 1
+    assert refused <= 1  # 0.06 expected at p = 0.001; P(more than 1) = 2e-3
+
+
+def test_degenerate_contacts_name_their_line() -> None:
+    circle = np.array([[np.cos(p), np.sin(p), 0.0] for p in np.arange(6)])
+    for probing in (Probing(u_contact_mm=NOISE), Probing(10.0, 3.0, NOISE)):
+        with pytest.raises(InputError, match="do not determine the sphere's centre") as caught:
+            reduced(one_sphere(normals=circle), probing)
+        assert caught.value.line == 2
+    with pytest.raises(InputError, match="needs the radius of the tip") as missing:
+        reduced(one_sphere(), Probing(sphere_radius_mm=10.0))
+    assert missing.value.setting == "tip radius"
+
+
+def test_a_pose_probed_twice_gives_two_rounds() -> None:
+    poses = np.array([[0.0], [0.0], [90.0], [0.0], [0.0], [0.0]])
+    spheres = np.array(["S"] * 6, dtype=object)
+    assert list(numbered_rounds(spheres, poses)) == ["1", "1", "1", "2", "2", "2"]
+    assert list(numbered_rounds(spheres, poses, 2)) == ["1", "1", "1", "2", "2", "3"]
+
+
+def test_machines_without_linear_axes_x_y_z_are_refused(tmp_path: Path) -> None:
+    folder = Path(__file__).parents[2] / "urdf"
+    text = re.sub(r"\bZ\b", "W", (folder / "dmu50.yaml").read_text())
+    (tmp_path / "m.yaml").write_text(text.replace("dmu50.urdf", str(folder / "dmu50.urdf")))
+    with pytest.raises(InputError, match="linear axes X, Y and Z"):
+        reduce_contacts(one_sphere(), Machine.load(tmp_path / "m.yaml"), Probing(u_contact_mm=NOISE))

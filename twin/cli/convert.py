@@ -1,0 +1,135 @@
+"""Command ``twin convert``."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin._common.errors import InputError, closest_name
+from twin.cli.shared import complete, options
+from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, command
+from twin.cli.shared.words import number
+from twin.machine.machine import DEFAULT, Machine
+from twin.measurement.contacts import Probing
+from twin.measurement.formats import FORMATS, Given
+from twin.measurement.formats import convert as convert_files
+from twin.measurement.table import Measurements
+
+NAMES = [form.name for form in FORMATS]
+MeasuredFormatName = StrEnum("MeasuredFormatName", {name.replace("-", "_"): name for name in NAMES})  # type: ignore[misc]
+
+Files = Annotated[list[Path], typer.Argument(metavar="FILES", help="Files of one format, each one round or more.")]
+FormatOption = Annotated[
+    MeasuredFormatName | None,
+    typer.Option("--format", help="Format of the files; default: recognised by their content."),
+]
+AtOption = Annotated[
+    list[str] | None,
+    typer.Option("--at", help="Positions of axes that the files do not contain, mm and degrees: X=250 B=0."),
+]
+FileOffsetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--work-offset", help="Offset added to the files' coordinates to give axis positions: X=… Y=…; default: 0."
+    ),
+]
+PlanOption = Annotated[
+    Path | None,
+    typer.Option("--plan", help="Plan with targets and commanded positions (tracker).", autocompletion=complete.plans),
+]
+AxisOption = Annotated[str | None, typer.Option("--axis", help="Measured axis; default: as the file says.")]
+SphereOption = Annotated[
+    float | None, typer.Option("--sphere-radius", help="Known radius of the spheres, mm; default: fitted."), POSITIVE
+]
+TipOption = Annotated[
+    float | None, typer.Option("--tip-radius", help="Effective radius of the probe's tip, mm."), POSITIVE
+]
+UncertaintyOption = Annotated[
+    float | None,
+    typer.Option(
+        "--contact-uncertainty",
+        help="Standard uncertainty of a contact, mm; default: from the residuals of all spheres.",
+    ),
+    POSITIVE,
+]
+ContactsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--contacts", min=4, help="Number of consecutive contacts with each sphere; default: all of one pose."
+    ),
+]
+TraceOption = Annotated[
+    str | None, typer.Option("--trace", help="Element that holds the readings of a ball bar; default: the only list.")
+]
+StartOption = Annotated[
+    float, typer.Option("--start-angle", help="Angle of a circle's first reading, degrees from the plane's first axis.")
+]
+SweepOption = Annotated[float, typer.Option("--sweep", help="Angle that a circle's readings span, degrees."), POSITIVE]
+
+
+@command(
+    "twin convert contacts.csv -o measured.csv --contact-uncertainty 0.001 --json centres.json",
+    "twin convert probe.txt -o measured.csv --work-offset X=250 Y=225 Z=-200",
+    "twin convert x.rtl -o measured.csv --axis X --at Y=225 Z=-200 B=0 C=0",
+    "twin convert circle.b5r -o measured.csv --at X=250 Y=225 Z=-200 B=0 C=0",
+)
+def convert(
+    files: Files,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Measurement table to write."), TABLE],
+    kind: FormatOption = None,
+    machine: options.MachineOption = DEFAULT,
+    plan: PlanOption = None,
+    at: AtOption = None,
+    work_offset: FileOffsetOption = None,
+    axis: AxisOption = None,
+    sphere_radius: SphereOption = None,
+    tip_radius: TipOption = None,
+    contact_uncertainty: UncertaintyOption = None,
+    contacts: ContactsOption = None,
+    trace: TraceOption = None,
+    start_angle: StartOption = 0.0,
+    sweep: SweepOption = 360.0,
+    json_file: JsonOption = None,
+) -> CommandResult:
+    """Convert measured data of other programs into a measurement table.
+
+    Contacts of a probe, a ball bar, an interferometer, a tracker; `twin doc convert` describes the formats.
+    """
+    loaded = Machine.load(machine)
+    given = Given(
+        at=axis_values("--at", at, loaded),
+        offset=axis_values("--work-offset", work_offset, loaded),
+        axis=axis,
+        probing=Probing(sphere_radius, tip_radius, contact_uncertainty),
+        contacts=contacts,
+        plan=None if plan is None else Measurements.load(options.plan_file(plan), loaded, plan=True),
+        trace=trace,
+        start_deg=start_angle,
+        sweep_deg=sweep,
+    )
+    found = convert_files(files, loaded, given, format_name=None if kind is None else kind.value)
+    found.save(output, loaded)
+    return CommandResult(found.to_text(), found.to_dict)
+
+
+def axis_values(option: str, entries: list[str] | None, machine: Machine) -> dict[str, float]:
+    """Return one number for each axis of ``AXIS=number`` words.
+
+    Raises:
+        InputError: an unknown axis, an axis given twice, or text that is not a number.
+    """
+    found: dict[str, float] = {}
+    for entry in entries or []:
+        name, _, text = entry.partition("=")
+        if name not in machine.by_name or name in found:
+            raise InputError(
+                f"{option} names an unknown axis, or one twice",
+                expected=f"AXIS=number, once for each axis of {', '.join(machine.names)}",
+                value=entry,
+                nearest=closest_name(name, machine.names),
+            )
+        found[name] = number(option, text, entry)
+    return found

@@ -1,0 +1,88 @@
+"""Command ``twin evaluate``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin._common.errors import InputError
+from twin._common.files import write_atomic
+from twin.cli.shared import complete, options
+from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command
+from twin.cli.shared.words import number
+from twin.machine.machine import DEFAULT, Machine
+from twin.measurement.table import Measurements
+from twin.standards import evaluate as run_evaluation
+
+
+@command(
+    "twin evaluate measured.csv --html tests.html --json tests.json",
+    "twin evaluate measured.csv --tolerance A=10 B=3 H=5",
+    "twin evaluate measured.csv --tolerance X:A=8 Y:A=12 E_C0Y=20 --instrument tracker",
+)
+def evaluate(
+    measured: options.MeasuredArgument,
+    machine: options.MachineOption = DEFAULT,
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tolerance",
+            help="Largest permitted value, µm or µrad, by symbol, or by axis and symbol: A=10 B=3 X:A=8 H=5; see twin doc evaluate.",
+        ),
+    ] = None,
+    instrument: Annotated[
+        str | None,
+        typer.Option(
+            "--instrument",
+            help="Instrument whose noise model gives the uncertainty of readings; default: the table's uncertainties, else unknown.",
+            autocompletion=complete.instruments,
+        ),
+    ] = None,
+    length: Annotated[
+        float | None,
+        typer.Option(
+            "--length", help="Nominal length of the ball bar, mm; default: the radius of the commanded circle."
+        ),
+        POSITIVE,
+    ] = None,
+    json_file: JsonOption = None,
+    html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
+) -> CommandResult:
+    """Evaluate the standard tests for which a measurement table has the runs.
+
+    The exit status is 3 if a tolerance is not met, if no test gives its value, or if the table allows no test at all.
+    """
+    limits = tolerances(tolerance or [])
+    if html_file is not None:
+        options.need_pictures("the HTML report")
+    loaded = Machine.load(machine)
+    reader = None if instrument is None else options.instrument_named(instrument)
+    data = Measurements.join([Measurements.load(path, loaded) for path in measured])
+    found = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
+    if html_file is not None:
+        from twin.standards.page import evaluation_html  # imports matplotlib, which is slow and needed only here
+
+        write_atomic(html_file, evaluation_html(found))
+    return CommandResult(found.to_text(), found.to_dict, met=found.met and bool(found.tests))
+
+
+def tolerances(entries: Sequence[str]) -> dict[str, float]:
+    """Return the tolerances, each given as ``SYMBOL=NUMBER``.
+
+    Raises:
+        InputError: text that is not SYMBOL=NUMBER, a negative number, or a symbol given twice.
+    """
+    found: dict[str, float] = {}
+    for entry in entries:
+        name, equals, text = entry.partition("=")
+        if not equals or not name:
+            raise InputError("--tolerance cannot be read", expected="symbol and µm or µrad: A=10", value=entry)
+        if name in found:
+            raise InputError("--tolerance names a value twice", expected="each value once", value=entry)
+        found[name] = number("--tolerance", text, entry)
+        if found[name] < 0.0:
+            raise InputError("--tolerance must not be negative", expected="µm or µrad, 0 or above", value=entry)
+    return found

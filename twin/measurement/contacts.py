@@ -1,0 +1,420 @@
+"""Single contacts of a touch probe with spheres, reduced to sphere centres with their covariance.
+
+A contact is the position of the linear axes when the probe touched, in axis coordinates. In them the tip's centre lies on a sphere of
+the radius R + r around the position at which it would be at the sphere's centre (R sphere, r tip), whatever the probing direction. With
+a probing direction and a tip radius, the point of contact itself is used: the contact plus r along the direction. That is exact only
+where the direction is the normal of the sphere.
+
+The result has one row for each sphere and pose in the form of the measurement table for a probe: the station is the probe's tip and
+rides on the tool, the target is the sphere's centre on the work side, the reading is 0, 0, 0 and the positions are those at which the
+tip was at the centre. `u_x_mm …` follow from the covariance of the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin._common.arrays import read_only
+from twin._common.distributions import chi2_sf, normal_sf, student_sf
+from twin._common.errors import InputError
+from twin.machine.machine import Machine
+from twin.measurement.observation import Observation
+from twin.measurement.sphere_fit import Sphere, fit_sphere
+from twin.measurement.table import Measurements
+
+CARTESIAN: Final = ("X", "Y", "Z")
+"""Names of the linear axes that contacts are given in."""
+STATION: Final = "probe"
+OUTLIER_P: Final = 1e-3
+"""p-value, corrected for the number of contacts, below which a contact is an outlier."""
+ORTHOGONAL: Final = 1e-6
+"""Largest deviation from orthogonality of the machine's nominal linear axes."""
+FREE: Final = 1e-6
+"""Least share of a contact that its own fit leaves free; below it the residual is rounding."""
+ROUNDING_MM: Final = 1e-7
+"""Residuals below this are rounding of the numbers in the file."""
+UNIT_LENGTH: Final = 1e-3
+"""Largest deviation of the length of a probing direction from one."""
+
+
+@final
+@dataclass(frozen=True)
+class Contacts:
+    """Contacts of a probe, n rows; arrays are read-only.
+
+    Attributes:
+        source: the file.
+        lines: (n,) lines in the file.
+        positions: (n, axes) positions of all axes at the contact, mm and degrees, command order.
+        sphere: (n,) names.
+        round: (n,) names; contacts with one sphere in one pose and round belong together.
+        direction: (n, 3) unit vectors of the probing motion along X, Y, Z; NaN where unknown.
+        simulated: whether the contacts were simulated.
+    """
+
+    source: str
+    lines: np.ndarray
+    positions: np.ndarray
+    sphere: np.ndarray
+    round: np.ndarray
+    direction: np.ndarray
+    simulated: bool = False
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+
+@final
+@dataclass(frozen=True)
+class Probing:
+    """Radii and noise, which a file of contacts does not contain.
+
+    Attributes:
+        sphere_radius_mm: known radius of the spheres; None to fit one for each sphere and pose.
+        tip_radius_mm: effective radius of the tip; None if unknown.
+        u_contact_mm: standard uncertainty of a contact along the normal; None to estimate it from the residuals of all spheres.
+    """
+
+    sphere_radius_mm: float | None = None
+    tip_radius_mm: float | None = None
+    u_contact_mm: float | None = None
+
+
+@final
+@dataclass(frozen=True)
+class SphereCentre:
+    """One sphere in one pose.
+
+    Attributes:
+        sphere, round: names.
+        line: line of its first contact.
+        contacts: number of contacts.
+        positions: (axes,) positions at which the tip was at the centre, mm and degrees.
+        covariance_mm2: (3, 3) of the positions of X, Y, Z.
+        radius_mm: radius of the fit: of the tip's centre around the sphere's, or of the sphere (see `Probing`).
+        rms_mm: RMS of the residuals.
+    """
+
+    sphere: str
+    round: str
+    line: int
+    contacts: int
+    positions: np.ndarray
+    covariance_mm2: np.ndarray
+    radius_mm: float
+    rms_mm: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON data."""
+        values = {name: getattr(self, name) for name in ("sphere", "round", "line", "contacts", "radius_mm", "rms_mm")}
+        return values | {"positions": self.positions.tolist(), "covariance_mm2": self.covariance_mm2.tolist()}
+
+
+@final
+@dataclass(frozen=True)
+class ReducedContacts:
+    """Sphere centres of a file of contacts.
+
+    Attributes:
+        measurements: one row for each sphere and pose.
+        centres: the same with their covariances.
+        u_contact_mm: standard uncertainty of a contact that the covariances are computed from.
+        notes: assumptions and findings, one sentence each.
+    """
+
+    measurements: Measurements
+    centres: tuple[SphereCentre, ...]
+    u_contact_mm: float
+    notes: tuple[str, ...]
+
+
+def linear_columns(machine: Machine) -> tuple[int, ...]:
+    """Return the indices of X, Y and Z among the machine's axes.
+
+    Raises:
+        InputError: the linear axes are not X, Y and Z.
+    """
+    names = [machine.axes[i].name for i in machine.linear]
+    if sorted(names) != list(CARTESIAN):
+        raise InputError(
+            "contacts need a machine with the linear axes X, Y and Z", expected="X Y Z", value=" ".join(names)
+        )
+    return tuple(machine.names.index(name) for name in CARTESIAN)
+
+
+def reduce_contacts(contacts: Contacts, machine: Machine, probing: Probing) -> ReducedContacts:
+    """Return the sphere centres of all spheres and poses.
+
+    Raises:
+        InputError: with the line: fewer than four contacts with a sphere in a pose, contacts that do not determine its centre, an
+            outlier, a direction that is not a unit vector; no residuals to estimate the noise from, and none stated; a known radius
+            without that of the tip; a machine whose linear axes are not X, Y, Z.
+    """
+    columns = linear_columns(machine)
+    points, radius, notes = _surface(contacts, contacts.positions[:, columns], probing)
+    groups = _groups(contacts, columns)
+    fits = [
+        fit_sphere(points[rows], radius, file=contacts.source, line=int(contacts.lines[rows[0]])) for rows in groups
+    ]
+    noise, dof = _noise(fits, probing, contacts)
+    _check_outliers(fits, groups, contacts, probing, dof)
+    centres = []
+    for rows, fit in zip(groups, fits, strict=True):
+        first = int(rows[0])
+        fit.check_determined(noise, file=contacts.source, line=int(contacts.lines[first]))
+        at = np.array(contacts.positions[first])
+        at[list(columns)] = fit.centre_mm
+        centres.append(
+            SphereCentre(
+                str(contacts.sphere[first]),
+                str(contacts.round[first]),
+                int(contacts.lines[first]),
+                len(rows),
+                read_only(at),
+                fit.covariance_mm2(noise),
+                fit.radius_mm,
+                float(np.sqrt(np.mean(fit.residuals_mm**2))),
+            )
+        )
+    how = "as stated" if probing.u_contact_mm is not None else f"from the residuals, {dof} degrees of freedom"
+    notes = (*notes, *_normals(contacts, points, fits, groups, probing))
+    notes = (f"standard uncertainty of a contact: {noise * 1e3:.3g} µm, {how}", *_excess(fits, dof, probing), *notes)
+    return ReducedContacts(_table(contacts, machine, centres, columns), tuple(centres), noise, notes)
+
+
+def probe_table(
+    machine: Machine,
+    positions: np.ndarray,
+    *,
+    source: str,
+    lines: np.ndarray,
+    target: np.ndarray,
+    round_name: np.ndarray,
+    u_mm: np.ndarray,
+    simulated: bool = False,
+) -> Measurements:
+    """Return sphere centres in the form of the measurement table for a probe.
+
+    Args:
+        machine: the machine.
+        positions: (n, axes) positions at which the tip was at the centre.
+        source: the file.
+        lines: (n,) lines.
+        target: (n,) names of the spheres.
+        round_name: (n,) names of the rounds.
+        u_mm: (n, 3) standard uncertainties of the reading, NaN where unknown.
+        simulated: whether the contacts were simulated.
+    """
+    n = len(positions)
+
+    def words(word: str) -> np.ndarray:
+        return read_only(np.full(n, word, dtype=object))
+
+    return Measurements(
+        source=source,
+        lines=read_only(np.asarray(lines, dtype=int)),
+        positions=read_only(np.asarray(positions, dtype=float).reshape(n, len(machine.axes))),
+        target=read_only(np.asarray(target, dtype=object)),
+        carrier=words("work"),
+        station=words(STATION),
+        station_carrier=words("tool"),
+        round=read_only(np.asarray(round_name, dtype=object)),
+        point_mm=read_only(np.zeros((n, 3))),
+        u_mm=read_only(np.asarray(u_mm, dtype=float).reshape(n, 3)),
+        simulated=simulated,
+    )
+
+
+def _surface(
+    contacts: Contacts, points: np.ndarray, probing: Probing
+) -> tuple[np.ndarray, float | None, tuple[str, ...]]:
+    """Return the points to fit, the known radius of their sphere or None, and notes."""
+    tip, sphere = probing.tip_radius_mm, probing.sphere_radius_mm
+    given = np.isfinite(contacts.direction).all(axis=1)
+    lengths = np.linalg.norm(contacts.direction, axis=1)
+    for row in np.flatnonzero(given & (np.abs(lengths - 1.0) > UNIT_LENGTH)):
+        raise InputError(
+            "a probing direction is not a unit vector",
+            expected="length 1",
+            file=contacts.source,
+            line=int(contacts.lines[row]),
+            value=f"{lengths[row]:.4g}",
+        )
+    if tip is not None and given.all():
+        note = f"tip radius {tip:g} mm compensated along the probing direction"
+        return points + tip * contacts.direction, sphere, (note,)
+    if sphere is None:
+        used = () if tip is None else ("the tip radius has no influence: the radius of the tip's centre is fitted",)
+        return points, None, used
+    if tip is None:
+        raise InputError(
+            "a known sphere radius needs the radius of the tip", expected="both radii, or none", setting="tip radius"
+        )
+    return points, sphere + tip, (f"radius of the tip's centre {sphere + tip:g} mm, not fitted",)
+
+
+def _groups(contacts: Contacts, columns: Sequence[int]) -> list[np.ndarray]:
+    """Return the rows of each sphere, pose and round, in the order of their first contact."""
+    poses = np.delete(contacts.positions, list(columns), axis=1) + 0.0
+    rows: dict[tuple[str, str, bytes], list[int]] = {}
+    for i, key in enumerate(zip(contacts.sphere, contacts.round, poses, strict=True)):
+        rows.setdefault((str(key[0]), str(key[1]), key[2].tobytes()), []).append(i)
+    return [np.array(group) for group in rows.values()]
+
+
+def _noise(fits: Sequence[Sphere], probing: Probing, contacts: Contacts) -> tuple[float, int]:
+    """Return the standard uncertainty of a contact and the degrees of freedom of all residuals."""
+    dof = sum(fit.dof for fit in fits)
+    if probing.u_contact_mm is not None:
+        return probing.u_contact_mm, dof
+    if dof == 0:
+        raise InputError(
+            "no residuals to estimate the noise from: no sphere has more contacts than unknowns",
+            expected="five contacts or more with at least one sphere, or the standard uncertainty of a contact",
+            file=contacts.source,
+            line=int(contacts.lines[0]),
+            setting="contact uncertainty",
+        )
+    return float(np.sqrt(sum(float(fit.residuals_mm @ fit.residuals_mm) for fit in fits) / dof)), dof
+
+
+def _check_outliers(
+    fits: Sequence[Sphere], groups: Sequence[np.ndarray], contacts: Contacts, probing: Probing, dof: int
+) -> None:
+    """Raise `InputError` if the worst contact is an outlier.
+
+    Its residual is divided by the stated noise, or by that of all other contacts (externally studentised) where none is stated or
+    theirs is significantly larger: a statement that is too small makes no outliers.
+    """
+    rows, of = np.concatenate(groups), np.repeat(np.arange(len(fits)), [len(group) for group in groups])
+    residuals = np.concatenate([fit.residuals_mm for fit in fits])
+    free = 1.0 - np.concatenate([fit.leverage for fit in fits])
+    tested = free > FREE
+    scaled = np.where(tested, residuals, 0.0) / np.sqrt(np.where(tested, free, 1.0))
+    worst = int(np.argmax(np.abs(scaled)))
+    others = max(float(residuals @ residuals) - scaled[worst] ** 2, ROUNDING_MM**2)
+    if probing.u_contact_mm is not None and not _exceeds(others, dof - 1, probing.u_contact_mm):
+        p = 2.0 * float(normal_sf(abs(scaled[worst]) / probing.u_contact_mm))
+    elif dof > 1:
+        p = 2.0 * float(student_sf(abs(scaled[worst]) / np.sqrt(others / (dof - 1)), dof - 1))
+    else:
+        return
+    p *= np.count_nonzero(tested)
+    if p >= OUTLIER_P or abs(scaled[worst]) < ROUNDING_MM:
+        return
+    alone = fits[of[worst]].dof > 1
+    row = rows[worst] if alone else groups[of[worst]][0]
+    which = "a contact" if alone else f"one of the {len(groups[of[worst]])} contacts from here on"
+    raise InputError(
+        f"{which} is an outlier (p = {p:.1g}, corrected for the number of contacts)",
+        expected="all contacts on one sphere within their noise; remove the contact, or correct it",
+        file=contacts.source,
+        line=int(contacts.lines[row]),
+        value=f"residual {residuals[worst] * 1e3:.3g} µm",
+    )
+
+
+def _exceeds(sum_mm2: float, dof: int, noise_mm: float) -> bool:
+    """Return whether a sum of squared residuals is significantly larger than a noise lets expect."""
+    return dof > 0 and float(chi2_sf(sum_mm2 / noise_mm**2, dof)) < OUTLIER_P
+
+
+def _excess(fits: Sequence[Sphere], dof: int, probing: Probing) -> tuple[str, ...]:
+    """Return a note if the residuals are significantly larger than the stated noise."""
+    total = sum(float(fit.residuals_mm @ fit.residuals_mm) for fit in fits)
+    if probing.u_contact_mm is None or not _exceeds(total, dof, probing.u_contact_mm):
+        return ()
+    return (
+        f"the residuals correspond to {np.sqrt(total / dof) * 1e3:.3g} µm for each contact, significantly more than stated: the "
+        "uncertainties of the centres are too small (form of the sphere, lobing of the probe, drift)",
+    )
+
+
+def _normals(
+    contacts: Contacts, points: np.ndarray, fits: Sequence[Sphere], groups: Sequence[np.ndarray], probing: Probing
+) -> tuple[str, ...]:
+    """Return a note on the largest angle between probing direction and normal, if the tip is compensated along the direction."""
+    if probing.tip_radius_mm is None or not np.isfinite(contacts.direction).all():
+        return ()
+    cosines = []
+    for rows, fit in zip(groups, fits, strict=True):
+        inward = fit.centre_mm - points[rows]
+        cosines.append(np.einsum("ij,ij->i", contacts.direction[rows], inward) / np.linalg.norm(inward, axis=1))
+    least = float(np.clip(np.concatenate(cosines).min(), -1.0, 1.0))
+    angle, size = float(np.degrees(np.arccos(least))), probing.tip_radius_mm * (1.0 - least)
+    return (
+        f"largest angle between probing direction and normal {angle:.2g}°: up to {size * 1e3:.2g} µm of the compensation",
+    )
+
+
+def _table(
+    contacts: Contacts, machine: Machine, centres: Sequence[SphereCentre], columns: Sequence[int]
+) -> Measurements:
+    """Return the centres as a measurement table; the covariance is turned into the frame of the tool."""
+    positions = np.array([centre.positions for centre in centres])
+    motion = _reading_by_axis(machine, positions, columns)
+    covariance = np.array([centre.covariance_mm2 for centre in centres])
+    turned = motion @ covariance @ motion.transpose(0, 2, 1)
+    return probe_table(
+        machine,
+        positions,
+        source=contacts.source,
+        lines=np.array([centre.line for centre in centres]),
+        target=np.array([centre.sphere for centre in centres], dtype=object),
+        round_name=np.array([centre.round for centre in centres], dtype=object),
+        u_mm=np.sqrt(np.diagonal(turned, axis1=1, axis2=2)),
+        simulated=contacts.simulated,
+    )
+
+
+def _reading_by_axis(machine: Machine, positions: np.ndarray, columns: Sequence[int]) -> np.ndarray:
+    """Return (n, 3, 3) the derivative of a point of the work side, seen from the tool, with respect to X, Y and Z.
+
+    Raises:
+        InputError: the linear axes are not orthogonal, so that contacts in axis coordinates do not lie on a sphere.
+    """
+    n, observation = len(positions), Observation(machine)
+
+    def seen(q: np.ndarray) -> np.ndarray:
+        errors, sides = np.zeros((n, 6 * len(machine.frames))), np.full(n, "work", dtype=object)
+        return observation.points(q, errors, sides, np.zeros((n, 3)), np.full(n, "tool", dtype=object))
+
+    start = positions * machine.scale
+    steps = []
+    for column in columns:
+        moved = start.copy()
+        moved[:, column] += 1.0
+        steps.append(seen(moved) - seen(start))
+    motion = np.stack(steps, axis=2)
+    if np.abs(motion.transpose(0, 2, 1) @ motion - np.eye(3)).max() > ORTHOGONAL:
+        raise InputError("the linear axes are not orthogonal", expected="orthogonal X, Y, Z", value=machine.name)
+    return motion
+
+
+def numbered_rounds(sphere: np.ndarray, poses: np.ndarray, per_sphere: int | None = None) -> np.ndarray:
+    """Return (n,) round names of contacts in the order in which they were made.
+
+    A pose that a sphere was already probed in begins a new round for that sphere and pose.
+
+    Args:
+        sphere: (n,) names.
+        poses: (n, k) positions of the other axes.
+        per_sphere: number of contacts that belong together; None for all consecutive ones of one sphere and pose.
+    """
+    n = len(sphere)
+    same = [bool(a == b) and bool(np.array_equal(p, q)) for (a, p), (b, q) in pairwise(zip(sphere, poses, strict=True))]
+    seen: dict[tuple[str, bytes], int] = {}
+    rounds, count = np.full(n, "1", dtype=object), 0
+    for i in range(n):
+        new = i == 0 or not same[i - 1] or (per_sphere is not None and count == per_sphere)
+        key = (str(sphere[i]), (np.asarray(poses[i], dtype=float) + 0.0).tobytes())
+        if new:
+            seen[key] = seen.get(key, 0) + 1
+        count = 1 if new else count + 1
+        rounds[i] = str(seen[key])
+    return read_only(rounds)

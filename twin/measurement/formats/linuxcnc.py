@@ -1,0 +1,68 @@
+"""LinuxCNC probe log: the file that ``(PROBEOPEN name)`` opens and ``(PROBECLOSE)`` closes.
+
+LinuxCNC manual, G-code overview, "Probe Logging" (docs/src/gcode/overview.adoc): the file receives the nine numbers X Y Z A B C U V W
+of each successful straight probe (G38.n). The same manual says of the parameters #5061 … #5069, which hold the same result, that they
+are in the coordinate system in which the G38 took place.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final, final
+
+from twin._common.errors import InputError
+from twin.machine.machine import Machine
+from twin.measurement.formats.base import ContactRow, Conversion, FormatSpecification, Given, MeasuredFormat, reduced
+from twin.measurement.formats.lines import file_lines, numbers_in
+
+AXES: Final = tuple("XYZABCUVW")
+LINE: Final = re.compile(r"[-+.\deE]+(\s+[-+.\deE]+){8}")
+
+
+@final
+class LinuxCncProbeLog(MeasuredFormat):
+    """LinuxCNC probe log."""
+
+    specification = FormatSpecification(
+        name="linuxcnc",
+        title="LinuxCNC probe log",
+        suffixes=(".txt", ".log", ".ngc"),
+        gives="sphere centres",
+        instrument="probe",
+        needs="the work offset, if the coordinate system of the G38 was not that of the machine",
+        source="LinuxCNC manual, G-code overview, sections Probe Logging and Numbered Parameters",
+        unverified=(
+            "that the log uses the coordinate system of the G38, as parameters #5061 to #5069 do",
+            "that the log is in mm: the program units (G21) are assumed",
+        ),
+    )
+
+    def recognises(self, text: str) -> bool:
+        """See `MeasuredFormat.recognises`."""
+        return LINE.fullmatch(text.strip().split("\n", 1)[0].strip()) is not None
+
+    def read(self, path: Path, machine: Machine, given: Given, round_name: str) -> Conversion:
+        """See `MeasuredFormat.read`."""
+        rows = []
+        for number, text in file_lines(path):
+            words = text.split()
+            if len(words) != len(AXES):
+                raise InputError(
+                    f"{len(words)} numbers", expected="nine: X Y Z A B C U V W", file=path, line=number, value=text
+                )
+            values = dict(zip(AXES, numbers_in(words, "a coordinate", path, number), strict=True))
+            for name, value in values.items():
+                if name not in machine.names and value != 0.0:
+                    raise InputError(
+                        f"the machine has no axis {name}",
+                        expected=f"zero, or one of {', '.join(machine.names)}",
+                        file=path,
+                        line=number,
+                        value=f"{value:g}",
+                    )
+            rows.append(ContactRow(number, {name: value for name, value in values.items() if name in machine.names}))
+        return reduced(rows, path, machine, given).with_notes(
+            "assumed: every number is in mm or degrees; the coordinates plus the work offset are axis positions",
+            "assumed: consecutive contacts in one pose are contacts with one sphere",
+        )

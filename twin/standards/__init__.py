@@ -1,0 +1,53 @@
+"""Evaluate the tests of ISO 230 and ISO 10791-6 for which a measurement table has the runs.
+
+    twin evaluate measured.csv --tolerance A=10 B=3 H=5 --html tests.html --json tests.json
+
+`twin.evaluate(data, machine, tolerances={"A": 10})` does the same from a script. The table is the one of `twin doc files`; no
+calibration is used. Every test that the table allows is evaluated; the others are listed with the reason.
+
+**Runs.** Rows of one target, read from one station, in the order of `time_s` where every row has it, else in the order of the rows;
+a run ends where the round changes. Runs of one axis at the same place are joined: their repeats are the cycles. The direction of
+approach is that of the columns `approach_<axis>`; without them it follows from the order, and the result says so.
+
+The tests with their runs, and the keys of their values in the JSON and for tolerances:
+
+- Positioning, ISO 230-2:2014: one axis moves to three targets or more, or repeatedly to two. `A`, `E` and `R`, each also with
+  `_forward` (↑) and `_backward` (↓); `M`, `B`, `B_mean`.
+- Straightness, ISO 230-1:2012: a linear axis, with coordinates across its travel. `E_YX` about the least-squares line, `E_YX_EP` about
+  the end-point line, `E_YX_MZ` minimum zone.
+- Squareness, ISO 230-1:2012: two linear axes with one target and station. `E_C0Y`, `E_C0Y_EP`, `E_C0Y_MZ`.
+- Circular test, ISO 230-4: two linear axes on a circle; coordinates, or a ball bar's length in `x_mm`. `G_b`, `H`, `D`, `G`;
+  `G_forward`, `F_max_forward`, `F_min_forward` (counter-clockwise) and `_backward` (clockwise).
+- Rotary error motion, ISO 230-7:2015: one rotary axis over a turn, three coordinates. `total`, `synchronous`, `asynchronous`,
+  `residual_synchronous`.
+- Kinematic test, after ISO 10791-6:2014: linear and rotary axes move, the nominal point stands still. `range_x`, `range_y`,
+  `range_z`, or `range_length`.
+
+**Positioning.** A length counts as along the axis if it changes by 1 mm per mm; from three coordinates it is the component along the
+least-squares line. The angle of a rotary axis is that of a target about its least-squares circle, over at least 90°. Fewer targets
+or cycles than clause 4.3 requires are evaluated and reported; with a single cycle R and A are not determined.
+
+**Circular tests.** A circle is fitted to the commands; coordinates are aligned to it by a rigid motion, so that squareness and scale
+errors stay. G and G(b) are minimum zones. F and D need absolute lengths, or with a ball bar its nominal length (`--length`), from which
+its readings count. H belongs to the edition of 1996; those of 2005 and 2022 have G(b). The definitions come from the public
+abstracts and from publications, not from the text of the standard.
+
+**Rotary error motions.** A target within 1 mm of the axis gives radial and axial error motion in the directions of the station's
+frame. A target farther away gives its radial motion in the rotating direction, and the face error motion at its radius. One target
+cannot show tilt by itself.
+
+**Kinematic tests.** AK for rotary axes in the head, BK for rotary tables, CK for one of each; 1 and 2 for a single rotary axis counted
+from the base, 4 for both together. The text of ISO 10791-6 was not available: what is evaluated is the range of the deviation
+in each direction of the station's frame, and neither the names nor the quantity are verified against the standard.
+
+**Tolerances.** `A=10` applies to every test that has the value, `X:A=8` to that of X; µm or µrad. The absolute value is compared. The
+exit status is 3 if a tolerance is not met, if no test gives its value, or if the table allows no test at all. Beside pass or fail
+stands the decision by ISO 14253-1: conformity proven, nonconformity proven, or neither, because the margin is within U. U (95 %) is
+propagated from the uncertainties of the readings (columns `u_x_mm` …, or `--instrument`), taken as independent; it does not contain
+the instrument's scale error, temperature or set-up. Without an uncertainty nothing is proven.
+"""
+
+from twin.standards.evaluate import evaluate
+from twin.standards.result import EvaluationResult, NotEvaluated, StandardTest, StandardValue, ToleranceCheck
+
+__all__ = ["EvaluationResult", "NotEvaluated", "StandardTest", "StandardValue", "ToleranceCheck", "evaluate"]

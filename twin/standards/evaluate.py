@@ -1,0 +1,217 @@
+"""Evaluate all standard tests that a measurement table allows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Final
+
+import numpy as np
+
+from twin._common.errors import InputError, require_type
+from twin._common.provenance import SIMULATED
+from twin.machine.machine import Machine
+from twin.measurement.evaluation import Straightness
+from twin.measurement.instruments import Instrument
+from twin.measurement.observation import Observation
+from twin.measurement.state import of_angles
+from twin.measurement.table import Measurements
+from twin.standards.circles import circle_test
+from twin.standards.kinematic import kinematic_test
+from twin.standards.linear import linear_positioning, squareness_tests, straightness_tests
+from twin.standards.readings import NotPossible, reading_uncertainty_mm, station_frame
+from twin.standards.result import EvaluationResult, NotEvaluated, StandardTest, check_tolerances
+from twin.standards.rotary import rotary_tests
+from twin.standards.runs import MeasuredRun, TableRuns, directions, find_runs
+from twin.standards.words import place_of
+
+NO_RUN: Final = {
+    "positioning": "no run in which one axis alone moves to at least three targets, or repeatedly to two",
+    "circular": "no run in which two linear axes move on a circle, over more than half a turn",
+    "squareness": "no two linear axes measured across their travel from one station",
+    "kinematic": "no run of linear and rotary axes in which the nominal point of the target stands still",
+}
+"""Reason why a test is missing if the table has no run for it."""
+BUDGET: Final = (
+    "U (95 %) is propagated from the standard uncertainties {source}, taken as independent. It does not contain the scale error of the "
+    "instrument, temperature and set-up, which the standards' own budgets add."
+)
+Uncertainties = Callable[[MeasuredRun], np.ndarray]
+
+
+def evaluate(
+    data: Measurements,
+    machine: Machine,
+    *,
+    tolerances: Mapping[str, float] | None = None,
+    instrument: Instrument | None = None,
+    length_mm: float | None = None,
+) -> EvaluationResult:
+    """Evaluate all tests of ISO 230-1, 230-2, 230-4, 230-7 and ISO 10791-6 for which a table has the runs.
+
+    Args:
+        data: the measured points.
+        machine: the machine that was measured.
+        tolerances: largest permitted values, µm or µrad, by key of the value (``A``, ``H``) or name of the test and key (``X:A``).
+        instrument: instrument whose noise model gives the uncertainty of readings for which the table states none.
+        length_mm: nominal length of a ball bar, from which its radial deviations count; None for the radius of the commands.
+
+    Raises:
+        InputError: a tolerance that is negative or not finite, or a length that is not positive.
+        TypeError: arguments of another type.
+    """
+    _check_arguments(data, machine, tolerances or {}, length_mm)
+    angles = of_angles(data)
+    runs = find_runs(data.select(~angles), machine)
+
+    def uncertainty_mm(run: MeasuredRun) -> np.ndarray:
+        return reading_uncertainty_mm(run.data, instrument)
+
+    tests: list[StandardTest] = []
+    missing: list[NotEvaluated] = []
+    if angles.any():
+        missing.append(
+            NotEvaluated("angular error motions", "readings of a level are used by `twin identify`, not evaluated here")
+        )
+    _single_axes(runs, machine, uncertainty_mm, tests, missing)
+    observation = Observation(machine)
+    for run in runs.circles:
+        _attempt(
+            _title("circular", run, machine), tests, missing, circle_test, run, machine, uncertainty_mm(run), length_mm
+        )
+    for run in runs.mixed:
+        _attempt(
+            _title("kinematic", run, machine), tests, missing, kinematic_test, run, observation, uncertainty_mm(run)
+        )
+    checked = check_tolerances(tolerances or {}, tests)
+    return EvaluationResult(
+        data=data,
+        machine=machine.name,
+        tests=tuple(tests),
+        not_evaluated=(*_without_duplicates(missing), *_absent(tests, missing, machine)),
+        assumptions=_assumptions(runs, tests, machine),
+        uncertainty=_budget(data, instrument),
+        checks=checked,
+        warnings=(SIMULATED,) if data.simulated else (),
+    )
+
+
+def _check_arguments(
+    data: Measurements, machine: Machine, tolerances: Mapping[str, float], length_mm: float | None
+) -> None:
+    require_type("data", data, Measurements)
+    require_type("machine", machine, Machine)
+    for name, limit in tolerances.items():
+        if not (np.isfinite(limit) and limit >= 0.0):
+            raise InputError(
+                "a tolerance must be positive", expected="µm or µrad, not negative", value=f"{name}={limit}"
+            )
+    if length_mm is not None and not (np.isfinite(length_mm) and length_mm > 0.0):
+        raise InputError("the length of the ball bar must be positive", expected="mm, above 0", value=length_mm)
+
+
+def _single_axes(
+    runs: TableRuns,
+    machine: Machine,
+    uncertainty_mm: Uncertainties,
+    tests: list[StandardTest],
+    missing: list[NotEvaluated],
+) -> None:
+    """Add the tests of single axes, and of pairs of them."""
+    lines: list[tuple[MeasuredRun, Straightness]] = []
+    bent: list[StandardTest] = []
+    linear = [run for run in runs.single if machine.axes[run.axes[0]].linear]
+    frames = {
+        station: station_frame([run for run in linear if run.station == station], machine)
+        for station in dict.fromkeys(run.station for run in linear)
+    }
+    for run in linear:
+        u = uncertainty_mm(run)
+        _attempt(_title("positioning", run, machine), tests, missing, linear_positioning, run, machine, u)
+        straight: list[StandardTest] = []
+        place = _title("straightness", run, machine)
+        _attempt(place, straight, missing, straightness_tests, run, machine, frames[run.station], u)
+        lines += [(run, test.detail) for test in straight if isinstance(test.detail, Straightness)]
+        bent += straight
+    tests += bent
+    tests += squareness_tests(lines, machine)
+    for run in runs.single:
+        if not machine.axes[run.axes[0]].linear:
+            _attempt(_title("rotary", run, machine), tests, missing, rotary_tests, run, machine, uncertainty_mm(run))
+
+
+def _attempt(
+    title: str,
+    tests: list[StandardTest],
+    missing: list[NotEvaluated],
+    function: Callable[..., Iterator[StandardTest] | StandardTest | None],
+    *arguments: object,
+) -> None:
+    """Add the tests that a function returns for some arguments, or the reason why they are not possible."""
+    try:
+        found = function(*arguments)
+        if isinstance(found, StandardTest):
+            tests.append(found)
+        elif found is not None:
+            tests.extend(found)
+    except NotPossible as reason:
+        missing.append(NotEvaluated(title, str(reason)))
+
+
+def _title(kind: str, run: MeasuredRun, machine: Machine) -> str:
+    names = "".join(machine.axes[i].name for i in run.axes)
+    words = "positioning and error motions" if kind == "rotary" else kind
+    return f"{names}: {words} ({place_of(run)})"
+
+
+def _without_duplicates(missing: Iterable[NotEvaluated]) -> list[NotEvaluated]:
+    """Return one entry for each test and reason, whatever the place; the number of runs is given."""
+    groups: dict[tuple[str, str], list[NotEvaluated]] = {}
+    for one in missing:
+        groups.setdefault((one.test.partition(" (")[0], one.why), []).append(one)
+    return [
+        found[0] if len(found) == 1 else NotEvaluated(f"{test}, {len(found)} runs", why)
+        for (test, why), found in groups.items()
+    ]
+
+
+def _absent(tests: Iterable[StandardTest], missing: Iterable[NotEvaluated], machine: Machine) -> list[NotEvaluated]:
+    """Return the tests for which the table has no run at all."""
+    done = {(test.kind, name) for test in tests for name in test.axes}
+    tried = {one.test.partition(":")[0] for one in missing}
+    kinds = {kind for kind, _ in done}
+    idle = [axis.name for axis in machine.axes if ("positioning", axis.name) not in done and axis.name not in tried]
+    found = [NotEvaluated(f"{', '.join(idle)}: positioning", NO_RUN["positioning"])] if idle else []
+    if len(machine.linear) >= 2:
+        for kind in ("squareness", "circular"):
+            if kind not in kinds:
+                found.append(NotEvaluated(kind, NO_RUN[kind]))
+    if machine.linear and machine.rotary and "kinematic" not in kinds:
+        found.append(NotEvaluated("kinematic (ISO 10791-6)", NO_RUN["kinematic"]))
+    return found
+
+
+def _assumptions(runs: TableRuns, tests: Iterable[StandardTest], machine: Machine) -> tuple[str, ...]:
+    order = "time_s" if runs.ordered_by_time else "the rows of each round"
+    evaluated = {name for test in tests if test.kind == "positioning" for name in test.axes}
+    derived = [
+        name
+        for name in dict.fromkeys(machine.axes[run.axes[0]].name for run in runs.single if directions(run)[1])
+        if name in evaluated
+    ]
+    found = []
+    if derived:
+        found.append(
+            f"direction of approach of {', '.join(derived)} from the order of {order}: the table has no column "
+            f"{', '.join(f'approach_{name}' for name in derived)}"
+        )
+    if runs.circles:
+        found.append(f"direction of travel on circles from the order of {order}")
+    return tuple(found)
+
+
+def _budget(data: Measurements, instrument: Instrument | None) -> str:
+    stated = bool(np.isfinite(data.u_mm).any())
+    if not stated and instrument is None:
+        return ""
+    source = "in the table" if stated else f"of the instrument ({instrument.specification.title})" if instrument else ""
+    return BUDGET.format(source=source)

@@ -1,0 +1,123 @@
+"""The standard tests as one HTML file: tolerances, values, the standards' plots, what was not evaluated. Needs the extra ``plots``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from twin._common.provenance import warning_texts
+from twin.display import Html, count_with_noun, figure, readable, render
+from twin.display.figures import BACKWARD, FORWARD, THIRD, embedded, new_figure, style_axes
+from twin.measurement.checks import grouped_notes
+from twin.measurement.evaluation import (
+    CircularTest,
+    Positioning,
+    RotaryMotion,
+    Straightness,
+    UnidirectionalPositioning,
+)
+from twin.measurement.evaluation.plots import (
+    plot_circular,
+    plot_error_motion,
+    plot_positioning,
+    plot_straightness,
+    plot_unidirectional,
+)
+from twin.standards.result import SENTENCES, EvaluationResult, StandardTest
+
+MOST_PICTURES: Final = 40
+"""Number of tests of one page that are drawn; the values of all are listed."""
+COLOURS: Final = {"met": "#e8f3ea", "failed": "#fbe4de", "none": "#f3f3f3"}
+
+
+def evaluation_html(result: EvaluationResult) -> str:
+    """Return one self-contained HTML page.
+
+    Args:
+        result: the result of `twin.evaluate`.
+    """
+    failed = sum(not check.met for check in result.checks)
+    if not result.checks:
+        headline = f"{count_with_noun(len(result.tests), 'standard test')} evaluated"
+    elif failed:
+        headline = f"{failed} of {count_with_noun(len(result.checks), 'tolerance check')} not met"
+    else:
+        headline = "All tolerances met" if len(result.checks) > 1 else "The tolerance is met"
+    pictures = [test for test in result.tests if _figure(test, draw=False)][:MOST_PICTURES]
+    return render(
+        "standards/templates/evaluation.html.j2",
+        found=result,
+        title=f"{headline}: {result.machine}",
+        headline=headline,
+        colour=COLOURS["none" if not result.checks else "failed" if failed else "met"],
+        source=", ".join(Path(name).name for name in result.data.source.split(", ")),
+        badges=warning_texts(result.warnings),
+        picture=lambda test: _picture(test) if any(test is one for one in pictures) else "",
+        not_drawn=sum(bool(_figure(test, draw=False)) for test in result.tests) - len(pictures),
+        SENTENCES=SENTENCES,
+        shown=figure,
+        unit=readable,
+        grouped_notes=grouped_notes,
+        targets=_targets,
+    )
+
+
+def _picture(test: StandardTest) -> Html:
+    drawn = _figure(test)
+    return Html("") if not isinstance(drawn, Figure) else embedded(drawn, f"{test.title}, {test.place}", kind="big")
+
+
+def _figure(test: StandardTest, *, draw: bool = True) -> Figure | bool:
+    """Return the standard's plot of a test; without ``draw`` only whether there is one."""
+    detail = test.detail
+    if isinstance(detail, Positioning) and np.isfinite(detail.R):
+        return plot_positioning(detail) if draw else True
+    if isinstance(detail, UnidirectionalPositioning):
+        return plot_unidirectional(detail) if draw else True
+    if isinstance(detail, CircularTest):
+        return plot_circular(detail) if draw else True
+    if isinstance(detail, Straightness):
+        return plot_straightness(detail) if draw else True
+    if isinstance(detail, RotaryMotion):
+        return plot_error_motion(detail) if draw else True
+    if isinstance(detail, np.ndarray):
+        return _plot_deviations(test, detail) if draw else True
+    return False
+
+
+def _plot_deviations(test: StandardTest, deviation_um: np.ndarray) -> Figure:
+    """Plot the deviations of a kinematic test over the readings in their order."""
+    drawn = new_figure(9.0, 4.0)
+    plot = drawn.subplots()
+    style_axes(plot)
+    for k, (colour, marker) in enumerate(((FORWARD, "o"), (BACKWARD, "s"), (THIRD, "D"))):
+        if np.isfinite(deviation_um[:, k]).all():
+            label = test.values[0].symbol.removeprefix("range ") if len(test.values) == 1 else "xyz"[k]
+            number = np.arange(1, len(deviation_um) + 1)
+            plot.plot(number, deviation_um[:, k], color=colour, marker=marker, markersize=3, linewidth=1.0, label=label)
+    plot.set_title(f"{test.title}, {test.standard}", loc="left", fontweight="bold")
+    plot.set(xlabel="reading", ylabel="deviation from the mean [µm]")
+    plot.legend(bbox_to_anchor=(1.01, 1.0), loc="upper left", frameon=False)
+    return drawn
+
+
+def _targets(test: StandardTest) -> list[tuple[str, ...]]:
+    """Return the table by target of a bi-directional positioning test: P, x̄↑, x̄↓, B, s↑, s↓, R; empty for other tests."""
+    found = test.detail
+    if not isinstance(found, Positioning):
+        return []
+    columns = (
+        found.mean_forward,
+        found.mean_backward,
+        found.B_i,
+        found.s_i_forward,
+        found.s_i_backward,
+        found.R_i,
+    )
+    return [
+        (f"{target:g}".replace("-", "−"), *(figure(float(column[i])) for column in columns))
+        for i, target in enumerate(found.target)
+    ]

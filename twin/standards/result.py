@@ -1,0 +1,331 @@
+"""Results of standard tests: values with the standard's symbols, tests that were not possible, and the check of tolerances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from textwrap import wrap
+from typing import Any, Final, Literal, final
+
+import numpy as np
+
+from twin._common.json_form import json_form
+from twin._common.provenance import SourceWarning, warning_texts, warnings_to_json
+from twin.display import card, count_with_noun, figure, note, readable, table
+from twin.display.numbers import COVERAGE_FACTOR, with_joined_units
+from twin.measurement.checks import grouped_notes
+from twin.measurement.evaluation import (
+    CircularTest,
+    Positioning,
+    RotaryMotion,
+    SquarenessError,
+    Straightness,
+    UnidirectionalPositioning,
+)
+from twin.measurement.table import Measurements
+
+SCHEMA: Final = "twin.evaluation/1"
+WIDTH: Final = 110
+INDENT: Final = "    "
+HARD_SPACE: Final = "\u00a0"
+FEW_TESTS: Final = 3
+"""Number of tests up to which the text gives the remarks with every test; for more tests, equal remarks are listed once."""
+Conformity = Literal["conforming", "nonconforming", "neither", "unknown"]
+SENTENCES: Final[Mapping[Conformity, str]] = {
+    "conforming": "conformity is proven: the value plus U is within the tolerance",
+    "nonconforming": "nonconformity is proven: the value minus U is outside the tolerance",
+    "neither": "neither conformity nor nonconformity is proven: the margin is within U",
+    "unknown": "conformity cannot be proven: the uncertainty of the readings is unknown",
+}
+"""Decision by ISO 14253-1, in words."""
+
+
+@final
+@dataclass(frozen=True)
+class StandardValue:
+    """One value of a test.
+
+    Attributes:
+        symbol: the standard's symbol; ↑ and ↓ for the direction of approach.
+        key: the symbol in ASCII, for JSON and tolerances: ``A``, ``A_forward``, ``R``.
+        value: in ``unit``; NaN if the data do not determine it.
+        unit: ``um`` or ``urad``.
+        meaning: the standard's term.
+        u: standard uncertainty from that of the readings alone; NaN if unknown.
+    """
+
+    symbol: str
+    key: str
+    value: float
+    unit: str
+    meaning: str
+    u: float = float("nan")
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty (95 %)."""
+        return COVERAGE_FACTOR * self.u
+
+    @property
+    def text(self) -> str:
+        """Symbol, value and unit with hard spaces, so that lines do not break within."""
+        return f"{self.symbol} {figure(self.value, readable(self.unit))}".replace(" ", HARD_SPACE)
+
+
+Detail = (
+    Positioning | UnidirectionalPositioning | CircularTest | Straightness | SquarenessError | RotaryMotion | np.ndarray
+)
+
+
+@final
+@dataclass(frozen=True)
+class StandardTest:
+    """One test of a standard.
+
+    Attributes:
+        kind: ``positioning``, ``straightness``, ``squareness``, ``circular``, ``rotary error motion`` or ``kinematic``.
+        name: axis (``X``), axes (``XY``) or error (``E_YX``); tolerances select tests by it.
+        standard: standard and clause.
+        axes: names of the axes that moved.
+        place: positions of the other axes, and target and station, in words.
+        values: the values of the standard.
+        remarks: requirements of the standard that are not met, assumptions, and what is not verified.
+        detail: the complete result of the evaluation; for a kinematic test the (n, 3) deviations in µm.
+    """
+
+    kind: str
+    name: str
+    standard: str
+    axes: tuple[str, ...]
+    place: str
+    values: tuple[StandardValue, ...]
+    remarks: tuple[str, ...]
+    detail: Detail
+
+    @property
+    def main_values(self) -> tuple[StandardValue, ...]:
+        """The values of all directions of approach or travel together, if there are any; else all."""
+        found = tuple(one for one in self.values if not one.key.endswith(("_forward", "_backward")))
+        return found or self.values
+
+    @property
+    def title(self) -> str:
+        """Name and kind: ``X: positioning``."""
+        return f"{self.name}: {self.kind}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON; null for values that are not determined."""
+        detail = {"deviations_um": self.detail} if isinstance(self.detail, np.ndarray) else self.detail
+        return {
+            "test": self.kind,
+            "name": self.name,
+            "standard": self.standard,
+            "axes": list(self.axes),
+            "place": self.place,
+            "values": {f"{one.key}_{one.unit}": json_form(one.value) for one in self.values},
+            "u": {f"{one.key}_{one.unit}": json_form(one.u) for one in self.values},
+            "remarks": list(self.remarks),
+            "detail": json_form(detail),
+        }
+
+
+@final
+@dataclass(frozen=True)
+class NotEvaluated:
+    """A test that the table does not allow.
+
+    Attributes:
+        test: the test, with its axes if it is one of several.
+        why: the reason.
+    """
+
+    test: str
+    why: str
+
+
+@final
+@dataclass(frozen=True)
+class ToleranceCheck:
+    """One value compared with its tolerance.
+
+    Attributes:
+        asked: the tolerance as given: ``A``, ``X:A``.
+        limit: the tolerance, in the unit of the value.
+        test: title and place of the test; empty if no test gives the value.
+        value: the value; None if it could not be evaluated.
+        met: whether the absolute value is at most the tolerance.
+        conformity: decision by ISO 14253-1.
+    """
+
+    asked: str
+    limit: float
+    test: str
+    value: StandardValue | None
+    met: bool
+    conformity: Conformity
+
+    @property
+    def text(self) -> str:
+        """The check in one line."""
+        if self.value is None:
+            return f"{self.asked} = {self.limit:g}: NOT EVALUATED: no test of this table gives it"
+        unit, expanded = readable(self.value.unit), self.value.expanded
+        u = f", U {figure(expanded, unit)}" if np.isfinite(expanded) else ""
+        return (
+            f"{'PASS' if self.met else 'FAIL'} {self.test}: {self.value.symbol} {figure(self.value.value, unit, digits=4)}{u}, "
+            f"tolerance {self.limit:g} {unit}; {SENTENCES[self.conformity]}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON."""
+        value = self.value
+        return {
+            "name": self.asked,
+            "limit": self.limit,
+            "unit": None if value is None else value.unit,
+            "test": self.test or None,
+            "value": None if value is None else json_form(value.value),
+            "U95": None if value is None else json_form(value.expanded),
+            "met": self.met,
+            "conformity": self.conformity,
+        }
+
+
+@final
+@dataclass(frozen=True)
+class EvaluationResult:
+    """The standard tests of a measurement table.
+
+    Attributes:
+        data: the table.
+        machine: name of the machine.
+        tests: the tests that were evaluated.
+        not_evaluated: the tests that were not, with the reason.
+        assumptions: assumptions about the table.
+        uncertainty: source of the readings' uncertainty, in words; empty if unknown.
+        checks: the tolerances asked for; empty if none were.
+        warnings: where the readings come from.
+    """
+
+    data: Measurements
+    machine: str
+    tests: tuple[StandardTest, ...]
+    not_evaluated: tuple[NotEvaluated, ...]
+    assumptions: tuple[str, ...]
+    uncertainty: str
+    checks: tuple[ToleranceCheck, ...]
+    warnings: tuple[SourceWarning, ...]
+
+    @property
+    def met(self) -> bool:
+        """Whether every tolerance asked for is met; True if none was."""
+        return all(check.met for check in self.checks)
+
+    def named(self, name: str, kind: str = "") -> tuple[StandardTest, ...]:
+        """Return the tests of a name (``X``, ``E_YX``), of one kind if given."""
+        return tuple(test for test in self.tests if test.name == name and kind in ("", test.kind))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of the JSON."""
+        return {
+            "schema": SCHEMA,
+            "machine": self.machine,
+            "source": self.data.source,
+            "warnings": warnings_to_json(self.warnings),
+            "points": len(self.data),
+            "tests": [test.to_dict() for test in self.tests],
+            "not_evaluated": [json_form(one) for one in self.not_evaluated],
+            "assumptions": list(self.assumptions),
+            "uncertainty": self.uncertainty or None,
+            "tolerances": [check.to_dict() for check in self.checks],
+            "met": self.met,
+            "notices": list(self.data.notices),
+            "set_aside": [{"line": one.line, "why": one.text} for one in self.data.set_aside],
+        }
+
+    def to_text(self) -> str:
+        """Return all tests with their values, the tolerances and what was not evaluated, as text."""
+        lines = [f"{self.machine}: {count_with_noun(len(self.tests), 'standard test')} from {self.data.source}"]
+        lines += [*warning_texts(self.warnings)]
+        for check in self.checks:
+            lines += wrap(with_joined_units(check.text, HARD_SPACE), WIDTH, subsequent_indent="    ")
+        for test in self.tests:
+            lines += [
+                "",
+                f"{test.title}, {test.standard}",
+                *wrap(test.place, WIDTH, initial_indent="  ", subsequent_indent="  "),
+            ]
+            lines += wrap(
+                "   ".join(value.text for value in test.values), WIDTH, initial_indent=INDENT, subsequent_indent=INDENT
+            )
+            for remark in test.remarks if len(self.tests) <= FEW_TESTS else ():
+                lines += wrap(remark, WIDTH, initial_indent="  ", subsequent_indent="    ")
+        for heading, entries in (
+            ("Remarks:", _grouped_remarks(self.tests) if len(self.tests) > FEW_TESTS else []),
+            ("Not evaluated:", [f"{one.test}: {one.why}" for one in self.not_evaluated]),
+            ("Assumptions:", self.assumptions),
+            ("Uncertainty:", [self.uncertainty] if self.uncertainty else []),
+            ("Notes:", [*self.data.notices, *grouped_notes(self.data.set_aside)]),
+        ):
+            lines += ["", heading] if entries else []
+            for entry in entries:
+                lines += wrap(entry, WIDTH, initial_indent="  ", subsequent_indent="    ")
+        return "\n".join(lines) + "\n"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (test.title, test.place, "   ".join(value.text for value in test.values), test.standard)
+            for test in self.tests
+        ]
+        loud = [note(check.text, loud=not check.met) for check in self.checks]
+        warnings = [note(text, loud=True) for text in warning_texts(self.warnings)]
+        missing = [note(f"not evaluated: {one.test}: {one.why}") for one in self.not_evaluated]
+        shown = table(("test", "at", "values", "standard"), rows)
+        return card("Standard tests", *warnings, *loud, shown, *missing, small=self.machine, wrong=not self.met).text
+
+
+def check_tolerances(tolerances: Mapping[str, float], tests: Sequence[StandardTest]) -> tuple[ToleranceCheck, ...]:
+    """Compare values with tolerances, by ISO 14253-1 where the uncertainty of the readings is known.
+
+    Args:
+        tolerances: by key of the value (``A``), for every test that has it, or by name of the test and key (``X:A``); µm and µrad.
+        tests: the tests that were evaluated.
+    """
+    found: list[ToleranceCheck] = []
+    for asked, limit in tolerances.items():
+        name, colon, key = asked.rpartition(":")
+        values = [
+            (test, value)
+            for test in tests
+            for value in test.values
+            if key in (value.key, value.symbol) and (not colon or name == test.name)
+        ]
+        if not values:
+            found.append(ToleranceCheck(asked, limit, "", None, False, "unknown"))
+        for test, value in values:
+            size, expanded = abs(value.value), value.expanded
+            met = bool(size <= limit)
+            title = f"{test.title} ({test.place})" if test.place else test.title
+            found.append(ToleranceCheck(asked, limit, title, value, met, _conformity(size, limit, expanded)))
+    return tuple(found)
+
+
+def _grouped_remarks(tests: Sequence[StandardTest]) -> list[str]:
+    """Return each remark once, with the tests to which it applies and their number."""
+    found: dict[str, dict[str, int]] = {}
+    for test in tests:
+        for remark in test.remarks:
+            titles = found.setdefault(remark, {})
+            titles[test.title] = titles.get(test.title, 0) + 1
+    return [
+        f"{', '.join(title if count == 1 else f'{title} ({count} runs)' for title, count in titles.items())}: {remark}"
+        for remark, titles in found.items()
+    ]
+
+
+def _conformity(size: float, limit: float, expanded: float) -> Conformity:
+    if not (np.isfinite(expanded) and np.isfinite(size)):
+        return "unknown"
+    if size + expanded <= limit:
+        return "conforming"
+    return "nonconforming" if size - expanded > limit else "neither"
