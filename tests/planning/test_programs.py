@@ -18,6 +18,7 @@ from tests.truth.reference import dmu50_pose
 from twin import cli
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
+from twin.measurement.table import Measurements
 from twin.planning import SequencePlan, measuring_sequence
 from twin.planning.programs import PROGRAMS, ProgramFormat, format_of, program_steps, write_program
 from twin.planning.sequences import InstrumentSizes
@@ -170,6 +171,36 @@ def test_every_contact_is_found(
             size = np.linalg.norm(away, axis=1)
             centre = centre - np.linalg.lstsq(away / size[:, None], size - (SPHERE + BALL) / 2.0, rcond=None)[0]
         assert np.linalg.norm(tip(np.array([*centre, *position[3:]]))[0] - sphere) < 0.01
+
+
+def test_the_log_becomes_a_measurement_table(plan: SequencePlan, tmp_path: Path) -> None:
+    """Each control's log of the contacts, read by `twin convert`, gives the positions of the plan."""
+    steps, machine = program_steps(plan), plan.machine
+    for form in PROGRAMS:
+        path = tmp_path / f"log{form.suffixes[0]}"
+        write_program(steps, path)
+        text = path.read_bytes().decode("ascii")
+        contacts = np.array(run(READERS[form.name](text), PLACE))
+        if form.name == "linuxcnc":
+            log = [" ".join(f"{v:.6f}" for v in (*q[:3], 0.0, q[3], q[4], 0.0, 0.0, 0.0)) for q in contacts]
+        elif form.name == "heidenhain":
+            mask, numbers = re.findall(r'"(CONTACT [^"]*)",([Q\d,]+);', text)[0]
+            assert numbers == "Q201,Q202,Q203,Q205,Q206,Q220" and "TCH PROBE 4.1 Q201" in text
+            log = [mask.replace("l", "") % (*q, 1) for q in contacts]
+        else:
+            log = re.findall(r'"(contact_x_mm[^"]*)"', text) + [
+                ",".join(f"{v:.5f}" for v in q) + ",sphere" for q in contacts
+            ]
+        file = tmp_path / f"log_{form.name}.{'csv' if form.name == 'siemens' else 'txt'}"
+        file.write_text("\n".join(log) + "\n")
+        words = " ".join(re.sub(r"(?m)^\d+ ;|^;|[()]", " ", text).split())
+        command = re.findall(r"twin convert \S+ (.*?) -o measured.csv", words)[0]
+        table = tmp_path / f"{form.name}.csv"
+        with pytest.raises(SystemExit) as stopped:
+            cli.main(["convert", str(file), *command.split(), "-o", str(table)])
+        assert not stopped.value.code
+        data = Measurements.load(table, machine)
+        assert np.allclose(data.positions, plan.table.positions, atol=0.01) and set(data.instrument) == {"probe"}
 
 
 def test_the_header_says_what_it_is(plan: SequencePlan, tmp_path: Path) -> None:

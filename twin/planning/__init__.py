@@ -54,8 +54,8 @@ prediction: identify them, or diagnose the residuals.
 tool retracts, the rotary axes turn, and the tip touches the sphere five times: from the spindle and at four points of the equator
 that keep the stylus away from the stem. Every position is checked for the ranges. Every move is checked with the shapes of the URDF
 and an assumed probe (body 50 mm, stylus 50 mm long) and stem, square to the table. A pose without such a path is left out and
-listed (exit status 3). No program was tried on a real control: read it, run it dry, then with low override. The control logs the
-positions at the contacts; the table needs their reduction to the centre of the sphere.
+listed (exit status 3). No program was tried on a real control: read it, run it dry, then with low override. The control logs
+the positions at the contacts; `twin convert` makes the measurement table of them (the command is in the program's header).
 """
 
 # Stages of planning; each takes the result of the one before (`plan`; `separate` differs in the model and the last stage).

@@ -12,39 +12,45 @@ from twin.planning.programs.specification import (
     ProgramSteps,
 )
 
+ROTARY: Final = 205
+"""First Q parameter of the rotary axes; Q201 to Q204 are results of the cycle: three coordinates and the status."""
+SPHERE: Final = "Q220"
+"""Q parameter of the number of the sphere."""
+
 
 def _text(program: ProgramSteps, name: str) -> str:
     machine = program.machine
     rotary = [machine.axes[i].name for i in machine.rotary]
+    entries = [*program.linear_names, *rotary]
+    mask = " ".join((*(f"{axis}=%+.4lf" for axis in entries), "SPHERE=%.0lf"))
+    numbers = ("Q201", "Q202", "Q203", *(f"Q{ROTARY + k}" for k in range(len(rotary))), SPHERE)
     more = (
-        "Insert the TOOL CALL of the calibrated touch probe where it is marked; its length must not act on M91 positions.",
-        f"FN 16 adds one line per contact to TNC:/{name}.TXT with the format file TNC:/TWIN.A, which must exist and hold the following "
-        "line, with its text between double quotes, after a line M_APPEND:",
-        f"  %4.0f %2.0f %10.4f %10.4f %10.4f{' %9.4f' * len(rotary)} , Q20, Q21, Q10, Q11, Q12"
-        + "".join(f", Q{22 + k}" for k in range(len(rotary))),
-        f"pose, contact, {', '.join(program.linear_names)} at the contact in the machine system, {', '.join(rotary)}",
+        "Insert the TOOL CALL of the calibrated touch probe where it is marked: its length must not act on M91 positions.",
+        program.convert(f"{name}.TXT", "heidenhain"),
+        f"FN 16 adds one line per contact to TNC:/{name}.TXT. It needs the format file TNC:/TWIN.A with a line M_APPEND and this line:",
     )
     lines = [f"BEGIN PGM {name} MM"]
-    for text in (*program.comments(*more[:2]), *more[2:]):
-        lines.append(f"; {text}")
+    lines += [f"; {text}" for text in program.comments(*more)]
+    lines.append(f'; "CONTACT {mask}",{",".join(numbers)};')
     lines += ["; TOOL CALL ... of the touch probe", "FUNCTION RESET TCPM", "PLANE RESET STAY"]
+    names = list(dict.fromkeys(program.spheres))
     words, pose = AxisWordsWriter(machine, lambda axis, value: f"{axis}{_signed(value)}"), 0
     for step in program.steps:
         if step.pose != pose:
             pose = step.pose
-            lines += [f"; pose {pose}", f"Q20 = {pose}"]
+            sphere = names.index(program.spheres[pose - 1]) + 1
+            lines += [f"; pose {pose}", f"{SPHERE} = {sphere}"]
             values = [step.position[i] for i in machine.rotary]
             if all(value == value for value in values):
-                lines += [f"Q{22 + k} = {value:+.3f}" for k, value in enumerate(values)]
+                lines += [f"Q{ROTARY + k} = {value:+.3f}" for k, value in enumerate(values)]
         if step.kind == "probe":
             vector = zip(program.linear_names, step.direction, strict=True)
             lines += [
-                f"Q21 = {step.contact}",
                 "TCH PROBE 4.0 MEASURING IN 3-D",
-                "TCH PROBE 4.1 Q10",
+                "TCH PROBE 4.1 Q201",
                 "TCH PROBE 4.2 " + " ".join(f"I{axis}{value:+.6f}" for axis, value in vector),
                 f"TCH PROBE 4.3 DIST{step.distance_mm:+.3f} F{PROBING_FEED:g} MB{step.distance_mm:+.3f} REFERENCE SYSTEM:1",
-                "FN 9: IF +Q13 EQU -1 GOTO LBL 99",
+                "FN 9: IF +Q204 EQU -1 GOTO LBL 99",
                 f"FN 16: F-PRINT TNC:\\TWIN.A / TNC:\\{name}.TXT",
             ]
             words.forget()

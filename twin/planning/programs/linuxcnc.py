@@ -25,6 +25,7 @@ def _text(program: ProgramSteps, name: str) -> str:
     more = (
         f"Each contact adds one line to {name}.txt: {' '.join(AXES)} of the axes at the contact. "
         "Line 5 k + 1 is the first of pose k + 1.",
+        program.convert(f"{name}.txt", "linuxcnc"),
         "The program sets coordinate system 9 - G59.3 - to zero and clears G92.",
     )
     lines = [f"({line})" for line in program.comments(*more)]

@@ -17,14 +17,19 @@ def _text(program: ProgramSteps, name: str) -> str:
     machine = program.machine
     rotary = [machine.axes[i].name for i in machine.rotary]
     log = f"{name}_LOG"
-    columns = ", ".join((*program.linear_names, *rotary))
+    columns = (
+        *(f"contact_{axis.lower()}_mm" for axis in program.linear_names),
+        *(f"{axis}_deg" for axis in rotary),
+        "sphere",
+    )
     more = (
-        f"WRITE adds one line per contact to {log}: pose, contact, {columns} in the machine system at the contact.",
+        f"WRITE adds one line per contact to {log}: a table of contacts in the machine system. Copy it as {log}.csv.",
+        program.convert(f"{log}.csv", "contacts"),
     )
     lines = [f"; {line}" for line in program.comments(*more)]
     lines += ["DEF INT _ERR", "G71 G90 G94 G40 G17", "G500", "TRAFOOF", "D0"]
+    lines.append(f'WRITE(_ERR,"{log}","{",".join(columns)}")')
     words, pose = AxisWordsWriter(machine, lambda axis, value: f"{axis}={value}"), 0
-    latched = [*program.linear_names, *rotary]
     for step in program.steps:
         if step.pose != pose:
             pose = step.pose
@@ -36,8 +41,8 @@ def _text(program: ProgramSteps, name: str) -> str:
             feed = "G0" if step.kind == "rapid" else f"G1 F{APPROACH_FEED:g}"
             lines.append(f"{feed} SUPA {' '.join(found)}")
             continue
-        fields = '<<";"<<'.join(f"$AA_MM[{axis}]" for axis in program.linear_names)
-        fields += "".join(f'<<";"<<$AA_IM[{axis}]' for axis in rotary)
+        fields = [f"$AA_MM[{axis}]" for axis in program.linear_names] + [f"$AA_IM[{axis}]" for axis in rotary]
+        text = '<<","<<'.join(fields) + f'<<",{program.spheres[step.pose - 1]}"'
         lines += [
             f"MEAS=1 G1 F{PROBING_FEED:g} SUPA {' '.join(found)}",
             "STOPRE",
@@ -46,11 +51,11 @@ def _text(program: ProgramSteps, name: str) -> str:
             "M0",
             "M30",
             "ENDIF",
-            f'WRITE(_ERR,"{log}","{step.pose};{step.contact};"<<{fields})',
+            f'WRITE(_ERR,"{log}",""<<{text})',
         ]
         words.forget()
     lines.append("M30")
-    return "\n".join(lines) + "\n" if latched else ""
+    return "\n".join(lines) + "\n"
 
 
 SIEMENS: Final = ProgramFormat(

@@ -51,7 +51,9 @@ class ProgramSteps:
         steps: the steps in order; the first come from an unknown position.
         poses: number of poses that are probed.
         skipped: numbers of the poses of the plan to which no path with clearance was found.
-        header: comments: plain ASCII, no brackets.
+        header: comments, in words.
+        spheres: names of the spheres, for the poses of the plan in order.
+        radii_mm: radius of the sphere and of the stylus ball.
     """
 
     machine: Machine
@@ -59,11 +61,21 @@ class ProgramSteps:
     poses: int
     skipped: tuple[int, ...]
     header: tuple[str, ...]
+    spheres: tuple[str, ...]
+    radii_mm: tuple[float, float]
 
     @property
     def linear_names(self) -> tuple[str, ...]:
         """Names of the linear axes in command order."""
         return tuple(self.machine.axes[i].name for i in self.machine.linear)
+
+    def convert(self, log: str, form: str) -> str:
+        """Return the comment that says how the log becomes a measurement table."""
+        sphere, ball = self.radii_mm
+        return (
+            f"The log becomes a measurement table with: twin convert {log} --format {form} --sphere-radius {sphere:g} "
+            f"--tip-radius {ball:g} --contacts 5 -o measured.csv"
+        )
 
     def comments(self, *more: str) -> list[str]:
         """Return the lines of the header, wrapped."""

@@ -50,6 +50,8 @@ def program_steps(plan: SequencePlan) -> ProgramSteps:
         builder.poses,
         tuple(builder.skipped),
         tuple(_header(plan, builder)),
+        tuple(str(name) for name in plan.table.target),
+        (plan.task.sizes.sphere_mm / 2.0, plan.task.sizes.ball_mm / 2.0),
     )
 
 
