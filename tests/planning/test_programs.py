@@ -61,7 +61,7 @@ def heidenhain(text: str) -> Iterator[Motion]:
     for number, line in enumerate(text.split("\r\n")[:-1]):
         block, _, code = line.partition(" ")
         assert int(block) == number and line.isascii() and len(line) <= 120
-        if code.startswith("L ") and code != "L M30":
+        if code.startswith("L ") and code not in ("L M30", "L M127"):
             assert code.endswith("M91")
             for name, value in re.findall(r"([XYZBC])([+-][\d.]+)", code):
                 at[NAMES.index(name)] = float(value)

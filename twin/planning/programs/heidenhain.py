@@ -32,7 +32,7 @@ def _text(program: ProgramSteps, name: str) -> str:
     lines = [f"BEGIN PGM {name} MM"]
     lines += [f"; {text}" for text in program.comments(*more)]
     lines.append(f'; "CONTACT {mask}",{",".join(numbers)};')
-    lines += ["; TOOL CALL ... of the touch probe", "FUNCTION RESET TCPM", "PLANE RESET STAY"]
+    lines += ["; TOOL CALL ... of the touch probe", "FUNCTION RESET TCPM", "PLANE RESET STAY", "L M127"]
     names = list(dict.fromkeys(program.spheres))
     words, pose = AxisWordsWriter(machine, lambda axis, value: f"{axis}{_signed(value)}"), 0
     for step in program.steps:

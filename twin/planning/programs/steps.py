@@ -190,6 +190,7 @@ def _header(plan: SequencePlan, builder: _Builder) -> list[str]:
         f"in the work frame, mm: {places}. The sphere must be there to within {size.clearance_mm / 2.0:g} mm, "
         "its stem square to the table.",
         "All positions are axis positions of the nominal machine without offsets, tool length or tool centre point control.",
+        "Rotary axes must move by the difference of the programmed angles, not by the shorter way.",
         "Checked: ranges of the axes, and the shapes of the URDF with an assumed probe, stylus, sphere and stem. NOT checked: holders, "
         "clamps, cables, workpiece, and the way to the first pose.",
         f"equipment: {task.kit.source}",
