@@ -4,7 +4,7 @@
 
 - machine and model: `Machine`, `Calibration`, `Curve`, `Conditions`, `effect_named`, `Kinematics`, `Inverse`;
 - measurements: `Measurements`, `convert`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`, `duration`,
-`thesis_plan`;
+  `measuring_sequence`, `thesis_plan`;
 - identification: `identify`, `ToolUncertainty`, `compare`, `draw_machines`, `identify_as_thesis`;
 - standard tests (ISO 230, ISO 10791-6): `evaluate`, `evaluation_html`;
 - diagnosis: `diagnose`, `diagnosis_html`;
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from twin.measurement.simulate import Placement, simulate
     from twin.measurement.table import Measurements
     from twin.nc import find_program, read_program
-    from twin.planning import Kit, duration, judge, plan, separate
+    from twin.planning import Kit, duration, judge, measuring_sequence, plan, separate
     from twin.planning import plots as planning_plots
     from twin.reporting import machine_report as report
     from twin.reporting.scene import draw_program as scene
@@ -98,6 +98,7 @@ __all__ = [
     "identify_as_thesis",
     "instruments",
     "judge",
+    "measuring_sequence",
     "plan",
     "planning_plots",
     "read_program",
@@ -152,6 +153,7 @@ _HOMES = {
     "identify": ("twin.identification", "identify"),
     "identify_as_thesis": ("twin.identification.thesis.identify", "identify_as_thesis"),
     "judge": ("twin.planning", "judge"),
+    "measuring_sequence": ("twin.planning", "measuring_sequence"),
     "plan": ("twin.planning", "plan"),
     "read_program": ("twin.nc", "read_program"),
     "refit": ("twin.compensation.fewer_blocks", "refit"),

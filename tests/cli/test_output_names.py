@@ -23,6 +23,7 @@ from twin import cli
         (("simulate", "thesis_plan.csv", "-o", "out.yaml"), ".csv"),
         (("simulate-run", "-l", "measured.csv", "--positions", "0,100,5", "-o", "out.xlsx"), ".csv"),
         (("plan", "-o", "out.nc"), ".csv"),
+        (("plan", "-o", "out.csv", "--instrument", "probe", "--program", "out.txt"), ".ngc"),
         (("convert", "measured.csv", "-o", "out.rtl"), ".csv"),
         (("compensate", "cone_frustum.nc", "-o", "out.png"), ".nc .ngc"),
         (("path", "cone_frustum.nc", "-o", "out.pdf"), ".nc .ngc"),

@@ -94,6 +94,10 @@ COMMANDS = {
         "plan.csv",
     ),
     "plan, json over the plan judged": ("plan --judge plan.csv --json plan.csv", "plan.csv"),
+    "plan, program over a program that is an input": (
+        "plan --instrument probe -o o.csv --kit p.nc --program p.nc",
+        "p.nc",
+    ),
     "volume, json over the machine": ("volume -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
     "info, json over the URDF": ("info -m dmu50.yaml --json dmu50.urdf", "dmu50.urdf"),
     "axis-run, json over the machine": (
@@ -126,7 +130,7 @@ def test_an_input_is_never_an_output(
 
 def test_every_path_of_every_command_is_known() -> None:
     """A path that a command writes is marked; every other path is an input and must not be an output."""
-    written = {"json_file", "output", "report_file", "html_file", "extended"}
+    written = {"json_file", "output", "report_file", "html_file", "extended", "program_file"}
     for command in map(commands.load, commands.COMMANDS):
         function: Callable[..., Any] = command.callback.__wrapped__
         marked = {name for name, mark in path_parameters(function).items() if mark is not None}

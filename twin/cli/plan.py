@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, final
 
 import typer
 
 from twin._common.errors import InputError
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, Output, command, progress_bar
+from twin.cli.shared.words import three_numbers
 from twin.machine.calibration import Calibration
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.checks import grouped_notes
-from twin.measurement.instruments import INSTRUMENTS
+from twin.measurement.instruments import INSTRUMENTS, instrument_named
 from twin.measurement.table import Measurements
-from twin.planning import Kit, duration, judge, separate
+from twin.planning import Kit, Plan, duration, judge, judge_sequence, measuring_sequence, separate
 from twin.planning import plan as make_plan
 from twin.planning.kit import bundled_kit
+from twin.planning.programs import format_of, program_steps, write_program
+from twin.planning.sequences import SEQUENCES, SET_UPS, InstrumentSizes, minutes_of
 
 MINUTES = 210.0
 MINUTES_TO_SEPARATE = 60.0
+SEQUENCE_MINUTES = 60.0
 
 KitOption = Annotated[
     Path | None,
@@ -33,7 +39,9 @@ KitOption = Annotated[
 ]
 MinutesOption = Annotated[
     float | None,
-    typer.Option("--minutes", help="Time budget in minutes, including set-up; default: 210, or 60 with --separate."),
+    typer.Option(
+        "--minutes", help="Time budget in minutes, including set-up; default: 210, or 60 with --separate or a sequence."
+    ),
     POSITIVE,
 ]
 ReduceOption = Annotated[
@@ -65,12 +73,53 @@ JudgeOption = Annotated[
     ),
 ]
 InstrumentOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--instrument",
-        help=f"Instrument, with --judge: {', '.join(one.name for one in INSTRUMENTS)}.",
+        help=f"Plan a measuring sequence for {', '.join(SET_UPS)}; with --judge: {', '.join(one.name for one in INSTRUMENTS)}.",
         autocompletion=complete.instruments,
     ),
+]
+SequenceOption = Annotated[
+    str | None,
+    typer.Option(
+        "--sequence",
+        help=f"Measuring sequence, with --instrument: {', '.join(one.name for one in SEQUENCES)}.",
+        autocompletion=complete.sequences,
+    ),
+]
+SpheresOption = Annotated[
+    list[str] | None,
+    typer.Option("--spheres", help='Spheres (nests, pivots) on the table, work frame: "x,y,z" in mm, several allowed.'),
+]
+SphereDiameterOption = Annotated[
+    float | None,
+    typer.Option("--sphere-diameter", help="Diameter of the calibration sphere, mm; default: 25."),
+    POSITIVE,
+]
+BallDiameterOption = Annotated[
+    float | None, typer.Option("--ball-diameter", help="Diameter of the stylus ball, mm; default: 6."), POSITIVE
+]
+ClearanceOption = Annotated[
+    float | None,
+    typer.Option("--clearance", help="Distance kept from the sphere before a contact, mm; default: 10."),
+    POSITIVE,
+]
+
+
+RadiusOption = Annotated[
+    float | None, typer.Option("--radius", help="Length of the ball bar, mm; default: 100."), POSITIVE
+]
+FeedOption = Annotated[
+    float | None, typer.Option("--feed", help="Feed with a ball bar, mm/min; default: 1000."), POSITIVE
+]
+ProgramOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--program",
+        help="Measuring program for the touch probe, untested on a control: .ngc .nc (LinuxCNC), .h (HEIDENHAIN), .mpf (SINUMERIK).",
+    ),
+    Output((".ngc", ".nc", ".h", ".mpf")),
 ]
 
 
@@ -79,6 +128,8 @@ InstrumentOption = Annotated[
     "twin plan -o plan.csv --kit dmu50 --reduce E_C0Y E_A0Z",
     'twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv',
     "twin plan --judge thesis_plan.csv --json judged.json",
+    "twin plan --instrument probe -o plan.csv --tool-length 120 --minutes 45",
+    'twin plan --instrument probe --sequence turns -o plan.csv --tool-length 120 --spheres "150,0,60" --program probe.ngc',
 )
 def plan(
     output: Annotated[
@@ -94,7 +145,15 @@ def plan(
     causes: SeparateOption = None,
     after: AfterOption = None,
     judged: JudgeOption = None,
-    instrument: InstrumentOption = "tracker",
+    instrument: InstrumentOption = None,
+    sequence: SequenceOption = None,
+    spheres: SpheresOption = None,
+    sphere_diameter: SphereDiameterOption = None,
+    ball_diameter: BallDiameterOption = None,
+    clearance: ClearanceOption = None,
+    radius: RadiusOption = None,
+    feed: FeedOption = None,
+    program_file: ProgramOption = None,
     tool_length: options.ToolOption = None,
     seed: Annotated[int, typer.Option("--seed", help="Random seed of the candidate poses.")] = 0,
     json_file: JsonOption = None,
@@ -107,46 +166,176 @@ def plan(
         raise InputError("--seed must not be negative", expected="0 or more", value=seed)
     if (output is None) is (judged is None):
         raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
-    if after is not None and causes is None:
-        raise InputError("--after needs --separate", expected="two causes to distinguish", value=after)
-    if causes is not None and reduce:
-        raise InputError("--separate and --reduce exclude each other", expected="one of them", value=" ".join(reduce))
+    _check_combination(after, causes, reduce, instrument)
+    sizes = _sizes(sphere_diameter, ball_diameter, clearance, radius, feed)
+    request = _SequenceRequest(instrument, sequence, spheres, sizes, program_file)
     if judged is not None:
+        request.check_judged()
         return _judged(judged, loaded, own, errors, instrument, tool_length)
-    with progress_bar() as bar:
-        if causes is not None:
-            made = separate(
-                loaded,
-                *causes,
-                own,
-                minutes=MINUTES_TO_SEPARATE if minutes is None else minutes,
-                calibration=errors,
-                after=None if after is None else Measurements.load(after, loaded),
-                seed=seed,
-                progress=bar,
-            )
-        else:
-            made = make_plan(
-                loaded,
-                own,
-                minutes=MINUTES if minutes is None else minutes,
-                reduce=reduce or "tool",
-                expected=errors,
-                tool_length_mm=tool_length,
-                seed=seed,
-                progress=bar,
-            )
+    if request.for_sequence():
+        return request.planned(loaded, own, tool_length, minutes, seed, output)
+    made = _made(loaded, own, errors, minutes, reduce, causes, after, tool_length, seed)
     if output is not None:
         made.save(output)
     return CommandResult(made.to_text(), made.to_dict, met=made.complete)
 
 
+def _made(
+    machine: Machine,
+    kit: Kit,
+    errors: Calibration,
+    minutes: float | None,
+    reduce: list[str] | None,
+    causes: tuple[str, str] | None,
+    after: Path | None,
+    tool_length_mm: float | None,
+    seed: int,
+) -> Plan:
+    """Return the plan for reflectors: the smallest uncertainty, or two causes distinguished."""
+    with progress_bar() as bar:
+        if causes is not None:
+            return separate(
+                machine,
+                *causes,
+                kit,
+                minutes=MINUTES_TO_SEPARATE if minutes is None else minutes,
+                calibration=errors,
+                after=None if after is None else Measurements.load(after, machine),
+                seed=seed,
+                progress=bar,
+            )
+        return make_plan(
+            machine,
+            kit,
+            minutes=MINUTES if minutes is None else minutes,
+            reduce=reduce or "tool",
+            expected=errors,
+            tool_length_mm=tool_length_mm,
+            seed=seed,
+            progress=bar,
+        )
+
+
+def _sizes(*given: float | None) -> dict[str, float]:
+    """Return the sizes of the instrument that were given, by name."""
+    names = ("sphere_mm", "ball_mm", "clearance_mm", "bar_mm", "feed_mm_min")
+    return {name: value for name, value in zip(names, given, strict=True) if value is not None}
+
+
+def _check_combination(
+    after: Path | None, causes: tuple[str, str] | None, reduce: list[str] | None, instrument: str | None
+) -> None:
+    """Raise `InputError` for options that exclude each other."""
+    if after is not None and causes is None:
+        raise InputError("--after needs --separate", expected="two causes to distinguish", value=after)
+    if causes is not None and reduce:
+        raise InputError("--separate and --reduce exclude each other", expected="one of them", value=" ".join(reduce))
+    if instrument in SET_UPS and (causes is not None or reduce):
+        raise InputError("--instrument plans a sequence", expected="no --separate and no --reduce", value=instrument)
+
+
+@final
+@dataclass(frozen=True)
+class _SequenceRequest:
+    """Options of a measuring sequence: instrument, name, places on the table, sizes, program to write."""
+
+    instrument: str | None
+    sequence: str | None
+    spheres: list[str] | None
+    sizes: Mapping[str, float]
+    program: Path | None
+
+    def check_judged(self) -> None:
+        """Raise `InputError` if there is an option that makes a plan, where one is judged."""
+        if self.sequence is not None or self.spheres or self.sizes or self.program is not None:
+            raise InputError("--judge evaluates an existing plan", expected="no option of a measuring sequence")
+
+    def for_sequence(self) -> bool:
+        """Return whether a measuring sequence is wanted.
+
+        Raises:
+            InputError: an option of a sequence without its instrument, or an unknown instrument.
+        """
+        if self.instrument is not None and options.instrument_named(self.instrument).name in SET_UPS:
+            return True
+        if self.sequence is not None or self.spheres or self.sizes or self.program is not None:
+            raise InputError(
+                "a measuring sequence needs its instrument",
+                expected=f"--instrument {' or '.join(SET_UPS)}",
+                value=self.instrument,
+            )
+        return False
+
+    def planned(
+        self,
+        machine: Machine,
+        kit: Kit,
+        tool_length_mm: float | None,
+        minutes: float | None,
+        seed: int,
+        output: Path | None,
+    ) -> CommandResult:
+        """Plan the sequence and write it."""
+        instrument = instrument_named(str(self.instrument))
+        words = SET_UPS[instrument.name]
+        name = words.target if instrument.specification.reads == "null" else words.station
+        places = {
+            f"{name} {k + 1}": three_numbers("--spheres", text, text, "x,y,z in mm")
+            for k, text in enumerate(self.spheres or [])
+        }
+        made = measuring_sequence(
+            machine,
+            instrument,
+            self.sequence,
+            kit,
+            places_mm=places or None,
+            minutes=SEQUENCE_MINUTES if minutes is None else minutes,
+            sizes=InstrumentSizes(tool_length_mm, **self.sizes),
+            seed=seed,
+        )
+        text, program = made.to_text(), None
+        skipped: tuple[int, ...] = ()
+        if self.program is not None:
+            language = format_of(self.program)
+            steps = program_steps(made)
+            skipped, program = steps.skipped, {"file": str(self.program), "control": language.title}
+            text += f"note: program for {language.title}: {steps.poses} poses, UNTESTED ON A REAL CONTROL. {language.unverified}\n"
+            if skipped:
+                text += f"note: NOT PROBED for lack of clearance: poses {', '.join(map(str, skipped))}\n"
+            write_program(steps, self.program)
+        if output is not None:
+            made.save(output)
+        report = {**made.to_dict(), "program": program, "not_probed": list(skipped)}
+        return CommandResult(text, lambda: report, met=not skipped)
+
+
+def _judged_sequence(plan: Path, machine: Machine, kit: Kit, table: Measurements) -> CommandResult:
+    """Evaluate a given measuring sequence: duration, and what it determines of the constant errors."""
+    expected = judge_sequence(table, machine)
+    minutes = minutes_of(machine, kit, table)
+    lines = [
+        f"{plan}: {len(table)} poses with {table.instrument[0]}, {minutes:.0f} minutes\n",
+        *expected.lines(),
+        *(f"  set aside, {text}" for text in grouped_notes(table.set_aside)),
+    ]
+    report = {
+        "schema": "twin.plan/1",
+        "judged": str(plan),
+        "minutes": minutes,
+        "constant_errors": expected.to_dict(),
+    }
+    return CommandResult("\n".join(lines) + "\n", lambda: report, met=not table.set_aside)
+
+
 def _judged(
-    plan: Path, machine: Machine, kit: Kit, errors: Calibration, instrument: str, tool_length_mm: float | None
+    plan: Path, machine: Machine, kit: Kit, errors: Calibration, named: str | None, tool_length_mm: float | None
 ) -> CommandResult:
     """Evaluate a given plan: expected uncertainties and duration."""
-    table = Measurements.load(options.plan_file(plan), machine, plan=True)
+    instrument = named or INSTRUMENTS[0].name
     reader = options.instrument_named(instrument)
+    table = Measurements.load(options.plan_file(plan), machine, plan=True)
+    if set(table.instrument.astype(str)) & set(SET_UPS):
+        return _judged_sequence(plan, machine, kit, table)
     with progress_bar() as bar:
         bar("judging", 0.0)
         forecast = judge(

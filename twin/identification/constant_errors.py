@@ -70,24 +70,13 @@ def constant_errors(
     Returns:
         The constant errors; None if no axis with any moves.
     """
-    moved = [axis for axis, q in zip(machine.axes, data.positions.T, strict=True) if np.ptp(q) > 0.0]
-    scales = [
-        CurveSpace(f"E_{'XYZ'[int(np.argmax(np.abs(axis.machine_direction)))]}{axis.name}", POWER, axis.domain, 1, 2)
-        for axis in moved
-        if axis.linear
-    ]
-    names = {axis.name for axis in moved}
-    constants = [name for name in (*machine.squareness_names, *machine.location_names) if name[4:] in names]
-    unknowns = Unknowns(machine, scales, constants)
-    if not len(unknowns):
+    found = constant_rows(machine, data, instruments, setup, covariance)
+    if found is None:
         return None
-    network = Network(machine, data, instruments, unknowns, covariance=covariance)
-    chunks = [
-        chunk.jacobian.reshape(-1, len(unknowns) + len(setup))
-        for chunk in network.chunks(np.zeros(len(unknowns)), setup)
-    ]
-    jacobian = np.concatenate(chunks)
-    own, nuisance = jacobian[:, : len(unknowns)] * unknowns.plausible, jacobian[:, len(unknowns) :] * setup.plausible
+    unknowns, rows = found
+    jacobian = rows.reshape(-1, rows.shape[-1])
+    own, nuisance = jacobian[:, : len(unknowns)], jacobian[:, len(unknowns) :]
+    scales, constants = unknowns.curves, list(unknowns.constants)
     # The prior of the set-up is so wide that it only regularises what the readings do not determine.
     prior = np.concatenate([np.eye(len(setup)), np.zeros((len(setup), own.shape[1]))], axis=1)
     whole = np.concatenate([np.concatenate([nuisance, own], axis=1), prior])
@@ -104,6 +93,35 @@ def constant_errors(
     return ConstantErrors(
         dict(zip(labels, (float(v) for v in u), strict=True)), int(np.sum(seen)), _lost(labels, lost, within, slopes)
     )
+
+
+def constant_rows(
+    machine: Machine,
+    data: Measurements,
+    instruments: StationInstruments,
+    setup: SetUp,
+    covariance: np.ndarray | None = None,
+) -> tuple[Unknowns, np.ndarray] | None:
+    """Return the constant errors of the moved axes, and the derivatives of each reading; arguments as of `constant_errors`.
+
+    Returns:
+        The unknowns of the machine, and (n, 3, unknowns + set-up) whitened derivatives per plausible size; None if no axis with any
+        moves.
+    """
+    moved = [axis for axis, q in zip(machine.axes, data.positions.T, strict=True) if np.ptp(q) > 0.0]
+    scales = [
+        CurveSpace(f"E_{'XYZ'[int(np.argmax(np.abs(axis.machine_direction)))]}{axis.name}", POWER, axis.domain, 1, 2)
+        for axis in moved
+        if axis.linear
+    ]
+    names = {axis.name for axis in moved}
+    constants = [name for name in (*machine.squareness_names, *machine.location_names) if name[4:] in names]
+    unknowns = Unknowns(machine, scales, constants)
+    if not len(unknowns):
+        return None
+    network = Network(machine, data, instruments, unknowns, covariance=covariance)
+    rows = [chunk.jacobian for chunk in network.chunks(np.zeros(len(unknowns)), setup)]
+    return unknowns, np.concatenate(rows) * np.concatenate([unknowns.plausible, setup.plausible])
 
 
 def _scale_unit(curve: CurveSpace) -> float:

@@ -25,6 +25,37 @@ Simulated and identified, the error of the tool point is 1.7 µm instead of 14.5
 the smallest size of each at which the measurement favours the right one by odds of 100:1 or better in 19 of 20 cases. If
 temperature or time distinguishes them, the plan has several sessions (machine cold, one sensor warm, hours later). Afterwards give both
 tables to `twin diagnose first.csv second.csv`. The same notebook has an example.
+
+Sequences for a touch probe, an R-test or a ball bar:
+
+    twin plan --instrument probe -o plan.csv --tool-length 120 --minutes 45
+    twin plan --instrument probe --sequence turns -o plan.csv --tool-length 120 --spheres "150,0,60" "-90,120,100"
+    twin plan --instrument probe -o plan.csv --tool-length 120 --program probe.ngc
+    twin plan --instrument r-test --sequence bk2 -o plan.csv --tool-length 120
+
+With `--instrument` a measuring sequence is planned for an instrument that measures the tool relative to the table. A sequence gives
+positions of the rotary axes; X, Y and Z follow from the nominal kinematics. Points beyond a range or with too little clearance are
+dropped, and their number is given. `--spheres` gives the spheres (nests, pivots) in the work frame.
+
+- `best` (probe, R-test): poses of the rotary axes, chosen by exchange for the smallest sum of relative variances of the constant
+  errors (scales, squareness, axis locations) in the time given (`--minutes`, set-up included; five contacts of 6 s per sphere).
+- `turns` (probe, R-test): each rotary axis alone in seven steps, the other at zero and at 90°; poses as of HEIDENHAIN cycle 451.
+- `bk1`, `bk2`, `bk4`, `ak1`, `ak2`, `ak4` (R-test): one or both rotary axes with X, Y and Z, in the manner of ISO 10791-6. The text
+  of the standard was not available: number of points, ranges and place of the ball are choices of twin.
+- `circles` (ball bar): XY, YZ and ZX in both directions, as in ISO 230-4, with arcs of 220° in the vertical planes. Scales rest on
+  the calibrated length of the bar.
+
+The report gives the predicted uncertainty of each constant error with nothing known of the set-up, with the places of the spheres
+known, and with these and the tip known. It lists what the sequence cannot tell, and compares it with `best` in the same time.
+`--judge` gives the same for an existing plan. Error motions that depend on the position are neither in the criterion nor in the
+prediction: identify them, or diagnose the residuals.
+
+`--program` writes the measuring program for a touch probe: `.ngc` or `.nc` (LinuxCNC), `.h` (HEIDENHAIN), `.mpf` (SINUMERIK). The
+tool retracts, the rotary axes turn, and the tip touches the sphere five times: from the spindle and at four points of the equator
+that keep the stylus away from the stem. Every position is checked for the ranges. Every move is checked with the shapes of the URDF
+and an assumed probe (body 50 mm, stylus 50 mm long) and stem, square to the table. A pose without such a path is left out and
+listed (exit status 3). No program was tried on a real control: read it, run it dry, then with low override. The control logs
+the positions at the contacts; `twin convert` makes the measurement table of them (the command is in the program's header).
 """
 
 # Stages of planning; each takes the result of the one before (`plan`; `separate` differs in the model and the last stage).
@@ -35,12 +66,27 @@ tables to `twin diagnose first.csv second.csv`. The same notebook has an example
 #     fill         FilledPlan       stations and readings: design chooses them, route orders them and adds up the time
 #     forecast     Forecast         predicted uncertainties
 #     result       Plan             the plan as displayed and written
+#
+# A measuring sequence: `sequences` (poses, reach, prediction), `measure` (SequencePlan), `programs` (for a control).
 
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit
+from twin.planning.measure import SequencePlan, judge_sequence, measuring_sequence
 from twin.planning.plan import judge, plan
 from twin.planning.result import Plan, Separation
 from twin.planning.route import duration
 from twin.planning.separate import separate
 
-__all__ = ["Forecast", "Kit", "Plan", "Separation", "duration", "judge", "plan", "separate"]
+__all__ = [
+    "Forecast",
+    "Kit",
+    "Plan",
+    "Separation",
+    "SequencePlan",
+    "duration",
+    "judge",
+    "judge_sequence",
+    "measuring_sequence",
+    "plan",
+    "separate",
+]

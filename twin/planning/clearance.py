@@ -6,6 +6,7 @@ ranges touch by design (a slide on its guideway) and are ignored.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, final
 
@@ -28,17 +29,39 @@ STEP_DEG: Final = 4.0
 
 
 @final
+@dataclass(frozen=True)
+class Body:
+    """A further body on one of the sides: a reflector, a probe, a sphere.
+
+    Attributes:
+        carrier: ``tool`` or ``work``.
+        shape: its shape, metres.
+        place_mm: centre of the shape on its carrier, mm.
+        contact: whether it may touch others that may.
+    """
+
+    carrier: str
+    shape: coal.CollisionGeometry
+    place_mm: tuple[float, float, float]
+    contact: bool = False
+
+
+@final
 class Clearance:
     """Clearance check for one machine.
 
     Args:
         machine: the machine.
         kit: its reflectors belong to the sides that carry them.
+        bodies: further bodies.
+        margin_mm: minimum distance.
     """
 
-    def __init__(self, machine: Machine, kit: Kit) -> None:
+    def __init__(self, machine: Machine, kit: Kit, bodies: tuple[Body, ...] = (), margin_mm: float = MARGIN_MM) -> None:
         self.machine = machine
         self.kit = kit
+        self.bodies = bodies
+        self.margin_mm = margin_mm
 
     @cached_property
     def has_shapes(self) -> bool:
@@ -55,7 +78,8 @@ class Clearance:
         """Return whether the straight move between two poses has clearance, end points included; all axes move together."""
         way = np.abs(end - start)
         size = np.array([STEP_MM if axis.linear else STEP_DEG for axis in self.machine.axes])
-        count = int(np.ceil((way / size).max(initial=0.0))) + 1
+        share = min(1.0, self.margin_mm / MARGIN_MM)
+        count = int(np.ceil((way / (share * size)).max(initial=0.0))) + 1
         # Check from the middle outwards: collisions are most likely there.
         parts = sorted(np.linspace(0.0, 1.0, count + 1), key=lambda part: abs(part - 0.5))
         return all(self.is_clear(start + part * (end - start)) for part in parts)
@@ -72,21 +96,25 @@ class Clearance:
             side = self._side(shape.joint)
             if side is not None:
                 sides[side].append(index)
-        reflectors: set[int] = set()
+        reflectors: dict[int, Body] = {}
         pairs = {(a, b) for a in sides["tool"] for b in sides["work"]}
-        for name, target in self.kit.targets.items():
+        ball = coal.Sphere(REFLECTOR_MM * MM)
+        targets = [Body(target.carrier, ball, target.place_mm) for target in self.kit.targets.values()]
+        for number, body in enumerate((*targets, *self.bodies)):
             frame = self.machine.model.frames[
-                self.machine.tool_frame if target.carrier == "tool" else self.machine.work_frame
+                self.machine.tool_frame if body.carrier == "tool" else self.machine.work_frame
             ]
-            place = frame.placement * pin.SE3(np.eye(3), np.array(target.place_mm) * MM)
-            ball = pin.GeometryObject(f"reflector {name}", frame.parentJoint, place, coal.Sphere(REFLECTOR_MM * MM))
-            index = model.addGeometryObject(ball)
+            place = frame.placement * pin.SE3(np.eye(3), np.array(body.place_mm) * MM)
+            entry = pin.GeometryObject(f"body {number}", frame.parentJoint, place, body.shape)
+            index = model.addGeometryObject(entry)
             # Axis ranges prevent collisions of the machine itself, not of reflectors: check against all that moves relative to them.
             pairs |= {(index, other) for other, joint in drawn if joint != frame.parentJoint}
             pairs |= {
-                (index, other) for other in reflectors if model.geometryObjects[other].parentJoint != frame.parentJoint
+                (index, other)
+                for other, own in reflectors.items()
+                if model.geometryObjects[other].parentJoint != frame.parentJoint and not (own.contact and body.contact)
             }
-            reflectors.add(index)
+            reflectors[index] = body
         data = self.machine.model.createData()
         middle = self.machine.configuration(
             np.mean([axis.domain for axis in self.machine.axes], axis=1) * self.machine.scale
@@ -100,13 +128,13 @@ class Clearance:
         touching = [
             ordered[k]
             for k, result in enumerate(own.collisionResults)
-            if result.isCollision() and not {*ordered[k]} & reflectors
+            if result.isCollision() and not {*ordered[k]} & {*reflectors}
         ]
         for a, b in touching:
             model.removeCollisionPair(pin.CollisionPair(a, b))
         own = pin.GeometryData(model)
         for request in own.collisionRequests:
-            request.security_margin = MARGIN_MM * MM
+            request.security_margin = self.margin_mm * MM
         return model, data, own
 
     def _side(self, joint: int) -> str | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal, final
@@ -160,6 +160,10 @@ class Kit:
     def setting(self) -> Placement:
         """Stations and target positions for a simulation."""
         return Placement(self.stations, {name: target.place_mm for name, target in self.targets.items()})
+
+    def without_targets(self) -> Kit:
+        """Return the kit without reflectors."""
+        return replace(self, targets=MappingProxyType({}))
 
     @classmethod
     def load(cls, path: str | Path, machine: Machine) -> Kit:

@@ -14,6 +14,7 @@ from twin.machine.iso16907 import NAMES
 from twin.machine.machine import DEFAULT, Machine, bundled_folder
 from twin.measurement.instruments import INSTRUMENTS
 from twin.nc import DIALECTS, find_program
+from twin.planning.sequences import SEQUENCES
 from twin.samples import PLANS
 
 YAML: Final = (".yaml", ".yml")
@@ -30,6 +31,11 @@ def classes(incomplete: str) -> list[str]:
 def instruments(incomplete: str) -> list[str]:
     """Complete the name of an instrument."""
     return _starting_with(incomplete, [one.name for one in INSTRUMENTS])
+
+
+def sequences(incomplete: str) -> list[str]:
+    """Complete the name of a measuring sequence."""
+    return _starting_with(incomplete, [one.name for one in SEQUENCES])
 
 
 def errors(ctx: Any, incomplete: str) -> list[str]:

@@ -17,8 +17,11 @@ MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
     "--scope": re.compile(r"[LR]-[A-Z]{3}\+?|FOR", re.I),
     "--only": re.compile(r"E_[A-Z0-9*?]+"),
     "--reduce": re.compile(r"E_[A-Z0-9*?]+"),
+    "--spheres": re.compile(r"-?[\d.]+,-?[\d.]+,-?[\d.]+"),
 }
 """Options that take several words, each with the pattern of every word after the first."""
+OF_COMMAS: Final = frozenset({"--spheres"})
+"""Options among them whose words contain commas."""
 MANY_WORDS_OF: Final[Mapping[str, Mapping[str, re.Pattern[str]]]] = {
     "evaluate": {"--tolerance": re.compile(r"[A-Za-z][\w:()↑↓↺↻]*=.*")},
 }
@@ -42,7 +45,8 @@ def repeat_options(arguments: list[str]) -> list[str]:
         if word in patterns:
             gathering, fresh = word, True
         elif gathering and fresh:
-            parts = [part for part in re.split(r"[\s,]+", word) if part] or [word]
+            between = r"\s+" if gathering in OF_COMMAS else r"[\s,]+"
+            parts = [part for part in re.split(between, word) if part] or [word]
             for part in parts:
                 out += [gathering, part]
             fresh = False

@@ -1,0 +1,259 @@
+"""Plan a measuring sequence, or predict the result of an existing one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, final
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from twin._common.errors import InputError
+from twin.display import card, count_with_noun, note, pairs, table
+from twin.machine.machine import Machine
+from twin.measurement.instruments import Instrument, instrument_named
+from twin.measurement.table import Measurements
+from twin.planning.kit import Kit
+from twin.planning.sequences import (
+    SET_UPS,
+    Expectation,
+    InstrumentSizes,
+    MeasuringSequence,
+    SequenceTask,
+    default_place,
+    expectation,
+    minutes_of,
+    reach,
+    sequence_named,
+    sequence_table,
+)
+
+SCHEMA: Final = "twin.plan/1"
+MINUTES: Final = 60.0
+"""Time budget of a sequence that is chosen by the time."""
+BEST_COLUMN: Final = "best, nothing known"
+MOST_MINUTES: Final = 24.0 * 60.0
+
+
+@final
+@dataclass(frozen=True)
+class SequencePlan:
+    """A measuring sequence on one machine.
+
+    Attributes:
+        task: machine, instrument, parts and sizes.
+        sequence: the sequence.
+        table: the plan, with the nominal places of the parts.
+        dropped: number of points that are out of reach, by reason.
+        expected: what it determines of the constant errors.
+        best: what the best design of the same duration determines; None for the best design itself.
+    """
+
+    task: SequenceTask
+    sequence: MeasuringSequence
+    table: Measurements
+    dropped: Mapping[str, int]
+    expected: Expectation
+    best: Expectation | None
+
+    @property
+    def machine(self) -> Machine:
+        """The machine."""
+        return self.task.machine
+
+    @property
+    def minutes(self) -> float:
+        """Duration in minutes, set-up included."""
+        return minutes_of(self.machine, self.task.kit, self.table)
+
+    def notices(self) -> list[str]:
+        """Return what to know before carrying it out."""
+        parts = ", ".join(f"{name} at {x:g}, {y:g}, {z:g}" for name, (x, y, z) in self.task.places_mm.items())
+        found = [
+            f"parts on the table (work frame, mm): {parts}; the {self.task.words.tip} is {-self.task.tip_mm[2]:g} mm "
+            "below the spindle nose",
+            "planned_… are approximate places, which no evaluation treats as known",
+            "poses are checked against the shapes of the URDF, with an assumed probe, stylus and stem; the moves between them are not",
+        ]
+        if self.task.instrument.specification.reads == "null":
+            found.append(
+                "X, Y and Z are nominal: the measured table has the positions at which the tip was at the centre of the sphere, "
+                "and 0 in x_mm, y_mm and z_mm"
+            )
+        if self.dropped:
+            found.append("points out of reach: " + ", ".join(f"{count} ({why})" for why, count in self.dropped.items()))
+        found.append("the uncertainties hold where linear errors are the only ones that depend on the position")
+        found += [text for text in (self.sequence.unverified, self.sequence.limits) if text]
+        return found
+
+    def comment(self) -> str:
+        """Return the comment lines of the file."""
+        head = (
+            f"plan by twin: {self.machine.name}, {self.task.instrument.name}, sequence {self.sequence.name} ({self.sequence.title}), "
+            f"{count_with_noun(len(self.table), 'pose')}, {self.minutes:.0f} minutes, seed {self.task.seed}"
+        )
+        return "\n".join([head, f"source: {self.sequence.source}", *self.notices()])
+
+    def save(self, path: str | Path) -> None:
+        """Write the plan atomically as a measurement table without coordinates."""
+        planned = {*self.table.station, *self.table.target}
+        self.table.save(path, self.machine, comment=self.comment(), planned=planned)
+
+    def to_text(self) -> str:
+        """Return the text report."""
+        others = {} if self.best is None else {BEST_COLUMN: self.best.unknown.u}
+        lines = [
+            f"{self.machine.name}: sequence {self.sequence.name} with {self.task.instrument.specification.title}, "
+            f"{count_with_noun(len(self.table), 'pose')}, {self.minutes:.0f} minutes",
+            f"{self.sequence.title}; {self.sequence.source}",
+            "",
+            *self.expected.lines(others),
+            "",
+            *(f"note: {text}" for text in self.notices()),
+        ]
+        return "\n".join(lines) + "\n"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object (``schema: twin.plan/1``)."""
+        return {
+            "schema": SCHEMA,
+            "machine": self.machine.name,
+            "instrument": self.task.instrument.name,
+            "sequence": self.sequence.name,
+            "source": self.sequence.source,
+            "unverified": self.sequence.unverified,
+            "points": len(self.table),
+            "minutes": self.minutes,
+            "dropped": dict(self.dropped),
+            "constant_errors": self.expected.to_dict(),
+            "best_in_the_same_time": None if self.best is None else self.best.to_dict(),
+            "notices": self.notices(),
+            "seed": self.task.seed,
+        }
+
+    def _repr_html_(self) -> str:
+        facts = [("instrument", self.task.instrument.name), ("source", self.sequence.source)]
+        facts += [(f"cannot tell, {title}", "; ".join(one.lost)) for title, one in self.expected.by_knowledge.items()]
+        small = f"{count_with_noun(len(self.table), 'pose')}, {self.minutes:.0f} minutes"
+        notes = [note(text) for text in self.notices()]
+        headers, rows = self.expected.rows({} if self.best is None else {BEST_COLUMN: self.best.unknown.u})
+        shown = table(headers, rows, right=tuple(range(1, len(headers))))
+        return card(f"Sequence {self.sequence.name}", pairs(facts), shown, *notes, small=small).text
+
+
+def measuring_sequence(
+    machine: Machine,
+    instrument: Instrument | str = "probe",
+    sequence: str | None = None,
+    kit: Kit | None = None,
+    *,
+    places_mm: Mapping[str, tuple[float, float, float]] | None = None,
+    minutes: float = MINUTES,
+    sizes: InstrumentSizes | None = None,
+    seed: int = 0,
+) -> SequencePlan:
+    """Plan a measuring sequence for an instrument that measures the tool relative to the table.
+
+    Args:
+        machine: the machine.
+        instrument: touch probe, R-test or ball bar.
+        sequence: name of the sequence (`twin.planning.sequences.SEQUENCES`); None: the best design, or circles for a ball bar.
+        kit: speeds, usable ranges and set-up time; `Kit.default` if None.
+        places_mm: spheres, nests or pivots by name, in the work frame; None: one near the rim of the table (a pivot above its middle).
+        minutes: time budget of the best design, set-up included; other sequences take the time that they need.
+        sizes: length of the probe, sizes of probe and sphere, length and feed of a ball bar.
+        seed: random seed of the design.
+
+    Raises:
+        InputError: an unknown name, a sequence that is not for this instrument or machine, too little time, or no point within reach.
+    """
+    reader = instrument_named(instrument) if isinstance(instrument, str) else instrument
+    chosen = sequence_named(sequence, reader.name)
+    task = _task(machine, reader, kit, places_mm, minutes, sizes or InstrumentSizes())
+    task = replace(task, seed=seed)
+    with threadpool_limits(limits=1, user_api="blas"):
+        reached = reach(task, chosen.make(task))
+        if not len(reached.points):
+            why = ", ".join(f"{name}: {count}" for name, count in reached.dropped.items())
+            raise InputError(
+                f"no point of sequence {chosen.name} is within reach ({why})",
+                expected="other places on the table, or another tool length",
+            )
+        table = sequence_table(task, reached.points)
+        found = SequencePlan(task, chosen, table, reached.dropped, expectation(machine, table, reader), best=None)
+        own = sequence_named(None, reader.name)
+        if chosen is own:
+            return found
+        return replace(found, best=_rival(replace(task, minutes=found.minutes), own))
+
+
+def _rival(task: SequenceTask, sequence: MeasuringSequence) -> Expectation | None:
+    """Return what the default sequence determines in the time of another; None if the time is too short for it."""
+    try:
+        reached = reach(task, sequence.make(task))
+    except InputError:
+        return None
+    return expectation(task.machine, sequence_table(task, reached.points), task.instrument)
+
+
+def judge_sequence(table: Measurements, machine: Machine) -> Expectation:
+    """Return what an existing plan of a probe, R-test or ball bar determines of the constant errors.
+
+    Raises:
+        InputError: the plan has several instruments, or a station or target without a planned place.
+    """
+    names = dict.fromkeys(table.instrument.astype(str))
+    if len(names) > 1 or not set(names) <= set(SET_UPS):
+        raise table.error(
+            "stations with different instruments",
+            expected=f"one of {', '.join(SET_UPS)} in every row",
+            row=0,
+            value=", ".join(names),
+        )
+    placed = np.isfinite(table.place_mm).all(axis=1) & np.isfinite(table.station_pose).all(axis=1)
+    if not placed.all():
+        row = int(np.flatnonzero(~placed)[0])
+        raise table.error("no planned place", expected="planned_place_… and planned_station_… in every row", row=row)
+    return expectation(machine, table, instrument_named(next(iter(names))))
+
+
+def _task(
+    machine: Machine,
+    instrument: Instrument,
+    kit: Kit | None,
+    places_mm: Mapping[str, tuple[float, float, float]] | None,
+    minutes: float,
+    sizes: InstrumentSizes,
+) -> SequenceTask:
+    """Return the task, with the defaults.
+
+    Raises:
+        InputError: an impossible number.
+    """
+    sizes.check()
+    if len(machine.linear) != 3:
+        raise InputError(
+            "not three linear axes", expected="a machine with three linear axes", value=", ".join(machine.names)
+        )
+    length = sizes.tool_length_mm or machine.tool_length_mm or 100.0
+    if not 0.0 < minutes <= MOST_MINUTES:
+        raise InputError("impossible time budget", expected=f"up to {MOST_MINUTES:g} minutes", value=minutes)
+    words = SET_UPS[instrument.name]
+    name = words.target if instrument.specification.reads == "null" else words.station
+    central = instrument.specification.reads == "length"
+    tip = (0.0, 0.0, -length)
+    places = places_mm or {name: default_place(machine, tip, central=central)}
+    if not np.isfinite(list(places.values())).all():
+        raise InputError("a place on the table is not finite", expected="x, y, z in mm", value=dict(places))
+    return SequenceTask(
+        machine,
+        instrument,
+        Kit.default(machine) if kit is None else kit,
+        tip,
+        MappingProxyType(dict(places)),
+        minutes,
+        sizes,
+    )

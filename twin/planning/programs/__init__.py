@@ -1,0 +1,58 @@
+"""Measuring programs for controls: a touch probe finds the spheres of a plan.
+
+A new control is one file with a `ProgramFormat` and one entry in `PROGRAMS`.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+from twin._common.errors import InputError
+from twin._common.files import write_atomic
+from twin.planning.programs.heidenhain import HEIDENHAIN
+from twin.planning.programs.linuxcnc import LINUXCNC
+from twin.planning.programs.siemens import SIEMENS
+from twin.planning.programs.specification import ProgramFormat, ProgramStep, ProgramSteps
+from twin.planning.programs.steps import program_steps
+
+PROGRAMS: Final = (LINUXCNC, HEIDENHAIN, SIEMENS)
+"""All controls for which measuring programs are written."""
+LONGEST_NAME: Final = 24
+
+
+def format_of(path: str | Path) -> ProgramFormat:
+    """Return the format that the suffix of a file name selects.
+
+    Raises:
+        InputError: no format has this suffix.
+    """
+    suffix = Path(path).suffix.lower()
+    for one in PROGRAMS:
+        if suffix in one.suffixes:
+            return one
+    every = ", ".join(f"{suffix} ({one.title})" for one in PROGRAMS for suffix in one.suffixes)
+    raise InputError("no control has programs with this suffix", expected=every, file=Path(path), value=suffix)
+
+
+def write_program(steps: ProgramSteps, path: str | Path) -> None:
+    """Write a measuring program atomically, in the language that the suffix of the file name selects.
+
+    Raises:
+        InputError: an unknown suffix, or axes that the control does not have.
+    """
+    chosen = format_of(path)
+    name = re.sub(r"[^A-Za-z0-9]+", "_", Path(path).stem).strip("_").upper()[:LONGEST_NAME] or "TWIN"
+    write_atomic(Path(path), chosen.write(steps, name if name[0].isalpha() else f"T_{name}"))
+
+
+__all__ = [
+    "PROGRAMS",
+    "ProgramFormat",
+    "ProgramStep",
+    "ProgramSteps",
+    "format_of",
+    "program_steps",
+    "write_program",
+]

@@ -1,0 +1,144 @@
+"""Specification of a control's measuring programs, and the steps that every program consists of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from textwrap import wrap
+from typing import Final, Literal, final
+
+import numpy as np
+
+from twin.machine.machine import Machine
+
+PROBING_FEED: Final = 200.0
+"""Feed of a contact, mm/min."""
+APPROACH_FEED: Final = 3000.0
+"""Feed next to the sphere, mm/min."""
+WIDTH: Final = 72
+"""Characters per line of comment."""
+
+
+@final
+@dataclass(frozen=True)
+class ProgramStep:
+    """One step of a measuring program.
+
+    Attributes:
+        kind: ``rapid``, ``feed`` (next to the sphere) or ``probe`` (towards the sphere until contact).
+        position: (axes,) end position, mm and degrees; of a probing move the end of the search.
+        pose: number of the pose, from 1.
+        contact: number of the contact, from 1; 0 for other steps.
+        direction: (3,) unit vector of a probing move along the linear axes in command order; zero for others.
+        distance_mm: length of a probing move along it; 0 for others.
+    """
+
+    kind: Literal["rapid", "feed", "probe"]
+    position: np.ndarray
+    pose: int
+    contact: int = 0
+    direction: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    distance_mm: float = 0.0
+
+
+@final
+@dataclass(frozen=True)
+class ProgramSteps:
+    """Steps of a measuring program.
+
+    Attributes:
+        machine: the machine.
+        steps: the steps in order; the first come from an unknown position.
+        poses: number of poses that are probed.
+        skipped: numbers of the poses of the plan to which no path with clearance was found.
+        header: comments, in words.
+        spheres: names of the spheres, for the poses of the plan in order.
+        radii_mm: radius of the sphere and of the stylus ball.
+    """
+
+    machine: Machine
+    steps: tuple[ProgramStep, ...]
+    poses: int
+    skipped: tuple[int, ...]
+    header: tuple[str, ...]
+    spheres: tuple[str, ...]
+    radii_mm: tuple[float, float]
+
+    @property
+    def linear_names(self) -> tuple[str, ...]:
+        """Names of the linear axes in command order."""
+        return tuple(self.machine.axes[i].name for i in self.machine.linear)
+
+    def convert(self, log: str, form: str) -> str:
+        """Return the comment that says how the log becomes a measurement table."""
+        sphere, ball = self.radii_mm
+        return (
+            f"The log becomes a measurement table with: twin convert {log} --format {form} --sphere-radius {sphere:g} "
+            f"--tip-radius {ball:g} --contacts 5 -o measured.csv"
+        )
+
+    def comments(self, *more: str) -> list[str]:
+        """Return the lines of the header, wrapped."""
+        return [line for text in (*self.header, *more) for line in wrap(ascii_text(text), WIDTH)]
+
+
+@final
+@dataclass(frozen=True)
+class ProgramFormat:
+    """A control's language of measuring programs.
+
+    Attributes:
+        name: identifier.
+        title: name of the control.
+        suffixes: suffixes of the file name that select it.
+        source: where the statements come from.
+        unverified: what was not verified.
+        write: function that returns the program's text from its steps and its name.
+    """
+
+    name: str
+    title: str
+    suffixes: tuple[str, ...]
+    source: str
+    unverified: str
+    write: Callable[[ProgramSteps, str], str]
+
+
+class AxisWordsWriter:
+    """Axis words of the axes whose written value changes.
+
+    Args:
+        machine: the machine.
+        form: function that returns a word from name and number.
+    """
+
+    def __init__(self, machine: Machine, form: Callable[[str, str], str]) -> None:
+        self.machine = machine
+        self.form = form
+        self._last: dict[str, str] = {}
+
+    def words(self, position: np.ndarray, *, remember: bool = True) -> list[str]:
+        """Return the words of a position; it counts as reached only if ``remember``."""
+        found = []
+        for axis, value in zip(self.machine.axes, position, strict=True):
+            if not np.isfinite(value):
+                continue
+            text = f"{value:.3f}".replace("-0.000", "0.000")
+            if self._last.get(axis.name) != text:
+                found.append(self.form(axis.name, text))
+                if remember:
+                    self._last[axis.name] = text
+        return found
+
+    def forget(self) -> None:
+        """Write all linear axes the next time: after a contact the position is not known."""
+        for i in self.machine.linear:
+            self._last.pop(self.machine.axes[i].name, None)
+
+
+def ascii_text(text: str) -> str:
+    """Return a text in plain ASCII without brackets and quotes, for a comment in any language."""
+    for old, new in (("µ", "u"), ("…", "..."), ("–", "-"), ("−", "-"), ("°", " deg"), (";", ",")):
+        text = text.replace(old, new)
+    plain = text.translate(str.maketrans("([{}])", "      ", "\"'%"))
+    return " ".join(plain.encode("ascii", "replace").decode().split())

@@ -1,0 +1,70 @@
+"""Measuring sequences for instruments that measure the tool relative to the table: touch probe, R-test, ball bar.
+
+A new sequence is one file with a `MeasuringSequence` and one entry in `SEQUENCES`. A sequence gives rotary positions, parts on the
+table and offsets; `reach` computes the linear axes from the nominal kinematics and drops the points that are out of reach.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from twin._common.errors import InputError, closest_name
+from twin.planning.sequences.best import BEST
+from twin.planning.sequences.circles import CIRCLES
+from twin.planning.sequences.contacts import ContactPose, contact_poses
+from twin.planning.sequences.expectation import Expectation, expectation, minutes_of, sequence_table
+from twin.planning.sequences.interpolation import INTERPOLATION
+from twin.planning.sequences.reach import Reached, apart_clearance, clearance_of, default_place, reach
+from twin.planning.sequences.specification import (
+    SET_UPS,
+    InstrumentSizes,
+    MeasuringSequence,
+    SequencePoints,
+    SequenceTask,
+)
+from twin.planning.sequences.turns import TURNS
+
+SEQUENCES: Final = (BEST, TURNS, *INTERPOLATION, CIRCLES)
+"""All sequences; the first for an instrument is its default."""
+
+
+def sequence_named(name: str | None, instrument: str) -> MeasuringSequence:
+    """Return the sequence of a name for an instrument; the default one if None.
+
+    Raises:
+        InputError: no sequence for this instrument has this name.
+    """
+    known = [one for one in SEQUENCES if instrument in one.instruments]
+    names = [one.name for one in known]
+    if name is None and known:
+        return known[0]
+    if name not in names:
+        raise InputError(
+            f"no such sequence for instrument {instrument}",
+            expected=f"one of {', '.join(names)}" if names else f"an instrument among {', '.join(SET_UPS)}",
+            value=name,
+            nearest=closest_name(str(name), names),
+        )
+    return known[names.index(name)]
+
+
+__all__ = [
+    "SEQUENCES",
+    "SET_UPS",
+    "ContactPose",
+    "Expectation",
+    "InstrumentSizes",
+    "MeasuringSequence",
+    "Reached",
+    "SequencePoints",
+    "SequenceTask",
+    "apart_clearance",
+    "clearance_of",
+    "contact_poses",
+    "default_place",
+    "expectation",
+    "minutes_of",
+    "reach",
+    "sequence_named",
+    "sequence_table",
+]
