@@ -4,7 +4,7 @@
 
 - machine and model: `Machine`, `Calibration`, `Curve`, `Conditions`, `effect_named`, `Kinematics`, `Inverse`;
 - measurements: `Measurements`, `convert`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`, `duration`,
-  `measuring_sequence`, `thesis_plan`;
+  `measuring_sequence`, `InstrumentSizes`, `thesis_plan`;
 - identification: `identify`, `ToolUncertainty`, `compare`, `draw_machines`, `identify_as_thesis`;
 - standard tests (ISO 230, ISO 10791-6): `evaluate`, `evaluation_html`;
 - diagnosis: `diagnose`, `diagnosis_html`;
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from twin.measurement.simulate import Placement, simulate
     from twin.measurement.table import Measurements
     from twin.nc import find_program, read_program
-    from twin.planning import Kit, duration, judge, measuring_sequence, plan, separate
+    from twin.planning import InstrumentSizes, Kit, duration, judge, measuring_sequence, plan, separate
     from twin.planning import plots as planning_plots
     from twin.reporting import machine_report as report
     from twin.reporting.scene import draw_program as scene
@@ -64,6 +64,7 @@ __all__ = [
     "Conditions",
     "Curve",
     "InputError",
+    "InstrumentSizes",
     "Inverse",
     "Kinematics",
     "Kit",
@@ -130,6 +131,7 @@ _HOMES = {
     "Measurements": ("twin.measurement.table", "Measurements"),
     "Options": ("twin.compensation", "Options"),
     "Placement": ("twin.measurement.simulate", "Placement"),
+    "InstrumentSizes": ("twin.planning", "InstrumentSizes"),
     "Scope": ("twin.machine.iso16907", "Scope"),
     "Setup": ("twin.compensation.toolpath", "Setup"),
     "Status": ("twin.kinematics.inverse", "Status"),

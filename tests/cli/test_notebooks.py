@@ -14,7 +14,7 @@ NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "notebooks").glob("*.i
 SECONDS_A_CELL = 300
 """Far beyond what a cell takes on a busy machine: a hang, not slowness."""
 
-LONG = {"01_identify", "02_diagnose", "03_plan_a_measurement", "04_your_own_machine"}
+LONG = {"01_identify", "02_diagnose", "03_plan_a_measurement", "04_your_own_machine", "05_with_a_probe"}
 """Ten seconds to a minute each; in the default run `test_hidden_effects.py`, `test_plan.py` and `test_few_axes.py` do what they do."""
 
 
@@ -133,9 +133,20 @@ def built(notebook: nbformat.NotebookNode) -> None:
     assert "30 error motions from gantry.calibration.yaml" in text
 
 
+def probed(notebook: nbformat.NotebookNode) -> None:
+    """The lost errors are named; known places make half an hour sufficient, and both instruments together are best."""
+    text = output_of(notebook)
+    assert "10 of 14 constant errors" in text and "14 of 14 constant errors" in text
+    rms = [float(value) for value in re.findall(r"RMS +([\d.]+)   largest", text)]
+    without, unknown, known, tracker, both = rms
+    assert known < 0.1 * without and unknown > 0.5 * without and tracker > 0.3 * without
+    assert both <= known + 1.0
+
+
 CLAIMS: dict[str, Callable[[nbformat.NotebookNode], None]] = {
     "00_tour": toured,
     "04_your_own_machine": built,
+    "05_with_a_probe": probed,
     "02_diagnose": diagnosed,
     "03_plan_a_measurement": planned,
 }

@@ -76,9 +76,11 @@ from twin.planning.plan import judge, plan
 from twin.planning.result import Plan, Separation
 from twin.planning.route import duration
 from twin.planning.separate import separate
+from twin.planning.sequences.specification import InstrumentSizes
 
 __all__ = [
     "Forecast",
+    "InstrumentSizes",
     "Kit",
     "Plan",
     "Separation",
