@@ -27,7 +27,7 @@ def plan(dmu50: Machine, tmp_path: Path) -> Measurements:
     """Both sides, two stations, two rounds, poses over the whole range."""
     rng = np.random.default_rng(21)
     rows = []
-    for _ in range(60):
+    for _ in range(15):
         q = rng.uniform([0, 0, -400, 0, 0], [500, 450, 0, 180, 360])
         target, carrier = [("K", "tool"), ("P", "tool"), ("T", "work")][int(rng.integers(3))]
         rows.append(
@@ -59,7 +59,7 @@ def test_the_same_seed_gives_the_same_data(dmu50: Machine, calibration: Calibrat
 
 
 def test_noise_is_the_instruments(dmu50: Machine, calibration: Calibration, plan: Measurements) -> None:
-    """Whitened by the stated covariance, the readings' errors are standard normal: chi² of 60 repeats within 4 sigma."""
+    """Whitened by the stated covariance, the readings' errors are standard normal: chi² of 15 repeats within 4 sigma."""
     setting = Placement.draw(plan, np.random.default_rng(5))
     for instrument in READING:
         exact, _ = simulate(
@@ -70,7 +70,7 @@ def test_noise_is_the_instruments(dmu50: Machine, calibration: Calibration, plan
         by_tracker, _ = simulate(plan, dmu50, calibration, LaserTracker(), rng, setting=setting, noise=False)
         seen = by_tracker.point_mm * 1e-3
         covariance = instrument.covariance(seen) * 1e6
-        for _ in range(60):
+        for _ in range(15):
             noisy, _ = simulate(plan, dmu50, calibration, instrument, rng, setting=setting)
             for i, error in enumerate(noisy.point_mm - exact.point_mm):
                 read = np.isfinite(error)

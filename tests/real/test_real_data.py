@@ -83,7 +83,7 @@ def found(robot: Robot) -> Identification:
 
 def fitted(machine: Machine, data: Measurements, unknowns: Unknowns) -> tuple[Network, FitSolution]:
     """Return stations, targets and some of the machine's unknowns, by least squares."""
-    network = Network(machine, data, LaserTracker(), unknowns)
+    network = Network(machine, data, StationInstruments.same(LaserTracker(), data.station), unknowns)
     setup, _ = initial_setup(machine, data, StationInstruments.same(default_instrument("point"), data.station))
     return network, solve(network, np.zeros(len(unknowns)), setup, np.ones(len(data)))
 
@@ -91,7 +91,7 @@ def fitted(machine: Machine, data: Measurements, unknowns: Unknowns) -> tuple[Ne
 def unseen_mm(machine: Machine, data: Measurements, other: Measurements) -> float:
     """Return the error of the nominal machine at other poses, with station and target fitted."""
     _, solution = fitted(machine, data, Unknowns(machine, (), ()))
-    network = Network(machine, other, LaserTracker(), Unknowns(machine, (), ()))
+    network = Network(machine, other, StationInstruments.same(LaserTracker(), other.station), Unknowns(machine, (), ()))
     return rms_mm(1e3 * network.residuals_m(solution.theta, solution.setup, np.arange(len(other))))
 
 
@@ -170,7 +170,8 @@ def test_intervals_hold_on_a_second_half_of_the_data(robot: Robot, found: Identi
     place = robot.data.round.astype(int)
 
     def estimate(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        network, weight = Network(robot.machine, robot.data.select(rows), LaserTracker(), unknowns), np.ones(len(rows))
+        part, weight = robot.data.select(rows), np.ones(len(rows))
+        network = Network(robot.machine, part, StationInstruments.same(LaserTracker(), part.station), unknowns)
         # One step: all of these estimates lie within 0.1 mm and 1 mrad, and the second order of that is below a micrometre.
         solution = solve(network, start, settled.setup, weight, steps=1)
         by_round, by_pose = (covariance_of(network, solution, weight, spread)[:count, :count] for spread in SPREADS)
