@@ -27,7 +27,7 @@ def plan(dmu50: Machine, tmp_path: Path) -> Measurements:
     """Both sides, two stations, two rounds, poses over the whole range."""
     rng = np.random.default_rng(21)
     rows = []
-    for _ in range(15):
+    for _ in range(60):
         q = rng.uniform([0, 0, -400, 0, 0], [500, 450, 0, 180, 360])
         target, carrier = [("K", "tool"), ("P", "tool"), ("T", "work")][int(rng.integers(3))]
         rows.append(
