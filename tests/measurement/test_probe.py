@@ -158,3 +158,11 @@ def test_positions_of_the_tip_are_noticed() -> None:
 
     assert "the tip of probe 1 would be 180 mm above the spindle nose" in notices(tip)
     assert "above the spindle nose" not in notices(tip - lever)
+
+
+def test_equal_rows_are_repeats(dmu50: Machine, tmp_path: Path) -> None:
+    """Positions of 1 µm resolution: a repeat may find the same, and nothing else is in the row of a probe."""
+    data = read(probing(dmu50, SPHERES, 5, 10), dmu50, Calibration.zero(dmu50))
+    data.select(np.repeat(np.arange(len(data)), 2)).save(tmp_path / "m.csv", dmu50)
+    again = Measurements.load(tmp_path / "m.csv", dmu50)
+    assert len(again) == 2 * len(data) and again.set_aside == ()

@@ -429,7 +429,9 @@ def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: 
             reach = f"{axis.lower:g} … {axis.upper:g} {axis.unit}"
             aside(outside_axis_range(axis, q), f"the command of {axis.name} is outside its range {reach}")
     usable_rows = np.array([row for row in range(len(table)) if row not in reasons], dtype=int)
-    for row, before in _copies(table, usable_rows, unknown_cells).items():
+    # A probe reads zero: equal rows are repeats.
+    read = usable_rows[np.any(np.nan_to_num(table.point_mm[usable_rows]) != 0.0, axis=1)]
+    for row, before in _copies(table, read, unknown_cells).items():
         text = f"copy of line {table.lines[before]}: equal in every column"
         reasons[row] = RowNote(int(table.lines[row]), text, kind="copy of an earlier line: equal in every column")
     keep = np.array([row not in reasons for row in range(len(table))])
