@@ -37,6 +37,7 @@ settings.register_profile(
 settings.load_profile("twin")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+SLOW = Path(__file__).with_name("slow.txt")
 NEEDED = "needs shared/{}, which is not beside this checkout"
 """Reason of a skip, with the path that is missing."""
 
@@ -70,6 +71,15 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("new examples")
     if config.getoption("hypothesis_seed", None) is None:
         config.option.hypothesis_seed = f"{datetime.datetime.now(datetime.UTC):%Y%m%d}"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that `slow.txt` lists, before they are selected by their marks."""
+    listed = set(SLOW.read_text(encoding="utf-8").splitlines())
+    for item in items:
+        if item.nodeid in listed:
+            item.add_marker(pytest.mark.slow)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

@@ -421,6 +421,7 @@ def test_every_exported_result_has_a_display() -> None:
         "Compensator",
         "Conditions",
         "InputError",
+        "InstrumentSizes",
         "Inverse",
         "Kit",
         "Placement",
