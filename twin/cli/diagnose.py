@@ -13,6 +13,7 @@ from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption, command, progress_bar
 from twin.diagnosis import diagnose as run_diagnosis
 from twin.machine.machine import DEFAULT, Machine
+from twin.measurement.instruments import instrument_named
 from twin.measurement.table import Measurements
 
 
@@ -60,7 +61,7 @@ def diagnose(
     with progress_bar() as bar:
         bar("reading", 0.0)
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
-        reader = None if instrument is None else options.instrument_named(instrument)
+        reader = None if instrument is None else instrument_named(instrument)
         found = run_diagnosis(data, loaded, errors, instrument=reader, empirical=empirical, progress=bar)
     if extended is not None:
         found.extended.save(extended)

@@ -14,6 +14,7 @@ from twin.cli.shared import complete, options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command
 from twin.cli.shared.words import number
 from twin.machine.machine import DEFAULT, Machine
+from twin.measurement.instruments import instrument_named
 from twin.measurement.table import Measurements
 from twin.standards import evaluate as run_evaluation
 
@@ -59,7 +60,7 @@ def evaluate(
     if html_file is not None:
         options.need_pictures("the HTML report")
     loaded = Machine.load(machine)
-    reader = None if instrument is None else options.instrument_named(instrument)
+    reader = None if instrument is None else instrument_named(instrument)
     data = Measurements.join([Measurements.load(path, loaded) for path in measured])
     found = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
     if html_file is not None:

@@ -19,7 +19,7 @@ from twin.identification import identify as run_identification
 from twin.machine.calibration import Calibration
 from twin.machine.control import FORMATS, ControlSection, TableEntry, read_tables
 from twin.machine.machine import DEFAULT, Machine
-from twin.measurement.instruments import INSTRUMENTS
+from twin.measurement.instruments import INSTRUMENTS, instrument_named
 from twin.measurement.table import Measurements
 
 
@@ -100,7 +100,7 @@ def identify(
         found = run_identification(
             data,
             loaded,
-            instrument=None if instrument is None else options.instrument_named(instrument),
+            instrument=None if instrument is None else instrument_named(instrument),
             wanted=lambda name: only is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in only),
             spread=noise_source.value,
             progress=bar,

@@ -256,7 +256,7 @@ class _SequenceRequest:
         Raises:
             InputError: an option of a sequence without its instrument, or an unknown instrument.
         """
-        if self.instrument is not None and options.instrument_named(self.instrument).name in SET_UPS:
+        if self.instrument is not None and instrument_named(self.instrument).name in SET_UPS:
             return True
         if self.sequence is not None or self.spheres or self.sizes or self.program is not None:
             raise InputError(
@@ -332,7 +332,7 @@ def _judged(
 ) -> CommandResult:
     """Evaluate a given plan: expected uncertainties and duration."""
     instrument = named or INSTRUMENTS[0].name
-    reader = options.instrument_named(instrument)
+    reader = instrument_named(instrument)
     table = Measurements.load(options.plan_file(plan), machine, plan=True)
     if set(table.instrument.astype(str)) & set(SET_UPS):
         return _judged_sequence(plan, machine, kit, table)

@@ -16,7 +16,7 @@ from twin.cli.shared.command import TABLE, CommandResult, JsonOption, command, p
 from twin.cli.shared.words import three_numbers
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.checks import grouped_notes
-from twin.measurement.instruments import INSTRUMENTS, Air
+from twin.measurement.instruments import INSTRUMENTS, Air, instrument_named
 from twin.measurement.simulate import Environment
 from twin.measurement.simulate import simulate as run_simulation
 from twin.measurement.table import Measurements
@@ -67,7 +67,7 @@ def simulate(
 ) -> CommandResult:
     """Simulate the measurement of a plan on the machine with the errors of a calibration."""
     loaded = Machine.load(machine)
-    reader = options.instrument_named(instrument)
+    reader = instrument_named(instrument)
     if seed < 0:
         raise InputError("--seed must not be negative", expected="0 or more", value=seed)
     around = _surroundings(air, drift)

@@ -21,7 +21,6 @@ from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.iso16907 import NAMES
 from twin.machine.machine import Machine
-from twin.measurement.instruments import INSTRUMENTS, Instrument
 from twin.nc import find_program
 from twin.samples import PLANS
 
@@ -188,20 +187,6 @@ def need_pictures(what: str) -> None:
         raise InputError(
             f"{what} cannot be drawn: matplotlib is not installed", expected="pip install 'twin[plots]'", value=error
         ) from error
-
-
-def instrument_named(name: str) -> Instrument:
-    """Return an instrument by its name.
-
-    Raises:
-        InputError: no instrument has this name.
-    """
-    known = {one.name: one for one in INSTRUMENTS}
-    if name in known:
-        return known[name]
-    raise InputError(
-        "no such instrument", expected=f"one of {', '.join(known)}", value=name, nearest=closest_name(name, known)
-    )
 
 
 def setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Setup:

@@ -43,7 +43,7 @@ def instrument_named(name: str) -> Instrument:
     names = [one.name for one in INSTRUMENTS]
     if name not in names:
         raise InputError(
-            "unknown instrument", expected=f"one of {', '.join(names)}", value=name, nearest=closest_name(name, names)
+            "no such instrument", expected=f"one of {', '.join(names)}", value=name, nearest=closest_name(name, names)
         )
     return INSTRUMENTS[names.index(name)]
 
