@@ -9,7 +9,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final, Literal, final
+from functools import cached_property
+from typing import ClassVar, Final, Literal, final
 
 import numpy as np
 
@@ -137,26 +138,31 @@ class IsotropicNoise(Instrument):
 
     Attributes:
         sigma_um: standard uncertainty of a coordinate.
+        sees: which coordinates it reads.
     """
 
     sigma_um: float
+    sees: ClassVar[tuple[bool, bool, bool]] = (True, True, True)
 
     def read(self, points: np.ndarray) -> np.ndarray:
         """See `Instrument.read`."""
-        return np.array(points, dtype=float)
+        return np.where(self.sees, points, np.nan)
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
         """See `Instrument.jacobian`."""
-        return np.broadcast_to(np.eye(3), (len(points), 3, 3))
+        return self._diagonal(points, 1.0)
 
     def covariance(self, points: np.ndarray) -> np.ndarray:
         """See `Instrument.covariance`."""
-        return np.broadcast_to((self.sigma_um * UM) ** 2 * np.eye(3), (len(points), 3, 3))
+        return self._diagonal(points, (self.sigma_um * UM) ** 2)
 
     def pooled(self, readings: np.ndarray, deviations: np.ndarray, dof: int) -> np.ndarray:
         """See `Instrument.pooled`: one variance for all coordinates."""
-        variance = float(np.sum(deviations**2)) / (3.0 * dof)
-        return np.broadcast_to(variance * np.eye(3), (len(readings), 3, 3))
+        return self._diagonal(readings, float(np.sum(deviations[:, self.sees] ** 2)) / (sum(self.sees) * dof))
+
+    def _diagonal(self, points: np.ndarray, value: float) -> np.ndarray:
+        """Return (n, 3, 3) with a value on the diagonal of what it reads."""
+        return np.broadcast_to(value * np.diag(np.array(self.sees, dtype=float)), (len(points), 3, 3))
 
 
 @final
@@ -175,7 +181,7 @@ class StationInstruments:
         """Return one instrument for all of the stations (n,)."""
         return cls(dict.fromkeys(stations.tolist(), instrument))
 
-    @property
+    @cached_property
     def every(self) -> tuple[Instrument, ...]:
         """The different instruments."""
         return tuple(dict.fromkeys(self.by_station.values()))
