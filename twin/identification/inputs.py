@@ -99,11 +99,11 @@ def _check_sensors(machine: Machine, data: Measurements) -> Measurements:
         InputError: a target of which no coordinate ever changes, although the commands move it wherever it sits on its carrier; a
             sphere that is not at the tip of its probe.
     """
-    points = nominal_carriers(machine, data)
+    points, probed = nominal_carriers(machine, data), at_origin(data)
     notices = []
     for station in dict.fromkeys(data.station):
         at = data.station == station
-        if np.all(at_origin(data)[at]):
+        if np.all(probed[at]):
             _check_spheres(data, points, station)
             continue
         for target in dict.fromkeys(data.target[at]):
@@ -151,7 +151,7 @@ def implausible_tips(data: Measurements, setup: SetUp) -> tuple[str, ...]:
     for i, name in enumerate(setup.stations):
         rows = data.station == name
         above = float(setup.origin[i, 2])
-        if np.all(at_origin(data)[rows]) and data.station_carrier[rows][0] == "tool" and above > ABOVE_NOSE_M:
+        if setup.reads[i].reads == "null" and data.station_carrier[rows][0] == "tool" and above > ABOVE_NOSE_M:
             found.append(
                 f"the tip of probe {name} would be {above / MM:.0f} mm above the spindle nose: the positions may be those of the tip "
                 "(tool centre point control active), not those of the axes"
@@ -241,10 +241,11 @@ def _instruments(
     coordinates that were read, and whether all readings are zero) have the same.
     """
     kinds: dict[tuple[Any, ...], list[str]] = {}
+    probed = at_origin(data)
     for station in dict.fromkeys(data.station.tolist()):
         rows = data.station == station
         read, side = np.isfinite(data.point_mm[rows]), str(data.station_carrier[rows][0])
-        zero = bool(np.all(at_origin(data)[rows]))
+        zero = bool(np.all(probed[rows]))
         kinds.setdefault((str(data.instrument[rows][0]), side, zero, *read.any(axis=0)), []).append(station)
     found: dict[str, Instrument] = {}
     notices: list[str] = []

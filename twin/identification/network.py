@@ -21,9 +21,10 @@ from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments
-from twin.measurement.observation import Observation
+from twin.measurement.observation import observation_of
 from twin.measurement.state import of_angles
 from twin.measurement.table import CARRIERS, Measurements
+from twin.numerics.functions import Rows
 from twin.numerics.spatial import cross_matrix
 
 CHUNK: Final = 1024
@@ -62,33 +63,57 @@ class LinearisedReadings:
     Attributes:
         rows: rows in the data.
         residual: (k, 3) whitened.
-        points: (k, 3) the targets in the base frame.
+        carried: (k, 3) the targets in the frames on which their stations ride.
         seen: (k, 3) the points in their stations' frames.
         whitening: (k, 3, 3).
         by_seen: (k, 3, 3) derivative of the reading with respect to the point in the station's frame.
         by_ride: (k, 3, 3) with respect to the point in the frame on which the station rides.
-        by_base: (k, 3, 3) with respect to the point in the base frame.
-        by_tool, by_work: (k, 3, 3) with respect to a shift of that side along the axes of the base frame: of the target, of the
-            station, or of neither.
-        by_tool_frame, by_work_frame: (k, 3, 3) with respect to a shift of that side along the axes of its own frame.
         by_error: (k, 3, 6·frames) with respect to every component of every error frame.
         by_place: (k, 3, 3) with respect to the target's place on its carrier.
+        ride: (k, 3, 3) rotation in the base frame of the frame on which the station rides.
+        ride_origin: (k, 3) origin of that frame in the base frame.
+        shown: (k, sides) the sign with which a shift of each side (`CARRIERS`) shows: 1 with the target on it, −1 with the station on
+            it, 0 with both or neither. NaN for an angle, which no shift changes.
     """
 
     rows: np.ndarray
     residual: np.ndarray
-    points: np.ndarray
+    carried: np.ndarray
     seen: np.ndarray
     whitening: np.ndarray
     by_seen: np.ndarray
     by_ride: np.ndarray
-    by_base: np.ndarray
-    by_tool: np.ndarray
-    by_work: np.ndarray
-    by_tool_frame: np.ndarray
-    by_work_frame: np.ndarray
     by_error: np.ndarray
     by_place: np.ndarray
+    ride: np.ndarray
+    ride_origin: np.ndarray
+    shown: np.ndarray
+
+    @property
+    def by_base(self) -> np.ndarray:
+        """(k, 3, 3) with respect to the point in the base frame; zero for an angle."""
+        return self.base(slice(None))
+
+    def base(self, some: Rows) -> np.ndarray:
+        """Return `by_base` of some points."""
+        by_shift = np.where(np.isnan(self.shown[some, :1, None]), 0.0, self.by_ride[some])
+        return np.asarray(by_shift @ self.ride[some].transpose(0, 2, 1))
+
+    def base_points(self, some: Rows) -> np.ndarray:
+        """Return some targets in the base frame, (m, 3)."""
+        return np.asarray(np.einsum("nij,nj->ni", self.ride[some], self.carried[some]) + self.ride_origin[some])
+
+    def side(self, side: str, some: Rows) -> np.ndarray:
+        """Return (m, 3, 3) of some points the derivative with respect to a shift of a side along the axes of the base frame."""
+        return np.asarray(self.base(some) * self._sign(side, some))
+
+    def side_frame(self, side: str, some: Rows) -> np.ndarray:
+        """Return (m, 3, 3) of some points the derivative with respect to a shift of a side along the axes of its own frame."""
+        sign = self._sign(side, some)
+        return np.where(sign > 0.0, self.by_place[some], np.where(sign < 0.0, -self.by_ride[some], 0.0))
+
+    def _sign(self, side: str, some: Rows) -> np.ndarray:
+        return np.nan_to_num(self.shown[some, CARRIERS.index(side), None, None])
 
     def part(self, some: slice | np.ndarray) -> LinearisedReadings:
         """Return some of these points."""
@@ -132,7 +157,7 @@ class Network:
         self.readings = read_only(np.where(self.read, data.point_mm, 0.0) * MM)
         self.covariance = stated_covariance(data, instruments) if covariance is None else covariance
         self.whitening = read_only(_whitening(self.covariance, self.read))
-        self._observation = Observation(machine)
+        self._observation = observation_of(machine)
         self._angles = of_angles(data)
         self._q = np.asarray(data.positions) * machine.scale
         known = Calibration.zero(machine) if base is None else base
@@ -236,29 +261,23 @@ class Network:
         for instrument, some in self.instruments.groups(self.data.station[rows]):
             by_seen[some] = whitening[some] @ instrument.jacobian(seen[some])
         by_ride = by_seen @ setup.rotation[station].transpose(0, 2, 1)
-        shifted = by_ride * ~self._angles[rows, None, None]  # a shift changes no angle
-        by_base = shifted @ carried.ride.transpose(0, 2, 1)
-        by_place = by_ride @ carried.rotation
-        sides: list[np.ndarray] = []
-        for side in CARRIERS:
-            own = (self.data.carrier[rows] == side)[:, None, None]
-            rides = (self.data.station_carrier[rows] == side)[:, None, None]
-            sides += [by_base * (1.0 * own - rides), shifted @ carried.rotation * own - shifted * rides]
+        on, rides = (
+            np.stack([of[rows] == side for side in CARRIERS], axis=1)
+            for of in (self.data.carrier, self.data.station_carrier)
+        )
         return LinearisedReadings(
             rows=rows,
             residual=np.einsum("nij,nj->ni", whitening, self._residuals(seen, setup, rows)),
-            points=np.einsum("nij,nj->ni", carried.ride, carried.points) + carried.ride_origin,
+            carried=carried.points,
             seen=seen,
             whitening=whitening,
             by_seen=by_seen,
             by_ride=by_ride,
-            by_base=by_base,
-            by_tool=sides[0],
-            by_tool_frame=sides[1],
-            by_work=sides[2],
-            by_work_frame=sides[3],
             by_error=by_ride @ carried.by_error,
-            by_place=by_place,
+            by_place=by_ride @ carried.rotation,
+            ride=carried.ride,
+            ride_origin=carried.ride_origin,
+            shown=np.where(self._angles[rows, None], np.nan, 1.0 * on - rides),
         )
 
     def chunk(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> WhitenedRows:

@@ -18,6 +18,8 @@ PLACE_PLAUSIBLE: Final = 0.2
 """Prior standard deviation of a target's place on its carrier if it is not given, m."""
 STATION_PLAUSIBLE: Final = 10.0
 """Prior standard deviation of a station's position, m."""
+VERTICAL_M: Final = (0.0, 0.0, 1.0)
+"""The line that turns with a level, metres."""
 TURN_PLAUSIBLE: Final = 1.0
 """Prior standard deviation of a station's rotation about its initial value, rad."""
 
@@ -81,7 +83,7 @@ class SetUp:
         dead = np.zeros(len(stations))
         reads = tuple(instruments.by_station[name].specification for name in stations)
         lines = np.isin(targets, data.target[of_angles(data)].astype(str))
-        place[lines & ~target_known] = [0.0, 0.0, 1.0]
+        place[lines & ~target_known] = VERTICAL_M
         return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, reads, lines)
 
     def of(self, data: Measurements) -> SetUp:

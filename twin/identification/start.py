@@ -8,17 +8,16 @@ tracking interferometer (eq. 26 of the thesis, multilateration) are linear in th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Final, NamedTuple, final
 
 import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.units import MM
-from twin.identification.setup import SetUp
+from twin.identification.setup import VERTICAL_M, SetUp
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments
-from twin.measurement.observation import CarriedTargets, Observation
+from twin.measurement.observation import CarriedTargets, observation_of
 from twin.measurement.state import of_angles
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import cross_matrix, rotation_exp
@@ -29,8 +28,6 @@ LARGEST_MISFIT_M: Final = 5e-3
 """Deviation of a reading from the nominal machine, m, above which the row is wrong: no machine tool has such errors."""
 RELATIVE_RANK: Final = 1e-3
 """Relative singular value below which the readings do not determine a direction."""
-VERTICAL_M: Final = np.array([0.0, 0.0, 1.0])
-"""The line that turns with a level, metres."""
 SWEEPS: Final = 60
 LARGEST_TURN: Final = 0.5
 """Largest rotation in one step, rad."""
@@ -76,13 +73,7 @@ def nominal_carriers(machine: Machine, data: Measurements) -> CarriedTargets:
     errors, places = np.zeros((len(q), 6 * len(machine.frames))), np.zeros((len(q), 3))
     angles = of_angles(data)
     places[angles] = VERTICAL_M
-    return _observation(machine).carried(q, errors, data.carrier, places, data.station_carrier, angles)
-
-
-@lru_cache(maxsize=2)
-def _observation(machine: Machine) -> Observation:
-    """Return the forward model, cached: building its graph takes longer than a set-up of some hundred rows."""
-    return Observation(machine)
+    return observation_of(machine).carried(q, errors, data.carrier, places, data.station_carrier, angles)
 
 
 def _by_kind(
@@ -110,13 +101,12 @@ def _by_kind(
 
 def _by_angles(initial: SetUp, carried: CarriedTargets, data: Measurements, station: np.ndarray) -> InitialSetUp:
     """Return the set-up of levels: vertical lines on their carriers, and the mean reading as the origin of each station."""
-    place = np.where(initial.target_known[:, None], initial.place, VERTICAL_M)
     y = np.nan_to_num(data.point_mm) * MM
     off = carried.points - y
     origin = np.array([off[station == i].mean(axis=0) for i in range(len(initial.stations))])
     origin = np.where(initial.station_known[:, None], initial.origin, origin)
     miss = np.linalg.norm(np.where(np.isfinite(data.point_mm), off - origin[station], 0.0), axis=1)
-    return InitialSetUp(replace(initial, origin=read_only(origin), place=read_only(place)), miss)
+    return InitialSetUp(replace(initial, origin=read_only(origin)), miss)
 
 
 @final

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from typing import final
 
@@ -175,3 +176,9 @@ class Observation:
         if derivatives and ride is not None:
             found += [ride.rotation, ride.translation]
         return ca.Function("carried", [q, e, place], found)
+
+
+@lru_cache(maxsize=2)
+def observation_of(machine: Machine) -> Observation:
+    """Return the forward model of a machine, cached: building its graph takes longer than evaluating some hundred rows."""
+    return Observation(machine)

@@ -33,13 +33,13 @@ _DERIVATIVES: Final[Mapping[str, Callable[[LinearisedReadings, Rows], np.ndarray
     # All error frames, six components each.
     "error": lambda view, rows: view.by_error[rows],
     # The target, along an axis of the base frame and about one through its origin.
-    "base": lambda view, rows: view.by_base[rows],
+    "base": lambda view, rows: view.base(rows),
     # One side of the machine, along the axes of the base frame and of its own frame.
-    "tool base": lambda view, rows: view.by_tool[rows],
-    "work base": lambda view, rows: view.by_work[rows],
-    "tool place": lambda view, rows: view.by_tool_frame[rows],
-    "work place": lambda view, rows: view.by_work_frame[rows],
-    "base turn": lambda view, rows: -(view.by_base[rows] @ cross_matrix(view.points[rows])),
+    "tool base": lambda view, rows: view.side("tool", rows),
+    "work base": lambda view, rows: view.side("work", rows),
+    "tool place": lambda view, rows: view.side_frame("tool", rows),
+    "work place": lambda view, rows: view.side_frame("work", rows),
+    "base turn": lambda view, rows: -(view.base(rows) @ cross_matrix(view.base_points(rows))),
     # The point in its station's frame: along an axis of that frame and about one through its origin.
     "station": lambda view, rows: view.by_seen[rows],
     "station turn": lambda view, rows: -(view.by_seen[rows] @ cross_matrix(view.seen[rows])),

@@ -161,7 +161,7 @@ class IsotropicNoise(Instrument):
         return self._diagonal(readings, float(np.sum(deviations[:, self.sees] ** 2)) / (sum(self.sees) * dof))
 
     def _diagonal(self, points: np.ndarray, value: float) -> np.ndarray:
-        """Return (n, 3, 3) with a value on the diagonal of what it reads."""
+        """Return (n, 3, 3) with a value on the diagonal of the coordinates that it reads."""
         return np.broadcast_to(value * np.diag(np.array(self.sees, dtype=float)), (len(points), 3, 3))
 
 

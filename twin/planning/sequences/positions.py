@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.units import MM
 from twin.machine.machine import Machine
-from twin.measurement.observation import Observation
+from twin.measurement.observation import observation_of
 from twin.measurement.table import CARRIERS
 
 
@@ -64,9 +62,4 @@ def carried_points_mm(machine: Machine, positions: np.ndarray, side: str, places
     """
     n = len(positions)
     errors, carrier = np.zeros((n, 6 * len(machine.frames))), np.full(n, side, dtype=object)
-    return _observation(machine).points(positions * machine.scale, errors, carrier, places_mm * MM) / MM
-
-
-@lru_cache(maxsize=2)
-def _observation(machine: Machine) -> Observation:
-    return Observation(machine)
+    return observation_of(machine).points(positions * machine.scale, errors, carrier, places_mm * MM) / MM
