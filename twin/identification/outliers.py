@@ -3,9 +3,10 @@
 A row is assessed by its residual and its stated covariance. If the residuals of its target from its station are larger than that, the
 misfit of the model is added: an isotropic standard deviation in space, one for each target and station, that makes the median of the
 squared distances equal to the median of chi². So a target with a wrong model, or a robot that is not calibrated yet, has a misfit and
-not thousands of outliers. A misfit is a smooth function of the positions, not normal noise, so its limit is wider (`TAIL`). Its robust
-weights are those of a convex loss (Huber 1964): with a redescending loss (Geman and McClure 1985) the estimate could fit some of the
-readings and treat the others as outliers.
+not thousands of outliers. A misfit is a smooth function of the positions, not normal noise, and may be largest at the ends of a range:
+its limit is wider (`TAIL`), and an outlier is separated from the other rows by a gap (`GAP`). Its robust weights are those of a convex
+loss (Huber 1964): with a redescending loss (Geman and McClure 1985) the estimate could fit some of the readings and treat the others as
+outliers.
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ FALSE_ALARM: Final = 0.01
 """Probability that a data set without any outlier has a point classified as one."""
 TAIL: Final = 1.5
 """Factor on that limit if all of the deviation is the model's misfit."""
+GAP: Final = 2.0
+"""Ratio of the distance of an outlier to that of the next row below, if most of the deviation is the model's misfit."""
+MISFIT_SHARE: Final = 0.5
+"""Share of the misfit in the variance above which a row's deviation is mostly the model's."""
 GROUP_ROWS: Final = 30
 """Number of rows of one target from one station above which it has its own misfit; smaller groups share one."""
 HUBER: Final = 2.0
@@ -90,12 +95,23 @@ def assess_rows(network: Network, whitened: np.ndarray) -> RowAssessment:
     each = distance / np.maximum(count, 1)
     redescending, convex = (1.0 + each / 9.0) ** -2, np.minimum(1.0, HUBER / np.sqrt(np.maximum(each, 1e-12)))
     overall = float(np.sqrt(np.mean(noise)))
+    bad = distance > limit * (1.0 + (TAIL**2 - 1.0) * share)
     return RowAssessment(
-        bad=read_only(distance > limit * (1.0 + (TAIL**2 - 1.0) * share)),
+        bad=read_only(bad & (_separated(distance, bad) | (share < MISFIT_SHARE))),
         weight=read_only((1.0 - share) * redescending + share * convex),
         noise=overall if overall > NOISE_OF_FIT else 1.0,
         misfit_um=misfit,
     )
+
+
+def _separated(squares: np.ndarray, bad: np.ndarray) -> np.ndarray:
+    """Return (n,) which rows are above the lowest gap between a bad row and the row below it, by their squared distances."""
+    order = np.argsort(squares)
+    wide = bad[order[1:]] & (squares[order[1:]] >= GAP**2 * squares[order[:-1]])
+    found = np.zeros(len(squares), dtype=bool)
+    if np.any(wide):
+        found[order[1 + int(np.argmax(wide)) :]] = True
+    return found
 
 
 def _groups(network: Network) -> tuple[np.ndarray, list[list[tuple[str, str]]]]:

@@ -186,7 +186,7 @@ class _Scores:
         return self._of[key]
 
     def _fields(self, pattern: Pattern, rows: Rows) -> np.ndarray:
-        return ReadingDerivatives(self._view, rows).of(pattern.field) * UM
+        return ReadingDerivatives(self._view, rows).of(pattern.derivative) * UM
 
 
 def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:

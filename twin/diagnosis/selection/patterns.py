@@ -87,6 +87,11 @@ class Pattern:
         """Return the names of its columns of the table."""
         return tuple(channel.name for channel in self.channels)
 
+    @property
+    def derivative(self) -> str:
+        """Return which derivative of the readings it multiplies (`twin.diagnosis.candidates.signatures.ReadingDerivatives`)."""
+        return f"{self.side} {self.field}"
+
     @cached_property
     def levels(self) -> tuple[int, ...]:
         """Return the orders up to which it is tested; each adds functions to the previous one."""
@@ -132,9 +137,7 @@ class Pattern:
         functions = Functions(len(self.own), len(self.order), self.at, self.own)
         chosen = np.flatnonzero(self.order <= level).tolist()
         return [
-            Column((SignatureTerm((f"{self.side} {self.field}", i), functions, k, UM),), 1.0)
-            for i in directions
-            for k in chosen
+            Column((SignatureTerm((self.derivative, i), functions, k, UM),), 1.0) for i in directions for k in chosen
         ]
 
 

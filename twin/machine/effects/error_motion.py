@@ -62,7 +62,7 @@ class ErrorMotion(Effect):
 _REMEASURE: Final = Advice(
     "Check that the calibration still applies to this machine: its date, and what has been repaired, moved or levelled since. Then "
     "service: guideway and bearings of {axis}.",
-    f"{EXTENDED}, or measure {{axis}} again (twin identify).",
+    f"{EXTENDED}, or identify the errors again with this error motion included (twin identify).",
     "Do not correct it with a zero offset: the error changes along the travel, an offset does not.",
 )
 

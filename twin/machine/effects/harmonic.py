@@ -131,7 +131,7 @@ HARMONIC: Final = Specification(
     family="errors that repeat with the rotation",
     advice=Advice(
         "Service: parts that rotate with {axis}: bearing and encoder (once per turn), worm or gear teeth (many times per turn).",
-        f"{EXTENDED}.",
+        f"{EXTENDED}, or identify the errors again with this error motion included (twin identify).",
         "Do not check {axis} in steps of this period or a multiple of it: the error would not show.",
     ),
     evidence=lambda fit: f"{fit.where}: the error repeats with the rotation of the axis",
