@@ -191,3 +191,23 @@ def test_spindle_growth_obeys_its_differential_equation(machine: Machine) -> Non
     given = {name: np.zeros(5) for name in machine.names} | {"time_s": time[order], "spindle_rpm": speed[order]}
     moved = np.linalg.norm(table(effect.components(given), 5)[:3], axis=0)
     np.testing.assert_allclose(moved, np.array(expected)[order], rtol=1e-8)
+
+
+def test_thermal_lag_obeys_its_differential_equation(machine: Machine) -> None:
+    """dL/dt = (s − L)/τ integrated by scipy; the temperature changes linearly between readings; readings in any order."""
+    effect = made(SPECIFICATIONS["thermal_lag"], machine)
+    time = np.array([300.0, 1200.0, 2000.0, 2100.0, 5000.0])
+    warm = np.array([21.0, 26.0, 25.0, 31.0, 24.0])
+    solved = solve_ivp(
+        lambda t, value: (np.interp(t, time, warm - 20.0) - value) / SIZES["time_constant"],
+        (time[0], time[-1]),
+        [warm[0] - 20.0],
+        t_eval=time,
+        max_step=10.0,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    order = np.array([3, 0, 4, 1, 2])
+    given = {name: np.zeros(5) for name in machine.names} | {"time_s": time[order], "T_bed_degC": warm[order]}
+    moved = np.linalg.norm(table(effect.components(given), 5)[:3], axis=0)
+    np.testing.assert_allclose(moved, SIZES["coefficient"] * solved.y[0][order], rtol=1e-6)

@@ -30,6 +30,7 @@ from twin.machine.effects.table_load import TABLE_LOAD
 from twin.machine.effects.thermal_drift import THERMAL_DRIFT
 from twin.machine.effects.thermal_expansion import THERMAL_EXPANSION
 from twin.machine.effects.thermal_growth import THERMAL_GROWTH
+from twin.machine.effects.thermal_lag import THERMAL_LAG
 from twin.machine.effects.zero_offset import ZERO_OFFSET
 from twin.machine.machine import Machine
 
@@ -48,6 +49,7 @@ MACHINE_EFFECTS: Final[tuple[Specification, ...]] = (
     HARMONIC,
     CROSS_AXIS,
     THERMAL_GROWTH,
+    THERMAL_LAG,
     THERMAL_DRIFT,
     SPINDLE_GROWTH,
     TABLE_LOAD,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, final
 
 import numpy as np
 
 from twin.machine.effects.base import Parameter, channel
+from twin.machine.effects.first_order_lag import lagged
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
 from twin.machine.effects.thermal_drift import STEP_FACTORS, drift_time_constants
@@ -25,21 +26,12 @@ TIME_CONSTANT_STRIDE: Final = 3
 """Every n-th of the time constants of a drift is tried."""
 
 
-class _Lag(NamedTuple):
-    """Lagged growth and its derivatives by exponent and time constant."""
-
-    value: Any
-    by_exponent: Any
-    by_constant: Any
-
-
 @final
 class SpindleGrowth(ToolSideShift):
     """The tool side moves along a direction of the base frame: A times the first-order lag of (n/n_max)^p with time constant τ.
 
-    The lag L of its input s obeys dL/dt = (s − L)/τ (Bryan 1990, CIRP Annals 39, 645, on thermal effects that lag behind their cause).
-    In a measured table, the speed of a reading applies from the previous reading in time on, that of the first from time zero on. In a
-    program, the given speed applies from time zero on.
+    The lag is that of `twin.machine.effects.first_order_lag`. In a measured table, the speed of a reading applies from the previous
+    reading in time on, that of the first from time zero on. In a program, the given speed applies from time zero on.
 
     Args:
         side: tool side and direction.
@@ -80,37 +72,21 @@ class SpindleGrowth(ToolSideShift):
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``spindle_rpm`` and ``time_s``."""
-        lag = self._lag(positions)
-        return (
-            self._shifted(lag.value),
-            self._shifted(self.amplitude * lag.by_exponent),
-            self._shifted(self.amplitude * lag.by_constant),
-        )
-
-    def _lag(self, positions: Mapping[str, Any]) -> _Lag:
         share = np.asarray(channel(positions, SPEED, self.name), dtype=float) / self.highest_rpm
         time = np.asarray(channel(positions, TIME, self.name), dtype=float)
         driven = np.power(share, self.exponent)
         by_exponent = driven * np.log(np.where(share > 0.0, share, 1.0))
-        if time.ndim == 0:
-            return _step(_Lag(0.0, 0.0, 0.0), driven, by_exponent, time, self.time_constant)
-        found = np.zeros((3, len(time)))
-        order, last = np.argsort(time, kind="stable"), _Lag(0.0, 0.0, 0.0)
-        passed = np.diff(time[order], prepend=0.0)
-        for row, since in zip(order.tolist(), passed.tolist(), strict=True):
-            last = _step(last, driven[row], by_exponent[row], max(since, 0.0), self.time_constant)
-            found[:, row] = last
-        return _Lag(*found)
-
-
-def _step(last: _Lag, driven: Any, by_exponent: Any, passed: Any, constant: float) -> _Lag:
-    """Return the lag after ``passed`` seconds at constant speed."""
-    decay = np.exp(-passed / constant)
-    return _Lag(
-        driven + (last.value - driven) * decay,
-        by_exponent + (last.by_exponent - by_exponent) * decay,
-        last.by_constant * decay + (last.value - driven) * decay * passed / constant**2,
-    )
+        shape = np.broadcast_shapes(share.shape, time.shape)
+        at = np.broadcast_to(time, shape).reshape(-1)
+        follows = [
+            lagged(at, np.broadcast_to(source, shape).reshape(-1), self.time_constant, "held")
+            for source in (driven, by_exponent)
+        ]
+        return (
+            self._shifted(follows[0].value.reshape(shape)),
+            self._shifted(self.amplitude * follows[1].value.reshape(shape)),
+            self._shifted(self.amplitude * follows[0].by_constant.reshape(shape)),
+        )
 
 
 def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> SpindleGrowth:

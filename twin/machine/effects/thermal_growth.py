@@ -40,16 +40,31 @@ class ThermalGrowth(ToolSideShift):
         return (self._shifted(warm),)
 
 
-def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> ThermalGrowth:
+def direction_and_sensor(machine: Machine, where: str, specification: Specification) -> tuple[ToolSide, str]:
+    """Return the tool side with the direction, and the sensor, of a place such as ``Z by bed``.
+
+    Raises:
+        InputError: the machine has no such place.
+    """
     direction, _, sensor = where.partition(" by ")
     side = tool_side(machine, direction)
     if side is None or not sensor:
-        raise THERMAL_GROWTH.no_place(machine, where)
+        raise specification.no_place(machine, where)
+    return side, sensor
+
+
+def sensors_of(state: State) -> list[str]:
+    """Return the names of the temperature sensors of a table, and of the axes whose scales have one."""
+    return [name[2:-5] for name in state if name.startswith("T_")]
+
+
+def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> ThermalGrowth:
+    side, sensor = direction_and_sensor(machine, where, THERMAL_GROWTH)
     return ThermalGrowth(side, sensor, numbers["coefficient"])
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
-    sensors, ways = [name[2:-5] for name in state if name.startswith("T_")], directions(machine)
+    sensors, ways = sensors_of(state), directions(machine)
     if not sensors and ways:
         return [], [(", ".join(ways), "T_<sensor>_degC")]
     return [f"{way} by {sensor}" for way in ways for sensor in sensors], []
