@@ -37,7 +37,7 @@ from twin.diagnosis.judgement.alternatives import equivalent
 from twin.diagnosis.problem.forms import Form
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.selection.searcher import Searcher
+from twin.diagnosis.selection.searcher import Searcher, without_variants_in_time
 from twin.diagnosis.selection.structure import Findings, Structure
 from twin.machine.calibration import Calibration
 from twin.machine.effects import PitchError, ThermalDrift
@@ -142,7 +142,7 @@ def measured(
         if kind == "tracker"
         else np.tile(9e-12 * np.eye(3), (len(rows), 1, 1))
     )
-    return problem, Searcher(task), problem.network.whitening @ np.linalg.cholesky(true)
+    return problem, Searcher(without_variants_in_time(task)), problem.network.whitening @ np.linalg.cholesky(true)
 
 
 def _doubted(calibration: Calibration) -> Calibration:

@@ -16,7 +16,7 @@ from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.selection.likelihood import Likelihood
 from twin.diagnosis.selection.pattern_test import log_tail, scan_patterns
 from twin.diagnosis.selection.patterns import Pattern, patterns
-from twin.diagnosis.selection.searcher import Searcher
+from twin.diagnosis.selection.searcher import Searcher, without_variants_in_time
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
@@ -36,7 +36,7 @@ def searched(dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.
     )
     placed = readings(data, dmu50, calibration)
     task = placed.without(placed.bad)
-    return Searcher(task)
+    return Searcher(without_variants_in_time(task))
 
 
 def beside(problem: Problem, columns: np.ndarray) -> np.ndarray:

@@ -184,6 +184,21 @@ def points(
             _component(error, h.where)[:] += _size(h.where) * (v["cos"] * np.cos(angle) + v["sin"] * np.sin(angle))
         elif h.effect == "thermal_expansion":
             _along(error, axis, v["coefficient"] * (of.warm[axis] - 20.0) * of.at(axis) * 1e-3)
+        elif h.effect == "scale_growth":
+            own = v["coefficient"] * of.at(axis) * 1e-3 + v["offset"]
+            _along(error, axis, own * (of.warm[axis] - 20.0))
+        elif h.effect == "thermal_tilt":
+            name, sensor = h.where.split(" by ")
+            turned = v["coefficient"] * (of.warm[sensor] - 20.0)
+            if name[3] == "0":
+                error[f"L_{name[4]}"][:, "XYZABC".index(name[2])] += 1e-6 * turned
+            else:
+                _component(error, name)[:] += 1e-6 * turned
+        elif h.effect == "thermal_lag":
+            direction, sensor = h.where.split(" by ")
+            moved[:, "XYZ".index(direction)] += (
+                on_tool * 1e-3 * v["coefficient"] * follows(of, sensor, v["time_constant"])
+            )
         elif h.effect == "thermal_growth":
             direction, sensor = h.where.split(" by ")
             moved[:, "XYZ".index(direction)] += on_tool * v["coefficient"] * 1e-3 * (of.warm[sensor] - 20.0)
@@ -238,6 +253,18 @@ def lagged(time_s: np.ndarray, drive: np.ndarray, constant: float) -> np.ndarray
     ends, begins = time_s[:, None] - time_s, time_s[:, None] - np.concatenate([[0.0], time_s[:-1]])
     past = np.exp(-np.maximum(ends, 0.0) / constant) - np.exp(-np.maximum(begins, 0.0) / constant)
     return np.where(ends >= 0.0, past, 0.0) @ drive
+
+
+def follows(of: Plan, sensor: str, constant: float) -> np.ndarray:
+    """Return (n,) T − 20 °C behind a lag, from the first row on in equilibrium; steps of a second between the rows."""
+    fine = np.arange(of.time_s[0], of.time_s[-1] + 1.0)
+    level = np.interp(fine, of.time_s, of.warm[sensor] - 20.0)
+    found = np.empty_like(level)
+    found[0] = level[0]
+    share = 1.0 - np.exp(-1.0 / constant)
+    for i in range(1, len(fine)):
+        found[i] = found[i - 1] + share * (0.5 * (level[i] + level[i - 1]) - found[i - 1])
+    return np.interp(of.time_s, fine, found)
 
 
 def read(of: Plan, base: np.ndarray, hidden: Sequence[Hidden]) -> np.ndarray:

@@ -199,8 +199,15 @@ def folds_in_time(data: Measurements) -> HeldOutFolds | None:
         data: the measurements.
     """
     _, group = np.unique(data.round.astype(str), return_inverse=True)
-    if group.max() > 0:
-        return _drawn("rounds", group.reshape(-1))
+    return _drawn("rounds", group.reshape(-1)) if group.max() > 0 else blocks_of_time(data)
+
+
+def blocks_of_time(data: Measurements) -> HeldOutFolds | None:
+    """Return `BLOCKS` consecutive blocks of readings, one fold each; None for too few readings.
+
+    Args:
+        data: the measurements.
+    """
     if len(data) < 2 * BLOCKS:
         return None
     order = np.argsort(data.time_s, kind="stable") if np.all(np.isfinite(data.time_s)) else np.arange(len(data))

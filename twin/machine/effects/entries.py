@@ -23,6 +23,7 @@ from twin.machine.effects.payload import Payload
 from twin.machine.effects.pitch_error import PITCH_ERROR
 from twin.machine.effects.reversal import REVERSAL
 from twin.machine.effects.reversal_curve import REVERSAL_CURVE
+from twin.machine.effects.scale_growth import SCALE_GROWTH
 from twin.machine.effects.specification import Specification
 from twin.machine.effects.spindle_growth import SPINDLE_GROWTH
 from twin.machine.effects.squareness import SQUARENESS
@@ -31,6 +32,7 @@ from twin.machine.effects.thermal_drift import THERMAL_DRIFT
 from twin.machine.effects.thermal_expansion import THERMAL_EXPANSION
 from twin.machine.effects.thermal_growth import THERMAL_GROWTH
 from twin.machine.effects.thermal_lag import THERMAL_LAG
+from twin.machine.effects.thermal_tilt import THERMAL_TILT
 from twin.machine.effects.zero_offset import ZERO_OFFSET
 from twin.machine.machine import Machine
 
@@ -39,6 +41,7 @@ MACHINE_EFFECTS: Final[tuple[Specification, ...]] = (
     ZERO_OFFSET,
     PITCH_ERROR,
     THERMAL_EXPANSION,
+    SCALE_GROWTH,
     REVERSAL_CURVE,
     SQUARENESS,
     AXIS_LOCATION,
@@ -50,6 +53,7 @@ MACHINE_EFFECTS: Final[tuple[Specification, ...]] = (
     CROSS_AXIS,
     THERMAL_GROWTH,
     THERMAL_LAG,
+    THERMAL_TILT,
     THERMAL_DRIFT,
     SPINDLE_GROWTH,
     TABLE_LOAD,

@@ -1,0 +1,94 @@
+"""Thermal expansion of a scale that is fixed elsewhere than at the axis's zero."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, final
+
+from twin.machine.effects import places
+from twin.machine.effects.base import AlongAxis, Parameter, along, channel
+from twin.machine.effects.payload import Payload
+from twin.machine.effects.specification import (
+    EXTENDED,
+    NOT_TWICE,
+    Advice,
+    Drawing,
+    FittedCause,
+    Forms,
+    Specification,
+    State,
+)
+from twin.machine.effects.thermal_expansion import REFERENCE_DEGC
+from twin.machine.machine import Axis, Machine
+
+
+@final
+class ScaleGrowth(AlongAxis):
+    """Thermal expansion of a scale about its fixed point: E_aa += (c·q + g)·(T_a − 20 °C), fixed at q = −g/c.
+
+    Args:
+        axis: the axis.
+        coefficient: c, µm/(m·K).
+        offset: g, µm/K at q = 0.
+    """
+
+    def __init__(self, axis: Axis, coefficient: float, offset: float) -> None:
+        super().__init__("scale_growth", axis)
+        self.coefficient = coefficient
+        self.offset = offset
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Coefficient and offset."""
+        return (
+            self._number("coefficient", "um/(m.K)", self.coefficient),
+            self._number("offset", "um/K", self.offset),
+        )
+
+    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
+        """See `Effect.components`."""
+        by_coefficient, by_offset = self.derivatives(positions)
+        return {i: self.coefficient * by_coefficient[i] + self.offset * by_offset[i] for i in by_coefficient}
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`; needs ``T_<axis>_degC``."""
+        warm = channel(positions, f"T_{self.axis.name}_degC", self.name) - REFERENCE_DEGC
+        return along(self.axis, 1e-3 * positions[self.axis.name] * warm), along(self.axis, warm)
+
+
+def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
+    axis = machine.by_name[where]
+    return Forms(
+        (("coefficient", "um/(m.K)"), ("offset", "um/K")),
+        lambda values, fixed: (ScaleGrowth(axis, float(values[0]), float(values[1])),),
+        lambda fixed: (ScaleGrowth(axis, 1.0, 0.0), ScaleGrowth(axis, 0.0, 1.0)),
+    )
+
+
+def _evidence(fit: FittedCause) -> str:
+    coefficient, offset = fit.numbers.get("coefficient", 0.0), fit.numbers.get("offset", 0.0)
+    at = f", fixed at {-1e3 * offset / coefficient:.0f} mm" if coefficient else ""
+    return f"the scale of {fit.where} lengthens by {coefficient:.3g} µm/(m·K) when it warms{at}"
+
+
+SCALE_GROWTH: Final = Specification(
+    name="scale_growth",
+    kind="machine",
+    title=lambda where: f"thermal expansion of the scale of {where} about its fixed point",
+    family="thermal expansion of scales about their fixed points",
+    advice=Advice(
+        "Service: where the scale of {axis} is fixed, and what the control's own temperature compensation assumes.",
+        f"{EXTENDED} and give the temperature of {{axis}}.",
+        "Do not reset zero or scale for one temperature: they would be wrong at the next. " + NOT_TWICE,
+    ),
+    evidence=_evidence,
+    parameters=("coefficient", "offset"),
+    limits={"um/(m.K)": 100.0},
+    places=places.linear,
+    channels=lambda where: (f"T_{where}_degC",),
+    make=lambda machine, where, numbers, payloads: ScaleGrowth(machine.by_name[where], *numbers.values()),
+    forms=_forms,
+    varies="with time",
+    variant_of="thermal_expansion",
+    drawing=Drawing(columns=lambda where: (f"T_{where}_degC",), split=lambda where: where, spread=True),
+)
