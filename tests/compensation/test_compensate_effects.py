@@ -577,3 +577,23 @@ def test_every_effect_has_a_class(
 ) -> None:
     name = error_motion_of(effect_named(effect, where, numbers, dmu50), dmu50)
     assert (name, iso_class(name, dmu50)) == (acts, found)
+
+
+def test_growth_with_the_spindle_speed(dmu50: Machine, tmp_path: Path) -> None:
+    """Two hours at 8,000 of 12,000 1/min, time constant 20 min; without the speed nothing is written."""
+    growth = effect_named(
+        "spindle_growth",
+        "Z",
+        {"amplitude": 25.0, "exponent": 1.5, "time_constant": 1200.0, "highest_rpm": 12000.0},
+        dmu50,
+    )
+    path = tmp_path / "grown.yaml"
+    Calibration.default(dmu50).extended([growth], Covariance.none(), "a test").save(path)
+    with pytest.raises(InputError, match="spindle_growth:Z needs spindle_rpm"):
+        done(PROGRAM, dmu50, path, conditions=Conditions({}, 7200.0))
+    with pytest.raises(InputError, match="spindle speed must be zero or positive"):
+        done(PROGRAM, dmu50, path, conditions=Conditions({}, 7200.0, -1.0))
+    result = done(PROGRAM, dmu50, path, conditions=Conditions({}, 7200.0, 8000.0))
+    truth = WornMachine(path, reversal={}, shift_um=(0.0, 0.0, 25.0 * (8.0 / 12.0) ** 1.5 * (1.0 - np.exp(-6.0))))
+    assert truth.off(result.nominal, result.nominal).min() > 7.0
+    assert truth.off(result.commands, result.nominal).max() <= ROUNDING_UM

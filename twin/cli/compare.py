@@ -41,6 +41,7 @@ def compare(
     ] = None,
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
+    rpm: options.RpmOption = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Compare two calibrations of a machine: changes, their significance, and their effect at the tool.
@@ -55,7 +56,7 @@ def compare(
             older,
             newer,
             tool_length_mm=tool_length,
-            conditions=options.conditions(temperature, time),
+            conditions=options.conditions(temperature, time, rpm),
             tolerance_mm=tolerance,
             progress=bar,
         )

@@ -79,6 +79,7 @@ def compensate(
     rotary_limit: options.RotaryLimitOption = DEFAULT_ROTARY_LIMIT_DEG,
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
+    rpm: options.RpmOption = None,
     workers: options.WorkersOption = None,
     scheduler: options.SchedulerOption = None,
     strict: options.StrictOption = False,
@@ -104,7 +105,7 @@ def compensate(
         tolerance_mm=tolerance,
         rotary_limit_deg=rotary_limit,
         method=method.value,
-        conditions=options.conditions(temperature, time),
+        conditions=options.conditions(temperature, time, rpm),
     )
     errors = options.calibration_of(calibration, loaded)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)

@@ -15,6 +15,7 @@ from twin.cli.shared.installation import NOT_ALL_MET
 from twin.cli.shared.options import (
     CalibrationOption,
     MachineOption,
+    RpmOption,
     ScopeOption,
     TemperatureOption,
     TimeOption,
@@ -89,6 +90,7 @@ def control(
     add: Add = False,
     temperature: TemperatureOption = None,
     time: TimeOption = None,
+    rpm: RpmOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Write compensation tables for the machine's control from a calibration, or check existing ones.
@@ -99,7 +101,7 @@ def control(
     """
     loaded = Machine.load(machine)
     errors = calibration_of(calibration, loaded)
-    around = conditions(temperature, time)
+    around = conditions(temperature, time, rpm)
     around.check(errors)
     fixed = _positions(at)
     if read:

@@ -56,6 +56,7 @@ def path(
     rotary_limit: options.RotaryLimitOption = DEFAULT_ROTARY_LIMIT_DEG,
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
+    rpm: options.RpmOption = None,
     strict: options.StrictOption = False,
     json_file: JsonOption = None,
 ) -> CommandResult:
@@ -73,7 +74,7 @@ def path(
         scope=None if scope is None else Scope.parse(scope),
         tolerance_mm=tolerance,
         rotary_limit_deg=rotary_limit,
-        conditions=options.conditions(temperature, time),
+        conditions=options.conditions(temperature, time, rpm),
     )
     errors = options.calibration_of(calibration, loaded)
     with progress_bar() as bar:

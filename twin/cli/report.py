@@ -36,6 +36,7 @@ def report(
     ] = None,
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
+    rpm: options.RpmOption = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Random seed of the Monte Carlo draws.")] = 0,
     json_file: JsonOption = None,
 ) -> CommandResult:
@@ -43,7 +44,7 @@ def report(
     options.need_pictures("the report")
     loaded = Machine.load(machine)
     errors = options.calibration_of(calibration, loaded)
-    at = options.conditions(temperature, time)
+    at = options.conditions(temperature, time, rpm)
     with progress_bar() as bar:
         bar("reading", 0.0)
         found = machine_report(

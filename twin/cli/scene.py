@@ -40,6 +40,7 @@ def scene(
     exaggeration: ExaggerationOption = None,
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
+    rpm: options.RpmOption = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Animate the machine running a program, with programmed and actual tool path, in one self-contained HTML file."""
@@ -48,7 +49,7 @@ def scene(
     loaded = Machine.load(machine)
     source = find_program(program)
     errors = options.calibration_of(calibration, loaded)
-    at = options.conditions(temperature, time)
+    at = options.conditions(temperature, time, rpm)
     with progress_bar() as bar:
         drawn = draw_program(
             source,

@@ -39,6 +39,7 @@ def volume(
     tool_length: options.ToolOption = None,
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
+    rpm: options.RpmOption = None,
     workers: options.WorkersOption = None,
     scheduler: options.SchedulerOption = None,
     tls_ca: options.TlsCaOption = None,
@@ -52,7 +53,7 @@ def volume(
     """
     loaded = Machine.load(machine)
     errors = options.calibration_of(calibration, loaded)
-    at = options.conditions(temperature, time)
+    at = options.conditions(temperature, time, rpm)
     kinematics = Kinematics(loaded, errors, tool_length_mm=tool_length, conditions=at)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)
     began = monotonic()

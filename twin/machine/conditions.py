@@ -1,6 +1,6 @@
-"""Inputs of the error model besides the positions: temperatures, time, and the direction of approach of every axis.
+"""Inputs of the error model besides the positions: temperatures, time, spindle speed, and the direction of approach of every axis.
 
-Temperatures and time are given for a whole program; the direction of approach follows from the program
+All but the last are given for a whole program; the direction of approach follows from the program
 (`twin.compensation.backlash`).
 """
 
@@ -19,6 +19,11 @@ from twin.machine.effects import Effect
 from twin.machine.machine import Machine
 
 TIME: Final = "time_s"
+SPEED: Final = "spindle_rpm"
+WORDS: Final = MappingProxyType({TIME: "the time", SPEED: "the spindle speed"})
+"""Channels that are given by a single value, in words."""
+SETTINGS: Final = MappingProxyType({TIME: "time", SPEED: "rpm"})
+"""Names of the settings that give them."""
 APPROACH: Final = "approach_"
 PLAUSIBLE_DEGC: Final = (-40.0, 120.0)
 """Plausible temperatures of a machine; others are mistakes: kelvin, fahrenheit, a missing decimal point."""
@@ -37,16 +42,19 @@ class Conditions:
     Attributes:
         temperature_degC: °C by axis (of its scale) or sensor.
         time_s: time on the clock of the measured table's ``time_s``, which for a warm-up starts with the machine; None if not given.
+        spindle_rpm: spindle speed, 1/min, constant since time zero; None if not given.
     """
 
     temperature_degC: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     time_s: float | None = None
+    spindle_rpm: float | None = None
 
     @property
     def channels(self) -> dict[str, float]:
         """Values by the channel names that effects use."""
         found = {temperature_channel(name): float(value) for name, value in self.temperature_degC.items()}
-        return found if self.time_s is None else {**found, TIME: float(self.time_s)}
+        held = {TIME: self.time_s, SPEED: self.spindle_rpm}
+        return found | {name: float(value) for name, value in held.items() if value is not None}
 
     def check(self, calibration: Calibration) -> None:
         """Raise `InputError` unless every temperature is of an axis or sensor of the calibration and every value is plausible."""
@@ -69,6 +77,10 @@ class Conditions:
             raise InputError(
                 "time must be zero or positive", expected="seconds since the start, 0 or more", value=self.time_s
             )
+        if self.spindle_rpm is not None and not 0.0 <= self.spindle_rpm < np.inf:
+            raise InputError(
+                "spindle speed must be zero or positive", expected="1/min, 0 or more", value=self.spindle_rpm
+            )
 
     def missing(self, calibration: Calibration) -> dict[str, tuple[str, ...]]:
         """Return the channels, other than directions of approach, that a calibration needs and that are not given, with the effects."""
@@ -87,7 +99,7 @@ class Conditions:
         if missing:
             settings = [
                 *(["temperature"] if any(name.startswith("T_") for name in missing) else []),
-                *(["time"] if TIME in missing else []),
+                *(setting for name, setting in SETTINGS.items() if name in missing),
             ]
             raise InputError(
                 "; ".join(f"{', '.join(by)} needs {name}" for name, by in missing.items()),
@@ -152,11 +164,14 @@ def needed_values(channels: Iterable[str]) -> str:
     """Return the values that supply the channels, in words: "the temperature of bed and X, the time"."""
     names = list(channels)
     temperatures = [name[2:-5] for name in names if name.startswith("T_")]
-    others = [name for name in names if not name.startswith("T_") and name != TIME]
     return ", ".join(
         [
             *([f"the temperature of {' and '.join(temperatures)}"] if temperatures else []),
-            *(["the time"] if TIME in names else []),
-            *(f"{name}, which cannot be given yet" for name in others),
+            *(words for name, words in WORDS.items() if name in names),
+            *(
+                f"{name}, which cannot be given yet"
+                for name in names
+                if not name.startswith("T_") and name not in WORDS
+            ),
         ]
     )

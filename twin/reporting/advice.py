@@ -13,7 +13,7 @@ from twin._common.json_form import json_form
 from twin.diagnosis.wording.words import capital, listed, lower
 from twin.display import UNKNOWN, expanded, figure, with_half
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import needed_values
+from twin.machine.conditions import SETTINGS, needed_values
 from twin.reporting.compensation import CompensationForecast
 from twin.reporting.contributions import Budget, Contribution
 from twin.reporting.identified import Identified
@@ -258,12 +258,12 @@ def _about(calibration: Calibration) -> str:
 
 
 def _options(found: Budget, calibration: Calibration) -> str:
-    """Return the options for machine, calibration, tool length, temperatures and time."""
+    """Return the options for machine, calibration, tool length, temperatures, time and spindle speed."""
     at = found.kinematics.conditions
     warm = "".join(f" {name}={value:g}" for name, value in at.temperature_degC.items())
-    time = "" if at.time_s is None else f" --time {at.time_s:g}"
+    held = "".join(f" --{SETTINGS[name]} {at.channels[name]:g}" for name in SETTINGS if name in at.channels)
     tool = f" --tool-length {found.kinematics.tool_length_mm:g}"
-    return f"{_about(calibration)}{tool}{' --temperature' if warm else ''}{warm}{time}"
+    return f"{_about(calibration)}{tool}{' --temperature' if warm else ''}{warm}{held}"
 
 
 def _adjust(found: Budget) -> Iterator[Step]:

@@ -82,6 +82,12 @@ TimeOption = Annotated[
         "so give its mid-time. Warm machine: a large number.",
     ),
 ]
+RpmOption = Annotated[
+    float | None,
+    typer.Option(
+        "--rpm", help="Constant spindle speed, 1/min, for growth with spindle speed; with --time since the cold start."
+    ),
+]
 ScopeOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -213,8 +219,8 @@ def setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Se
     return Setup(found, three_numbers("--work-origin", origin, origin, "x,y,z in mm"))
 
 
-def conditions(temperatures: list[str] | None, time_s: float | None) -> Conditions:
-    """Return the temperatures and the time of a program.
+def conditions(temperatures: list[str] | None, time_s: float | None, rpm: float | None) -> Conditions:
+    """Return the temperatures, the time and the spindle speed of a program.
 
     Raises:
         InputError: text that is not NAME=°C, or a name given twice.
@@ -229,7 +235,7 @@ def conditions(temperatures: list[str] | None, time_s: float | None) -> Conditio
                 "--temperature names an axis or sensor twice", expected="each axis or sensor once", value=entry
             )
         found[name] = number("--temperature", text, entry)
-    return Conditions(found, time_s)
+    return Conditions(found, time_s, rpm)
 
 
 def workers(
