@@ -27,9 +27,10 @@ The tests with their runs, and the keys of their values in the JSON and for tole
 least-squares line. The angle of a rotary axis is that of a target about its least-squares circle, over at least 90°. Fewer targets
 or cycles than clause 4.3 requires are evaluated and reported; with a single cycle R and A are not determined.
 
-**Circular tests.** A circle is fitted to the commands; coordinates are aligned to it by a rigid motion, so that squareness and scale
-errors stay. G and G(b) are minimum zones. F and D need absolute lengths, or with a ball bar its nominal length (`--length`), from which
-its readings count. H belongs to the edition of 1996; those of 2005 and 2022 have G(b). The definitions come from the public
+**Circular tests.** A circle is fitted to the commands; coordinates are aligned to it by a rigid motion, so that squareness and
+scale errors stay. G and G(b) are minimum zones. F and D need absolute lengths. Those of a ball bar count from its nominal length:
+that of the table's comment (`# ball bar length: 150 mm`) or `--length`, else the radius of the commands; readings near zero are
+deviations from it. H belongs to the edition of 1996; those of 2005 and 2022 have G(b). The definitions come from the public
 abstracts and from publications, not from the text of the standard.
 
 **Rotary error motions.** A target within 1 mm of the axis gives radial and axial error motion in the directions of the station's

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from twin._common.errors import InputError, require_type
 from twin._common.provenance import SIMULATED
 from twin.machine.machine import Machine
+from twin.measurement.bar_length import with_length
 from twin.measurement.evaluation import Straightness
 from twin.measurement.instruments import Instrument
 from twin.measurement.observation import Observation
@@ -53,13 +55,15 @@ def evaluate(
         machine: the machine that was measured.
         tolerances: largest permitted values, µm or µrad, by key of the value (``A``, ``H``) or name of the test and key (``X:A``).
         instrument: instrument whose noise model gives the uncertainty of readings for which the table states none.
-        length_mm: nominal length of a ball bar, from which its radial deviations count; None for the radius of the commands.
+        length_mm: nominal length of a ball bar, from which its radial deviations count; None for that of the table, else the radius of
+            the commands.
 
     Raises:
-        InputError: a tolerance that is negative or not finite, or a length that is not positive.
+        InputError: a tolerance that is negative or not finite; a length that is not positive, or differs from that of the table.
         TypeError: arguments of another type.
     """
     _check_arguments(data, machine, tolerances or {}, length_mm)
+    data = data if length_mm is None else _with_bar_length(data, length_mm)
     angles = of_angles(data)
     runs = find_runs(data.select(~angles), machine)
 
@@ -75,9 +79,7 @@ def evaluate(
     _single_axes(runs, machine, uncertainty_mm, tests, missing)
     observation = Observation(machine)
     for run in runs.circles:
-        _attempt(
-            _title("circular", run, machine), tests, missing, circle_test, run, machine, uncertainty_mm(run), length_mm
-        )
+        _attempt(_title("circular", run, machine), tests, missing, circle_test, run, machine, uncertainty_mm(run))
     for run in runs.mixed:
         _attempt(
             _title("kinematic", run, machine), tests, missing, kinematic_test, run, observation, uncertainty_mm(run)
@@ -107,6 +109,12 @@ def _check_arguments(
             )
     if length_mm is not None and not (np.isfinite(length_mm) and length_mm > 0.0):
         raise InputError("the length of the ball bar must be positive", expected="mm, above 0", value=length_mm)
+
+
+def _with_bar_length(data: Measurements, length_mm: float) -> Measurements:
+    """Return the table with the given length of its ball bar."""
+    changed, notes = with_length(data.arrays(), length_mm)
+    return replace(data, **changed, notices=(*data.notices, *notes))
 
 
 def _single_axes(

@@ -20,6 +20,7 @@ BALL_BAR: Final = InstrumentSpecification(
     effects=("frame_shift", "target_shift", "time_skew"),
     source="data sheet of the Renishaw QC20: ±(0.7 µm + 0.3 % of the deviation), taken as two standard deviations",
     range_mm=2000.0,
+    nominal_length=True,
 )
 
 

@@ -38,6 +38,7 @@ class InstrumentSpecification:
         rides_on: sides on which its station can ride. Readings are of the target in the station's frame.
         range_mm: largest reading.
         beam: whether it measures along and across a beam, with different uncertainties.
+        nominal_length: whether it has a nominal length, from which its readings may be deviations.
         source: where its default uncertainty comes from.
         effects: instrument errors that a diagnosis may look for (names of effects).
     """
@@ -52,6 +53,7 @@ class InstrumentSpecification:
     source: str
     range_mm: float = np.inf
     beam: bool = True
+    nominal_length: bool = False
 
     @property
     def turns(self) -> bool:

@@ -58,6 +58,7 @@ def sequence_table(task: SequenceTask, points: SequencePoints) -> Measurements:
         place_mm=read_only(target),
         station_pose=read_only(np.concatenate([reader, np.zeros((n, 3))], axis=1)),
         feed_mm_min=read_only(np.full(n, task.sizes.feed_mm_min if _along_path(task.instrument) else np.nan)),
+        bar_mm=read_only(np.full(n, task.sizes.bar_mm if task.instrument.specification.nominal_length else np.nan)),
     )
     return replace(table, time_s=read_only(np.round(np.cumsum(seconds_of(task.machine, task.kit, table)), 1)))
 
