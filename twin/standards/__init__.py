@@ -16,6 +16,8 @@ The tests with their runs, and the keys of their values in the JSON and for tole
 - Straightness, ISO 230-1:2012: a linear axis, with coordinates across its travel. `E_YX` about the least-squares line, `E_YX_EP` about
   the end-point line, `E_YX_MZ` minimum zone.
 - Squareness, ISO 230-1:2012: two linear axes with one target and station. `E_C0Y`, `E_C0Y_EP`, `E_C0Y_MZ`.
+- Angular error, ISO 230-1:2012: a linear axis, with the angles of a level or an autocollimator. `E_AX`, also with `_forward` (↑),
+  `_backward` (↓) and `_reversal`.
 - Circular test, ISO 230-4: two linear axes on a circle; coordinates, or a ball bar's length in `x_mm`. `G_b`, `H`, `D`, `G`;
   `G_forward`, `F_max_forward`, `F_min_forward` (counter-clockwise) and `_backward` (clockwise).
 - Rotary error motion, ISO 230-7:2015: one rotary axis over a turn, three coordinates. `total`, `synchronous`, `asynchronous`,
@@ -26,6 +28,10 @@ The tests with their runs, and the keys of their values in the JSON and for tole
 **Positioning.** A length counts as along the axis if it changes by 1 mm per mm; from three coordinates it is the component along the
 least-squares line. The angle of a rotary axis is that of a target about its least-squares circle, over at least 90°. Fewer targets
 or cycles than clause 4.3 requires are evaluated and reported; with a single cycle R and A are not determined.
+
+**Angular errors.** Columns `a_urad` and `b_urad` are rotations about x and y of the station's frame, which is taken as parallel to the
+machine's unless the table gives its pose. `E_AX` is the range of the deviations over both directions of motion, each the mean of the
+readings at a position. No slope is removed. Straightness is not computed from angles: they are those of the carriage, not of its path.
 
 **Circular tests.** A circle is fitted to the commands; coordinates are aligned to it by a rigid motion, so that squareness and
 scale errors stay. G and G(b) are minimum zones. F and D need absolute lengths. Those of a ball bar count from its nominal length:

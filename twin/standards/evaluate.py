@@ -17,6 +17,7 @@ from twin.measurement.instruments import Instrument
 from twin.measurement.observation import Observation
 from twin.measurement.state import of_angles
 from twin.measurement.table import Measurements
+from twin.standards.angular import angular_tests
 from twin.standards.circles import circle_test
 from twin.standards.kinematic import kinematic_test
 from twin.standards.linear import linear_positioning, squareness_tests, straightness_tests
@@ -28,6 +29,7 @@ from twin.standards.words import place_of
 
 NO_RUN: Final = {
     "positioning": "no run in which one axis alone moves to at least three targets, or repeatedly to two",
+    "angular error": "no run of angles in which one axis alone moves to at least three positions, or repeatedly to two",
     "circular": "no run in which two linear axes move on a circle, over more than half a turn",
     "squareness": "no two linear axes measured across their travel from one station",
     "kinematic": "no run of linear and rotary axes in which the nominal point of the target stands still",
@@ -68,15 +70,14 @@ def evaluate(
     runs = find_runs(data.select(~angles), machine)
 
     def uncertainty_mm(run: MeasuredRun) -> np.ndarray:
-        return reading_uncertainty_mm(run.data, instrument)
+        fitting = instrument is not None and (instrument.specification.reads == "angle") == bool(of_angles(run.data)[0])
+        return reading_uncertainty_mm(run.data, instrument if fitting else None)
 
     tests: list[StandardTest] = []
     missing: list[NotEvaluated] = []
-    if angles.any():
-        missing.append(
-            NotEvaluated("angular error motions", "readings of a level are used by `twin identify`, not evaluated here")
-        )
     _single_axes(runs, machine, uncertainty_mm, tests, missing)
+    if angles.any():
+        _angles(data.select(angles), machine, uncertainty_mm, tests, missing)
     observation = Observation(machine)
     for run in runs.circles:
         _attempt(_title("circular", run, machine), tests, missing, circle_test, run, machine, uncertainty_mm(run))
@@ -145,6 +146,23 @@ def _single_axes(
     for run in runs.single:
         if not machine.axes[run.axes[0]].linear:
             _attempt(_title("rotary", run, machine), tests, missing, rotary_tests, run, machine, uncertainty_mm(run))
+
+
+def _angles(
+    data: Measurements,
+    machine: Machine,
+    uncertainty_mm: Uncertainties,
+    tests: list[StandardTest],
+    missing: list[NotEvaluated],
+) -> None:
+    """Add the angular errors of linear axes."""
+    runs = find_runs(data, machine).single
+    if not runs:
+        missing.append(NotEvaluated("angular error", NO_RUN["angular error"]))
+    for run in runs:
+        _attempt(
+            _title("angular error", run, machine), tests, missing, angular_tests, run, machine, uncertainty_mm(run)
+        )
 
 
 def _attempt(
