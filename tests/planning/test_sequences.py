@@ -144,6 +144,8 @@ def test_points_out_of_reach_are_dropped_with_their_number(dmu50: Machine) -> No
         ("probe", "turn", "no such sequence"),
         ("tracker", None, "no such sequence for instrument tracker"),
         ("r-test", "ak1", "both rotary axes on the spindle side"),
+        ("r-test", "bk3", "BK3 of ISO 10791-6 is not included: no public description says which axes"),
+        ("ball-bar", "ck2", "CK2 of ISO 10791-6 is not included.*expected one of circles"),
     ],
 )
 def test_refusals(dmu50: Machine, instrument: str, sequence: str | None, what: str) -> None:
