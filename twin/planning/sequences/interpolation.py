@@ -2,9 +2,9 @@
 
 The ball in the spindle stays at one place on the table. The text of the standard was not read. Its public scope names neither tests nor
 axes. Florussen, Houben, Spaan and Spaan-Burke (Automating Accuracy Evaluation of 5-Axis Machine Tools, 2020, abstract) use BK1 and BK2
-on machines with a trunnion or swivel table, for the average line of each rotary axis, with one ball; in BK4 all five axes move. AK1, AK2
-and AK4 are the same motions with both rotary axes on the spindle side, by analogy. No public description was found that says which axes
-move in tests 3, or in CK (one rotary axis on each side); these are refused (`NOT_DESCRIBED`).
+on machines with a trunnion or swivel table, for the average line of each rotary axis, with one ball; in BK4 all five axes move. AK1,
+AK2 and AK4 are the same motions with both rotary axes on the spindle side, by analogy. No public description was found that says which
+axes move in tests 3, or in CK (one rotary axis on each side); these are refused (`NOT_DESCRIBED`).
 """
 
 from __future__ import annotations
