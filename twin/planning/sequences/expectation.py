@@ -101,7 +101,7 @@ def seconds_of(machine: Machine, kit: Kit, table: Measurements) -> np.ndarray:
 def minutes_of(machine: Machine, kit: Kit, table: Measurements) -> float:
     """Return the minutes that a plan takes, set-up of each part on the table included."""
     parts = len({*table.target, *table.station}) - 1
-    return (float(seconds_of(machine, kit, table).sum()) + parts * kit.seconds.station) / 60.0
+    return (float(seconds_of(machine, kit, table).sum()) + parts * SET_UPS[str(table.instrument[0])].set_up_s) / 60.0
 
 
 def _along_path(instrument: Instrument) -> bool:
