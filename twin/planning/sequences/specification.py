@@ -16,7 +16,7 @@ from twin.planning.kit import Kit
 
 @final
 @dataclass(frozen=True)
-class SetUpWords:
+class PartNames:
     """Names of the parts of an instrument.
 
     Attributes:
@@ -34,9 +34,9 @@ class SetUpWords:
 
 
 SET_UPS: Final = {
-    "probe": SetUpWords("probe", "sphere", "spheres", "tip", 180.0),
-    "r-test": SetUpWords("nest", "ball", "nests", "ball", 900.0),
-    "ball-bar": SetUpWords("pivot", "ball", "pivots", "ball", 300.0),
+    "probe": PartNames("probe", "sphere", "spheres", "tip", 180.0),
+    "r-test": PartNames("nest", "ball", "nests", "ball", 900.0),
+    "ball-bar": PartNames("pivot", "ball", "pivots", "ball", 300.0),
 }
 """Parts of each instrument that measures the tool relative to the table, by the name of the instrument."""
 
@@ -115,7 +115,7 @@ class SequenceTask:
     seed: int = 0
 
     @property
-    def words(self) -> SetUpWords:
+    def words(self) -> PartNames:
         """Names of the instrument's parts."""
         return SET_UPS[self.instrument.name]
 
