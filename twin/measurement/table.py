@@ -39,6 +39,7 @@ from twin.measurement.columns import (
     PLACE_COLUMNS,
     PLANNED,
     STATION_COLUMNS,
+    TableColumns,
     angle_columns,
     comment_lines,
     csv_text,
@@ -180,12 +181,7 @@ class Measurements:
         }
         channels = {name: reader.numbers(name) for name in header if name not in known and CHANNEL.fullmatch(name)}
         unknown_columns = [name for name in header if name not in known and name not in channels]
-        values: dict[str, Any] = {part.field: part.read(reader) for part in parts if part.columns}
-        if angular:
-            values |= with_angles(reader, values)
-        length_mm = stated_length_mm(comments, path)
-        changed, notices = ({}, ()) if length_mm is None else with_length(values, length_mm)
-        values |= changed
+        values, notices = _fields(reader, parts, comments)
         if plan:
             values["point_mm"] = read_only(np.zeros((len(rows), 3)))
         table = cls(
@@ -342,6 +338,18 @@ class Measurements:
                     columns |= {f"{prefix}{n}": number_cells(column) for n, column in zip(names, known.T, strict=True)}
         comment = "\n".join(filter(None, [comment, *length_comment(self.bar_mm)]))
         return csv_text(columns, comment_lines(comment, simulated=self.simulated))
+
+
+def _fields(
+    reader: Cells, parts: Sequence[TableColumns], comments: Sequence[str]
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return the fields of a table by name, with angles and a ball bar's lengths as points, and what to note."""
+    values: dict[str, Any] = {part.field: part.read(reader) for part in parts if part.columns}
+    if any(name in reader.columns for name in ANGLE_COLUMNS):
+        values |= with_angles(reader, values)
+    length_mm = stated_length_mm(comments, reader.path)
+    changed, notices = ({}, ()) if length_mm is None else with_length(values, length_mm)
+    return values | changed, notices
 
 
 def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray:
