@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from tests.benchmarks import curves, diagnosis, figures, growth, programs, solve
+from tests.benchmarks import curves, diagnosis, figures, growth, programs, sequences, solve
 
 EVERY: dict[str, Callable[[], object]] = {
     "solve": solve.main,
@@ -14,6 +14,7 @@ EVERY: dict[str, Callable[[], object]] = {
     "growth": lambda: growth.main([]),
     "figures": figures.main,
     "curves": curves.main,
+    "sequences": sequences.main,
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,12 @@ from tests.identification.plans import PLACES, read_by_truth, table, with_places
 from tests.identification.test_identify import EXACT, as_the_thesis, differences
 from tests.truth.machine import TruthMachine, in_datum, written
 from twin.identification import identify
+from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.measurement.instruments import TouchProbe
+from twin.measurement.simulate import simulate
+from twin.measurement.table import Measurements
+from twin.planning import InstrumentSizes, measuring_sequence
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +104,26 @@ def test_two_targets_on_any_line(dmu50: Machine, truth: TruthMachine, errors: di
         value, u = found.interval(name, q)
         true = np.array([truth.curve(name, float(v)) for v in q])
         assert np.all(np.abs(value - true) <= 4.0 * u + EXACT), name
+
+
+def test_what_to_enter_for_a_probe(dmu50: Machine) -> None:
+    """The reasons name tip and spheres; entering what they name determines the error."""
+    plan = measuring_sequence(dmu50, "probe", "turns", sizes=InstrumentSizes(120.0)).table
+    truth = replace(Calibration.zero(dmu50), location={"E_X0B": 12.0, "E_Y0B": -7.0, "E_Y0C": 9.0})
+    data, _ = simulate(plan, dmu50, truth, TouchProbe(), np.random.default_rng(3))
+
+    def unidentified(table: Measurements) -> dict[str, str]:
+        found = identify(table, dmu50, wanted=lambda name: name[3] == "0")
+        return {one.name: one.reason for one in found.unidentified}
+
+    reasons = unidentified(data)
+    tip, sphere = "the tip's offset from the spindle nose (station_x_mm …)", "the spheres' places on the table"
+    assert set(reasons) == {"E_X0B", "E_Y0B", "E_Y0C"}
+    assert all(tip in reason and "target" not in reason for reason in reasons.values())
+    assert [name for name, reason in reasons.items() if sphere in reason] == ["E_Y0C"]
+    assert reasons["E_X0B"].startswith("cannot be separated from tip of probe; enter the tip's offset")
+    assert set(unidentified(replace(data, place_mm=plan.place_mm))) == {"E_X0B", "E_Y0B"}
+    assert not {"E_X0B", "E_Y0C"} & set(unidentified(replace(data, station_pose=plan.station_pose)))
 
 
 def test_locations_that_need_places(dmu50: Machine, tmp_path: Path, errors: dict[str, dict]) -> None:

@@ -69,6 +69,9 @@ to the table:
     ball-bar                work         tool        length in x_mm
     linear-interferometer   base, work   tool        coordinate along the beam in x_mm
 
+The comment `# ball bar length: 150 mm` states the nominal length of a ball bar; `twin convert` and `twin plan` write it, and `simulate`
+keeps it. Readings below half of that length are deviations from it. A table has the readings of one length.
+
 **Report** (`--json`, `schema: twin.compensation/1`): `before` and `after` (RMS and maximum at the functional point in µm, of the tool
 axis in µrad and its tilt about x and y of the tool (angles independent of order), the worst line), `classes`, `rounding_um`,
  `largest_correction`, `uncertainty`, `headline`, `complete` and `strictly_complete` (exit status 0 without and with

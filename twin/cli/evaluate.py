@@ -45,7 +45,8 @@ def evaluate(
     length: Annotated[
         float | None,
         typer.Option(
-            "--length", help="Nominal length of the ball bar, mm; default: the radius of the commanded circle."
+            "--length",
+            help="Nominal length of the ball bar, mm; default: that of the table's comment, else the radius of the commanded circle.",
         ),
         POSITIVE,
     ] = None,

@@ -181,7 +181,11 @@ class Identification:
         fit, order, table = self.misfit, self.setup, TableTilt.of(self.calibration)
         stations = {}
         for i, name in enumerate(order.stations):
-            stations[name] = {"origin_mm": order.origin[i] / MM, "known": order.station_known[i]}
+            stations[name] = {
+                "instrument": order.reads[i].name,
+                "origin_mm": order.origin[i] / MM,
+                "known": order.station_known[i],
+            }
             if order.reads[i].free_start:
                 stations[name]["dead_path_mm"] = order.dead[i] / MM
         found = {

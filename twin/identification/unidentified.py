@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from twin.identification.solve import FitSolution
 from twin.identification.unknowns import Unknowns
 from twin.machine.effects import split_name
 from twin.machine.machine import Machine
+from twin.measurement.instruments.base import SetUpWords
 from twin.measurement.table import Measurements
 from twin.numerics.observability import NOT_DETERMINED, NullDirection
 
@@ -37,6 +38,14 @@ class Unidentified:
     direction: str = ""
 
 
+class _Part(NamedTuple):
+    """A station or target: its name in words, what to enter so that its place is known, and the words of its instrument."""
+
+    words: str
+    enter: str
+    instrument: SetUpWords
+
+
 def held_by_prior(model: DeterminedModel, solution: FitSolution) -> list[str]:
     """Return the names of the errors in the estimate that the readings, with their noise, determine no better than the prior."""
     unknowns = model.network.unknowns
@@ -57,7 +66,7 @@ def unidentified(
         setup: stations and targets.
         held: names of the errors held by a prior (`held_by_prior`).
     """
-    found = []
+    found, parts = [], _parts(setup, data)
     for name in (*machine.motion_names, *machine.squareness_names, *machine.location_names):
         axis = split_name(name)[2]
         if not wanted(name):
@@ -68,16 +77,32 @@ def unidentified(
             direction = model.determinability.null_direction_of(
                 model.determinability.names[model.considered.of(name)[0]]
             )
-            why = SAYS_LESS if direction is None else _confounded_with(name, direction)
-            remedy = _remedy(name, machine, setup, name in model.confounded)
+            why = SAYS_LESS if direction is None else _confounded_with(name, direction, parts)
+            remedy = _remedy(name, machine, setup, parts, direction, name in model.confounded)
             found.append(Unidentified(name, f"{why}; {remedy}", str(direction or "")))
         elif name in held:
             found.append(Unidentified(name, SAYS_LESS))
     return tuple(found)
 
 
-def _confounded_with(name: str, direction: NullDirection) -> str:
-    """Say with which errors, stations and targets an error is confounded."""
+def _parts(setup: SetUp, data: Measurements) -> dict[str, _Part]:
+    """Return the stations and targets of a set-up, by their names among the unknowns."""
+    reads = dict(zip(setup.stations, setup.reads, strict=True))
+    reader = dict(zip(data.target[::-1].tolist(), data.station[::-1].tolist(), strict=True))
+    stations = [
+        _Part(f"{one.set_up.station} {name}", one.set_up.station_place, one.set_up) for name, one in reads.items()
+    ]
+    by_target = [reads[reader[name]] for name in setup.targets]
+    targets = [
+        _Part(f"{one.set_up.target} {name}", one.set_up.target_place, one.set_up)
+        for name, one in zip(setup.targets, by_target, strict=True)
+    ]
+    names = [*(f"station {name}" for name in setup.stations), *(f"target {name}" for name in setup.targets)]
+    return dict(zip(names, (*stations, *targets), strict=True))
+
+
+def _moved(name: str, direction: NullDirection) -> list[str]:
+    """Return the other errors, stations and targets that move along a null direction."""
     others = [move.name for move in direction.moves if move.name.split(" ")[0] != name]
     # The axis at the end of "station 1 x" and "target K rotation z" does not matter here.
     parts = [
@@ -86,25 +111,59 @@ def _confounded_with(name: str, direction: NullDirection) -> str:
         else one.split(" ")[0]
         for one in others
     ]
-    if not parts:
+    return list(dict.fromkeys(parts))
+
+
+def _confounded_with(name: str, direction: NullDirection, parts: Mapping[str, _Part]) -> str:
+    """Say with which errors, stations and targets an error is confounded."""
+    moved = _moved(name, direction)
+    if not moved:
         return "it changes no reading"
     more = f" and {direction.left_out} more" if direction.left_out else ""
-    return f"cannot be separated from {', '.join(dict.fromkeys(parts))}{more}"
+    return f"cannot be separated from {', '.join(parts[one].words if one in parts else one for one in moved)}{more}"
 
 
-def _remedy(name: str, machine: Machine, setup: SetUp, confounded: bool) -> str:
+def _remedy(
+    name: str,
+    machine: Machine,
+    setup: SetUp,
+    parts: Mapping[str, _Part],
+    direction: NullDirection | None,
+    confounded: bool,
+) -> str:
+    """Say what to enter or to measure so that an error is determined."""
     _, average, axis = split_name(name)
+    words = list(dict.fromkeys(part.instrument for part in parts.values()))
+    # Both sides of such an instrument ride on the machine: it has no reference outside.
+    relative = all(one.station_place for one in words)
+    if confounded and relative:
+        return "measure at more positions of all axes, or identify squareness and locations only"
     if confounded and average:
         return "measure a reference on the machine"
     if confounded and len(setup.targets) > 2:
-        return "enter the targets' places (place_x_mm …), or measure with another instrument too"
+        places = " and ".join(dict.fromkeys(one.target_place for one in words))
+        return f"enter {places}, or measure with another instrument too"
     if confounded:
         return "measure a third target that is not on a line with the others"
     if average and not machine.by_name[axis].linear and not setup.target_known.all():
-        return "enter the targets' places (place_x_mm …) or measure a reference on the machine"
+        return _location_remedy(name, parts, words, direction)
     if average:
         return "the motions of the other axes, its reference, are not in these data"
+    if relative:
+        return "measure at other positions of the other axes"
     return "measure three targets that are not on a line, or other positions of the other axes"
+
+
+def _location_remedy(
+    name: str, parts: Mapping[str, _Part], words: Sequence[SetUpWords], direction: NullDirection | None
+) -> str:
+    """Say which places of the set-up determine the location of a rotary axis: any of those with which it is confounded.
+
+    A second probe of another length, its offset unknown too, adds as many unknowns as it determines.
+    """
+    moved = [parts[one] for one in _moved(name, direction) if one in parts] if direction is not None else []
+    places = list(dict.fromkeys(part.enter for part in moved if part.enter)) or [one.target_place for one in words]
+    return ", or ".join([f"enter {places[0]}", *places[1:], "measure a reference on the machine"])
 
 
 def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
@@ -121,7 +180,8 @@ def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
     )
     if not names:
         return []
+    places = " and ".join(dict.fromkeys(one.set_up.target_place for one in solution.setup.reads))
     return [
         f"{', '.join(names)} refer to a point of the targets' carrier whose distance from the machine's own origin is not known; "
-        "their uncertainty includes 0.2 m for it. Give the targets' places (place_x_mm …) to reduce it"
+        f"their uncertainty includes 0.2 m for it. Enter {places} to reduce it"
     ]

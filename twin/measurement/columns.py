@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.csv_tables import Cells
+from twin._common.errors import InputError
 from twin._common.units import MM, UM
 from twin.machine.machine import Machine
 from twin.measurement.instruments.base import SIDES
@@ -20,6 +22,7 @@ POINT_COLUMNS: Final = ("x_mm", "y_mm", "z_mm")
 PLACE_COLUMNS: Final = tuple(f"place_{name}" for name in POINT_COLUMNS)
 STATION_COLUMNS: Final = (*(f"station_{name}" for name in POINT_COLUMNS), *(f"station_{a}_deg" for a in "abc"))
 ANGLE_COLUMNS: Final = ("a_urad", "b_urad")
+CONTACT_COLUMNS: Final = tuple(f"contact_{name}" for name in POINT_COLUMNS)
 ANGULAR: Final = "level"
 """Instrument of the rows that give angles and name none."""
 PLANNED: Final = "planned_"
@@ -83,6 +86,25 @@ def table_columns(machine: Machine) -> tuple[TableColumns, ...]:
         TableColumns("feed_mm_min", ("feed_mm_min",)),
         TableColumns("u_mm", tuple(f"u_{name}" for name in POINT_COLUMNS)),
     )
+
+
+def refuse_contacts(header: Sequence[str], needed: Sequence[str], path: Path, line: int) -> None:
+    """Raise `InputError` if a table lacks columns because its rows are single contacts of a probe.
+
+    Args:
+        header: names of its columns.
+        needed: names of the columns that it must have.
+        path: the file.
+        line: line of the header.
+    """
+    if not set(needed) <= set(header) and not {*CONTACT_COLUMNS}.isdisjoint(header):
+        raise InputError(
+            "these are single contacts of a probe, not measured points",
+            expected="sphere centres: `twin convert` reduces the contacts to a table of centres",
+            file=path,
+            line=line,
+            value=next(name for name in header if name in CONTACT_COLUMNS),
+        )
 
 
 def csv_text(columns: Mapping[str, Sequence[str]], comments: str) -> str:

@@ -21,6 +21,7 @@ from twin._common.errors import InputError, closest_name
 from twin._common.files import write_atomic
 from twin.display import Cell, card, count_with_noun, note, pairs, spans
 from twin.machine.machine import Machine
+from twin.measurement.bar_length import length_comment, stated_length_mm, with_length
 from twin.measurement.checks import (
     LARGEST_MM,
     check_ranges,
@@ -38,10 +39,12 @@ from twin.measurement.columns import (
     PLACE_COLUMNS,
     PLANNED,
     STATION_COLUMNS,
+    TableColumns,
     angle_columns,
     comment_lines,
     csv_text,
     number_cells,
+    refuse_contacts,
     simulated_comments,
     table_columns,
     with_angles,
@@ -95,6 +98,7 @@ class Measurements:
         notices: facts to know before using a result.
         simulated: whether any of the readings were simulated, not measured on a machine.
         feed_mm_min: (n,) feed along the path when the point was taken, mm/min; NaN where not given.
+        bar_mm: (n,) nominal length of the ball bar, from a comment of the file; NaN where not given.
     """
 
     source: str
@@ -119,6 +123,7 @@ class Measurements:
     notices: tuple[str, ...] = ()
     simulated: bool = False
     feed_mm_min: np.ndarray = field(default_factory=_absent)
+    bar_mm: np.ndarray = field(default_factory=_absent)
 
     def __post_init__(self) -> None:
         """Fill in the fields that were not given."""
@@ -136,6 +141,7 @@ class Measurements:
             "place_mm": ((n, 3), np.nan),
             "station_pose": ((n, 6), np.nan),
             "feed_mm_min": ((n,), np.nan),
+            "bar_mm": ((n,), np.nan),
         }
         for name, (shape, value) in blank.items():
             if getattr(self, name) is NOT_GIVEN:
@@ -175,9 +181,7 @@ class Measurements:
         }
         channels = {name: reader.numbers(name) for name in header if name not in known and CHANNEL.fullmatch(name)}
         unknown_columns = [name for name in header if name not in known and name not in channels]
-        values: dict[str, Any] = {part.field: part.read(reader) for part in parts if part.columns}
-        if angular:
-            values |= with_angles(reader, values)
+        values, notices = _fields(reader, parts, comments)
         if plan:
             values["point_mm"] = read_only(np.zeros((len(rows), 3)))
         table = cls(
@@ -190,6 +194,7 @@ class Measurements:
             channels=MappingProxyType(channels),
             notices=(
                 *(f"the file says: {text}" for text in simulated_notes),
+                *notices,
                 *(unused_column_note(name, sorted(known)) for name in unknown_columns),
             ),
             simulated=bool(simulated_notes),
@@ -331,7 +336,20 @@ class Measurements:
             ):
                 if np.isfinite(known).any():
                     columns |= {f"{prefix}{n}": number_cells(column) for n, column in zip(names, known.T, strict=True)}
+        comment = "\n".join(filter(None, [comment, *length_comment(self.bar_mm)]))
         return csv_text(columns, comment_lines(comment, simulated=self.simulated))
+
+
+def _fields(
+    reader: Cells, parts: Sequence[TableColumns], comments: Sequence[str]
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return the fields of a table by name, with angles and a ball bar's lengths as points, and what to note."""
+    values: dict[str, Any] = {part.field: part.read(reader) for part in parts if part.columns}
+    if any(name in reader.columns for name in ANGLE_COLUMNS):
+        values |= with_angles(reader, values)
+    length_mm = stated_length_mm(comments, reader.path)
+    changed, notices = ({}, ()) if length_mm is None else with_length(values, length_mm)
+    return values | changed, notices
 
 
 def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray:
@@ -471,6 +489,7 @@ def _copies(table: Measurements, rows: np.ndarray, unknown_cells: Sequence[str])
 
 def _check_header(header: Sequence[str], needed: Sequence[str], path: Path, line: int) -> None:
     """Raise `InputError` if a column is missing; it names the column whose name is probably misspelt."""
+    refuse_contacts(header, needed, path, line)
     for name in needed:
         if name not in header:
             nearest = closest_name(name, [one for one in header if one not in needed])

@@ -38,10 +38,12 @@ positions of the rotary axes; X, Y and Z follow from the nominal kinematics. Poi
 dropped, and their number is given. `--spheres` gives the spheres (nests, pivots) in the work frame.
 
 - `best` (probe, R-test): poses of the rotary axes, chosen by exchange for the smallest sum of relative variances of the constant
-  errors (scales, squareness, axis locations) in the time given (`--minutes`, set-up included; five contacts of 6 s per sphere).
+  errors (scales, squareness, axis locations) in the time given (`--minutes`). Assumed are five contacts of 6 s per pose, and 3 min for
+  setting up a sphere, 15 min for a nest. Spheres for which there is no time are listed.
 - `turns` (probe, R-test): each rotary axis alone in seven steps, the other at zero and at 90°; poses as of HEIDENHAIN cycle 451.
 - `bk1`, `bk2`, `bk4`, `ak1`, `ak2`, `ak4` (R-test): one or both rotary axes with X, Y and Z, in the manner of ISO 10791-6. The text
-  of the standard was not available: number of points, ranges and place of the ball are choices of twin.
+  of the standard was not available: number of points, ranges and place of the ball are choices of twin. `ak3`, `bk3` and the CK tests
+  (one rotary axis on each side) are refused: no public description says which axes move in them.
 - `circles` (ball bar): XY, YZ and ZX in both directions, as in ISO 230-4, with arcs of 220° in the vertical planes. Scales rest on
   the calibrated length of the bar.
 

@@ -78,6 +78,11 @@ class SequencePlan:
             "planned_… are approximate places, which no evaluation treats as known",
             "poses are checked against the shapes of the URDF, with an assumed probe, stylus and stem; the moves between them are not",
         ]
+        unused = [name for name in self.task.places_mm if name not in {*self.table.station, *self.table.target}]
+        if unused:
+            found.append(
+                f"NOT MEASURED: {', '.join(unused)}: no time for setting up, or no point of theirs is within reach"
+            )
         if self.task.instrument.specification.reads == "null":
             found.append(
                 "X, Y and Z are nominal: the measured table has the positions at which the tip was at the centre of the sphere, "
@@ -161,7 +166,7 @@ def measuring_sequence(
         machine: the machine.
         instrument: touch probe, R-test or ball bar.
         sequence: name of the sequence (`twin.planning.sequences.SEQUENCES`); None: the best design, or circles for a ball bar.
-        kit: speeds, usable ranges and set-up time; `Kit.default` if None.
+        kit: speeds and usable ranges; `Kit.default` if None.
         places_mm: spheres, nests or pivots by name, in the work frame; None: one near the rim of the table (a pivot above its middle).
         minutes: time budget of the best design, set-up included; other sequences take the time that they need.
         sizes: length of the probe, sizes of probe and sphere, length and feed of a ball bar.

@@ -117,8 +117,12 @@ def advise(
         *_incomplete(left_out, identified),
         *_misfit(points, calibration),
         *_control(calibration, outcome),
-        *_one_of(_compensate(calibration, found, outcome), _adjust(found), _tables(found, tables)),
-        *_measure(found, outcome),
+        *(
+            _wait()
+            if identified is not None and identified.doubtful
+            else _one_of(_compensate(calibration, found, outcome), _adjust(found), _tables(found, tables))
+        ),
+        *_measure(found, outcome, None if identified is None else identified.relative_instrument),
         *_never(calibration, found),
     ]
     return MachineAdvice(
@@ -168,12 +172,25 @@ def _incomplete(left_out: Mapping[str, tuple[str, ...]], identified: Identified 
             "cover. `twin diagnose` looks for its cause."
         )
         yield Step("measure", "Find the cause of the lack of fit", text)
+    elif identified.doubtful:
+        text = (
+            f"The residuals are larger than the stated noise (reduced chi² {fit.reduced_chi2:.3g}), and no reading was repeated: "
+            "either the noise is larger than stated, or the machine has errors that were not identified. These numbers then contain a "
+            "part of those errors. `twin diagnose` looks for the cause."
+        )
+        yield Step("unknown", "The calibration does not describe the readings", text)
     elif fit.p_value is not None and fit.p_value < REPEATS:
         text = (
             f"The noise of the readings is larger than stated (reduced chi² {fit.reduced_chi2:.3g}): the uncertainties here are "
             "too small. Identify again with `--uncertainty repeats`, or use `twin diagnose`."
         )
         yield Step("measure", "Find the cause of the noise", text)
+
+
+def _wait() -> Iterator[Step]:
+    """Yield the step that replaces every correction while the calibration does not describe its own readings."""
+    text = "The corrections would contain errors of another kind, with a wrong size. Find the cause of the residuals first."
+    yield Step("never", "Compensate or adjust with this calibration", text)
 
 
 def _misfit(points: Sequence[PointComparison], calibration: Calibration) -> Iterator[Step]:
@@ -326,7 +343,7 @@ def _remaining(one: TablesLeft) -> str:
     return f"{one.kind} {figure(remaining.rms_um, 'µm')} by the model, {expected}"
 
 
-def _measure(found: Budget, outcome: CompensationForecast) -> Iterator[Step]:
+def _measure(found: Budget, outcome: CompensationForecast, instrument: str | None) -> Iterator[Step]:
     known = [one for one in found.errors if isfinite(one.u_rms_um) and one.u_rms_um > 0.0]
     if not known:
         if found.errors:
@@ -346,7 +363,8 @@ def _measure(found: Budget, outcome: CompensationForecast) -> Iterator[Step]:
         weak = sorted(known, key=lambda one: -one.u_rms_um)[:NAMED]
         names = listed([f"{lower(one.words)} ({one.name}, U {figure(one.u_rms_um, 'µm')})" for one in weak])
         reduce = " ".join(one.name for one in weak if one.name.startswith("E_")) or "tool"
-        how = f"`twin plan -o plan.csv{found.kinematics.machine.as_option} --reduce {reduce}` plans the measurement."
+        aim = f"--reduce {reduce}" if instrument is None else f"--instrument {instrument}"
+        how = f"`twin plan -o plan.csv{found.kinematics.machine.as_option} {aim}` plans the measurement."
         yield Step("measure", "Measure the most uncertain errors again", f"{what}: {names}. {how}")
     if found.without_uncertainty:
         text = f"{listed(found.without_uncertainty)}: the calibration gives a value but no uncertainty."

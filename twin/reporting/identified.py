@@ -12,10 +12,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from twin._common.errors import InputError
 from twin._common.files import read_json
 from twin.machine.calibration import Calibration
+from twin.measurement.instruments import INSTRUMENTS
 
 SCHEMA: Final = "twin.identification/1"
 POINTS: Final = 201
 """Number of points at which `twin identify` evaluates a curve for its peak."""
+DOUBTFUL: Final = 4.0
+"""Reduced chi² above which residuals are more than an understated noise: twice the stated one."""
 SAME: Final = 1e-6
 """Relative tolerance for equal numbers; files hold all digits, so a larger difference means another estimate."""
 
@@ -70,6 +73,13 @@ class Row(_Model):
 
 
 @final
+class StationEntry(_Model):
+    """The instrument of a station; empty in files of older versions."""
+
+    instrument: str = ""
+
+
+@final
 class IdentificationFile(_Model):
     """The part of the output of `twin identify --json` that a machine report uses."""
 
@@ -80,6 +90,7 @@ class IdentificationFile(_Model):
     uncertainty: str
     errors: tuple[IdentifiedError, ...]
     not_identifiable: tuple[NotIdentifiableEntry, ...]
+    stations: dict[str, StationEntry] = {}
     misfit: Misfit
     set_aside: tuple[Row, ...]
     notices: tuple[str, ...]
@@ -105,6 +116,19 @@ class Identified:
     def orders(self) -> dict[str, int]:
         """Order of every identified curve, by name."""
         return {one.name: one.order for one in self.file.errors if one.order is not None}
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the residuals are several times the stated noise, without repeats that show whether the noise is the reason."""
+        fit = self.file.misfit
+        return fit.lack_of_fit_p_value is None and fit.reduced_chi2 is not None and fit.reduced_chi2 > DOUBTFUL
+
+    @property
+    def relative_instrument(self) -> str | None:
+        """Name of the instrument that measured the tool relative to the table, if there is no other."""
+        names = {one.instrument for one in self.file.stations.values()}
+        relative = {one.name for one in INSTRUMENTS if one.specification.set_up.station_place}
+        return names.pop() if len(names) == 1 and names <= relative else None
 
     @property
     def rows(self) -> tuple[tuple[int, str], ...]:

@@ -16,6 +16,8 @@ The tests with their runs, and the keys of their values in the JSON and for tole
 - Straightness, ISO 230-1:2012: a linear axis, with coordinates across its travel. `E_YX` about the least-squares line, `E_YX_EP` about
   the end-point line, `E_YX_MZ` minimum zone.
 - Squareness, ISO 230-1:2012: two linear axes with one target and station. `E_C0Y`, `E_C0Y_EP`, `E_C0Y_MZ`.
+- Angular error, ISO 230-1:2012: a linear axis, with the angles of a level or an autocollimator. `E_AX`, also with `_forward` (↑),
+  `_backward` (↓) and `_reversal`.
 - Circular test, ISO 230-4: two linear axes on a circle; coordinates, or a ball bar's length in `x_mm`. `G_b`, `H`, `D`, `G`;
   `G_forward`, `F_max_forward`, `F_min_forward` (counter-clockwise) and `_backward` (clockwise).
 - Rotary error motion, ISO 230-7:2015: one rotary axis over a turn, three coordinates. `total`, `synchronous`, `asynchronous`,
@@ -27,9 +29,14 @@ The tests with their runs, and the keys of their values in the JSON and for tole
 least-squares line. The angle of a rotary axis is that of a target about its least-squares circle, over at least 90°. Fewer targets
 or cycles than clause 4.3 requires are evaluated and reported; with a single cycle R and A are not determined.
 
-**Circular tests.** A circle is fitted to the commands; coordinates are aligned to it by a rigid motion, so that squareness and scale
-errors stay. G and G(b) are minimum zones. F and D need absolute lengths, or with a ball bar its nominal length (`--length`), from which
-its readings count. H belongs to the edition of 1996; those of 2005 and 2022 have G(b). The definitions come from the public
+**Angular errors.** Columns `a_urad` and `b_urad` are rotations about x and y of the station's frame, which is taken as parallel to the
+machine's unless the table gives its pose. `E_AX` is the range of the deviations over both directions of motion, each the mean of the
+readings at a position. No slope is removed. Straightness is not computed from angles: they are those of the carriage, not of its path.
+
+**Circular tests.** A circle is fitted to the commands; coordinates are aligned to it by a rigid motion, so that squareness and
+scale errors stay. G and G(b) are minimum zones. F and D need absolute lengths. Those of a ball bar count from its nominal length:
+that of the table's comment (`# ball bar length: 150 mm`) or `--length`, else the radius of the commands; readings near zero are
+deviations from it. H belongs to the edition of 1996; those of 2005 and 2022 have G(b). The definitions come from the public
 abstracts and from publications, not from the text of the standard.
 
 **Rotary error motions.** A target within 1 mm of the axis gives radial and axial error motion in the directions of the station's

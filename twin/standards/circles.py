@@ -20,17 +20,19 @@ from twin.standards.words import place_of
 CIRCULAR: Final = "ISO 230-4:2005 and 2022, clause 3 (H: 1996)"
 LARGEST_OFFSET_MM: Final = 1.0
 """Difference of the mean length from the nominal radius up to which a length is absolute."""
+BAR_CENTRE: Final = (
+    "radii are the lengths of the table (ball bar); its centre pivot is taken to be at the circle's centre"
+)
 NOT_VERIFIED: Final = "definitions from public abstracts and publications, not checked against the text of the standard"
 
 
-def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray, length_mm: float | None = None) -> StandardTest:
+def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> StandardTest:
     """Evaluate a circular test.
 
     Args:
         run: a run of two linear axes on a circle.
         machine: the machine.
         u_mm: (n, 3) standard uncertainties of its readings.
-        length_mm: nominal length of the ball bar, the nominal radius of lengths; the radius of the commands if None.
 
     Raises:
         NotPossible: too little of the circle was read.
@@ -40,8 +42,11 @@ def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray, length_mm:
     angle = np.arctan2(*(run.positions - centre).T[::-1]) / DEG
     length_only = run.read.tolist() == [True, False, False]
     remarks = [NOT_VERIFIED]
-    radius = _lengths(run, length_mm, remarks) if length_only else _radii(run, centre)
-    nominal = length_mm if length_only and length_mm is not None else commanded
+    if length_only:
+        remarks.append(BAR_CENTRE)
+    radius = np.asarray(run.data.point_mm[:, 0]) if length_only else _radii(run, centre)
+    bar_mm = float(run.data.bar_mm[0])
+    nominal = bar_mm if length_only and np.isfinite(bar_mm) else commanded
     absolute = abs(float(radius.mean()) - nominal) < LARGEST_OFFSET_MM
     if not absolute:
         remarks.append(
@@ -71,18 +76,6 @@ def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray, length_mm:
     u = float(np.sqrt(np.nanmean(column**2))) * (MM / UM) if np.isfinite(column).any() else float("nan")
     values = _values(found, u, len(run.data), absolute=absolute)
     return StandardTest("circular", "".join(names), CIRCULAR, names, place, values, tuple(remarks), found)
-
-
-def _lengths(run: MeasuredRun, length_mm: float | None, remarks: list[str]) -> np.ndarray:
-    """Return the lengths of a ball bar as radii, mm, and add what was assumed to the remarks."""
-    radius = np.asarray(run.data.point_mm[:, 0])
-    remarks.append(
-        "radii are the lengths of the table (ball bar); its centre pivot is taken to be at the circle's centre"
-    )
-    if length_mm is not None and abs(float(radius.mean())) < LARGEST_OFFSET_MM:
-        radius = radius + length_mm
-        remarks.append("lengths near zero are changes of the nominal length given")
-    return radius
 
 
 def _radii(run: MeasuredRun, centre: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -10,11 +11,13 @@ import numpy as np
 from twin._common.errors import InputError, require_type
 from twin._common.provenance import SIMULATED
 from twin.machine.machine import Machine
+from twin.measurement.bar_length import with_length
 from twin.measurement.evaluation import Straightness
 from twin.measurement.instruments import Instrument
 from twin.measurement.observation import Observation
 from twin.measurement.state import of_angles
 from twin.measurement.table import Measurements
+from twin.standards.angular import angular_tests
 from twin.standards.circles import circle_test
 from twin.standards.kinematic import kinematic_test
 from twin.standards.linear import linear_positioning, squareness_tests, straightness_tests
@@ -26,6 +29,7 @@ from twin.standards.words import place_of
 
 NO_RUN: Final = {
     "positioning": "no run in which one axis alone moves to at least three targets, or repeatedly to two",
+    "angular error": "no run of angles in which one axis alone moves to at least three positions, or repeatedly to two",
     "circular": "no run in which two linear axes move on a circle, over more than half a turn",
     "squareness": "no two linear axes measured across their travel from one station",
     "kinematic": "no run of linear and rotary axes in which the nominal point of the target stands still",
@@ -53,31 +57,30 @@ def evaluate(
         machine: the machine that was measured.
         tolerances: largest permitted values, µm or µrad, by key of the value (``A``, ``H``) or name of the test and key (``X:A``).
         instrument: instrument whose noise model gives the uncertainty of readings for which the table states none.
-        length_mm: nominal length of a ball bar, from which its radial deviations count; None for the radius of the commands.
+        length_mm: nominal length of a ball bar, from which its radial deviations count; None for that of the table, else the radius of
+            the commands.
 
     Raises:
-        InputError: a tolerance that is negative or not finite, or a length that is not positive.
+        InputError: a tolerance that is negative or not finite; a length that is not positive, or differs from that of the table.
         TypeError: arguments of another type.
     """
     _check_arguments(data, machine, tolerances or {}, length_mm)
+    data = data if length_mm is None else _with_bar_length(data, length_mm)
     angles = of_angles(data)
     runs = find_runs(data.select(~angles), machine)
 
     def uncertainty_mm(run: MeasuredRun) -> np.ndarray:
-        return reading_uncertainty_mm(run.data, instrument)
+        fitting = instrument is not None and (instrument.specification.reads == "angle") == bool(of_angles(run.data)[0])
+        return reading_uncertainty_mm(run.data, instrument if fitting else None)
 
     tests: list[StandardTest] = []
     missing: list[NotEvaluated] = []
-    if angles.any():
-        missing.append(
-            NotEvaluated("angular error motions", "readings of a level are used by `twin identify`, not evaluated here")
-        )
     _single_axes(runs, machine, uncertainty_mm, tests, missing)
+    if angles.any():
+        _angles(data.select(angles), machine, uncertainty_mm, tests, missing)
     observation = Observation(machine)
     for run in runs.circles:
-        _attempt(
-            _title("circular", run, machine), tests, missing, circle_test, run, machine, uncertainty_mm(run), length_mm
-        )
+        _attempt(_title("circular", run, machine), tests, missing, circle_test, run, machine, uncertainty_mm(run))
     for run in runs.mixed:
         _attempt(
             _title("kinematic", run, machine), tests, missing, kinematic_test, run, observation, uncertainty_mm(run)
@@ -109,6 +112,12 @@ def _check_arguments(
         raise InputError("the length of the ball bar must be positive", expected="mm, above 0", value=length_mm)
 
 
+def _with_bar_length(data: Measurements, length_mm: float) -> Measurements:
+    """Return the table with the given length of its ball bar."""
+    changed, notes = with_length(data.arrays(), length_mm)
+    return replace(data, **changed, notices=(*data.notices, *notes))
+
+
 def _single_axes(
     runs: TableRuns,
     machine: Machine,
@@ -137,6 +146,23 @@ def _single_axes(
     for run in runs.single:
         if not machine.axes[run.axes[0]].linear:
             _attempt(_title("rotary", run, machine), tests, missing, rotary_tests, run, machine, uncertainty_mm(run))
+
+
+def _angles(
+    data: Measurements,
+    machine: Machine,
+    uncertainty_mm: Uncertainties,
+    tests: list[StandardTest],
+    missing: list[NotEvaluated],
+) -> None:
+    """Add the angular errors of linear axes."""
+    runs = find_runs(data, machine).single
+    if not runs:
+        missing.append(NotEvaluated("angular error", NO_RUN["angular error"]))
+    for run in runs:
+        _attempt(
+            _title("angular error", run, machine), tests, missing, angular_tests, run, machine, uncertainty_mm(run)
+        )
 
 
 def _attempt(

@@ -13,6 +13,7 @@ from twin.display import Html, count_with_noun, figure, readable, render
 from twin.display.figures import BACKWARD, FORWARD, THIRD, embedded, new_figure, style_axes
 from twin.measurement.checks import grouped_notes
 from twin.measurement.evaluation import (
+    AngularError,
     CircularTest,
     Positioning,
     RotaryMotion,
@@ -20,6 +21,7 @@ from twin.measurement.evaluation import (
     UnidirectionalPositioning,
 )
 from twin.measurement.evaluation.plots import (
+    plot_angular_error,
     plot_circular,
     plot_error_motion,
     plot_positioning,
@@ -81,6 +83,8 @@ def _figure(test: StandardTest, *, draw: bool = True) -> Figure | bool:
         return plot_circular(detail) if draw else True
     if isinstance(detail, Straightness):
         return plot_straightness(detail) if draw else True
+    if isinstance(detail, AngularError):
+        return plot_angular_error(detail) if draw else True
     if isinstance(detail, RotaryMotion):
         return plot_error_motion(detail) if draw else True
     if isinstance(detail, np.ndarray):

@@ -15,6 +15,7 @@ from twin.display import card, count_with_noun, figure, note, readable, table
 from twin.display.numbers import COVERAGE_FACTOR, with_joined_units
 from twin.measurement.checks import grouped_notes
 from twin.measurement.evaluation import (
+    AngularError,
     CircularTest,
     Positioning,
     RotaryMotion,
@@ -73,7 +74,14 @@ class StandardValue:
 
 
 Detail = (
-    Positioning | UnidirectionalPositioning | CircularTest | Straightness | SquarenessError | RotaryMotion | np.ndarray
+    Positioning
+    | UnidirectionalPositioning
+    | CircularTest
+    | AngularError
+    | Straightness
+    | SquarenessError
+    | RotaryMotion
+    | np.ndarray
 )
 
 
@@ -83,7 +91,8 @@ class StandardTest:
     """One test of a standard.
 
     Attributes:
-        kind: ``positioning``, ``straightness``, ``squareness``, ``circular``, ``rotary error motion`` or ``kinematic``.
+        kind: ``positioning``, ``straightness``, ``squareness``, ``angular error``, ``circular``,
+            ``rotary error motion`` or ``kinematic``.
         name: axis (``X``), axes (``XY``) or error (``E_YX``); tolerances select tests by it.
         standard: standard and clause.
         axes: names of the axes that moved.

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -28,6 +28,8 @@ LASTING: Final = 0.8
 """Share of the moves up to which the same rotary axes must move for a division of an interpolated motion."""
 LARGEST_RADIUS_MM: Final = 10_000.0
 """Radius above which an arc counts as a line."""
+SAME_FEED: Final = 0.05
+"""Relative difference up to which two feeds are the same: a ball bar reports the feed that it measured in each run."""
 CIRCLE_MM: Final = 0.02
 """Distance of the commands from a circle, mm, up to which a path of two axes is a circle."""
 
@@ -223,20 +225,22 @@ def _on_circle(q: np.ndarray) -> bool:
 
 
 def _joined(circles: Sequence[MeasuredRun], machine: Machine) -> tuple[MeasuredRun, ...]:
-    """Return the circles with those of the same station, target, axes, place, radius and feed joined."""
-    groups: dict[tuple[object, ...], list[MeasuredRun]] = {}
+    """Return the circles with those of the same station, target, axes, place, radius and feed joined; a feed of 0 is unknown."""
+    groups: dict[tuple[Any, ...], list[MeasuredRun]] = {}
     for run in circles:
         centre, radius = fit_circle(run.positions)
-        feed = run.data.feed_mm_min
+        feed = float(np.median(run.data.feed_mm_min)) if np.isfinite(run.data.feed_mm_min).all() else 0.0
         key = (
             run.station,
             run.target,
             run.axes,
             tuple(np.round([*run.where.values()], DECIMALS)),
             tuple(np.round([*centre, radius], 1)),
-            float(np.median(feed)) if np.isfinite(feed).all() else None,
         )
-        groups.setdefault(key, []).append(run)
+        alike = [
+            own for own in groups if own[:-1] == key and (own[-1] == feed or abs(own[-1] - feed) < SAME_FEED * feed)
+        ]
+        groups.setdefault(alike[0] if alike else (*key, feed), []).append(run)
     joined = []
     for runs in groups.values():
         data = Measurements.join([run.data for run in runs])

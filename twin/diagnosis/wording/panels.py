@@ -122,7 +122,7 @@ def residual_panels(found: DiagnosisResult, *, after: bool = False) -> list[Pane
         sharpest = min(half for _, half in reach.values())
         shown = [label for label, (_, half) in reach.items() if half <= LEGIBLE * sharpest]
         series = tuple(_series(label, x.values[rows], values[label][rows]) for label in shown)
-        where = side(carrier) if carrier in data.carrier else "all targets"
+        where = side(carrier) if carrier in data.carrier else "all points"
         rest = "" if len(shown) == len(values) else f", {' and '.join(shown)} (measured best)"
         only = f" {shown[0]}" if len(shown) == 1 else ""
         limit = max(reach[label][0] for label in shown)
@@ -181,7 +181,7 @@ def cause_panels(found: DiagnosisResult, cause: Cause) -> list[Panel]:
     series = tuple(
         _series(name, x.values[rows], (part + left[name])[rows], part[rows]) for name, part in predicted.items()
     )
-    return [Panel(title, x.label, "shift of the targets [µm]", series, x.ticks)]
+    return [Panel(title, x.label, "shift of the points [µm]", series, x.ticks)]
 
 
 def _affected(found: DiagnosisResult, cause: Cause) -> np.ndarray:

@@ -26,6 +26,8 @@ from twin.diagnosis.wording.words import (
 Mood = Literal["well", "wrong", "unknown", "disturbed"]
 SHOWN: Final = 4
 """Causes described one by one; the rest are counted."""
+WELL_BELOW: Final = 0.8
+"""Share of the expected RMS residual below which the residuals are called less than expected."""
 COVERED: Final = 0.9
 """Ratio of the RMS residual with and without the calibration's uncertainty below which that uncertainty makes it consistent."""
 NOISY: Final = 1.2
@@ -77,8 +79,9 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     """Return headings with one or two sentences each: the effect at the tool, what to do, what to avoid."""
     causes = diagnosis.causes
     if diagnosis.verdict == "consistent":
-        why = f"as expected from measurement noise ({diagnosis.expected_rms_um:.3g} µm)"
-        if diagnosis.absorbed_rms_um < COVERED * diagnosis.rms_um:
+        less = diagnosis.rms_um < WELL_BELOW * diagnosis.expected_rms_um
+        why = f"{'less than' if less else 'as'} expected from measurement noise ({diagnosis.expected_rms_um:.3g} µm)"
+        if diagnosis.rms_um > diagnosis.expected_rms_um and diagnosis.absorbed_rms_um < COVERED * diagnosis.rms_um:
             why = (
                 f"more than measurement noise ({diagnosis.expected_rms_um:.3g} µm), but within the uncertainty stated in the "
                 "calibration"

@@ -63,10 +63,8 @@ def column(name: str) -> str:
 
 
 def side(carrier: str) -> str:
-    """Return in words which targets a statement is about."""
-    return {"tool": "targets on the tool side", "work": "targets on the work side"}.get(
-        carrier, "targets on both sides"
-    )
+    """Return in words which points a statement is about."""
+    return {"tool": "points on the tool side", "work": "points on the work side"}.get(carrier, "points on both sides")
 
 
 def listed(names: Sequence[str], *, most: int = MANY) -> str:

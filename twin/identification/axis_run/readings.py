@@ -21,7 +21,7 @@ from twin._common.files import write_atomic
 from twin._common.units import MM
 from twin.identification.axis_run.layout import AxisLayout
 from twin.measurement.checks import LARGEST_MM, RowNote, outside_axis_range
-from twin.measurement.columns import comment_lines, csv_text, number_cells, simulated_comments
+from twin.measurement.columns import comment_lines, csv_text, number_cells, refuse_contacts, simulated_comments
 
 FEWEST_BEAMS: Final = 6
 """Least number of beams that determine six motions."""
@@ -93,13 +93,15 @@ def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
     header, rows, comments = read_table(path)
     position = f"{layout.axis.name}_mm"
     needed = (position, *layout.columns)
+    line = rows[0][0] - 1 if rows else 1
+    refuse_contacts(header, needed, path, line)
     for name in needed:
         if name not in header:
             raise InputError(
                 f"column {name} is missing",
                 expected=f"columns {', '.join(needed)}",
                 file=path,
-                line=rows[0][0] - 1 if rows else 1,
+                line=line,
             )
     if not rows:
         raise InputError("no reading", expected="one row for each position below the header", file=path)

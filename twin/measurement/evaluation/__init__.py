@@ -4,6 +4,7 @@ Pure functions from arrays to named results, independent of machines and files. 
 extra ``plots`` and are imported separately.
 """
 
+from twin.measurement.evaluation.angular import AngularError, angular_error
 from twin.measurement.evaluation.circular import MotionHarmonic, RotaryMotion, error_motion
 from twin.measurement.evaluation.iso230_2 import (
     Positioning,
@@ -19,6 +20,7 @@ from twin.measurement.evaluation.squareness import SquarenessError, squareness
 from twin.measurement.evaluation.straightness import ReferenceLine, Straightness, straightness
 
 __all__ = [
+    "AngularError",
     "CircularPath",
     "CircularTest",
     "MotionHarmonic",
@@ -28,6 +30,7 @@ __all__ = [
     "SquarenessError",
     "Straightness",
     "UnidirectionalPositioning",
+    "angular_error",
     "circular_test",
     "error_motion",
     "linear_axis",

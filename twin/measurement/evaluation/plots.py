@@ -26,6 +26,7 @@ from twin.display.figures import (
     style_axes,
     text_box_style,
 )
+from twin.measurement.evaluation.angular import AngularError
 from twin.measurement.evaluation.circular import RotaryMotion as ErrorMotion
 from twin.measurement.evaluation.iso230_2 import Positioning, UnidirectionalPositioning
 from twin.measurement.evaluation.iso230_4 import CircularTest
@@ -186,6 +187,39 @@ def plot_straightness(result: Straightness, *, title: str = "") -> Figure:
     below.set(ylabel="deviation from the line [µm]", xlabel=f"{axis} position [mm]".strip())
     above.legend(bbox_to_anchor=(1.01, 1.0), **BESIDE)
     below.legend(bbox_to_anchor=(1.01, 1.0), **BESIDE, title="straightness error about", alignment="left")
+    return figure
+
+
+def plot_angular_error(result: AngularError, *, title: str = "") -> Figure:
+    """Plot an angular error: the mean angular deviation of each direction over the travel, and their range.
+
+    Args:
+        result: the evaluation.
+        title: a heading; the error motion's name if empty.
+    """
+    figure = new_figure(9.0, 4.5)
+    plot = figure.subplots()
+    style_axes(plot)
+    means = (result.forward_urad, result.backward_urad)
+    low, high = (float(end(np.concatenate(means))) for end in (np.nanmin, np.nanmax))
+    plot.axhspan(low, high, color=THIRD, alpha=0.12, linewidth=0, label=f"range {result.value_urad:.2f} µrad")
+    for mean, value, colour, marker, arrow, style in zip(
+        means,
+        (result.forward_value_urad, result.backward_value_urad),
+        (FORWARD, BACKWARD),
+        "^v",
+        "↑↓",
+        ("-", "--"),
+        strict=True,
+    ):
+        if value is not None:
+            looks: dict[str, Any] = {"color": colour, "linestyle": style, "marker": marker, "markersize": 4.0}
+            read = np.isfinite(mean)
+            plot.plot(result.position_mm[read], mean[read], **looks, label=f"mean {arrow}: {value:.2f} µrad")
+    heading = title or f"Angular error {result.name} by ISO 230-1:2012"
+    plot.set_title(heading, loc="left", fontweight="bold")
+    plot.set(xlabel=f"{result.name[-1:]} position [mm]".strip(), ylabel="angular deviation [µrad]")
+    plot.legend(bbox_to_anchor=(1.01, 1.0), **BESIDE)
     return figure
 
 

@@ -15,11 +15,10 @@ import numpy as np
 from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
-from twin.measurement.columns import simulated_comments
+from twin.measurement.columns import CONTACT_COLUMNS, simulated_comments
 from twin.measurement.contacts import linear_columns
 from twin.measurement.formats.base import ContactRow, Conversion, FormatSpecification, Given, MeasuredFormat, reduced
 
-CONTACT: Final = ("contact_x_mm", "contact_y_mm", "contact_z_mm")
 DIRECTION: Final = ("direction_x", "direction_y", "direction_z")
 
 
@@ -41,7 +40,7 @@ class ContactTable(MeasuredFormat):
     def recognises(self, text: str) -> bool:
         """See `MeasuredFormat.recognises`."""
         header = next((line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")), "")
-        return CONTACT[0] in [cell.strip() for cell in header.split(",")]
+        return CONTACT_COLUMNS[0] in [cell.strip() for cell in header.split(",")]
 
     def read(self, path: Path, machine: Machine, given: Given, round_name: str) -> Conversion:
         """See `MeasuredFormat.read`."""
@@ -49,12 +48,16 @@ class ContactTable(MeasuredFormat):
         rotary = [f"{machine.axes[i].name}_deg" for i in machine.rotary]
         optional = ("sphere", "round", *DIRECTION, *rotary)
         cells = Cells(path, {name: i for i, name in enumerate(header)}, rows)
-        missing = [name for name in CONTACT if name not in header]
+        missing = [name for name in CONTACT_COLUMNS if name not in header]
         if missing or (0 < sum(name in header for name in DIRECTION) < 3):
             absent = ", ".join(missing or [name for name in DIRECTION if name not in header])
-            raise InputError(f"column {absent} is missing", expected=", ".join((*CONTACT, *optional)), file=path)
+            raise InputError(
+                f"column {absent} is missing", expected=", ".join((*CONTACT_COLUMNS, *optional)), file=path
+            )
         names = [machine.axes[i].name for i in linear_columns(machine)]
-        columns = dict(zip(names, CONTACT, strict=True)) | {name[:-4]: name for name in rotary if name in header}
+        columns = dict(zip(names, CONTACT_COLUMNS, strict=True)) | {
+            name[:-4]: name for name in rotary if name in header
+        }
         values = {axis: cells.numbers(column) for axis, column in columns.items()}
         for axis, column in columns.items():
             for i in np.flatnonzero(~np.isfinite(values[axis])):
@@ -71,7 +74,7 @@ class ContactTable(MeasuredFormat):
             )
             for i, (line, _) in enumerate(rows)
         ]
-        known = {*CONTACT, *optional}
+        known = {*CONTACT_COLUMNS, *optional}
         notes = [unused_column_note(name, sorted(known)) for name in header if name not in known]
         found = reduced(contacts, path, machine, given, simulated=bool(simulated_comments(comments)))
         return found.with_notes(*notes)

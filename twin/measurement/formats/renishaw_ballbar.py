@@ -107,7 +107,6 @@ class RenishawBallbar(MeasuredFormat):
                 f"assumed: the readings are in {', '.join(found)}, {named}",
                 f"assumed: first reading at {given.start_deg:g}° from +{circle.axes[0]}, last after {given.sweep_deg:g}°, equal steps",
                 *sorted(notes),
-                f"nominal length {circle.length_mm:g} mm",
             ),
         )
 
@@ -260,6 +259,7 @@ def _run(
         point_mm=read_only(point),
         approach=read_only(approach),
         feed_mm_min=read_only(np.full(n, _feed(run, circle, path))),
+        bar_mm=read_only(np.full(n, circle.length_mm)),
     )
     counted = "the length itself" if absolute else f"deviations from the nominal length {circle.length_mm:g} mm"
     return table, f"assumed: the readings are {counted}"

@@ -8,7 +8,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.measurement.instruments.base import InstrumentSpecification, LengthReading
+from twin.measurement.instruments.base import InstrumentSpecification, LengthReading, SetUpWords
 
 BALL_BAR: Final = InstrumentSpecification(
     name="ball-bar",
@@ -20,6 +20,13 @@ BALL_BAR: Final = InstrumentSpecification(
     effects=("frame_shift", "target_shift", "time_skew"),
     source="data sheet of the Renishaw QC20: ±(0.7 µm + 0.3 % of the deviation), taken as two standard deviations",
     range_mm=2000.0,
+    nominal_length=True,
+    set_up=SetUpWords(
+        station="place of",
+        target="offset of",
+        station_place="the pivot's place on the table (station_x_mm …)",
+        target_place="the ball's offset from the spindle nose (place_x_mm …)",
+    ),
 )
 
 

@@ -26,6 +26,23 @@ line of 1 m that turns with the target about the station's origin."""
 
 @final
 @dataclass(frozen=True)
+class SetUpWords:
+    """Words for the parts of an instrument's set-up: the columns ``station`` and ``target`` of the table name them.
+
+    Attributes:
+        station, target: what precedes the name of a station or target.
+        station_place: what to enter so that the station's place is known; empty if that is not practical.
+        target_place: what to enter so that the targets' places are known.
+    """
+
+    station: str = "station"
+    target: str = "target"
+    station_place: str = ""
+    target_place: str = "the targets' places (place_x_mm …)"
+
+
+@final
+@dataclass(frozen=True)
 class InstrumentSpecification:
     """Description of an instrument.
 
@@ -38,6 +55,8 @@ class InstrumentSpecification:
         rides_on: sides on which its station can ride. Readings are of the target in the station's frame.
         range_mm: largest reading.
         beam: whether it measures along and across a beam, with different uncertainties.
+        nominal_length: whether it has a nominal length, from which its readings may be deviations.
+        set_up: words for the parts of its set-up.
         source: where its default uncertainty comes from.
         effects: instrument errors that a diagnosis may look for (names of effects).
     """
@@ -52,6 +71,8 @@ class InstrumentSpecification:
     source: str
     range_mm: float = np.inf
     beam: bool = True
+    nominal_length: bool = False
+    set_up: SetUpWords = SetUpWords()
 
     @property
     def turns(self) -> bool:

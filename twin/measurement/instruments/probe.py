@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, final
 
-from twin.measurement.instruments.base import InstrumentSpecification, IsotropicNoise
+from twin.measurement.instruments.base import InstrumentSpecification, IsotropicNoise, SetUpWords
 
 PROBE: Final = InstrumentSpecification(
     name="probe",
@@ -17,6 +17,12 @@ PROBE: Final = InstrumentSpecification(
     effects=("frame_shift", "target_shift", "probe_lobing"),
     source="assumed: repeatability of touch-trigger probes (0.25 to 1 µm in one direction, data sheets) and lobing after averaging",
     beam=False,
+    set_up=SetUpWords(
+        station="tip of",
+        target="place of",
+        station_place="the tip's offset from the spindle nose (station_x_mm …)",
+        target_place="the spheres' places on the table (place_x_mm …)",
+    ),
 )
 
 

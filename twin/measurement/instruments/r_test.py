@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, final
 
-from twin.measurement.instruments.base import InstrumentSpecification, IsotropicNoise
+from twin.measurement.instruments.base import InstrumentSpecification, IsotropicNoise, SetUpWords
 
 R_TEST: Final = InstrumentSpecification(
     name="r-test",
@@ -18,6 +18,12 @@ R_TEST: Final = InstrumentSpecification(
     source="assumed: 0.5 to 1 µm for a measuring range of some millimetres (Weikert 2004, CIRP Annals 53, 429)",
     range_mm=10.0,
     beam=False,
+    set_up=SetUpWords(
+        station="place of",
+        target="offset of",
+        station_place="the nest's place on the table (station_x_mm …)",
+        target_place="the ball's offset from the spindle nose (place_x_mm …)",
+    ),
 )
 
 

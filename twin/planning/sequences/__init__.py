@@ -13,7 +13,7 @@ from twin.planning.sequences.best import BEST
 from twin.planning.sequences.circles import CIRCLES
 from twin.planning.sequences.contacts import ContactPose, contact_poses
 from twin.planning.sequences.expectation import Expectation, expectation, minutes_of, sequence_table
-from twin.planning.sequences.interpolation import INTERPOLATION
+from twin.planning.sequences.interpolation import INTERPOLATION, NOT_DESCRIBED
 from twin.planning.sequences.reach import Reached, apart_clearance, clearance_of, default_place, reach
 from twin.planning.sequences.specification import (
     SET_UPS,
@@ -32,12 +32,17 @@ def sequence_named(name: str | None, instrument: str) -> MeasuringSequence:
     """Return the sequence of a name for an instrument; the default one if None.
 
     Raises:
-        InputError: no sequence for this instrument has this name.
+        InputError: no sequence for this instrument has this name, or it is a test of which there is no public description.
     """
     known = [one for one in SEQUENCES if instrument in one.instruments]
     names = [one.name for one in known]
     if name is None and known:
         return known[0]
+    if name is not None and name.lower() in NOT_DESCRIBED:
+        raise InputError(
+            f"test {name.upper()} of ISO 10791-6 is not included: no public description says {NOT_DESCRIBED[name.lower()]}",
+            expected=f"one of {', '.join(names)}" if names else f"an instrument among {', '.join(SET_UPS)}",
+        )
     if name not in names:
         raise InputError(
             f"no such sequence for instrument {instrument}",

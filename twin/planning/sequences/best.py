@@ -14,7 +14,7 @@ from twin.identification.setup import SetUp
 from twin.measurement.instruments import StationInstruments
 from twin.planning.aims import LinearAim
 from twin.planning.design import Exchange
-from twin.planning.sequences.expectation import minutes_of, sequence_table, with_nominal_readings
+from twin.planning.sequences.expectation import minutes_of, seconds_of, sequence_table, with_nominal_readings
 from twin.planning.sequences.reach import reach
 from twin.planning.sequences.specification import MeasuringSequence, SequencePoints, SequenceTask
 
@@ -34,7 +34,7 @@ ATTEMPTS: Final = 4
 
 def _points(task: SequenceTask) -> SequencePoints:
     reached = reach(task, _grid(task))
-    candidates = reached.points
+    candidates = _with_time(task, reached.points)
     if len(candidates) < FEWEST:
         why = ", ".join(f"{name}: {count}" for name, count in reached.dropped.items())
         raise InputError(
@@ -53,7 +53,7 @@ def _points(task: SequenceTask) -> SequencePoints:
         chosen = exchange.choose(count, rng.permutation(len(candidates)), min(FEWEST, count))
         ordered = _ordered(task, candidates.select(chosen))
         needed = minutes_of(task.machine, task.kit, sequence_table(task, ordered))
-        set_up = len(task.places_mm) * task.kit.seconds.station / 60.0
+        set_up = len(set(ordered.place)) * task.words.set_up_s / 60.0
         each = (needed - set_up) / count
         fitting = int(np.clip((task.minutes - set_up) / each, 0, min(len(candidates), MOST)))
         if needed <= task.minutes and fitting <= count:
@@ -71,6 +71,16 @@ def _points(task: SequenceTask) -> SequencePoints:
             value=task.minutes,
         )
     return ordered
+
+
+def _with_time(task: SequenceTask, points: SequencePoints) -> SequencePoints:
+    """Return the points at as many of the places as the time allows to set up with the fewest poses, in their order."""
+    if not len(points):
+        return points
+    names = [name for name in task.places_mm if np.any(points.place == name)]
+    each = float(seconds_of(task.machine, task.kit, sequence_table(task, points)).mean())
+    affordable = int((60.0 * task.minutes - FEWEST * each) / task.words.set_up_s)
+    return points.select(np.isin(points.place, names[: max(affordable, 1)]))
 
 
 def _grid(task: SequenceTask) -> SequencePoints:

@@ -58,6 +58,7 @@ def sequence_table(task: SequenceTask, points: SequencePoints) -> Measurements:
         place_mm=read_only(target),
         station_pose=read_only(np.concatenate([reader, np.zeros((n, 3))], axis=1)),
         feed_mm_min=read_only(np.full(n, task.sizes.feed_mm_min if _along_path(task.instrument) else np.nan)),
+        bar_mm=read_only(np.full(n, task.sizes.bar_mm if task.instrument.specification.nominal_length else np.nan)),
     )
     return replace(table, time_s=read_only(np.round(np.cumsum(seconds_of(task.machine, task.kit, table)), 1)))
 
@@ -100,7 +101,7 @@ def seconds_of(machine: Machine, kit: Kit, table: Measurements) -> np.ndarray:
 def minutes_of(machine: Machine, kit: Kit, table: Measurements) -> float:
     """Return the minutes that a plan takes, set-up of each part on the table included."""
     parts = len({*table.target, *table.station}) - 1
-    return (float(seconds_of(machine, kit, table).sum()) + parts * kit.seconds.station) / 60.0
+    return (float(seconds_of(machine, kit, table).sum()) + parts * SET_UPS[str(table.instrument[0])].set_up_s) / 60.0
 
 
 def _along_path(instrument: Instrument) -> bool:

@@ -1,11 +1,17 @@
 """Kinematic tests in the manner of ISO 10791-6: X, Y and Z follow one or both rotary axes.
 
-The ball in the spindle stays at one place on the table.
+The ball in the spindle stays at one place on the table. The text of the standard was not read. Its public scope names neither tests nor
+axes. Florussen, Houben, Spaan and Spaan-Burke (Automating Accuracy Evaluation of 5-Axis Machine Tools, 2020, abstract) use BK1 and BK2
+on machines with a trunnion or swivel table, for the average line of each rotary axis, with one ball; in BK4 all five axes move. AK1,
+AK2 and AK4 are the same motions with both rotary axes on the spindle side, by analogy. No public description was found that says which
+axes move in tests 3, or in CK (one rotary axis on each side); these are refused (`NOT_DESCRIBED`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import Final, Literal
 
 import numpy as np
@@ -13,6 +19,18 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.planning.sequences.specification import MeasuringSequence, SequencePoints, SequenceTask
 
+DESCRIBED: Final = "the abstract of Florussen et al. 2020 (R-test on trunnion machines)"
+ANALOGY: Final = "the analogous test of trunnion machines"
+NOT_DESCRIBED: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        **dict.fromkeys(("ak3", "bk3"), "which axes move in test 3, and where the sensor is"),
+        **{
+            f"ck{number}": "which axes move in the CK tests, over which ranges, and where the sensor is"
+            for number in (1, 2, 3, 4)
+        },
+    }
+)
+"""Tests of ISO 10791-6 that cannot be planned, and what no public description says about them."""
 STEPS: Final = 37
 """Number of points of a run."""
 
@@ -49,11 +67,11 @@ def _test(side: Literal["tool", "work"], number: int) -> MeasuringSequence:
     return MeasuringSequence(
         name=f"{letter.lower()}k{number}",
         title=f"{letter}K{number}: {moving} with X, Y and Z, forwards and backwards; rotary axes on the {where} side",
-        source=f"ISO 10791-6:2014, kinematic test {letter}K{number}, from public descriptions",
+        source=f"ISO 10791-6:2014, kinematic test {letter}K{number}, after {DESCRIBED if side == 'work' else ANALOGY}",
         instruments=("r-test",),
         unverified=(
             "The text of the standard was not available: which test has which axes, the ranges, the number of points, the place of the "
-            "ball, the feed and the evaluation are not verified. Tests 3 and CK are not included."
+            "ball, the feed and the evaluation are not verified."
         ),
         limits="Points are stationary: dynamic deviations of the interpolation do not show.",
         make=partial(_points, side=side, number=number),

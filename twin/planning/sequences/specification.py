@@ -16,25 +16,27 @@ from twin.planning.kit import Kit
 
 @final
 @dataclass(frozen=True)
-class SetUpWords:
+class PartNames:
     """Names of the parts of an instrument.
 
     Attributes:
         station, target: names of the station and the target in the table, without number.
         places: the parts on the table, in words (plural).
         tip: the part in the spindle, in words.
+        set_up_s: seconds for setting up one part on the table (assumed): fastening it and finding it with the axes.
     """
 
     station: str
     target: str
     places: str
     tip: str
+    set_up_s: float
 
 
 SET_UPS: Final = {
-    "probe": SetUpWords("probe", "sphere", "spheres", "tip"),
-    "r-test": SetUpWords("nest", "ball", "nests", "ball"),
-    "ball-bar": SetUpWords("pivot", "ball", "pivots", "ball"),
+    "probe": PartNames("probe", "sphere", "spheres", "tip", 180.0),
+    "r-test": PartNames("nest", "ball", "nests", "ball", 900.0),
+    "ball-bar": PartNames("pivot", "ball", "pivots", "ball", 300.0),
 }
 """Parts of each instrument that measures the tool relative to the table, by the name of the instrument."""
 
@@ -95,7 +97,7 @@ class SequenceTask:
     Attributes:
         machine: the machine.
         instrument: the instrument, one of `SET_UPS`.
-        kit: speeds, usable ranges and time of setting up; its stations and targets are not used.
+        kit: speeds and usable ranges; its stations, targets and times are not used.
         tip_mm: (3,) the tool-side part in the frame of the spindle nose.
         places_mm: the parts on the table by name, in the work frame.
         minutes: time budget, set-up included.
@@ -113,7 +115,7 @@ class SequenceTask:
     seed: int = 0
 
     @property
-    def words(self) -> SetUpWords:
+    def words(self) -> PartNames:
         """Names of the instrument's parts."""
         return SET_UPS[self.instrument.name]
 
