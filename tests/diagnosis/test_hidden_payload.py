@@ -198,6 +198,44 @@ def test_an_unknown_payload_is_found_with_the_deflecting_joints(tmp_path: Path) 
     assert before > 0.3 and off < 0.01 * before
 
 
+@pytest.fixture(scope="module")
+def unloaded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Machine, Calibration]:
+    """The calibration of the arm without a load, written and read."""
+    folder = tmp_path_factory.mktemp("arm")
+    found, machine = measured(folder, COMPLIANCE, None)
+    found.extended.save(folder / "unloaded.yaml")
+    return folder, machine, Calibration.load(folder / "unloaded.yaml", machine)
+
+
+@pytest.mark.parametrize(("mass", "seed", "poses"), [(2.5, 4, 30), (2.5, 6, 60), (0.0, 7, 30)])
+def test_a_load_is_named_by_few_loaded_poses(
+    unloaded: tuple[Path, Machine, Calibration], mass: float, seed: int, poses: int
+) -> None:
+    """A calibration without load and 30 loaded poses: the mass within its uncertainty, other loaded poses predicted."""
+    folder, machine, known = unloaded
+    rng = np.random.default_rng(seed)
+    q = np.round(rng.uniform(-HIGH, HIGH, (poses, 6)), 3)
+    carried = Carried(mass, (10.0, 0.0, 60.0))
+    at_flange = links(sagged(np.radians(q), COMPLIANCE, carried))[-1]
+    data = Measurements.load(table(folder / "loaded.csv", q, at_flange, rng), machine)
+    found = diagnose(data, machine, known)
+    if not mass:
+        assert found.verdict == "consistent"
+        return
+    payload = by_name(found)["payload", "tool"]
+    check(payload, "mass", mass)
+    found.extended.save(folder / "loaded.yaml")
+    again = Calibration.load(folder / "loaded.yaml", machine)
+    q = np.random.default_rng(9).uniform(-HIGH, HIGH, (50, 6))
+    turn, place = links(sagged(np.radians(q), COMPLIANCE, carried))[-1]
+    truth = 1e3 * (place + turn @ [0.0, 0.0, FLANGE_M])
+    off, before = (
+        np.sqrt(np.mean(np.sum((Kinematics(machine, one).forward(q).point_mm - truth) ** 2, axis=1)))
+        for one in (again, known)
+    )
+    assert off < 0.03 * before
+
+
 def test_own_weight_alone_needs_no_payload(tmp_path: Path) -> None:
     found, _ = measured(tmp_path, COMPLIANCE, None)
     causes = by_name(found)

@@ -41,6 +41,7 @@ from twin.machine.effects import (
 )
 from twin.machine.effects.empirical import channel_name, check_ranges
 from twin.machine.effects.entries import entry_of, payload_entries
+from twin.machine.effects.gravity_compliance import AddedLoad, carrying
 from twin.machine.empirical_entry import entry_of_empirical
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve, conversion_of, sum_of_curves
@@ -312,6 +313,7 @@ class Calibration:
         """
         curves, squareness, location = dict(self.curves), dict(self.squareness), dict(self.location)
         extra = list(self.extra)
+        added: dict[str, AddedLoad] = {}
         own, found = self.covariance, covariance
         motions: dict[str, list[ErrorMotion]] = {}
         for effect in effects:
@@ -322,8 +324,14 @@ class Calibration:
                 squareness[effect.name] = squareness.get(effect.name, 0.0) + effect.angle_urad
             elif isinstance(effect, AxisLocation):
                 location[effect.name] = location.get(effect.name, 0.0) + effect.offset
+            elif isinstance(effect, AddedLoad):
+                added[effect.side] = effect
             else:
                 extra.append(effect)
+        for load in added.values():
+            extra = carrying(self.machine, extra, len(self.extra), load)
+            masses = {parameter.name for parameter in load.parameters}
+            found = found.where(lambda name, masses=masses: name not in masses)  # type: ignore[misc]
         for name in [name for name in motions if name in self.curves]:
             before, basis, count = self.curves[name], curves[name].family, len(curves[name].coefficients)
             widest = max(motions[name], key=lambda motion: len(motion.coefficients))

@@ -78,6 +78,7 @@ class Candidate:
             the columns are not made from effects.
         space: functions of the columns, if the candidate is a curve.
         drift: columns at any time constant, if it is a drift.
+        reported: linear parameters → the parameters reported, if they are others; ``names`` are those of the latter.
     """
 
     specification: Specification
@@ -89,6 +90,7 @@ class Candidate:
     units: Units | None = None
     space: CurveSpace | None = None
     drift: Drift | None = None
+    reported: Callable[[np.ndarray], np.ndarray] | None = None
 
     @property
     def effect(self) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from twin.diagnosis.candidates import (
+    added_payload,
     affine_scale,
     alignment,
     curves,
@@ -25,6 +26,7 @@ from twin.measurement.table import Measurements
 
 SOURCES: Final[tuple[CandidateSource, ...]] = (
     machine_effects.SOURCE,
+    added_payload.SOURCE,
     curves.SOURCE,
     alignment.SOURCE,
     refraction_scale.SOURCE,

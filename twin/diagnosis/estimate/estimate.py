@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -230,7 +230,7 @@ def _reported(
                 transform[:, own_rows] = matrix
             transforms.append(transform)
             drift_moments.append(np.zeros_like(own) if part.moments is None else own)
-            names += [parameter.name for effect in part.effects for parameter in effect.parameters]
+            names += list(_parameters(part.effects))
         at += width
     transform = np.concatenate(transforms) if transforms else np.zeros((0, len(inverse)))
     spread = transform @ inverse @ transform.T
@@ -272,10 +272,12 @@ def _matrix(form: Form, fixed: Mapping[str, float], width: int) -> np.ndarray:
     build = form.candidate.build
     if build is None:
         return np.eye(width)
-    columns = [
-        [parameter.value for effect in build(unit, fixed) for parameter in effect.parameters] for unit in np.eye(width)
-    ]
-    return np.array(columns).T
+    return np.array([list(_parameters(build(unit, fixed)).values()) for unit in np.eye(width)]).T
+
+
+def _parameters(effects: Sequence[Effect]) -> dict[str, float]:
+    """Return the parameters of a cause by name; effects of one cause in several frames share theirs."""
+    return {parameter.name: parameter.value for effect in effects for parameter in effect.parameters}
 
 
 def _least_squares(
@@ -333,9 +335,22 @@ def _within_limits(form: Form, effect: Effect, values: np.ndarray, longest: floa
     return effect if kept is None else kept(effect, [float(v) for v in values], longest)
 
 
+def _converted(
+    reported: Callable[[np.ndarray], np.ndarray], values: np.ndarray, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the parameters reported and their covariance, to first order (GUM 5.2.2)."""
+    steps = 1e-4 * np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    slopes = np.stack(
+        [(reported(values + one) - reported(values - one)) / (2.0 * one.sum()) for one in np.diag(steps)], axis=1
+    )
+    return reported(values), slopes @ covariance @ slopes.T
+
+
 def _quantities(
     form: Form, fixed: Mapping[str, float], effects: Sequence[Effect], values: np.ndarray, covariance: np.ndarray
 ) -> tuple[Quantity, ...]:
+    if form.candidate.reported is not None:
+        values, covariance = _converted(form.candidate.reported, values, covariance)
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if _is_nonlinear(form, effects):
         return tuple(

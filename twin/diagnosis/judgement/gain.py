@@ -141,11 +141,11 @@ def error_at_tool(
 
     states = [measured if effect.history else state for effect in effects]
     whole = np.sum([moved(one, one.components(own)) for one, own in zip(effects, states, strict=True)], axis=0)
-    by_parameter = {
-        parameter.name: moved(effect, derivative)
-        for effect, own in zip(effects, states, strict=True)
-        for parameter, derivative in zip(effect.parameters, effect.derivatives(own), strict=True)
-    }
+    by_parameter: dict[str, np.ndarray] = {}
+    for effect, own in zip(effects, states, strict=True):
+        for parameter, derivative in zip(effect.parameters, effect.derivatives(own), strict=True):
+            # Effects in several frames share the parameters of an added load.
+            by_parameter[parameter.name] = by_parameter.get(parameter.name, 0.0) + moved(effect, derivative)
     known = [name for name in covariance.names if name in by_parameter]
     columns = np.stack([by_parameter[name] for name in known], axis=2)
     variance = np.sum((columns @ covariance.of(known).matrix) * columns, axis=(1, 2))

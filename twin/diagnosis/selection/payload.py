@@ -20,7 +20,7 @@ from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
 from twin.diagnosis.selection.search import Selection, select, within_limits
 from twin.machine.effects import Payload
-from twin.machine.effects.gravity_compliance import GRAVITY_COMPLIANCE, UNKNOWN_PAYLOAD, payloads_of
+from twin.machine.effects.gravity_compliance import GRAVITY_COMPLIANCE, PAYLOAD, UNKNOWN_PAYLOAD, AddedLoad, payloads_of
 from twin.machine.effects.payload import CENTRE_RANGE_MM, MASS, SIDES, Side, max_payload_kg, side_of
 from twin.machine.machine import Axis
 from twin.measurement.state import machine_state
@@ -125,12 +125,29 @@ def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> 
     best = select(candidates, () if anew else [candidates.forms[form.index] for form in before])
     for _ in range(ROUNDS):
         loads = [load for side in SIDES if (load := loaded_joints(candidates, best.forms, side)) is not None]
-        if not any([_add_payload(candidates, _significant_payload(candidates, load)) for load in loads]):
+        payloads = [_significant_payload(candidates, load) for load in loads]
+        payloads += _added_loads(candidates, best.forms)
+        if not any([_add_payload(candidates, payload) for payload in payloads]):
             break
         _exclude_free_payloads(candidates)
         known = {form.key: form for form in candidates.forms if MASS in form.variant.fixed}
         best, anew = select(candidates, [known.get(form.key, form) for form in best.forms]), False
     return within_limits(candidates, best, anew)
+
+
+def _added_loads(candidates: Candidates, forms: Sequence[Form]) -> list[Payload]:
+    """Return the loads found with the known compliances, which further compliances of that side carry as well."""
+    own = [form for form in forms if form.candidate.specification is PAYLOAD]
+    if not own:
+        return []
+    columns, values, _ = candidates.fitted(forms)
+    found = []
+    for form in own:
+        at = np.searchsorted(columns, form.columns)
+        scale = np.array([column.scale for column in form.variant.columns])
+        built = () if form.candidate.build is None else form.candidate.build(values[at] * scale, form.variant.fixed)
+        found += [effect.payload for effect in built[:1] if isinstance(effect, AddedLoad) and effect.weights[0] > 0.0]
+    return found
 
 
 def _significant_payload(candidates: Candidates, load: Load) -> Payload:

@@ -169,7 +169,7 @@ def excess_ratio_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndar
     scale = np.array([column.scale for column in form.variant.columns])
     if np.isfinite(form.candidate.largest):
         found = max(found, float(np.max((np.abs(values) - DOUBTED * u) * scale)) / form.candidate.largest)
-    if form.candidate.specification.non_negative and len(values) == 1 and values[0] < -DOUBTED * u[0]:
+    if form.candidate.specification.non_negative and values[0] < -DOUBTED * u[0]:
         return np.inf
     if form.candidate.specification.all_or_nothing:
         found = max(found, abs(float(values[0] * scale[0]) - 1.0) / max(ROUGHLY, DOUBTED * float(u[0] * scale[0])))

@@ -12,8 +12,18 @@ import numpy as np
 from twin.compute.batch import BatchFunction
 from twin.machine.chain import gravity_load
 from twin.machine.effects import places
-from twin.machine.effects.base import AlongAxis, Frame, Parameter, along
-from twin.machine.effects.payload import CENTRE_RANGE_MM, MASS, SIDES, Payload, loads, max_payload_kg, side_of
+from twin.machine.effects.base import AlongAxis, Effect, Frame, Parameter, along
+from twin.machine.effects.payload import (
+    CENTRE_RANGE_MM,
+    MASS,
+    SIDES,
+    Payload,
+    Side,
+    loads,
+    max_payload_kg,
+    side_of,
+    sum_of,
+)
 from twin.machine.effects.specification import EXTENDED, Advice, Drawing, Forms, SharedColumns, Specification, State
 from twin.machine.machine import Axis, Machine
 from twin.numerics.functions import tabulated
@@ -55,6 +65,80 @@ class GravityCompliance(AlongAxis):
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`."""
         return (along(self.axis, self._load(positions)),)
+
+
+@final
+class AddedLoad(AlongAxis):
+    """The axis deflects further, by its known compliance, under a mass that is missing from the machine description.
+
+    In a calibration it is no effect of its own: the mass joins the load of the compliance (`carrying`), without an uncertainty.
+
+    Args:
+        compliant: the deflection that is known.
+        load: positions → the (4,) loads along the axis by 1 kg and by a first moment of 1 kg·m in x, y, z (`gravity_load`).
+        side: ``tool`` or ``work``.
+        weights: (4,) mass, kg, and first moments, kg·m.
+    """
+
+    def __init__(
+        self,
+        compliant: GravityCompliance,
+        load: Callable[[Mapping[str, Any]], Sequence[Any]],
+        side: Side,
+        weights: np.ndarray,
+    ) -> None:
+        super().__init__("payload", compliant.axis)
+        self.name = f"payload:{side}"
+        self.side: Side = side
+        self.weights = weights
+        self._compliance = compliant.compliance
+        self._load = load
+
+    @property
+    def payload(self) -> Payload:
+        """The mass and its centre."""
+        mass = float(self.weights[0])
+        x, y, z = (1e3 * float(moment) / mass for moment in self.weights[1:])
+        return Payload(self.side, mass, (x, y, z))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Mass and first moments; every joint of the side has the same."""
+        names = (("mass", "kg"), *((f"moment_{letter}", "kg.m") for letter in "xyz"))
+        return tuple(
+            self._number(name, unit, float(value)) for (name, unit), value in zip(names, self.weights, strict=True)
+        )
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`."""
+        return tuple(along(self.axis, self._compliance * load) for load in self._load(positions))
+
+    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
+        """See `Effect.components`."""
+        size = sum(weight * load for weight, load in zip(self.weights, self._load(positions), strict=True))
+        return along(self.axis, self._compliance * size)
+
+
+def carrying(machine: Machine, extra: Sequence[Effect], known: int, added: AddedLoad) -> list[Effect]:
+    """Return effects whose compliances on the side of an added load carry it.
+
+    Args:
+        machine: the machine.
+        extra: the effects of a calibration.
+        known: number of those whose load does not contain it yet; a payload that they already carry is combined with it. The
+            compliances after them were found together with the load.
+        added: the load.
+    """
+    found: list[Effect] = list(extra)
+    whole = added.payload
+    for k, one in enumerate(found):
+        if not isinstance(one, GravityCompliance) or side_of(one.axis) != added.side:
+            continue
+        if k < known:
+            whole = sum_of((*(own for own in one.payloads if own.side == added.side), added.payload))
+        others = tuple(own for own in one.payloads if own.side != added.side)
+        found[k] = gravity_compliance(machine, one.axis.name, one.compliance, (*others, whole))
+    return found
 
 
 def _unit(axis: Axis) -> str:
@@ -167,6 +251,7 @@ PAYLOAD: Final = Specification(
     ),
     evidence=lambda fit: f"the {fit.where} side carries a mass that is missing from the URDF; joints deflect under it",
     parameters=("mass", "centre_x_mm", "centre_y_mm", "centre_z_mm"),
+    non_negative=True,
     places=lambda machine: SIDES,
     expected=lambda machine: "tool or work",
     candidates=lambda machine, state: ([], []),

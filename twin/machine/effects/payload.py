@@ -82,6 +82,13 @@ def loads(payloads: Sequence[Payload]) -> np.ndarray:
     return np.asarray(np.eye(9)[0] + sum((payload.weights for payload in payloads), np.zeros(9)))
 
 
+def sum_of(payloads: Sequence[Payload]) -> Payload:
+    """Return one payload with the mass and the first moments of several on one side."""
+    mass = sum(one.mass_kg for one in payloads)
+    x, y, z = (sum(one.mass_kg * one.centre_mm[i] for one in payloads) / mass for i in range(3))
+    return Payload(payloads[0].side, mass, (x, y, z))
+
+
 def side_of(axis: Axis) -> Side:
     """Return the side whose payload an axis carries."""
     return "tool" if axis.side == "tool" else "work"
