@@ -12,7 +12,11 @@ from tests.truth.machine import TruthMachine, carried
 
 TIP = np.array([0.0, 0.0, -150.0])
 START = datetime(2026, 3, 2, 7, 30)
-SPHERES = {"S1": np.array([120.0, 10.0, 60.0]), "S2": np.array([-70.0, 110.0, 90.0]), "S3": np.array([-60.0, -105.0, 75.0])}
+SPHERES = {
+    "S1": np.array([120.0, 10.0, 60.0]),
+    "S2": np.array([-70.0, 110.0, 90.0]),
+    "S3": np.array([-60.0, -105.0, 75.0]),
+}
 POSES = [(b, c) for b in (0.0, 30.0, 60.0) for c in (0.0, 90.0, 180.0, 270.0)]
 NOISE_MM = 0.0003
 """Noise of each coordinate of a sphere's centre."""
@@ -82,7 +86,8 @@ def write_folder(
     day = START
     for i in range(checks):
         truth.squareness, truth.location = (
-            {name: value + rng.normal(0.0, repeatability) for name, value in own.items()} for own in (squareness, location)
+            {name: value + rng.normal(0.0, repeatability) for name, value in own.items()}
+            for own in (squareness, location)
         )
         degrees = temperatures(i)
         deviation(i, truth, degrees)

@@ -24,8 +24,8 @@ FALSE_ALARM_SHARE: Final = 0.05
 def levels(findings: Sequence[Finding], checks: Sequence[Check]) -> tuple[np.ndarray, np.ndarray]:
     """Return the deviations of the errors at the last check, and their covariance.
 
-    The instrument's uncertainty of one check may be common to all checks, so it is not reduced by their number. The scatter between
-    checks beyond it is.
+    The instrument's uncertainty of one check may be common to all checks, so it is not reduced by their number. The
+    standard deviation between checks beyond it is.
 
     Returns:
         (k,) deviations and (k, k) covariance, µm, µrad and µm/m.
@@ -40,7 +40,7 @@ def levels(findings: Sequence[Finding], checks: Sequence[Check]) -> tuple[np.nda
             ]
             found[i, j] = float(np.mean(common)) if common else 0.0
         own = float(np.mean(one.series.u**2))
-        between = max(one.scatter**2 - own, 0.0) if np.isfinite(one.scatter) else 0.0
+        between = max(one.repeatability**2 - own, 0.0) if np.isfinite(one.repeatability) else 0.0
         found[i, i] += between * float(np.sum(one.weights**2))
     return value, _positive(found)
 

@@ -1,13 +1,13 @@
-"""What changed in the series of one error: step or drift, since when, by how much, and whether a temperature explains it.
+"""The change in the series of one error: step or drift, its date and size, and whether a temperature explains it.
 
 The date of a change is estimated by maximum likelihood over all dates, its 95 % interval by the profile likelihood: all dates with
 dof (RSS − RSS_min)/RSS_min ≤ 7.35. This limit holds for a small change; for a large one the interval is too wide, never too narrow
 (Hansen 2000, table 1).
 
-A change counts as one of the machine if it is evident even if any one of the temperature sensors may have any linear influence: of the
-e-processes with each sensor among the nuisance columns, the least must pass the limit. If only the test without temperature passes it,
-the likelihoods decide: a temperature explains the series if it is `RATIO` times as likely as every step and every drift. Otherwise the
-series is undecided: time and temperature changed together.
+A change counts as one of the machine if it is evident even if any one of the temperature sensors may have any linear influence: of
+the e-processes with each sensor among the nuisance columns, the least must pass the limit. If only the test without temperature
+passes it, the likelihoods decide: a temperature explains the series if it is `RATIO` times as likely as every step and every drift.
+Otherwise the series is undecided: time and temperature changed together.
 
 B. E. Hansen: Sample splitting and threshold estimation, Econometrica 68 (2000) 575-603.
 """
@@ -35,9 +35,9 @@ LEAST_SHARE: Final = 0.8
 LEAST_RANGE_K: Final = 0.2
 """Range of a temperature, K, below which it is not considered."""
 LEAST_NOISE: Final = 0.1
-"""Least scatter between checks, relative to the instrument's stated noise: equal readings do not mean that there is none."""
+"""Least standard deviation between checks, relative to the instrument's stated noise: equal readings do not mean that there is none."""
 FIRST_CHECKS: Final = 6
-"""Number of checks from which the scatter between checks is estimated where their instruments' noise differs."""
+"""Number of checks from which the repeatability is estimated where their instruments' noise differs."""
 
 
 @final
@@ -83,7 +83,7 @@ class Series:
 
     @property
     def sd(self) -> np.ndarray:
-        """(n,) standard deviation of each check: instrument noise and the scatter between the first checks."""
+        """(n,) standard deviation of each check: instrument noise and the standard deviation between the first checks."""
         first = slice(0, FIRST_CHECKS)
         basis, rank = remover(self.levels[first])
         residual = self.value[first] - basis @ (basis.T @ self.value[first])
@@ -122,7 +122,7 @@ class Change:
 @final
 @dataclass(frozen=True)
 class TemperatureEffect:
-    """A linear influence of a temperature: coefficient per kelvin with U (95 %, Student), and its likelihood ratio to the best change."""
+    """A linear influence of a temperature: coefficient per kelvin with U (95 %, Student), log likelihood ratio to the best change."""
 
     sensor: str
     per_kelvin: float
@@ -133,7 +133,7 @@ class TemperatureEffect:
 @final
 @dataclass(frozen=True)
 class Finding:
-    """What a series shows.
+    """The finding in a series.
 
     Attributes:
         series: the series.
@@ -143,10 +143,10 @@ class Finding:
         alarm: index into the series of the check that first passed the limit; None if none did.
         change: the most likely change; None for a steady series.
         temperatures: the sensors that explain a series that follows one, or is undecided; the first is the most likely.
-        scatter: standard deviation of one check about the model of the verdict; NaN if unknown.
+        repeatability: standard deviation of one check about the model of the verdict; NaN if unknown.
         level: deviation from the calibration at the last check, by that model.
         weights: (n,) of the checks in that level.
-        level_factor: Student's factor for 95 %; NaN if unknown.
+        fitted: (n,) that model at every check.
     """
 
     series: Series
@@ -156,27 +156,37 @@ class Finding:
     alarm: int | None
     change: Change | None
     temperatures: tuple[TemperatureEffect, ...]
-    scatter: float
+    repeatability: float
     level: float
     weights: np.ndarray
-    level_factor: float
+    fitted: np.ndarray
 
     @property
     def alarming(self) -> bool:
-        """Whether the verdict is an alarm: a change, or one that cannot be told from a temperature."""
+        """Whether the verdict is an alarm: a change, or one that a temperature could explain."""
         return self.verdict in ("changed", "undecided")
 
 
 @final
 @dataclass(frozen=True)
 class _Fit:
-    """Weighted least squares: coefficients, their covariance per unit variance, sum of squares, degrees of freedom, hat row of the end."""
+    """Weighted least squares.
+
+    Attributes:
+        value: coefficients.
+        cofactor: their covariance per unit variance.
+        rss: weighted sum of squares of the residuals.
+        dof: degrees of freedom.
+        weights: (n,) of the values in the fit of the last one.
+        fitted: (n,) the fit.
+    """
 
     value: np.ndarray
     cofactor: np.ndarray
     rss: float
     dof: int
     weights: np.ndarray
+    fitted: np.ndarray
 
 
 def examine(series: Series, limit: float) -> Finding:
@@ -223,7 +233,7 @@ def examine(series: Series, limit: float) -> Finding:
         float(np.sqrt(variance * np.mean(sd**2))),
         float(fit.weights @ series.value),
         read_only(fit.weights),
-        float(student.ppf((1.0 + COVERAGE) / 2.0, fit.dof)) if fit.dof > 0 else np.nan,
+        read_only(fit.fitted),
     )
 
 
@@ -251,7 +261,9 @@ def _fit(value: np.ndarray, sd: np.ndarray, columns: np.ndarray) -> _Fit:
     found = inverse @ (value / sd)
     residual = value / sd - x @ found
     dof = len(value) - int(np.linalg.matrix_rank(x, tol=1e-9 * np.abs(x).max()))
-    return _Fit(found, inverse @ inverse.T, float(residual @ residual), dof, columns[-1] @ inverse / sd)
+    return _Fit(
+        found, inverse @ inverse.T, float(residual @ residual), dof, columns[-1] @ inverse / sd, columns @ found
+    )
 
 
 def _with_best_sensor(

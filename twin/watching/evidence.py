@@ -2,24 +2,28 @@
 
 The test statistic is an e-process: the likelihood ratio of "something changed" to "nothing changed", averaged over the possible
 changes. While nothing changed its expectation is one, so it exceeds 1/α at any time with a probability of at most α (Ville's
-inequality). Nobody needs to fix the number of looks before, and a further look costs nothing. The spending of the alarm rate is over the
-dates of the change instead of over the looks: the change after check c has the share w_c = a/((a + c − 1)(a + c)) of it, and all shares
-sum to one. A group sequential boundary (Lan and DeMets 1983) would need the last look, or an information time, which a watch does not
-have; and its levels would have to be computed anew for every repeatability.
+inequality). The number of looks need not be fixed in advance, and a further look costs nothing. The alarm rate is spent over the
+dates of the change instead of over the looks: the change after check c has the share w_c = a/((a + c − 1)(a + c)) of it, and all
+shares sum to one. A group sequential boundary (Lan and DeMets 1983) would need the last look, or an information time, which a watch
+does not have; and its levels would have to be computed anew for every repeatability.
 
-Neither the level nor the scatter of the checks is known. Both are eliminated: the ratio is that of the data reduced by invariance to
-shift and scale (right Haar priors, as in a t-test), for which the bound is exact for normal deviations of unknown variance
-(Pérez-Ortiz et al. 2024; Lai 1976). Further nuisance columns are eliminated in the same way: the level of each kind of check, and
-a temperature with an unknown coefficient. The change is a step, or a drift from its date on; its size in standard deviations has normal
-priors of several widths (Robbins 1970).
+Neither the level nor the repeatability of the checks is known. Both are eliminated: the ratio is that of the data reduced by
+invariance to shift and scale (right Haar priors, as in a t-test), for which the bound is exact for normal deviations of unknown
+variance (Pérez-Ortiz et al. 2024; Lai 1976). Further nuisance columns are eliminated in the same way: the level of each kind of
+check, and a temperature with an unknown coefficient. The change is a step, or a drift from its date on; its size in standard
+deviations has normal priors of several widths (Robbins 1970).
 
-The floor of the scatter (`least`) is the instrument's noise. It only makes the ratio smaller, so the bound is kept.
+The floor of the variance (`least`) is a small part of the instrument's. It only makes the ratio smaller, so the bound is kept.
 
-K. K. G. Lan, D. L. DeMets: Discrete sequential boundaries for clinical trials, Biometrika 70 (1983) 659-663.
-H. Robbins: Statistical methods related to the law of the iterated logarithm, Ann. Math. Statist. 41 (1970) 1397-1409.
-T. L. Lai: On confidence sequences, Ann. Statist. 4 (1976) 265-280.
-M. F. Pérez-Ortiz, T. Lardy, R. de Heide, P. D. Grünwald: E-statistics, group invariance and anytime-valid testing, Ann. Statist. 52
-(2024) 1410-1432.
+K.
+K.
+G. Lan, D. L. DeMets: Discrete sequential boundaries for clinical trials, Biometrika 70 (1983) 659-663.
+H. Robbins: Statistical
+methods related to the law of the iterated logarithm, Ann. Math. Statist. 41 (1970) 1397-1409.
+T.
+L. Lai: On confidence sequences,
+Ann. Statist. 4 (1976) 265-280. M. F. Pérez-Ortiz, T. Lardy, R. de Heide, P. D. Grünwald: E-statistics, group invariance and
+anytime-valid testing, Ann. Statist. 52 (2024) 1410-1432.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a watch remembers: one SQLite file beside the folder, with the checks that were read and the statements that were made.
+"""The memory of a watch: one SQLite file beside the folder, with the checks that were read and the statements that were made.
 
 The file is read whole, changed in memory and replaced atomically, so that a run that is stopped leaves the old file.
 
@@ -34,7 +34,7 @@ CREATE TABLE statements (watch TEXT, said_at TEXT, checks INTEGER, spent REAL, v
 @final
 @dataclass(frozen=True)
 class WatchKey:
-    """What makes a watch: the same machine, calibration, alarm rate and first day.
+    """Identity of a watch: the same machine, calibration, alarm rate and first day.
 
     Attributes:
         id: digest of all of them.
@@ -54,7 +54,7 @@ class WatchKey:
 @final
 @dataclass(frozen=True)
 class Statement:
-    """What was said after a look.
+    """A statement after a look.
 
     Attributes:
         said_at: ISO 8601.
@@ -74,7 +74,7 @@ class Statement:
 @final
 @dataclass(frozen=True)
 class Remembered:
-    """What is remembered of one watch, and how many other watches the file holds."""
+    """The memory of one watch, and how many other watches the file holds."""
 
     checks: tuple[Check, ...]
     statements: tuple[Statement, ...]

@@ -30,7 +30,7 @@ def date_text(day: float) -> str:
 @final
 @dataclass(frozen=True)
 class Watch:
-    """What a folder of checks shows about a machine and its calibration.
+    """The result of a watch.
 
     Attributes:
         folder, memory: the folder, and the file beside it that remembers.
@@ -138,17 +138,6 @@ class Watch:
             "notices": list(self.notices),
         }
 
-    def to_text(self) -> str:
-        """Return the result as text."""
-        from twin.watching.words import text_of  # it describes this class
-
-        return text_of(self)
-
-    def _repr_html_(self) -> str:
-        from twin.watching.words import card_of  # it describes this class
-
-        return card_of(self)
-
 
 def _day(change: Change | None) -> float:
     return np.inf if change is None else change.day
@@ -167,7 +156,7 @@ def _finding(found: Finding, checks: tuple[Check, ...]) -> dict[str, Any]:
             for one in found.temperatures
         ],
         "deviation_now": json_form(found.level),
-        "scatter": json_form(found.scatter),
+        "repeatability": json_form(found.repeatability),
         "history": [
             {
                 "check": checks[int(i)].name,

@@ -78,7 +78,7 @@ def watch(
     """Compare the checks in a folder with a calibration: what changed, since when, is it temperature, is the calibration still good.
 
     Files that were read before are taken from the memory beside the folder; only new ones are read. If there are new ones, the memory
-    is extended by them and by what is said now.
+    is extended by them and by the new statement.
 
     Args:
         folder: the folder; each ``.csv`` file is a measurement table of this machine.
@@ -107,7 +107,11 @@ def watch(
     if not checks:
         raise InputError("no check in the folder", expected="measurement tables (.csv)", file=folder)
     progress("comparing", 0.8)
-    constants = (*(axis.name for axis in machine.axes if axis.linear), *machine.squareness_names, *machine.location_names)
+    constants = (
+        *(axis.name for axis in machine.axes if axis.linear),
+        *machine.squareness_names,
+        *machine.location_names,
+    )
     limit = float(np.log(TESTS * len(constants) / settings.alarm_rate))
     findings = _findings(checks, limit)
     remaining = None
@@ -219,7 +223,9 @@ def _news(new: Sequence[Check], known: Remembered) -> tuple[str, ...]:
     late = [one.name for one in new if known.checks and one.date < max(old.date for old in known.checks)]
     found = [f"read: {count_with_noun(len(new), 'new file')}"]
     if late:
-        found.append(f"older than checks that were read before: {', '.join(late)}; the history was computed anew with them")
+        found.append(
+            f"older than checks that were read before: {', '.join(late)}; the history was computed anew with them"
+        )
     return tuple(found)
 
 
@@ -231,7 +237,9 @@ def _file_notices(
     found = []
     for check in known.checks:
         if check.name not in by_name:
-            found.append(f"{check.name} is no longer in the folder since it was read on {check.read_at}; what was read is still used")
+            found.append(
+                f"{check.name} is no longer in the folder since it was read on {check.read_at}; what was read is still used"
+            )
         elif by_name[check.name] != check.sha256:
             found.append(
                 f"{check.name} CHANGED since it was read on {check.read_at}; what was read then is still used. To use the new content, "
@@ -239,7 +247,9 @@ def _file_notices(
             )
     read = {one.name: one.sha256 for one in (*known.checks, *new)}
     owner = {digest: name for name, digest in read.items()}
-    copies = [f"{name} (of {owner[digest]})" for name, digest in by_name.items() if name not in read and digest in owner]
+    copies = [
+        f"{name} (of {owner[digest]})" for name, digest in by_name.items() if name not in read and digest in owner
+    ]
     if copies:
         found.append(f"copies of other files, not counted twice: {', '.join(copies)}")
     if ignored:
@@ -259,7 +269,10 @@ def _check_notices(checks: Sequence[Check]) -> list[str]:
     for check in checks:
         for text in check.notices:
             given.setdefault(text, []).append(check.name)
-    found = [f"{names[0] if len(names) == 1 else count_with_noun(len(names), 'check')}: {text}" for text, names in given.items()]
+    found = [
+        f"{names[0] if len(names) == 1 else count_with_noun(len(names), 'check')}: {text}"
+        for text, names in given.items()
+    ]
     by_source: dict[str, int] = {}
     for check in checks:
         by_source[check.dated_by] = by_source.get(check.dated_by, 0) + 1

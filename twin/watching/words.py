@@ -17,7 +17,7 @@ from twin.watching.result import Watch, date_text
 
 WIDTH: Final = 110
 FEW_CHECKS: Final = 5
-"""Number of checks below which the scatter is hardly known, so that only large changes are found."""
+"""Number of checks below which the repeatability is hardly known, so that only large changes are found."""
 MOST_NOTICES: Final = 8
 
 
@@ -26,7 +26,11 @@ def error_in_words(name: str) -> str:
     _, average, axis = split_name(name)
     if not average:
         return f"scale of {axis}"
-    return motion_in_words(name) if name[4] not in "XYZ" else f"squareness of {axis} about {'xyz'[split_name(name)[0] % 3]}"
+    return (
+        motion_in_words(name)
+        if name[4] not in "XYZ"
+        else f"squareness of {axis} about {'xyz'[split_name(name)[0] % 3]}"
+    )
 
 
 def headline(watch: Watch) -> str:
@@ -37,7 +41,9 @@ def headline(watch: Watch) -> str:
         return f"The machine changed: {names}"
     if watch.alarms:
         names = listed([one.series.name for one in watch.alarms])
-        return f"{names} changed or follow{'s' if len(watch.alarms) == 1 else ''} a temperature: these checks cannot tell"
+        return (
+            f"{names} changed or follow{'s' if len(watch.alarms) == 1 else ''} a temperature: these checks cannot tell"
+        )
     if watch.good is False:
         return "No error changed, but the calibration is not good enough for the tolerance"
     return "No change of the machine"
@@ -49,11 +55,15 @@ def sentences(watch: Watch) -> list[str]:
     found += [_following(one) for one in watch.following]
     if not found:
         first = f"{count_with_noun(len(watch.checks), 'check')} of {count_with_noun(len(watch.findings), 'error')} show no change"
-        span = f" from {watch.checks[0].date:%Y-%m-%d} to {watch.checks[-1].date:%Y-%m-%d}" if len(watch.checks) > 1 else ""
+        span = (
+            f" from {watch.checks[0].date:%Y-%m-%d} to {watch.checks[-1].date:%Y-%m-%d}"
+            if len(watch.checks) > 1
+            else ""
+        )
         found = [f"{first}{span}."]
     if len(watch.checks) < FEW_CHECKS:
         found.append(
-            f"With {count_with_noun(len(watch.checks), 'check')} the scatter between checks is hardly known: only from about "
+            f"With {count_with_noun(len(watch.checks), 'check')} the repeatability is hardly known: only from about "
             f"{FEW_CHECKS} checks on can a change be found."
         )
     return [*found, *calibration_sentences(watch)]
@@ -74,7 +84,11 @@ def _alarm(watch: Watch, found: Finding) -> str:
             f"{date_text(change.latest_day)} (95 %), {size} until now"
         )
     if not change.sure_shape:
-        what += "; a drift is about as likely as a step" if change.shape == "step" else "; a step is about as likely as a drift"
+        what += (
+            "; a drift is about as likely as a step"
+            if change.shape == "step"
+            else "; a step is about as likely as a drift"
+        )
     if found.verdict == "undecided":
         sensors = listed([f"T_{one.sensor}" for one in found.temperatures])
         return (
@@ -112,7 +126,9 @@ def calibration_sentences(watch: Watch) -> list[str]:
         return ["The error at the tool cannot be evaluated: no pose is within reach."]
     most = f"the deviations cause at most {figure(left.max_um, 'µm')} at the tool (at {place(left.where)})"
     if watch.good is True:
-        return [f"The calibration is still good for {limit}: {most}, and {figure(left.surely_um, 'µm')} with their uncertainty (95 %)."]
+        return [
+            f"The calibration is still good for {limit}: {most}, and {figure(left.surely_um, 'µm')} with their uncertainty (95 %)."
+        ]
     if watch.good is False:
         return [
             f"The calibration is no longer good for {limit}: {most}, and no less than {figure(left.at_least_um, 'µm')} with their "
@@ -125,8 +141,8 @@ def calibration_sentences(watch: Watch) -> list[str]:
 
 
 def rows_of(watch: Watch) -> list[tuple[str, ...]]:
-    """Return the table of errors: error, words, deviation now, scatter of one check, verdict."""
-    found = []
+    """Return the table of errors: error, words, deviation now, repeatability, instrument, verdict."""
+    found: list[tuple[str, ...]] = []
     for one in watch.findings:
         unit = readable(one.series.unit)
         found.append(
@@ -134,7 +150,7 @@ def rows_of(watch: Watch) -> list[tuple[str, ...]]:
                 one.series.name,
                 error_in_words(one.series.name),
                 figure(one.level, unit),
-                figure(one.scatter, unit),
+                figure(one.repeatability, unit),
                 figure(float(np.mean(one.series.u)), unit),
                 one.verdict,
             )
@@ -142,16 +158,16 @@ def rows_of(watch: Watch) -> list[tuple[str, ...]]:
     return found
 
 
-HEADS: Final = ("error", "", "deviation now", "scatter of a check (1 s)", "instrument (k = 1)", "verdict")
+HEADS: Final = ("error", "", "deviation now", "repeatability (1 s)", "instrument (k = 1)", "verdict")
 
 
 def rate_sentences(watch: Watch) -> list[str]:
     """Return how the alarm rate is held, and what the checks do not show."""
     found = [
-        f"An unchanged machine gives an alarm with a probability of at most {watch.alarm_rate * 100:g} %, whatever the number of checks "
-        f"and looks; {watch.spent * 100:.2g} % of it belongs to changes until the last check. It is divided over "
+        f"An unchanged machine gives an alarm with a probability of at most {watch.alarm_rate * 100:g} %, whatever the number of "
+        f"checks and looks; {watch.spent * 100:.2g} % of it belongs to changes until the last check. It is divided over "
         f"{count_with_noun(watch.errors_watched, 'error')} and two tests, one of them with temperatures as a possible cause.",
-        "The scatter between checks is estimated from the checks themselves.",
+        "The repeatability is the standard deviation between checks, set-up included, estimated from the checks.",
     ]
     if watch.not_determined:
         found.append(f"These checks do not determine: {'; '.join(watch.not_determined)}. A change of them is not seen.")
@@ -166,13 +182,17 @@ def text_of(watch: Watch) -> str:
         f"{watch.machine}: {count_with_noun(len(watch.checks), 'check')} in {watch.folder}, compared with {watch.calibration}",
         *warning_texts(watch.warnings),
         "",
-        f"{headline(watch)}." if watch.met else f"{headline(watch).upper()}." if not watch.alarms else f"ALARM. {headline(watch)}.",
+        f"{headline(watch)}."
+        if watch.met
+        else f"{headline(watch).upper()}."
+        if not watch.alarms
+        else f"ALARM. {headline(watch)}.",
     ]
     for text in sentences(watch):
         lines += wrap(text, WIDTH, initial_indent="  ", subsequent_indent="    ")
-    lines += ["", f"{'':<9}{'deviation now':>18}{'scatter':>14}{'instrument':>14}   verdict"]
-    for name, words, level, scatter, u, verdict in rows_of(watch):
-        lines.append(f"  {name:<7}{level:>18}{scatter:>14}{u:>14}   {verdict:<20} {words}")
+    lines += ["", f"{'':<9}{'deviation now':>18}{'repeatability':>16}{'instrument':>14}   verdict"]
+    for name, words, level, repeatability, u, verdict in rows_of(watch):
+        lines.append(f"  {name:<7}{level:>18}{repeatability:>16}{u:>14}   {verdict:<20} {words}")
     lines.append("")
     for text in [*rate_sentences(watch), *(f"note: {notice}" for notice in shortened(watch.notices))]:
         lines += wrap(text, WIDTH, subsequent_indent="  ")
@@ -192,7 +212,10 @@ def news_text(watch: Watch) -> str:
 def shortened(notices: Sequence[str]) -> list[str]:
     """Return the first notices, and the number of the others."""
     rest = len(notices) - MOST_NOTICES
-    return [*notices[:MOST_NOTICES], *([f"and {count_with_noun(rest, 'further notice')}, all in the JSON"] if rest > 0 else [])]
+    return [
+        *notices[:MOST_NOTICES],
+        *([f"and {count_with_noun(rest, 'further notice')}, all in the JSON"] if rest > 0 else []),
+    ]
 
 
 def card_of(watch: Watch) -> str:
