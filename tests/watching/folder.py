@@ -28,7 +28,7 @@ def probed(truth: TruthMachine, place: np.ndarray, tip: np.ndarray, b: float, c:
     for _ in range(6):
         off = carried(truth, q, "work", place) - carried(truth, q, "tool", tip)
         q[:3] += off
-        if np.abs(off).max() < 1e-9:
+        if np.abs(off).max() < 1e-7:
             break
     return q[:3]
 

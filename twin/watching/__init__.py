@@ -43,9 +43,20 @@ statements. A file that changed or vanished since then is named, and what was re
 twice. Another calibration, first day or alarm rate is another watch in the same file.
 """
 
-from twin.watching.change import Change, Finding, Series, TemperatureEffect
+from twin.watching.change import Change, ErrorSeries, TemperatureEffect, WatchedError
 from twin.watching.check import Check
 from twin.watching.result import Watch
 from twin.watching.watch import WatchSettings, watch
+from twin.watching.words import text_of
 
-__all__ = ["Change", "Check", "Finding", "Series", "TemperatureEffect", "Watch", "WatchSettings", "watch"]
+__all__ = [
+    "Change",
+    "Check",
+    "ErrorSeries",
+    "TemperatureEffect",
+    "Watch",
+    "WatchSettings",
+    "WatchedError",
+    "text_of",
+    "watch",
+]

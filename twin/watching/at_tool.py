@@ -14,14 +14,14 @@ from twin.comparison.tool import at_tool as change_at_tool
 from twin.identification.constant_errors import constant_unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.watching.change import Finding
+from twin.watching.change import WatchedError
 from twin.watching.check import Check, to_units
 
 FALSE_ALARM_SHARE: Final = 0.05
 """For the test of the comparison, which the watch does not use."""
 
 
-def levels(findings: Sequence[Finding], checks: Sequence[Check]) -> tuple[np.ndarray, np.ndarray]:
+def levels(findings: Sequence[WatchedError], checks: Sequence[Check]) -> tuple[np.ndarray, np.ndarray]:
     """Return the deviations of the errors at the last check, and their covariance.
 
     The instrument's uncertainty of one check may be common to all checks, so it is not reduced by their number. The
@@ -47,7 +47,7 @@ def levels(findings: Sequence[Finding], checks: Sequence[Check]) -> tuple[np.nda
 
 def remaining_error(
     machine: Machine,
-    findings: Sequence[Finding],
+    findings: Sequence[WatchedError],
     checks: Sequence[Check],
     *,
     tool_length_mm: float | None,

@@ -42,7 +42,7 @@ FIRST_CHECKS: Final = 6
 
 @final
 @dataclass(frozen=True)
-class Series:
+class ErrorSeries:
     """The deviations of one error from the calibration, one for each check that determines it, in the order of their dates.
 
     Attributes:
@@ -132,8 +132,8 @@ class TemperatureEffect:
 
 @final
 @dataclass(frozen=True)
-class Finding:
-    """The finding in a series.
+class WatchedError:
+    """An error over the checks.
 
     Attributes:
         series: the series.
@@ -149,7 +149,7 @@ class Finding:
         fitted: (n,) that model at every check.
     """
 
-    series: Series
+    series: ErrorSeries
     verdict: Verdict
     log_evidence: np.ndarray
     log_evidence_apart: np.ndarray
@@ -189,7 +189,7 @@ class _Fit:
     fitted: np.ndarray
 
 
-def examine(series: Series, limit: float) -> Finding:
+def examine(series: ErrorSeries, limit: float) -> WatchedError:
     """Return what a series shows.
 
     Args:
@@ -222,7 +222,7 @@ def examine(series: Series, limit: float) -> Finding:
     columns = _model(series, verdict, change, temperatures)
     fit = _fit(series.value, sd, columns)
     variance = max(fit.rss / fit.dof, least) if fit.dof > 0 else np.nan
-    return Finding(
+    return WatchedError(
         series,
         verdict,
         read_only(plain),
@@ -238,7 +238,7 @@ def examine(series: Series, limit: float) -> Finding:
 
 
 def _model(
-    series: Series, verdict: Verdict, change: Change | None, temperatures: tuple[TemperatureEffect, ...]
+    series: ErrorSeries, verdict: Verdict, change: Change | None, temperatures: tuple[TemperatureEffect, ...]
 ) -> np.ndarray:
     """Return the columns of the model of a verdict."""
     columns = [series.levels]
@@ -249,7 +249,7 @@ def _model(
     return np.concatenate(columns, axis=1)
 
 
-def _shape(series: Series, shape: str, after: int) -> np.ndarray:
+def _shape(series: ErrorSeries, shape: str, after: int) -> np.ndarray:
     step, drift = change_shapes(series.days)
     return np.asarray((step if shape == "step" else drift)[:, after])
 
@@ -267,7 +267,7 @@ def _fit(value: np.ndarray, sd: np.ndarray, columns: np.ndarray) -> _Fit:
 
 
 def _with_best_sensor(
-    series: Series, sd: np.ndarray, levels: np.ndarray, sensors: Mapping[str, np.ndarray]
+    series: ErrorSeries, sd: np.ndarray, levels: np.ndarray, sensors: Mapping[str, np.ndarray]
 ) -> np.ndarray:
     """Return the levels, with the sensor whose influence beside a change is significant at 1 %, if one is."""
     plain = min(_profile(series, sd, levels)[shape].min() for shape in ("step", "drift"))
@@ -282,7 +282,7 @@ def _with_best_sensor(
     return both[best] if significant else levels
 
 
-def _profile(series: Series, sd: np.ndarray, nuisance: np.ndarray) -> dict[str, np.ndarray]:
+def _profile(series: ErrorSeries, sd: np.ndarray, nuisance: np.ndarray) -> dict[str, np.ndarray]:
     """Return the residual sums of squares for a step and for a drift after each check but the last."""
     basis, _ = remover(nuisance / sd[:, None])
     y = series.value / sd
@@ -297,7 +297,7 @@ def _profile(series: Series, sd: np.ndarray, nuisance: np.ndarray) -> dict[str, 
     return found
 
 
-def _change(series: Series, sd: np.ndarray, least: float, nuisance: np.ndarray) -> Change:
+def _change(series: ErrorSeries, sd: np.ndarray, least: float, nuisance: np.ndarray) -> Change:
     """Return the most likely change, with its interval, beside the nuisance columns."""
     profile = {name: rss + least for name, rss in _profile(series, sd, nuisance).items()}
     shape: Literal["step", "drift"] = "step" if profile["step"].min() <= profile["drift"].min() else "drift"
@@ -324,7 +324,7 @@ def _change(series: Series, sd: np.ndarray, least: float, nuisance: np.ndarray) 
     )
 
 
-def _temperatures(series: Series, sd: np.ndarray, least: float) -> tuple[TemperatureEffect, ...]:
+def _temperatures(series: ErrorSeries, sd: np.ndarray, least: float) -> tuple[TemperatureEffect, ...]:
     """Return the sensors by likelihood, without those that are less likely than the first by `RATIO`."""
     profile = _profile(series, sd, series.levels)
     change = min(float(rss.min()) for rss in profile.values()) + least

@@ -15,15 +15,11 @@ deviations has normal priors of several widths (Robbins 1970).
 
 The floor of the variance (`least`) is a small part of the instrument's. It only makes the ratio smaller, so the bound is kept.
 
-K.
-K.
-G. Lan, D. L. DeMets: Discrete sequential boundaries for clinical trials, Biometrika 70 (1983) 659-663.
-H. Robbins: Statistical
-methods related to the law of the iterated logarithm, Ann. Math. Statist. 41 (1970) 1397-1409.
-T.
-L. Lai: On confidence sequences,
-Ann. Statist. 4 (1976) 265-280. M. F. Pérez-Ortiz, T. Lardy, R. de Heide, P. D. Grünwald: E-statistics, group invariance and
-anytime-valid testing, Ann. Statist. 52 (2024) 1410-1432.
+K. K. G. Lan, D. L. DeMets: Discrete sequential boundaries for clinical trials, Biometrika 70 (1983) 659-663.
+H. Robbins: Statistical methods related to the law of the iterated logarithm, Ann. Math. Statist. 41 (1970) 1397-1409.
+T. L. Lai: On confidence sequences, Ann. Statist. 4 (1976) 265-280.
+M. F. Pérez-Ortiz, T. Lardy, R. de Heide, P. D. Grünwald: E-statistics, group invariance and anytime-valid testing, Ann. Statist. 52
+(2024) 1410-1432.
 """
 
 from __future__ import annotations
@@ -89,7 +85,8 @@ def log_evidence(
     sd = np.ones(len(days)) if sd is None else sd
     y = (values.T / sd).T.reshape(len(days), -1)
     x = nuisance / sd[:, None]
-    shapes = [shape / sd[:, None] for shape in change_shapes(days)]
+    # Relative to the first check, so that the priors of the size are in standard deviations whatever the unit of ``sd``.
+    shapes = [shape * (sd[0] / sd)[:, None] for shape in change_shapes(days)]
     found = np.zeros_like(y)
     for n in range(3, len(days) + 1):
         found[n - 1] = _log_ratio(y[:n], x[:n], [shape[:n, : n - 1] for shape in shapes], least)

@@ -24,6 +24,8 @@ from twin.watching.check import Check, from_json, to_json
 APPLICATION_ID: Final = 0x74776174
 """Identifier of the file format in SQLite's header."""
 VERSION: Final = 1
+MAGIC: Final = b"SQLite format 3\0"
+"""First bytes of every SQLite file."""
 TABLES: Final = """
 CREATE TABLE watches (id TEXT PRIMARY KEY, machine TEXT, calibration TEXT, alarm_rate REAL, since TEXT, begun_at TEXT);
 CREATE TABLE checks (watch TEXT, name TEXT, sha256 TEXT, date TEXT, read_at TEXT, data TEXT, PRIMARY KEY (watch, name));
@@ -53,7 +55,7 @@ class WatchKey:
 
 @final
 @dataclass(frozen=True)
-class Statement:
+class WatchStatement:
     """A statement after a look.
 
     Attributes:
@@ -77,7 +79,7 @@ class Remembered:
     """The memory of one watch, and how many other watches the file holds."""
 
     checks: tuple[Check, ...]
-    statements: tuple[Statement, ...]
+    statements: tuple[WatchStatement, ...]
     others: int
 
 
@@ -104,10 +106,10 @@ def recall(path: Path, key: WatchKey) -> Remembered:
             checks = tuple(from_json(json.loads(data)) for (data,) in rows)
         except (ValueError, KeyError, TypeError) as error:
             raise _not_a_memory(path, str(error)) from None
-    return Remembered(checks, tuple(Statement(*row) for row in said), int(others))
+    return Remembered(checks, tuple(WatchStatement(*row) for row in said), int(others))
 
 
-def remember(path: Path, key: WatchKey, new: Sequence[Check], said: Statement) -> None:
+def remember(path: Path, key: WatchKey, new: Sequence[Check], said: WatchStatement) -> None:
     """Add checks and a statement to a watch, and replace the file.
 
     Raises:
@@ -142,7 +144,10 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
     try:
         try:
             if path.exists():
-                memory.deserialize(path.read_bytes())
+                content = path.read_bytes()
+                if not content.startswith(MAGIC):
+                    raise _not_a_memory(path, "another kind of file")
+                memory.deserialize(content)
                 (identifier,), (version,) = (
                     memory.execute(f"PRAGMA {name}").fetchone() for name in ("application_id", "user_version")
                 )

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from twin._common.provenance import warning_texts
 from twin.display import Html, readable, render
 from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, embedded, new_figure, plot_markers, style_axes
-from twin.watching.change import Finding
+from twin.watching.change import WatchedError
 from twin.watching.check import Check
 from twin.watching.result import Watch
 from twin.watching.words import (
@@ -44,7 +44,7 @@ def watch_html(watch: Watch) -> str:
         watch: the result of `twin.watch`.
     """
     state = "alarm" if not watch.met else "doubt" if watch.tolerance_mm is not None and watch.good is None else "none"
-    drawn = sorted(watch.findings, key=lambda one: ORDER.index(one.verdict))[:MOST_ERRORS]
+    drawn = sorted(watch.errors, key=lambda one: ORDER.index(one.verdict))[:MOST_ERRORS]
     return render(
         "watching/templates/watch.html.j2",
         watch=watch,
@@ -57,7 +57,7 @@ def watch_html(watch: Watch) -> str:
         picture=embedded(history(watch, drawn), "History of the errors and temperatures", kind="big")
         if drawn
         else Html(""),
-        not_drawn=len(watch.findings) - len(drawn),
+        not_drawn=len(watch.errors) - len(drawn),
         heads=HEADS,
         rows=rows_of(watch),
         notes=rate_sentences(watch),
@@ -67,7 +67,7 @@ def watch_html(watch: Watch) -> str:
     )
 
 
-def history(watch: Watch, findings: list[Finding]) -> Figure:
+def history(watch: Watch, findings: list[WatchedError]) -> Figure:
     """Plot the deviations of errors over the dates, the evidence of a change beside them, and the temperatures below.
 
     Args:
@@ -96,7 +96,7 @@ def history(watch: Watch, findings: list[Finding]) -> Figure:
     return figure
 
 
-def _deviations(plot: Axes, found: Finding) -> None:
+def _deviations(plot: Axes, found: WatchedError) -> None:
     """Plot the deviations of one error with the band of a check, and its change."""
     series, dates = found.series, found.series.days  # matplotlib counts days since 1970 too
     style_axes(plot)
@@ -124,7 +124,7 @@ def _deviations(plot: Axes, found: Finding) -> None:
     plot.margins(y=0.25)
 
 
-def _evidence(plot: Axes, found: Finding, limit: float) -> None:
+def _evidence(plot: Axes, found: WatchedError, limit: float) -> None:
     """Plot the evidence of a change, with and without temperature as a possible cause, and the alarm limit."""
     dates, scale = found.series.days, 1.0 / np.log(10.0)
     style_axes(plot)

@@ -13,10 +13,10 @@ import numpy as np
 from twin._common.json_form import json_form
 from twin._common.provenance import SourceWarning, warnings_to_json
 from twin.comparison.tool import Remaining
-from twin.watching.change import Change, Finding
+from twin.watching.change import Change, WatchedError
 from twin.watching.check import SECONDS_PER_DAY, Check
 from twin.watching.evidence import DATES, PRIOR_VARIANCES
-from twin.watching.memory import Statement
+from twin.watching.memory import WatchStatement
 
 SCHEMA: Final = "twin.watch/1"
 Verdict = Literal["changed", "undecided", "steady"]
@@ -37,7 +37,7 @@ class Watch:
         machine: name of the machine.
         calibration: file of the calibration that the checks are compared with, or its source.
         checks: the checks by date.
-        findings: one for each error that a check determines.
+        errors: one for each error that a check determines.
         not_determined: combinations of constant errors that no check determines, in words.
         alarm_rate: probability of any alarm for an unchanged machine, whatever the number of looks.
         spent: part of it that belongs to changes until the last check.
@@ -56,7 +56,7 @@ class Watch:
     machine: str
     calibration: str
     checks: tuple[Check, ...]
-    findings: tuple[Finding, ...]
+    errors: tuple[WatchedError, ...]
     not_determined: tuple[str, ...]
     alarm_rate: float
     spent: float
@@ -65,14 +65,14 @@ class Watch:
     tolerance_mm: float | None
     remaining: Remaining | None
     news: tuple[str, ...]
-    statements: tuple[Statement, ...]
+    statements: tuple[WatchStatement, ...]
     notices: tuple[str, ...]
     warnings: tuple[SourceWarning, ...]
 
     @property
     def verdict(self) -> Verdict:
         """Whether an error of the machine changed; ``undecided`` if a temperature could explain every alarm."""
-        verdicts = {one.verdict for one in self.findings}
+        verdicts = {one.verdict for one in self.errors}
         return "changed" if "changed" in verdicts else "undecided" if "undecided" in verdicts else "steady"
 
     @property
@@ -88,23 +88,23 @@ class Watch:
         return self.verdict == "steady" and self.good is not False
 
     @property
-    def alarms(self) -> tuple[Finding, ...]:
+    def alarms(self) -> tuple[WatchedError, ...]:
         """The findings that are alarms, changes first, then by date."""
-        found = [one for one in self.findings if one.alarming]
+        found = [one for one in self.errors if one.alarming]
         return tuple(sorted(found, key=lambda one: (one.verdict != "changed", _day(one.change))))
 
     @property
-    def following(self) -> tuple[Finding, ...]:
+    def following(self) -> tuple[WatchedError, ...]:
         """The errors that follow a temperature."""
-        return tuple(one for one in self.findings if one.verdict == "follows temperature")
+        return tuple(one for one in self.errors if one.verdict == "follows temperature")
 
-    def named(self, name: str) -> Finding:
+    def named(self, name: str) -> WatchedError:
         """Return the finding of an error.
 
         Raises:
             KeyError: no check determines it.
         """
-        for one in self.findings:
+        for one in self.errors:
             if one.series.name == name:
                 return one
         raise KeyError(name)
@@ -127,7 +127,7 @@ class Watch:
                 "dates_of_half": DATES,
                 "prior_variances": list(PRIOR_VARIANCES),
             },
-            "errors": [_finding(one, self.checks) for one in self.findings],
+            "errors": [_finding(one, self.checks) for one in self.errors],
             "not_determined": list(self.not_determined),
             "tolerance": None
             if self.remaining is None
@@ -143,7 +143,7 @@ def _day(change: Change | None) -> float:
     return np.inf if change is None else change.day
 
 
-def _finding(found: Finding, checks: tuple[Check, ...]) -> dict[str, Any]:
+def _finding(found: WatchedError, checks: tuple[Check, ...]) -> dict[str, Any]:
     change, series = found.change, found.series
     return {
         "name": series.name,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from twin.display import count_with_noun
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.watching.at_tool import remaining_error
-from twin.watching.change import Finding, Series, examine
+from twin.watching.change import ErrorSeries, WatchedError, examine
 from twin.watching.check import (
     Check,
     CheckFile,
@@ -31,11 +31,11 @@ from twin.watching.check import (
     unit_of_constant,
 )
 from twin.watching.evidence import spent_share
-from twin.watching.memory import Remembered, Statement, WatchKey, memory_path, recall, remember
+from twin.watching.memory import Remembered, WatchKey, WatchStatement, memory_path, recall, remember
 from twin.watching.result import Watch
 from twin.watching.words import headline, text_of
 
-TESTS: int = 2
+TESTS: Final = 2
 """Tests of each error that may give an alarm: temperatures ignored, and with a temperature as a possible cause."""
 
 
@@ -107,26 +107,40 @@ def watch(
     if not checks:
         raise InputError("no check in the folder", expected="measurement tables (.csv)", file=folder)
     progress("comparing", 0.8)
+    found = _compared(checks, machine, settings, progress)
+    found = replace(
+        found,
+        folder=folder,
+        memory=memory,
+        calibration=key.calibration,
+        news=_news(new, known),
+        statements=known.statements,
+        notices=(*_file_notices(files, ignored, known, new), *_check_notices(checks)),
+        warnings=merge_warnings(calibration.warnings, found.warnings),
+    )
+    return _remembered(found, key, new, looked)
+
+
+def _compared(checks: tuple[Check, ...], machine: Machine, settings: WatchSettings, progress: Progress) -> Watch:
+    """Return the watch of some checks, without the folder, what is new in it, and the calibration's name."""
     constants = (
         *(axis.name for axis in machine.axes if axis.linear),
         *machine.squareness_names,
         *machine.location_names,
     )
     limit = float(np.log(TESTS * len(constants) / settings.alarm_rate))
-    findings = _findings(checks, limit)
+    errors = _watched_errors(checks, limit)
     remaining = None
-    if settings.tolerance_mm is not None and findings:
-        remaining = remaining_error(
-            machine, findings, checks, tool_length_mm=settings.tool_length_mm, progress=progress
-        )
-    simulated = (SIMULATED,) if any(one.simulated for one in checks) else ()
-    found = Watch(
-        folder=folder,
-        memory=memory,
+    if settings.tolerance_mm is not None and errors:
+        length = settings.tool_length_mm
+        remaining = remaining_error(machine, errors, checks, tool_length_mm=length, progress=progress)
+    return Watch(
+        folder=Path(),
+        memory=Path(),
         machine=machine.name,
-        calibration=key.calibration,
+        calibration="",
         checks=checks,
-        findings=findings,
+        errors=errors,
         not_determined=_not_determined(checks),
         alarm_rate=settings.alarm_rate,
         spent=settings.alarm_rate * spent_share(len(checks)),
@@ -134,19 +148,20 @@ def watch(
         limit=limit,
         tolerance_mm=settings.tolerance_mm,
         remaining=remaining,
-        news=_news(new, known),
-        statements=known.statements,
-        notices=(*_file_notices(files, ignored, known, new), *_check_notices(checks)),
-        warnings=merge_warnings(calibration.warnings, simulated),
+        news=(),
+        statements=(),
+        notices=(),
+        warnings=(SIMULATED,) if any(one.simulated for one in checks) else (),
     )
-    return _remembered(found, key, new, looked)
 
 
 def _remembered(found: Watch, key: WatchKey, new: Sequence[Check], looked: str) -> Watch:
     """Return the watch with what it says now; the memory is written if there is something new."""
     if not new:
         return found
-    said = Statement(looked, len(found.checks), found.spent, found.verdict, f"{headline(found)}.\n{text_of(found)}")
+    said = WatchStatement(
+        looked, len(found.checks), found.spent, found.verdict, f"{headline(found)}.\n{text_of(found)}"
+    )
     remember(found.memory, key, new, said)
     return replace(found, statements=(*found.statements, said))
 
@@ -184,19 +199,19 @@ def _new_checks(
     return found
 
 
-def _findings(checks: Sequence[Check], limit: float) -> tuple[Finding, ...]:
-    """Return what the series of every error shows, in the order in which the checks name them."""
+def _watched_errors(checks: Sequence[Check], limit: float) -> tuple[WatchedError, ...]:
+    """Return the result for every error, in the order in which the checks name them."""
     names = list(dict.fromkeys(name for check in checks for name in check.errors))
     return tuple(examine(series_of(name, checks), limit) for name in names)
 
 
-def series_of(name: str, checks: Sequence[Check]) -> Series:
+def series_of(name: str, checks: Sequence[Check]) -> ErrorSeries:
     """Return the series of one error over the checks that determine it."""
     own = [i for i, check in enumerate(checks) if name in check.errors]
     some = [checks[i] for i in own]
     at = [check.errors.index(name) for check in some]
     sensors = list(dict.fromkeys(sensor for check in some for sensor in check.temperature_degC))
-    return Series(
+    return ErrorSeries(
         name=name,
         unit=unit_of_constant(name),
         checks=read_only(np.array(own, dtype=int)),

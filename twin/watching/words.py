@@ -12,7 +12,7 @@ from twin._common.provenance import warning_texts
 from twin.display import card, count_with_noun, figure, note, place, readable, table, with_half
 from twin.machine.effects import split_name
 from twin.machine.effects.names import motion_in_words
-from twin.watching.change import Finding, TemperatureEffect
+from twin.watching.change import RATIO, TemperatureEffect, WatchedError
 from twin.watching.result import Watch, date_text
 
 WIDTH: Final = 110
@@ -41,6 +41,8 @@ def headline(watch: Watch) -> str:
         return f"The machine changed: {names}"
     if watch.alarms:
         names = listed([one.series.name for one in watch.alarms])
+        if all(less_likely(one) for one in watch.alarms):
+            return f"{names} changed; temperature as the cause is not yet excluded"
         return (
             f"{names} changed or follow{'s' if len(watch.alarms) == 1 else ''} a temperature: these checks cannot tell"
         )
@@ -54,7 +56,7 @@ def sentences(watch: Watch) -> list[str]:
     found = [_alarm(watch, one) for one in watch.alarms]
     found += [_following(one) for one in watch.following]
     if not found:
-        first = f"{count_with_noun(len(watch.checks), 'check')} of {count_with_noun(len(watch.findings), 'error')} show no change"
+        first = f"{count_with_noun(len(watch.checks), 'check')} of {count_with_noun(len(watch.errors), 'error')} show no change"
         span = (
             f" from {watch.checks[0].date:%Y-%m-%d} to {watch.checks[-1].date:%Y-%m-%d}"
             if len(watch.checks) > 1
@@ -69,7 +71,7 @@ def sentences(watch: Watch) -> list[str]:
     return [*found, *calibration_sentences(watch)]
 
 
-def _alarm(watch: Watch, found: Finding) -> str:
+def _alarm(watch: Watch, found: WatchedError) -> str:
     change, series = found.change, found.series
     if change is None:  # an alarm always has one
         return series.name
@@ -89,6 +91,9 @@ def _alarm(watch: Watch, found: Finding) -> str:
             if change.shape == "step"
             else "; a step is about as likely as a drift"
         )
+    if found.verdict == "undecided" and less_likely(found):
+        sensor = found.temperatures[0].sensor
+        return f"{what}. T_{sensor} as its cause is less likely, but not yet excluded. Check again soon."
     if found.verdict == "undecided":
         sensors = listed([f"T_{one.sensor}" for one in found.temperatures])
         return (
@@ -100,7 +105,12 @@ def _alarm(watch: Watch, found: Finding) -> str:
     return f"{what}. No single temperature of {listed([f'T_{name}' for name in series.sensors])} explains it."
 
 
-def _following(found: Finding) -> str:
+def less_likely(found: WatchedError) -> bool:
+    """Return whether every temperature is a less likely cause of an alarm than a change, by `RATIO`."""
+    return all(one.log_ratio <= -np.log(RATIO) for one in found.temperatures)
+
+
+def _following(found: WatchedError) -> str:
     first, *others = found.temperatures
     series = found.series
     text = (
@@ -143,7 +153,7 @@ def calibration_sentences(watch: Watch) -> list[str]:
 def rows_of(watch: Watch) -> list[tuple[str, ...]]:
     """Return the table of errors: error, words, deviation now, repeatability, instrument, verdict."""
     found: list[tuple[str, ...]] = []
-    for one in watch.findings:
+    for one in watch.errors:
         unit = readable(one.series.unit)
         found.append(
             (
