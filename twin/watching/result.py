@@ -11,8 +11,9 @@ from typing import Any, Final, Literal, final
 import numpy as np
 
 from twin._common.json_form import json_form
-from twin._common.provenance import SourceWarning, warnings_to_json
+from twin._common.provenance import SourceWarning, warning_texts, warnings_to_json
 from twin.comparison.tool import Remaining
+from twin.display import card, figure, note, pairs, readable, table
 from twin.watching.change import Change, WatchedError
 from twin.watching.check import SECONDS_PER_DAY, Check
 from twin.watching.evidence import DATES, PRIOR_VARIANCES
@@ -108,6 +109,25 @@ class Watch:
             if one.series.name == name:
                 return one
         raise KeyError(name)
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (one.series.name, figure(one.level, readable(one.series.unit)), figure(one.repeatability), one.verdict)
+            for one in self.errors
+        ]
+        good = {True: "still good", False: "no longer good", None: "undecided"}[self.good]
+        facts = [
+            ("checks", f"{len(self.checks)}, {self.checks[0].date:%Y-%m-%d} to {self.checks[-1].date:%Y-%m-%d}"),
+            ("verdict", self.verdict),
+            ("calibration", "" if self.tolerance_mm is None else f"{good} for {figure(self.tolerance_mm * 1e3, 'µm')}"),
+            ("not determined", "; ".join(self.not_determined)),
+        ]
+        warnings = [note(text, loud=True) for text in warning_texts(self.warnings)]
+        heads = ("error", "deviation now", "repeatability", "verdict")
+        title, small = f"Watch of {self.machine}", str(self.folder)
+        return card(
+            title, *warnings, pairs(facts), table(heads, rows, right=(1, 2)), small=small, wrong=not self.met
+        ).text
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of the JSON (``schema: twin.watch/1``)."""

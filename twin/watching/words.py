@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.provenance import warning_texts
-from twin.display import card, count_with_noun, figure, note, place, readable, table, with_half
+from twin.display import count_with_noun, figure, place, readable, with_half
 from twin.machine.effects import split_name
 from twin.machine.effects.names import motion_in_words
 from twin.watching.change import RATIO, TemperatureEffect, WatchedError
@@ -226,16 +226,6 @@ def shortened(notices: Sequence[str]) -> list[str]:
         *notices[:MOST_NOTICES],
         *([f"and {count_with_noun(rest, 'further notice')}, all in the JSON"] if rest > 0 else []),
     ]
-
-
-def card_of(watch: Watch) -> str:
-    """Return the watch as a display for notebooks."""
-    notes = [note(text, loud=not watch.met) for text in (headline(watch), *sentences(watch))]
-    more = [note(text) for text in rate_sentences(watch)]
-    warnings = [note(text, loud=True) for text in warning_texts(watch.warnings)]
-    shown = table(HEADS, rows_of(watch), right=(2, 3, 4))
-    title = f"Watch of {watch.machine}"
-    return card(title, *warnings, *notes, shown, *more, small=str(watch.folder), wrong=not watch.met).text
 
 
 def listed(names: Sequence[str]) -> str:
