@@ -108,7 +108,7 @@ def files_of(folder: Path) -> tuple[list[CheckFile], list[str]]:
             "the folder of checks cannot be read", expected="a folder", file=folder, value=error.strerror
         ) from error
     visible = [path for path in entries if not path.name.startswith(".")]
-    tables = [path for path in visible if path.suffix.lower() == SUFFIX and not path.is_dir()]
+    tables = [path for path in visible if path.suffix.lower() == SUFFIX and path.is_file()]
     found = [CheckFile(path.name, hashlib.sha256(read_bytes(path)).hexdigest(), path) for path in tables]
     return found, [path.name for path in visible if path not in tables]
 

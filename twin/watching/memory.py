@@ -84,8 +84,14 @@ class Remembered:
 
 
 def memory_path(folder: Path) -> Path:
-    """Return the path of a folder's memory: beside it, ``FOLDER.watch.sqlite``."""
+    """Return the path of a folder's memory: beside it, ``FOLDER.watch.sqlite``.
+
+    Raises:
+        InputError: the root folder, beside which nothing is.
+    """
     whole = folder.resolve()
+    if not whole.name:
+        raise InputError("the root folder cannot be watched", expected="a folder of checks", file=folder)
     return whole.with_name(f"{whole.name}.watch.sqlite")
 
 

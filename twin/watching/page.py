@@ -32,6 +32,8 @@ BAND: Final = 3.0
 """Half width of the band about the level, in standard deviations of one check."""
 PANEL: Final = 1.35
 """Height of a panel, inches."""
+MOST_COLUMNS: Final = 6
+"""Columns of the legend of the temperatures."""
 WIDTH: Final = 10.0
 ORDER: Final = ("changed", "undecided", "follows temperature", "steady")
 SENSOR_COLOURS: Final = (FORWARD, BACKWARD, THIRD, BOTH, RUN)
@@ -147,4 +149,5 @@ def _temperatures(plot: Axes, checks: tuple[Check, ...], sensors: list[str]) -> 
             dates, values, color=SENSOR_COLOURS[i % len(SENSOR_COLOURS)], marker=".", linewidth=1.0, label=f"T_{name}"
         )
     plot.set_ylabel("temperature\n[°C]", fontsize=9)
-    plot.legend(bbox_to_anchor=(1.02, 1.0), loc="upper left", frameon=False, fontsize=8, ncols=1 + len(sensors) // 8)
+    plot.legend(loc="upper left", frameon=False, fontsize=8, ncols=min(len(sensors), MOST_COLUMNS))
+    plot.margins(y=0.15 + 0.2 * -(-len(sensors) // MOST_COLUMNS))

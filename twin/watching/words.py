@@ -38,6 +38,10 @@ def headline(watch: Watch) -> str:
     changed = [one for one in watch.alarms if one.verdict == "changed"]
     if changed:
         names = listed([one.series.name for one in changed])
+        first = changed[0].change
+        if len(changed) == 1 and first is not None and first.shape == "step":
+            days = f"{date_text(first.earliest_day)} and {date_text(first.latest_day)}"
+            return f"The machine changed between {days}: {names}"
         return f"The machine changed: {names}"
     if watch.alarms:
         names = listed([one.series.name for one in watch.alarms])
