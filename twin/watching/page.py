@@ -23,6 +23,7 @@ from twin.watching.words import (
     rate_sentences,
     rows_of,
     sentences,
+    unseen,
 )
 
 COLOURS: Final = {"alarm": "#fbe4de", "doubt": "#fdf3d8", "none": "#e8f3ea"}
@@ -62,6 +63,7 @@ def watch_html(watch: Watch) -> str:
         not_drawn=len(watch.errors) - len(drawn),
         heads=HEADS,
         rows=rows_of(watch),
+        unseen=unseen(watch),
         notes=rate_sentences(watch),
         band=BAND,
         said=[(one.said_at, one.checks, one.text.splitlines()[0]) for one in reversed(watch.statements)],

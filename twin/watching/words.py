@@ -175,16 +175,21 @@ def rows_of(watch: Watch) -> list[tuple[str, ...]]:
 HEADS: Final = ("error", "", "deviation now", "repeatability (1 s)", "instrument (k = 1)", "verdict")
 
 
+def unseen(watch: Watch) -> list[str]:
+    """Return a sentence on the errors that the checks do not determine; nothing if they determine all."""
+    if not watch.not_determined:
+        return []
+    return [f"These checks do not determine: {'; '.join(watch.not_determined)}. A change of them is not seen."]
+
+
 def rate_sentences(watch: Watch) -> list[str]:
-    """Return how the alarm rate is held, and what the checks do not show."""
+    """Return how the alarm rate is held."""
     found = [
         f"An unchanged machine gives an alarm with a probability of at most {watch.alarm_rate * 100:g} %, whatever the number of "
         f"checks and looks; {watch.spent * 100:.2g} % of it belongs to changes until the last check. It is divided over "
         f"{count_with_noun(watch.errors_watched, 'error')} and two tests, one of them with temperatures as a possible cause.",
         "The repeatability is the standard deviation between checks, set-up included, estimated from the checks.",
     ]
-    if watch.not_determined:
-        found.append(f"These checks do not determine: {'; '.join(watch.not_determined)}. A change of them is not seen.")
     if watch.remaining is not None:
         found.append("The error at the tool contains the deviations of the errors watched, and no other errors.")
     return found
@@ -202,7 +207,7 @@ def text_of(watch: Watch) -> str:
         if not watch.alarms
         else f"ALARM. {headline(watch)}.",
     ]
-    for text in sentences(watch):
+    for text in (*sentences(watch), *unseen(watch)):
         lines += wrap(text, WIDTH, initial_indent="  ", subsequent_indent="    ")
     lines += ["", f"{'':<9}{'deviation now':>18}{'repeatability':>16}{'instrument':>14}   verdict"]
     for name, words, level, repeatability, u, verdict in rows_of(watch):
