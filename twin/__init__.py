@@ -6,6 +6,7 @@
 - measurements: `Measurements`, `convert`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`, `duration`,
   `measuring_sequence`, `InstrumentSizes`, `thesis_plan`;
 - identification: `identify`, `ToolUncertainty`, `compare`, `draw_machines`, `identify_as_thesis`;
+- checks over time: `watch`, `WatchSettings`, `watch_html`;
 - standard tests (ISO 230, ISO 10791-6): `evaluate`, `evaluation_html`;
 - diagnosis: `diagnose`, `diagnosis_html`;
 - programs: `compensate`, `compensate_file`, `compensate_files`, `Compensator`, `Options`, `Scope`, `Setup`, `Workers`, `execute_file`,
@@ -57,6 +58,8 @@ if TYPE_CHECKING:
     from twin.standards.page import evaluation_html
     from twin.uncertainty.at_tool import ToolUncertainty
     from twin.uncertainty.population import draw_machines
+    from twin.watching import WatchSettings, watch
+    from twin.watching.page import watch_html
 
 __all__ = [
     "Calibration",
@@ -77,6 +80,7 @@ __all__ = [
     "Status",
     "ThesisMethod",
     "ToolUncertainty",
+    "WatchSettings",
     "Workers",
     "__version__",
     "compare",
@@ -109,6 +113,8 @@ __all__ = [
     "separate",
     "simulate",
     "thesis_plan",
+    "watch",
+    "watch_html",
 ]
 
 _MODULES = {
@@ -137,6 +143,7 @@ _HOMES = {
     "Status": ("twin.kinematics.inverse", "Status"),
     "ThesisMethod": ("twin.compensation.thesis", "ThesisMethod"),
     "ToolUncertainty": ("twin.uncertainty.at_tool", "ToolUncertainty"),
+    "WatchSettings": ("twin.watching", "WatchSettings"),
     "Workers": ("twin.compute.parallel", "Workers"),
     "compare": ("twin.comparison", "compare"),
     "compensate": ("twin.compensation", "compensate"),
@@ -163,6 +170,8 @@ _HOMES = {
     "scene": ("twin.reporting.scene", "draw_program"),
     "separate": ("twin.planning", "separate"),
     "simulate": ("twin.measurement.simulate", "simulate"),
+    "watch": ("twin.watching", "watch"),
+    "watch_html": ("twin.watching.page", "watch_html"),
 }
 """Modules of the API, and module and attribute of every other name."""
 

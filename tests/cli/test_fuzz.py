@@ -166,6 +166,7 @@ def test_no_number_overflows(
         "convert": ["a.csv", "-o", "b.csv"],
         "identify": ["a.csv", "-o", "b.yaml"],
         "evaluate": ["a.csv"],
+        "watch": ["."],
         "compare": ["c.yaml", "c.yaml"],
         "plan": ["-o", "b.csv"],
         "report": ["-o", "b.html"],

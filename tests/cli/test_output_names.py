@@ -19,6 +19,7 @@ from twin import cli
         (("axis-run", "measured.csv", "-l", "measured.csv", "-o", "out.json"), ".yaml or .yml"),
         (("diagnose", "measured.csv", "--html", "out.pdf"), ".html or .htm"),
         (("evaluate", "measured.csv", "--html", "out.pdf"), ".html or .htm"),
+        (("watch", ".", "--html", "out.pdf"), ".html or .htm"),
         (("diagnose", "measured.csv", "--extended", "out.html"), ".yaml or .yml"),
         (("simulate", "thesis_plan.csv", "-o", "out.yaml"), ".csv"),
         (("simulate-run", "-l", "measured.csv", "--positions", "0,100,5", "-o", "out.xlsx"), ".csv"),

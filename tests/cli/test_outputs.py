@@ -72,6 +72,8 @@ COMMANDS = {
     ),
     "evaluate, json over the machine": ("evaluate plan.csv -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
     "evaluate, json over the table": ("evaluate plan.csv --json plan.csv", "plan.csv"),
+    "watch, json over a check": ("watch . --json plan.csv", "plan.csv"),
+    "watch, page over the machine's copy": ("watch tables -m dmu50.yaml --json dmu50.urdf", "dmu50.urdf"),
     "diagnose, json over the machine": ("diagnose plan.csv -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
     "diagnose, extended over the calibration": ("diagnose plan.csv -c c.yaml --extended c.yaml", "c.yaml"),
     "compare, json over one": ("compare c.yaml dmu50.calibration.yaml --json c.yaml", "c.yaml"),

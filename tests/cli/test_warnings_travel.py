@@ -267,6 +267,18 @@ def test_standard_tests_have_the_warning(table: Path, tmp_path: Path, capsys: py
         assert said(printed) == said(page.read_text()) == named(report) == wanted
 
 
+def test_watch_has_the_warning(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(calibration_text("nothing"))
+    for path, wanted in ((table, {SIMULATED.name}), (as_measured(table), set[str]())):
+        folder, page, report = tmp_path / path.stem, tmp_path / "w.html", tmp_path / "w.json"
+        folder.mkdir()
+        (folder / "2026-03-02.csv").write_bytes(path.read_bytes())
+        assert run("watch", folder, "-c", mine, "--html", page, "--json", report) == 0
+        printed = capsys.readouterr().out
+        assert said(printed) == said(page.read_text()) == named(report) == wanted
+
+
 def test_thesis_method_has_the_warning(dmu50: Machine, calibration: Calibration) -> None:
     readings, _ = simulate(
         thesis_plan.plan(dmu50), dmu50, calibration, LaserTracker(), np.random.default_rng(3), noise=False

@@ -49,15 +49,16 @@ has no known cause: it is a fitted displacement of the tool or work side, and ca
 `half_waves` k: cos(k π (value − low)/(high − low)). `whole_turns` ck, sk: cos kθ, sin kθ. `direction` (`approach_<axis>`): +1 or −1.
 Function 0 is the constant 1. One or two columns: axes, directions of approach, temperatures.
 
-**Measurements** (`*.csv`): one row per measured point: `X_mm … C_deg` commanded, `target`, `carrier` (`tool` or `work`), `x_mm, y_mm,
-z_mm` in the station's frame (an empty field was not measured; an interferometer's length goes into `x_mm`), and optionally `station`,
-`round`, `time_s`, `approach_<axis>`, `readback_<axis>_…`, `T_<axis or sensor>_degC`, `u_x_mm …`. `Measurements.load` lists
-every row that it excludes, with the reason. A plan is the same table without the coordinates. A comment that begins with `simulated`
-marks simulated readings; `twin simulate` writes it. Further optional columns: `place_x_mm, place_y_mm, place_z_mm`, the target's
-known place on its carrier (tool: frame of the spindle nose; work: work frame), and `station_x_mm … station_z_mm, station_a_deg …
-station_c_deg`, the station's known origin and rotation vector in the base frame; one row of a target or station is enough,
-contradictions are errors. In a plan, `planned_place_x_mm …` and `planned_station_x_mm …` give the intended set-up. `simulate` uses
-them, but nothing treats them as known; the simulated table gives them only in its comments.
+**Measurements** (`*.csv`): one row per measured point: `X_mm … C_deg` commanded, `target`, `carrier` (`tool` or `work`), `x_mm,
+y_mm, z_mm` in the station's frame (an empty field was not measured; an interferometer's length goes into `x_mm`), and optionally
+`station`, `round`, `time_s`, `approach_<axis>`, `readback_<axis>_…`, `T_<axis or sensor>_degC`, `u_x_mm …`. `Measurements.load`
+lists every row that it excludes, with the reason. A plan is the same table without the coordinates. A comment that begins with
+`simulated` marks simulated readings; `twin simulate` writes it. A comment such as `measured 2026-03-02 08:10` gives the date (`twin
+watch`). Further optional columns: `place_x_mm, place_y_mm, place_z_mm`, the target's known place on its carrier (tool: frame of the
+spindle nose; work: work frame), and `station_x_mm … station_z_mm, station_a_deg … station_c_deg`, the station's known origin and
+rotation vector in the base frame; one row of a target or station is enough, contradictions are errors. In a plan,
+`planned_place_x_mm …` and `planned_station_x_mm …` give the intended set-up. `simulate` uses them, but nothing treats them as
+known; the simulated table gives them only in its comments.
 
 `station_carrier` (`base`, `tool`, `work`) is the side on which the station rides; its readings and pose are then in the frame of that
 side. `instrument` names the instrument of the station; without it the readings indicate it. Instruments that measure the tool relative

@@ -42,6 +42,7 @@ COMMANDS: Final = {
     "simulate-run": "Simulate the interferometer readings of a linear axis.",
     "evaluate": "Evaluate standard tests (ISO 230, ISO 10791-6) from measured points.",
     "diagnose": "Find what the model gets wrong about measured data, and name the cause.",
+    "watch": "Watch a folder of checks: what changed, since when, is the calibration still good.",
     "plan": "Plan the next measurement.",
     "report": "Report the state of a machine, in one HTML file.",
     "control": "Write and read the compensation tables of a control.",

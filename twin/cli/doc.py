@@ -22,6 +22,7 @@ PAGES: Final = {
     "plan": "twin.planning",
     "report": "twin.reporting",
     "compare": "twin.comparison",
+    "watch": "twin.watching",
     "control": "twin.machine.control",
     "interferometer": "twin.identification.axis_run",
     "paths": "twin.compensation.fewer_blocks",

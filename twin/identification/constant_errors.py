@@ -6,7 +6,7 @@ whatever the number of readings: one sphere at an unknown place does not show th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -86,7 +86,7 @@ def constant_errors(
     variance = np.sum((directions[seen] / size[seen, None]) ** 2, axis=0)
     lost = directions[~seen]
     within = np.sum(lost**2, axis=0)
-    per_unit = np.array([_scale_unit(curve) for curve in scales] + [1.0] * len(constants))
+    per_unit = np.array([scale_unit(curve) for curve in scales] + [1.0] * len(constants))
     labels = [f"E_{curve.name[2:]}" for curve in scales] + constants
     u = np.where(within < NEGLIGIBLE, np.sqrt(variance) * unknowns.plausible * per_unit, np.nan)
     slopes = unknowns.plausible[: len(scales)] * per_unit[: len(scales)]
@@ -108,15 +108,9 @@ def constant_rows(
         The unknowns of the machine, and (n, 3, unknowns + set-up) whitened derivatives per plausible size; None if no axis with any
         moves.
     """
-    moved = [axis for axis, q in zip(machine.axes, data.positions.T, strict=True) if np.ptp(q) > 0.0]
-    scales = [
-        CurveSpace(f"E_{'XYZ'[int(np.argmax(np.abs(axis.machine_direction)))]}{axis.name}", POWER, axis.domain, 1, 2)
-        for axis in moved
-        if axis.linear
-    ]
-    names = {axis.name for axis in moved}
-    constants = [name for name in (*machine.squareness_names, *machine.location_names) if name[4:] in names]
-    unknowns = Unknowns(machine, scales, constants)
+    unknowns = constant_unknowns(
+        machine, [a.name for a, q in zip(machine.axes, data.positions.T, strict=True) if np.ptp(q)]
+    )
     if not len(unknowns):
         return None
     network = Network(machine, data, instruments, unknowns, covariance=covariance)
@@ -124,7 +118,18 @@ def constant_rows(
     return unknowns, np.concatenate(rows) * np.concatenate([unknowns.plausible, setup.plausible])
 
 
-def _scale_unit(curve: CurveSpace) -> float:
+def constant_unknowns(machine: Machine, axes: Collection[str]) -> Unknowns:
+    """Return the constant errors of some axes, by name, as unknowns: scales, then squareness and locations."""
+    scales = [
+        CurveSpace(f"E_{'XYZ'[int(np.argmax(np.abs(axis.machine_direction)))]}{axis.name}", POWER, axis.domain, 1, 2)
+        for axis in machine.axes
+        if axis.linear and axis.name in axes
+    ]
+    constants = [name for name in (*machine.squareness_names, *machine.location_names) if name[4:] in axes]
+    return Unknowns(machine, scales, constants)
+
+
+def scale_unit(curve: CurveSpace) -> float:
     """Return the scale error, µm/m, of one µm RMS of the linear term of a positioning error."""
     lo, hi = curve.domain
     return float(np.diff(curve.functions(np.array([lo, hi]))[:, 1])[0]) / (hi - lo) * 1e3

@@ -1,0 +1,122 @@
+"""The date, the size and the cause of a change, on drawn series of one error."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twin.watching.change import ErrorSeries, WatchedError, examine
+
+LIMIT = float(np.log(2 * 14 / 0.05))
+CHECKS = 26
+AFTER = 12
+"""Number of checks before the change."""
+
+
+def series(
+    value: np.ndarray, days: np.ndarray, *, kind: np.ndarray | None = None, u: float = 0.4, **degrees: np.ndarray
+) -> ErrorSeries:
+    count = len(days)
+    kinds = np.full(count, "probe", dtype=object) if kind is None else kind
+    return ErrorSeries("E_C0Y", "urad", np.arange(count), days, value, np.full(count, u), kinds, degrees)
+
+
+def dates(rng: np.random.Generator, count: int = CHECKS) -> np.ndarray:
+    return 20500.0 + np.cumsum(rng.uniform(2.0, 5.0, count))
+
+
+def test_date_and_size_of_steps_are_covered() -> None:
+    """Intervals of 95 % for the date and the size, over 60 series; 0.85 is the 0.5 % limit of 95 % in 60."""
+    rng = np.random.default_rng(1)
+    inside, sized, found = [], [], 0
+    for _ in range(60):
+        days = dates(rng)
+        noise = rng.normal(0.0, 1.0, CHECKS)
+        one = examine(series(noise + 3.0 * (np.arange(CHECKS) >= AFTER), days), LIMIT)
+        if one.change is None:
+            continue
+        found += one.verdict == "changed" and one.change.shape == "step"
+        inside.append(one.change.earliest_day <= days[AFTER - 1] and one.change.latest_day >= days[AFTER])
+        sized.append(abs(one.change.size - 3.0) <= one.change.expanded)
+        assert one.alarm is not None and one.alarm >= AFTER
+    assert found >= 45 and np.mean(inside) >= 0.85 and np.mean(sized) >= 0.85
+
+
+def test_drift() -> None:
+    rng = np.random.default_rng(2)
+    days = dates(rng)
+    ramp = 8.0 * np.maximum(days - days[AFTER], 0.0) / 30.0
+    one = examine(series(rng.normal(0.0, 0.5, CHECKS) + ramp, days), LIMIT)
+    assert one.verdict == "changed" and one.change is not None
+    assert one.change.shape == "drift" and one.change.sure_shape
+    assert one.change.per_month == pytest.approx(8.0, abs=1.5)
+    assert one.change.earliest_day <= days[AFTER] <= one.change.latest_day
+    assert one.level == pytest.approx(ramp[-1], abs=1.0)
+
+
+def influenced(rng: np.random.Generator, days: np.ndarray, degrees: np.ndarray, **others: np.ndarray) -> WatchedError:
+    value = 4.0 * (degrees - 20.0) + rng.normal(0.0, 0.5, len(days))
+    return examine(series(value, days, bed=degrees, **others), LIMIT)
+
+
+def test_growth_with_a_temperature_is_no_change() -> None:
+    rng = np.random.default_rng(3)
+    days = dates(rng)
+    rising = 20.0 + 0.04 * (days - days[0]) + rng.normal(0.0, 0.5, CHECKS)
+    one = influenced(rng, days, rising, hall=21.0 + rng.normal(0.0, 0.5, CHECKS))
+    assert one.verdict == "follows temperature" and not one.alarming
+    assert [effect.sensor for effect in one.temperatures] == ["bed"]
+    assert abs(one.temperatures[0].per_kelvin - 4.0) <= one.temperatures[0].expanded
+
+
+def test_sensors_that_are_alike_are_named_together() -> None:
+    rng = np.random.default_rng(4)
+    days = dates(rng)
+    degrees = 20.0 + 0.04 * (days - days[0]) + rng.normal(0.0, 0.5, CHECKS)
+    one = influenced(rng, days, degrees, column=1.5 * degrees - 9.0)
+    assert one.verdict == "follows temperature"
+    assert {effect.sensor for effect in one.temperatures} == {"bed", "column"}
+
+
+def test_time_and_temperature_together_are_undecided() -> None:
+    rng = np.random.default_rng(5)
+    days = dates(rng)
+    one = influenced(rng, days, 20.0 + 0.05 * (days - days[0]))
+    assert one.verdict == "undecided" and one.alarming
+    assert one.temperatures[0].sensor == "bed" and one.change is not None and one.change.shape == "drift"
+
+
+def test_a_step_beside_a_temperature_is_a_change() -> None:
+    rng = np.random.default_rng(6)
+    days = dates(rng)
+    degrees = 20.0 + 1.5 * np.sin(days / 6.0) + rng.normal(0.0, 0.3, CHECKS)
+    value = 3.0 * degrees + 6.0 * (np.arange(CHECKS) >= AFTER) + rng.normal(0.0, 0.5, CHECKS)
+    one = examine(series(value, days, bed=degrees), LIMIT)
+    assert one.verdict == "changed" and one.change is not None
+    assert abs(one.change.size - 6.0) <= one.change.expanded < 1.2, "the temperature's part is removed"
+
+
+def test_instruments_have_levels_of_their_own() -> None:
+    rng = np.random.default_rng(7)
+    days = dates(rng)
+    value = rng.normal(0.0, 0.5, CHECKS)
+    late = np.where(np.arange(CHECKS) < AFTER, "probe", "ball-bar").astype(object)
+    other = value + 9.0 * (late == "ball-bar")
+    assert examine(series(other, days, kind=late), LIMIT).verdict == "steady"
+    assert examine(series(other, days), LIMIT).verdict == "changed"
+
+
+def test_equal_checks_are_no_evidence() -> None:
+    """Checks of a coarse instrument may be equal; the next one that differs by a fraction of its noise is no change."""
+    days = dates(np.random.default_rng(8), 8)
+    value = np.zeros(8)
+    value[-1] = 0.05
+    assert examine(series(value, days, u=1.0), LIMIT).verdict == "steady"
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_checks(count: int) -> None:
+    days = dates(np.random.default_rng(9), count)
+    one = examine(series(np.arange(count) * 9.0, days, bed=np.arange(count) * 1.0), LIMIT)
+    assert one.verdict == "steady" and one.change is None and len(one.weights) == count
+    assert np.isfinite(one.repeatability) == (count > 1)

@@ -1,0 +1,98 @@
+"""The sequential test: its definition by quadrature, and its alarm rate and power on drawn series."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binom, multivariate_normal
+
+from twin.watching.evidence import DATES, MONTH_DAYS, PRIOR_VARIANCES, log_evidence, spent_share
+
+LOOKS = 30
+SERIES = 1000
+
+
+def drawn(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the dates of checks and series of an unchanged machine."""
+    rng = np.random.default_rng(seed)
+    days = 20500.0 + np.cumsum(rng.uniform(1.0, 9.0, LOOKS))
+    return days, 7.0 + 3.0 * rng.normal(size=(LOOKS, SERIES))
+
+
+def marginal(x: np.ndarray, covariance: np.ndarray) -> float:
+    """Return the density of x integrated over the level (uniform) and the standard deviation (1/σ), by quadrature."""
+    log_sd = np.linspace(np.log(x.std()) - 5.0, np.log(x.std()) + 9.0, 240)
+    total = 0.0
+    for sd in np.exp(log_sd):
+        level = np.linspace(-40.0, 40.0, 401) * sd * np.sqrt(covariance.max()) + x.mean()
+        density = multivariate_normal(np.zeros(len(x)), sd**2 * covariance).pdf(x - level[:, None])
+        total += float(np.sum(density) * (level[1] - level[0]))
+    return total * float(log_sd[1] - log_sd[0])
+
+
+def test_the_evidence_is_the_ratio_of_the_densities_without_level_and_scale() -> None:
+    days, x = np.array([0.0, 4.0, 11.0, 13.0]), np.array([0.3, -0.5, 4.1, 3.2])
+    found = np.exp(log_evidence(x, days, np.ones((4, 1))))
+    nothing = marginal(x, np.eye(4))
+    expected, rest = 0.0, 1.0
+    for after in (1, 2, 3):
+        weight = DATES / ((DATES + after - 1) * (DATES + after))
+        rest -= weight
+        step = (np.arange(4) >= after).astype(float)
+        drift = np.maximum(days - days[after - 1], 0.0) / MONTH_DAYS
+        ratios = [marginal(x, np.eye(4) + g * np.outer(z, z)) / nothing for z in (step, drift) for g in PRIOR_VARIANCES]
+        expected += weight * float(np.mean(ratios))
+    assert found[-1] == pytest.approx(expected + rest, rel=2e-3)
+    assert np.all(found[:2] == 1.0)
+
+
+@pytest.mark.parametrize("rate", [0.05, 0.2])
+def test_alarm_rate_holds_over_all_looks(rate: float) -> None:
+    """At most the stated share of unchanged series ever passes the limit; the bound is that of 1000 draws at 99.9 %."""
+    days, x = drawn(1)
+    found = log_evidence(x, days, np.ones((LOOKS, 1)))
+    alarms = int(np.count_nonzero(found.max(axis=0) >= np.log(1.0 / rate)))
+    assert 0 < alarms <= binom.ppf(0.999, SERIES, rate)
+
+
+def test_alarm_rate_holds_whatever_a_temperature_does() -> None:
+    days, x = drawn(2)
+    degrees = 20.0 + 0.08 * (days - days[0]) + np.random.default_rng(3).normal(0.0, 0.4, LOOKS)
+    columns = np.column_stack([np.ones(LOOKS), degrees])
+    influenced = x + 6.0 * degrees[:, None]
+    assert np.mean(log_evidence(influenced, days, columns).max(axis=0) >= np.log(20.0)) <= 0.05
+    assert np.mean(log_evidence(influenced, days, columns[:, :1]).max(axis=0) >= np.log(20.0)) > 0.9, "it matters"
+
+
+def test_alarm_rate_holds_with_a_floor_and_checks_of_different_noise() -> None:
+    days, x = drawn(4)
+    sd = np.where(np.arange(LOOKS) % 3 == 0, 2.0, 0.5)
+    found = log_evidence((x - 7.0) * sd[:, None], days, np.ones((LOOKS, 1)), sd, least=0.01)
+    assert np.mean(found.max(axis=0) >= np.log(20.0)) <= 0.05
+
+
+def test_a_look_does_not_depend_on_later_checks() -> None:
+    days, x = drawn(5)
+    whole = log_evidence(x[:, 0], days, np.ones((LOOKS, 1)))
+    for n in (3, 10, 29):
+        assert log_evidence(x[:n, 0], days[:n], np.ones((n, 1))) == pytest.approx(whole[:n], abs=1e-9)
+
+
+def test_a_step_is_found() -> None:
+    """A step of four standard deviations is found within 12 checks in 9 of 10 series, at the limit of 14 errors and two tests."""
+    days, x = drawn(6)
+    x[12:] += 4.0 * 3.0
+    passed = log_evidence(x, days, np.ones((LOOKS, 1))) >= np.log(2 * 14 / 0.05)
+    assert np.mean(passed[:24].any(axis=0)) > 0.9 and np.mean(passed[:12].any(axis=0)) < 0.01
+
+
+def test_all_of_the_alarm_rate_is_spent_in_the_end_only() -> None:
+    shares = [spent_share(n) for n in (0, 1, 2, 21, 10**9)]
+    assert shares == pytest.approx([0.0, 0.0, 1 / 21, 0.5, 1.0]) and np.all(np.diff(shares) >= 0.0)
+
+
+def test_the_unit_of_the_deviations_does_not_matter() -> None:
+    days, x = drawn(7)
+    x[12:] += 12.0
+    plain = log_evidence(x, days, np.ones((LOOKS, 1)))
+    assert log_evidence(1e3 * x, days, np.ones((LOOKS, 1)), np.full(LOOKS, 70.0)) == pytest.approx(plain, rel=1e-9)

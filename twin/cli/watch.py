@@ -1,0 +1,97 @@
+"""Command ``twin watch``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin._common.errors import InputError
+from twin._common.files import write_atomic
+from twin.cli.shared import options
+from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress_bar
+from twin.machine.machine import DEFAULT, Machine
+from twin.watching import WatchSettings
+from twin.watching import watch as run_watch
+from twin.watching.check import parsed_date
+from twin.watching.words import news_text, text_of
+
+
+@command(
+    "twin watch checks --calibration mine.yaml --tolerance 0.02 --html watch.html",
+    "twin watch checks --since 2026-05-04 --alarm-rate 0.01 --json watch.json",
+    "twin watch checks --date first.csv=2026-03-02 --date second.csv=2026-03-05T08:10",
+)
+def watch(
+    folder: Annotated[Path, typer.Argument(help="Folder of measurement tables (.csv), one for each check.")],
+    machine: options.MachineOption = DEFAULT,
+    calibration: options.CalibrationOption = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option("--tolerance", help="Largest permitted error at the tool, mm, with this calibration."),
+        POSITIVE,
+    ] = None,
+    alarm_rate: Annotated[
+        float,
+        typer.Option(
+            "--alarm-rate", help="Probability of any alarm for an unchanged machine, whatever the number of looks."
+        ),
+    ] = 0.05,
+    tool_length: options.ToolOption = None,
+    since: Annotated[
+        str | None,
+        typer.Option("--since", help="Date before which checks are not used, ISO 8601: after a repair; default: all."),
+    ] = None,
+    date: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--date",
+            help="FILE=DATE of a check whose table and name give no date, ISO 8601; repeatable.",
+        ),
+    ] = None,
+    json_file: JsonOption = None,
+    html_file: Annotated[Path | None, typer.Option("--html", help="Write the history to this HTML file."), HTML] = None,
+) -> CommandResult:
+    """Watch a folder of check measurements: which error changed, since when, is it temperature, is the calibration still good.
+
+    FOLDER.watch.sqlite beside the folder remembers what was read and said. The exit status is 3 if an error changed, or if the
+    calibration is proven not to meet the tolerance.
+    """
+    if html_file is not None:
+        options.need_pictures("the HTML page")
+    settings = WatchSettings(
+        alarm_rate=alarm_rate,
+        tolerance_mm=tolerance,
+        tool_length_mm=tool_length,
+        dates=dates(date or []),
+        since=None if since is None else parsed_date(since),
+    )
+    loaded = Machine.load(machine)
+    errors = options.calibration_of(calibration, loaded)
+    with progress_bar() as bar:
+        found = run_watch(folder, loaded, errors, settings=settings, progress=bar)
+    if html_file is not None:
+        from twin.watching.page import watch_html  # imports matplotlib, which is slow and needed only here
+
+        write_atomic(html_file, watch_html(found))
+    return CommandResult(text_of(found) + news_text(found), found.to_dict, met=found.met)
+
+
+def dates(entries: Sequence[str]) -> dict[str, datetime]:
+    """Return the dates of files, each given as ``FILE=DATE``.
+
+    Raises:
+        InputError: text that is not FILE=DATE, no date, or a file given twice.
+    """
+    found: dict[str, datetime] = {}
+    for entry in entries:
+        name, equals, text = entry.rpartition("=")
+        if not equals or not name:
+            raise InputError("--date cannot be read", expected="FILE=DATE: first.csv=2026-03-02", value=entry)
+        if name in found:
+            raise InputError("--date names a file twice", expected="each file once", value=entry)
+        found[name] = parsed_date(text)
+    return found

@@ -1,0 +1,121 @@
+"""Sequential test for a change in a series of checks, valid whatever the number of looks.
+
+The test statistic is an e-process: the likelihood ratio of "something changed" to "nothing changed", averaged over the possible
+changes. While nothing changed its expectation is one, so it exceeds 1/α at any time with a probability of at most α (Ville's
+inequality). The number of looks need not be fixed in advance, and a further look costs nothing. The alarm rate is spent over the
+dates of the change instead of over the looks: the change after check c has the share w_c = a/((a + c − 1)(a + c)) of it, and all
+shares sum to one. A group sequential boundary (Lan and DeMets 1983) would need the last look, or an information time, which a watch
+does not have; and its levels would have to be computed anew for every repeatability.
+
+Neither the level nor the repeatability of the checks is known. Both are eliminated: the ratio is that of the data reduced by
+invariance to shift and scale (right Haar priors, as in a t-test), for which the bound is exact for normal deviations of unknown
+variance (Pérez-Ortiz et al. 2024; Lai 1976). Further nuisance columns are eliminated in the same way: the level of each kind of
+check, and a temperature with an unknown coefficient. The change is a step, or a drift from its date on; its size in standard
+deviations has normal priors of several widths (Robbins 1970).
+
+The floor of the variance (`least`) is a small part of the instrument's. It only makes the ratio smaller, so the bound is kept.
+
+K. K. G. Lan, D. L. DeMets: Discrete sequential boundaries for clinical trials, Biometrika 70 (1983) 659-663.
+H. Robbins: Statistical methods related to the law of the iterated logarithm, Ann. Math. Statist. 41 (1970) 1397-1409.
+T. L. Lai: On confidence sequences, Ann. Statist. 4 (1976) 265-280.
+M. F. Pérez-Ortiz, T. Lardy, R. de Heide, P. D. Grünwald: E-statistics, group invariance and anytime-valid testing, Ann. Statist. 52
+(2024) 1410-1432.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+PRIOR_VARIANCES: Final = (1.0, 10.0, 100.0)
+"""Prior variances of the change, in squares of the standard deviation of one check."""
+DATES: Final = 20.0
+"""Number of possible dates of a change over which half of the alarm rate is spent."""
+MONTH_DAYS: Final = 30.0
+"""Time over which a drift is measured, days."""
+RANK_TOLERANCE: Final = 1e-9
+"""Relative size of singular values that count as zero."""
+
+
+def spent_share(checks: int) -> float:
+    """Return the share of the alarm rate that belongs to changes between the first check and the last of a number of checks."""
+    dates = max(checks - 1, 0)
+    return dates / (DATES + dates)
+
+
+def change_shapes(days: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the regressors of a step and of a drift after each check.
+
+    Args:
+        days: (n,) dates in days, ascending.
+
+    Returns:
+        Two arrays (n, n − 1): column c − 1 belongs to a change after check c. A step is 0 before and 1 after it; a drift is the time
+        since check c in `MONTH_DAYS`, 0 before it.
+    """
+    count = len(days)
+    after = np.arange(count)[:, None] > np.arange(count - 1)
+    since = np.maximum(days[:, None] - days[None, :-1], 0.0) / MONTH_DAYS
+    return after.astype(float), since
+
+
+def remover(nuisance: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return an orthonormal basis (n, r) of the nuisance columns, and its rank r."""
+    left, size, _ = np.linalg.svd(nuisance, full_matrices=False)
+    rank = int(np.count_nonzero(size > RANK_TOLERANCE * max(float(size.max(initial=0.0)), 1e-300)))
+    return left[:, :rank], rank
+
+
+def log_evidence(
+    values: np.ndarray, days: np.ndarray, nuisance: np.ndarray, sd: np.ndarray | None = None, least: float = 0.0
+) -> np.ndarray:
+    """Return the logarithm of the e-process after each check.
+
+    Args:
+        values: (n,) or (n, series) deviations in the order of their dates.
+        days: (n,) dates in days, ascending.
+        nuisance: (n, p) columns with unknown coefficients, whose influence is eliminated; one of them is the level.
+        sd: (n,) relative standard deviations of the checks; equal if None.
+        least: floor of the variance, in units of ``sd`` squared.
+
+    Returns:
+        (n,) or (n, series) logarithms; 0 means that nothing is known.
+    """
+    sd = np.ones(len(days)) if sd is None else sd
+    y = (values.T / sd).T.reshape(len(days), -1)
+    x = nuisance / sd[:, None]
+    # Relative to the first check, so that the priors of the size are in standard deviations whatever the unit of ``sd``.
+    shapes = [shape * (sd[0] / sd)[:, None] for shape in change_shapes(days)]
+    found = np.zeros_like(y)
+    for n in range(3, len(days) + 1):
+        found[n - 1] = _log_ratio(y[:n], x[:n], [shape[:n, : n - 1] for shape in shapes], least)
+    return found.reshape(np.shape(values))
+
+
+def _log_ratio(y: np.ndarray, x: np.ndarray, shapes: list[np.ndarray], least: float) -> np.ndarray:
+    """Return (series,) the logarithm of the averaged likelihood ratio of the checks so far."""
+    count = len(y)
+    basis, rank = remover(x)
+    dof = count - rank
+    y = y - basis @ (basis.T @ y)
+    rss = np.sum(y**2, axis=0) + least
+    if dof < 2:
+        return np.zeros(y.shape[1])
+    dates = np.arange(1.0, count)
+    weight = DATES / ((DATES + dates - 1.0) * (DATES + dates))
+    logs = []
+    for shape in shapes:
+        z = shape - basis @ (basis.T @ shape)
+        strength = np.sum(z**2, axis=0)[:, None]
+        along = (z.T @ y) ** 2
+        for variance in PRIOR_VARIANCES:
+            gain = 1.0 + variance * strength
+            explained = np.divide(variance * along / gain, rss, out=np.zeros_like(along), where=rss > 0.0)
+            share = np.clip(explained, 0.0, 1.0 - 1e-12)
+            logs.append(-0.5 * np.log(gain) - 0.5 * dof * np.log1p(-share))
+    each = np.stack(logs) - np.log(len(logs))
+    top = np.maximum(each.max(axis=(0, 1)), 0.0)
+    inside = np.einsum("c,kcs->s", weight, np.exp(each - top))
+    later = DATES / (DATES + count - 1.0)
+    return np.asarray(top + np.log(inside + later * np.exp(-top)))
