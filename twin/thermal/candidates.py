@@ -1,4 +1,4 @@
-"""Candidate terms of a thermal model: which inputs they follow, with which lag, and their values over a record."""
+"""TermCandidate terms of a thermal model: which inputs they follow, with which lag, and their values over a record."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EXPONENTS: Final = (1.0, 2.0)
 ALIKE: Final = 0.05
 """Largest mean correlation distance inside a group of sensors or displacements (correlation above 0.95)."""
 PRIOR_UM_PER_K: Final = 8.0
-"""Prior standard deviation of a temperature coefficient: 0.7 m of steel."""
+"""Prior standard deviation of a temperature coefficient: a metal part of 0.7 m."""
 PRIOR_SPEED_UM: Final = 15.0
 """Prior standard deviation of the growth at the highest speed of the data."""
 PRIOR_DRIFT_UM: Final = 5.0
@@ -28,7 +28,7 @@ MIN_VARIATION_K: Final = 0.1
 
 @final
 @dataclass(frozen=True)
-class Candidate:
+class TermCandidate:
     """One possible term, linear in its coefficient.
 
     Attributes:
@@ -49,7 +49,7 @@ class Candidate:
 @final
 @dataclass(frozen=True)
 class Inputs:
-    """What the terms are relative to.
+    """Reference values of the inputs.
 
     Attributes:
         reference_degC: temperature of each sensor at the start of the fitted record.
@@ -63,7 +63,7 @@ class Inputs:
 
 
 def sensor_groups(record: ThermalRecord, length: int) -> tuple[list[tuple[str, ...]], tuple[str, ...]]:
-    """Return the groups of sensors that the record cannot tell apart, and the sensors that do not vary.
+    """Return the groups of sensors that the record cannot distinguish, and the sensors that do not vary.
 
     Groups are clusters of average linkage by correlation of the temperatures averaged over ``length`` rows.
     """
@@ -100,14 +100,16 @@ def time_constants(duration_s: float) -> list[float]:
     return [float(f"{duration_s / 139.0 * 2.0**k:.2g}") for k in range(5)]
 
 
-def candidates(groups: Sequence[tuple[str, ...]], speeds: bool, duration_s: float) -> list[Candidate]:
+def candidates(groups: Sequence[tuple[str, ...]], speeds: bool, duration_s: float) -> list[TermCandidate]:
     """Return all candidate terms."""
     lags = time_constants(duration_s)
-    found = [Candidate("thermal_lag", group, tau, 0.0, PRIOR_UM_PER_K) for group in groups for tau in (0.0, *lags)]
+    found = [TermCandidate("thermal_lag", group, tau, 0.0, PRIOR_UM_PER_K) for group in groups for tau in (0.0, *lags)]
     if speeds:
-        found += [Candidate("spindle_shift", (), 0.0, power, PRIOR_SPEED_UM) for power in EXPONENTS]
-        found += [Candidate("spindle_growth", (), tau, power, PRIOR_SPEED_UM) for power in EXPONENTS for tau in lags]
-    found += [Candidate("thermal_drift", (), tau, 0.0, PRIOR_DRIFT_UM) for tau in (*lags[1:], 2.0 * lags[-1])]
+        found += [TermCandidate("spindle_shift", (), 0.0, power, PRIOR_SPEED_UM) for power in EXPONENTS]
+        found += [
+            TermCandidate("spindle_growth", (), tau, power, PRIOR_SPEED_UM) for power in EXPONENTS for tau in lags
+        ]
+    found += [TermCandidate("thermal_drift", (), tau, 0.0, PRIOR_DRIFT_UM) for tau in (*lags[1:], 2.0 * lags[-1])]
     return found
 
 
@@ -137,8 +139,8 @@ def lagged(values: np.ndarray, time_s: np.ndarray, time_constant_s: float, state
     return found
 
 
-def drivers(record: ThermalRecord, terms: Sequence[Candidate], inputs: Inputs) -> np.ndarray:
-    """Return the input of every term before its lag (n, terms): K above the reference, or relative speed to its exponent; 0 for drift."""
+def drivers(record: ThermalRecord, terms: Sequence[TermCandidate], inputs: Inputs) -> np.ndarray:
+    """Return the input of every term before its lag (n, terms): K above the reference, or relative speed to its exponent, or 0."""
     index = {name: i for i, name in enumerate(record.sensors)}
     found = np.zeros((len(record), len(terms)))
     for j, term in enumerate(terms):
@@ -151,7 +153,7 @@ def drivers(record: ThermalRecord, terms: Sequence[Candidate], inputs: Inputs) -
 
 
 def features(
-    record: ThermalRecord, terms: Sequence[Candidate], inputs: Inputs, states: np.ndarray | None = None
+    record: ThermalRecord, terms: Sequence[TermCandidate], inputs: Inputs, states: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the value of every term for coefficient 1, (n, terms).
 

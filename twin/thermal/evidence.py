@@ -15,7 +15,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.thermal.candidates import Candidate
+from twin.thermal.candidates import TermCandidate
 
 TERM_COST: Final = 3.0
 """Prior log odds against each candidate: some three terms are expected among sixty candidates."""
@@ -49,7 +49,7 @@ class Average:
 
 @final
 @dataclass(frozen=True)
-class Draws:
+class DrawnModels:
     """Drawn models of a group of displacements.
 
     Attributes:
@@ -69,7 +69,7 @@ class Evidence:
         x: np.ndarray,
         y: np.ndarray,
         time_s: np.ndarray,
-        terms: Sequence[Candidate],
+        terms: Sequence[TermCandidate],
         noise_um: np.ndarray,
         duration_s: float,
     ) -> None:
@@ -123,16 +123,14 @@ class Evidence:
         scale = self.scale[index]
         return covariance @ right[index] * scale, covariance * np.outer(scale, scale)
 
-    def draw(self, generator: np.random.Generator, steps: int = STEPS) -> Draws:
+    def draw(self, generator: np.random.Generator, steps: int = STEPS) -> DrawnModels:
         """Draw models from their posterior distribution and return their average.
 
         The log evidence is the mean over the displacements of the group: they move together and are not independent observations.
         """
         kinds = len(self.residual_um[0])
         chosen: list[int] = []
-        kind = [
-            int(np.argmax([self.log_evidence(chosen, c, k) for k in range(kinds)])) for c in range(self.size)
-        ]
+        kind = [int(np.argmax([self.log_evidence(chosen, c, k) for k in range(kinds)])) for c in range(self.size)]
         now = self._posterior(chosen, kind)
         drawn = []
         for step in range(steps):
@@ -143,7 +141,7 @@ class Evidence:
             if step >= BURN_IN * steps and step % THINNING == 0:
                 drawn.append((tuple(sorted(chosen)), tuple(kind)))
         averages = tuple(self._average([(model, k[c]) for model, k in drawn], c) for c in range(self.size))
-        return Draws(tuple(model for model, _ in drawn), averages)
+        return DrawnModels(tuple(model for model, _ in drawn), averages)
 
     def _posterior(self, chosen: Sequence[int], kind: Sequence[int]) -> float:
         evidence = sum(self.log_evidence(chosen, c, kind[c]) for c in range(self.size)) / self.size

@@ -1,4 +1,4 @@
-"""Fit a thermal model to a record and foretell its error from parts of the record that were not fitted."""
+"""Fit a thermal model to a record and estimate its error on unseen data from parts of the record that were not fitted."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.progress import silent
 from twin.thermal.candidates import (
-    Candidate,
     Inputs,
+    TermCandidate,
     averaged,
     candidates,
     clusters,
@@ -21,7 +21,7 @@ from twin.thermal.candidates import (
     features,
     sensor_groups,
 )
-from twin.thermal.evidence import Draws, Evidence
+from twin.thermal.evidence import STEPS, DrawnModels, Evidence
 from twin.thermal.model import DisplacementModel, ThermalModel
 from twin.thermal.named_terms import named_terms
 from twin.thermal.record import ThermalRecord
@@ -33,17 +33,19 @@ FORWARD: Final = (0.4, 0.55, 0.7)
 """Shares of the record that are fitted to predict the rest."""
 BLOCKS: Final = 6
 """Number of blocks of time of which each is left out once."""
-KEPT_VARIANCE: Final = 0.999
+LONG_CHAIN: Final = 4
+"""Length of the chain of the final fit, in those of the validation."""
+KEPT_VARIANCE: Final = 0.99
 """Share of the variance of predictions that a model file keeps."""
 
 
 @final
 @dataclass(frozen=True)
-class Problem:
+class AveragedRecord:
     """A record in the form that is fitted, averaged to fewer rows."""
 
     record: ThermalRecord
-    terms: tuple[Candidate, ...]
+    terms: tuple[TermCandidate, ...]
     inputs: Inputs
     groups: tuple[tuple[str, ...], ...]
     together: tuple[tuple[int, ...], ...]
@@ -61,12 +63,12 @@ class Fitted:
     """The models drawn for a group of displacements."""
 
     displacements: tuple[int, ...]
-    draws: Draws
+    draws: DrawnModels
 
 
 @final
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutErrors:
     """Errors of models on averaged rows that they were not fitted to (displacements,)."""
 
     factor: np.ndarray
@@ -98,12 +100,12 @@ def fit_thermal(
     """
     problem = _problem(record)
     progress("fitting", 0.0)
-    fitted = _fit(problem, np.arange(len(problem.x)), seed)
+    fitted = _fit(problem, np.arange(len(problem.x)), seed, steps=LONG_CHAIN * STEPS)
     held_out = _held_out(problem, seed, progress) if validate else None
     return _model(problem, fitted, held_out)
 
 
-def _problem(record: ThermalRecord) -> Problem:
+def _problem(record: ThermalRecord) -> AveragedRecord:
     if not record.displacements:
         raise InputError("no displacement", expected="columns <name>_um", file=record.path)
     if len(record) < LEAST_ROWS:
@@ -125,7 +127,7 @@ def _problem(record: ThermalRecord) -> Problem:
     y = averaged(record.displacement_um, length)
     together = clusters(y, record.displacements)
     notices = [f"sensor {name} does not vary and is not used" for name in flat]
-    return Problem(
+    return AveragedRecord(
         record,
         terms,
         inputs,
@@ -140,24 +142,24 @@ def _problem(record: ThermalRecord) -> Problem:
     )
 
 
-def _fit(problem: Problem, rows: np.ndarray, seed: int) -> list[Fitted]:
+def _fit(problem: AveragedRecord, rows: np.ndarray, seed: int, *, steps: int = STEPS) -> list[Fitted]:
     """Fit the averaged rows of these indices."""
     found = []
     for group in problem.together:
         columns = list(group)
         evidence = Evidence(
             problem.x[rows],
-            problem.y[np.ix_(rows, columns)],
+            problem.y[np.ix_(rows, np.array(columns))],
             problem.time_s[rows],
             problem.terms,
             problem.noise_um[columns],
             problem.duration_s,
         )
-        found.append(Fitted(group, evidence.draw(np.random.default_rng(seed))))
+        found.append(Fitted(group, evidence.draw(np.random.default_rng(seed), steps)))
     return found
 
 
-def _held_out(problem: Problem, seed: int, progress: Callable[[str, float], None]) -> HeldOut:
+def _held_out(problem: AveragedRecord, seed: int, progress: Callable[[str, float], None]) -> HeldOutErrors:
     """Fit parts of the record and compare the errors on the rest with the uncertainty."""
     count = len(problem.x)
     folds = [np.arange(count) >= round(share * count) for share in FORWARD]
@@ -165,19 +167,19 @@ def _held_out(problem: Problem, seed: int, progress: Callable[[str, float], None
     top = _highest_speed_left_out(problem)
     if top is not None:
         folds.append(top)
-    errors, foretold = [], []
+    errors, expected = [], []
     for i, left_out in enumerate(folds):
         progress("validating", (i + 1) / (len(folds) + 1))
         error, variance = _errors(problem, _fit(problem, np.flatnonzero(~left_out), seed), left_out)
         errors.append((error**2).mean(axis=0))
-        foretold.append(variance.mean(axis=0))
-    squares, variances = np.array(errors), np.array(foretold)
+        expected.append(variance.mean(axis=0))
+    squares, variances = np.array(errors), np.array(expected)
     factor = np.sqrt((squares / variances).mean(axis=0))
     forward, blocks = slice(0, len(FORWARD)), slice(len(FORWARD), len(FORWARD) + BLOCKS)
-    return HeldOut(np.maximum(factor, 1.0), np.sqrt(squares[blocks].mean(axis=0)), np.sqrt(squares[forward]))
+    return HeldOutErrors(np.maximum(factor, 1.0), np.sqrt(squares[blocks].mean(axis=0)), np.sqrt(squares[forward]))
 
 
-def _highest_speed_left_out(problem: Problem) -> np.ndarray | None:
+def _highest_speed_left_out(problem: AveragedRecord) -> np.ndarray | None:
     """Return the averaged rows from each start of the highest speed until another speed starts; None without two speeds."""
     speed = problem.record.speed_rpm
     if speed is None or len(np.unique(speed[speed > 0.0])) < 2:
@@ -191,7 +193,7 @@ def _highest_speed_left_out(problem: Problem) -> np.ndarray | None:
     return None if rows.mean() > 0.5 else rows
 
 
-def _errors(problem: Problem, fitted: Sequence[Fitted], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _errors(problem: AveragedRecord, fitted: Sequence[Fitted], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return measured minus predicted, and the variance expected, at averaged rows (m, displacements)."""
     x = np.c_[problem.x[rows], np.ones(int(rows.sum()))]
     error, variance = np.empty((len(x), problem.y.shape[1])), np.empty((len(x), problem.y.shape[1]))
@@ -203,7 +205,7 @@ def _errors(problem: Problem, fitted: Sequence[Fitted], rows: np.ndarray) -> tup
     return error, variance
 
 
-def _model(problem: Problem, fitted: Sequence[Fitted], held_out: HeldOut | None) -> ThermalModel:
+def _model(problem: AveragedRecord, fitted: Sequence[Fitted], held_out: HeldOutErrors | None) -> ThermalModel:
     record = problem.record
     found: dict[int, DisplacementModel] = {}
     for one in fitted:
@@ -213,7 +215,8 @@ def _model(problem: Problem, fitted: Sequence[Fitted], held_out: HeldOut | None)
     columns = [record.sensors.index(name) for name in used]
     values = record.temperature_degC[:, columns]
     all_features = features(record, problem.terms, problem.inputs)
-    lag = drivers(record, problem.terms, problem.inputs) - all_features
+    driven = drivers(record, problem.terms, problem.inputs)
+    lag = driven - all_features
     drift = np.array([term.effect == "thermal_drift" for term in problem.terms])
     return ThermalModel(
         record.path,
@@ -226,22 +229,25 @@ def _model(problem: Problem, fitted: Sequence[Fitted], held_out: HeldOut | None)
         float(record.time_s[-1]),
         record.interval_s,
         read_only(all_features[-1]),
+        read_only(driven[-1]),
         read_only(np.where(drift, 0.0, lag.std(axis=0))),
         problem.notices,
     )
 
 
-def _displacement(problem: Problem, one: Fitted, k: int, held_out: HeldOut | None) -> DisplacementModel:
+def _displacement(problem: AveragedRecord, one: Fitted, k: int, held_out: HeldOutErrors | None) -> DisplacementModel:
     displacement = one.displacements[k]
     average = one.draws.averages[k]
+    name = problem.record.displacements[displacement]
+    factor = 1.0 if held_out is None else float(held_out.factor[displacement])
     return DisplacementModel(
-        problem.record.displacements[displacement],
-        named_terms(problem.record.displacements[displacement], problem.terms, problem.x, one.draws, average),
+        name,
+        named_terms(name, problem.terms, problem.x, one.draws, average, factor),
         read_only(average.mean),
         average.residual_um,
         float("nan") if held_out is None else float(held_out.blocks_um[displacement]),
         () if held_out is None else tuple(float(value) for value in held_out.forward_um[:, displacement]),
-        1.0 if held_out is None else float(held_out.factor[displacement]),
+        factor,
         read_only(_directions(average.covariance, np.r_[problem.x.std(axis=0), 1.0])),
     )
 
@@ -252,4 +258,4 @@ def _directions(covariance: np.ndarray, scale: np.ndarray) -> np.ndarray:
     value, vector = np.linalg.eigh(covariance * np.outer(safe, safe))
     value, vector = np.maximum(value[::-1], 0.0), vector[:, ::-1]
     count = int(np.searchsorted(np.cumsum(value), KEPT_VARIANCE * value.sum())) + 1
-    return (vector[:, :count] * np.sqrt(value[:count])).T / safe
+    return (vector[:, :count] * np.sqrt(value[:count] / KEPT_VARIANCE)).T / safe

@@ -10,7 +10,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
-from twin.thermal.candidates import Candidate, Inputs, drivers, features
+from twin.thermal.candidates import Inputs, TermCandidate, drivers, features, lagged
 from twin.thermal.record import SPEED, ThermalRecord
 
 SCHEMA: Final = "twin.thermal-model/1"
@@ -21,7 +21,7 @@ FOLLOWS: Final = 5.0
 @final
 @dataclass(frozen=True)
 class ThermalTerm:
-    """How one displacement follows one input: sensors, spindle speed or a drift.
+    """The response of one displacement to one input: sensors, spindle speed or a drift.
 
     Attributes:
         effect: ``thermal_lag``, ``spindle_growth``, ``spindle_shift`` (no lag) or ``thermal_drift``.
@@ -34,8 +34,8 @@ class ThermalTerm:
         exponent: mean exponent of the speed; None for other effects.
         share: share of the models allowed by the data that follow the same input, 0 to 1.
         alternatives: inputs that the models without this one follow instead.
-        contribution_um: RMS of what the term moves the displacement by, over the fitted record.
-        matters: whether the term is listed: its contribution exceeds half the residual's standard deviation.
+        contribution_um: RMS change of the displacement by this term over the fitted record.
+        matters: whether the term is listed: its contribution exceeds the standard deviation of the residual.
     """
 
     effect: str
@@ -70,7 +70,7 @@ class DisplacementModel:
         held_out_um: RMS error on blocks of time that were not fitted; NaN if not validated.
         forward_um: RMS error on what follows the fitted part, for each share of `FORWARD`; empty if not validated.
         calibration: factor from the uncertainty computed to the error found on held-out data, at least 1.
-        directions: (k, candidates + 1): the squared sum of their products with the candidates' values is the variance of the coefficients.
+        directions: (k, candidates + 1): the sum of the squares of their products with the candidates' values is a variance, µm².
     """
 
     name: str
@@ -110,7 +110,7 @@ class ThermalPrediction:
     residual_um: np.ndarray
 
     @property
-    def foretold_rms_um(self) -> np.ndarray:
+    def expected_rms_um(self) -> np.ndarray:
         """RMS error that the model expects over these rows (displacements,)."""
         return read_only(np.sqrt((self.standard_uncertainty_um**2).mean(axis=0)))
 
@@ -132,16 +132,17 @@ class ThermalModel:
         displacements: the model of each displacement.
         temperature_range_degC: (sensors, 2), as ``sensors``.
         sensors: sensors needed by a prediction, in the order of the ranges.
-        groups: groups of sensors that the record cannot tell apart.
+        groups: groups of sensors that the record cannot distinguish.
         end_s: time of the last fitted row.
         interval_s: median interval of the fitted record.
         end_state: state of every candidate's lag at that time.
-        unsettled: standard deviation, over the fitted record, of each candidate's input minus its lag: the doubt about an unknown state.
+        end_input: input of every candidate at that time.
+        unsettled: standard deviation of each candidate's input minus its lag: the uncertainty of an unknown state.
         notices: what was not used.
     """
 
     source: str
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[TermCandidate, ...]
     inputs: Inputs
     displacements: tuple[DisplacementModel, ...]
     temperature_range_degC: np.ndarray
@@ -150,6 +151,7 @@ class ThermalModel:
     end_s: float
     interval_s: float
     end_state: np.ndarray
+    end_input: np.ndarray
     unsettled: np.ndarray
     notices: tuple[str, ...] = ()
 
@@ -212,10 +214,16 @@ class ThermalModel:
     def _check(self, record: ThermalRecord) -> None:
         missing = [name for name in self.sensors if name not in record.sensors]
         if missing:
-            expected = f"columns {', '.join(f'T_{name}_degC' for name in missing)}: the model of {self.source} needs them"
-            raise InputError(f"{len(missing)} of {len(self.sensors)} sensors missing", expected=expected, file=record.path)
+            expected = (
+                f"columns {', '.join(f'T_{name}_degC' for name in missing)}: the model of {self.source} needs them"
+            )
+            raise InputError(
+                f"{len(missing)} of {len(self.sensors)} sensors missing", expected=expected, file=record.path
+            )
         if self.needs_speed and record.speed_rpm is None:
-            raise InputError(f"no column {SPEED}", expected="the spindle speed, which the model needs", file=record.path)
+            raise InputError(
+                f"no column {SPEED}", expected="the spindle speed, which the model needs", file=record.path
+            )
 
     def _shifted(self, record: ThermalRecord, follow: bool) -> ThermalRecord:
         """Return the record with its times moved behind the fitted ones, if it must follow them."""
@@ -223,18 +231,25 @@ class ThermalModel:
             return record
         moved = record.time_s - record.time_s[0] + self.end_s + self.interval_s
         return ThermalRecord(
-            record.path, read_only(moved), record.temperature_degC, record.sensors, record.displacement_um,
-            record.displacements, record.speed_rpm,
+            record.path,
+            read_only(moved),
+            record.temperature_degC,
+            record.sensors,
+            record.displacement_um,
+            record.displacements,
+            record.speed_rpm,
         )
 
     def _values(self, record: ThermalRecord, goes_on: bool) -> np.ndarray:
         if not goes_on:
             return features(record, self.candidates, self.inputs)
         now = drivers(record, self.candidates, self.inputs)[0]
-        gap = float(record.time_s[0]) - self.end_s
-        tau = np.array([term.time_constant_s for term in self.candidates])
-        decay = np.exp(-gap / np.maximum(tau, 1e-9))
-        return features(record, self.candidates, self.inputs, now + decay * (self.end_state - now))
+        times = np.array([self.end_s, float(record.time_s[0])])
+        states = [
+            lagged(np.array([last, first]), times, term.time_constant_s, float(state))[1]
+            for term, last, first, state in zip(self.candidates, self.end_input, now, self.end_state, strict=True)
+        ]
+        return features(record, self.candidates, self.inputs, np.array(states))
 
     def _start_warning(self, record: ThermalRecord) -> list[str]:
         start = drivers(record, self.candidates, self.inputs)[0]

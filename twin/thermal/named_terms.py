@@ -7,17 +7,17 @@ from typing import Final
 
 import numpy as np
 
-from twin.thermal.candidates import Candidate
-from twin.thermal.evidence import Average, Draws
+from twin.thermal.candidates import TermCandidate
+from twin.thermal.evidence import Average, DrawnModels
 from twin.thermal.model import ThermalTerm
 
 CERTAIN: Final = 0.95
 """Share of the models above which an input has no alternatives."""
-LISTED: Final = 0.5
+LISTED: Final = 1.0
 """Least contribution of a term that matters, in standard deviations of the residual."""
 
 
-def input_name(term: Candidate) -> str:
+def input_name(term: TermCandidate) -> str:
     """Return the name of the input that a candidate follows."""
     if term.sensors:
         return term.sensors[0] if len(term.sensors) == 1 else f"group {', '.join(term.sensors)}"
@@ -25,7 +25,12 @@ def input_name(term: Candidate) -> str:
 
 
 def named_terms(
-    displacement: str, candidates: Sequence[Candidate], x: np.ndarray, draws: Draws, average: Average
+    displacement: str,
+    candidates: Sequence[TermCandidate],
+    x: np.ndarray,
+    draws: DrawnModels,
+    average: Average,
+    factor: float,
 ) -> tuple[ThermalTerm, ...]:
     """Return the terms of a displacement, by falling contribution.
 
@@ -35,6 +40,7 @@ def named_terms(
         x: candidates over the fitted rows (n, candidates).
         draws: the models drawn for its group.
         average: its average.
+        factor: factor of the standard uncertainties, from held-out data.
     """
     families: dict[tuple[str, str], list[int]] = {}
     for j, term in enumerate(candidates):
@@ -58,10 +64,12 @@ def named_terms(
                 name=f"{displacement} by {name}" if candidates[members[0]].sensors else displacement,
                 input=name,
                 coefficient=float(average.mean[index].sum()),
-                standard_uncertainty=float(np.sqrt(max(average.covariance[np.ix_(index, index)].sum(), 0.0))),
+                standard_uncertainty=factor * float(np.sqrt(max(average.covariance[np.ix_(index, index)].sum(), 0.0))),
                 time_constant_s=centre,
                 u_time_constant_s=float(np.sqrt(weight @ (tau - centre) ** 2)),
-                exponent=float(weight @ [candidates[j].exponent for j in members]) if effect.startswith("spindle") else None,
+                exponent=float(weight @ [candidates[j].exponent for j in members])
+                if effect.startswith("spindle")
+                else None,
                 share=share,
                 alternatives=others,
                 contribution_um=contribution,

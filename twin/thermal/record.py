@@ -57,7 +57,7 @@ class ThermalRecord:
     def load(path: str | Path) -> ThermalRecord:
         """Read a record.
 
-        The columns are ``time_s``, ``T_<sensor>_degC``, ``<name>_um`` for displacements and, optionally, ``spindle_rpm``; a row a reading.
+        The columns are ``time_s``, ``T_<sensor>_degC``, displacements ``<name>_um`` and, optionally, ``spindle_rpm``.
 
         Raises:
             InputError: with line and value: no such columns, a cell that is empty or no number, a time that does not increase, a gap in
