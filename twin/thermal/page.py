@@ -13,6 +13,7 @@ from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, SHADE, embedded, 
 from twin.thermal.fit import FORWARD as SHARES
 from twin.thermal.model import ThermalModel, ThermalPrediction
 from twin.thermal.record import ThermalRecord
+from twin.thermal.text import time_constant_text
 
 MOST_PICTURES: Final = 20
 HOUR: Final = 3600.0
@@ -33,8 +34,9 @@ def thermal_html(model: ThermalModel, shown: Sequence[tuple[ThermalRecord, Therm
         model=model,
         shares=", ".join(f"{share:.0%}" for share in SHARES),
         groups=[group for group in model.groups if len(group) > 1],
-        shown=[(Path(record.path).name, prediction) for record, prediction in shown],
+        shown=[(Path(record.path).name, record.path == model.source, prediction) for record, prediction in shown],
         measured=measured,
+        time_constant=time_constant_text,
         warnings=sorted({text for _, prediction in shown for text in prediction.warnings}),
         picture=lambda k: _picture(model, k, shown) if k < MOST_PICTURES else Html(""),
     )

@@ -40,11 +40,18 @@ def term_text(term: ThermalTerm) -> str:
     text = f"{term.effect:<15} {term.name}: {measured(term.coefficient, term.standard_uncertainty, term.unit)}"
     if term.effect.startswith("spindle"):
         text += f" at the highest speed, exponent {term.exponent:.2g}"
-    if term.time_constant_s > 0.0:
-        text += f", time constant {measured(term.time_constant_s, term.u_time_constant_s, 's')}"
+    if term.effect != "spindle_shift":
+        text += f", {time_constant_text(term)}"
     if term.alternatives:
         text += f"; in {term.share:.0%} of the models, else {' or '.join(term.alternatives)}"
     return text
+
+
+def time_constant_text(term: ThermalTerm) -> str:
+    """Return the time constant with its standard deviation over the models."""
+    if term.time_constant_s < term.u_time_constant_s / 2.0:
+        return "mostly without lag"
+    return f"time constant {round(term.time_constant_s, -2):.0f} s (u = {round(term.u_time_constant_s, -2):.0f} s)"
 
 
 def prediction_lines(path: str, prediction: ThermalPrediction) -> list[str]:
