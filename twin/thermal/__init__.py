@@ -3,7 +3,8 @@
     twin thermal first.csv -o thermal.yaml --html thermal.html
     twin thermal second.csv --model thermal.yaml --continues --predicted predicted.csv
 
-`twin.thermal.fit_thermal(ThermalRecord.load("first.csv")).predict(other)` does the same from a script.
+`twin.fit_thermal(twin.ThermalRecord.load("first.csv")).predict(other)` does the same from a script.
+`save_model` and `load_model` of this package write and read `schema: twin.thermal-model/1`.
 
 **Record.** A CSV table, a row a reading: `time_s`, optionally `spindle_rpm`, temperatures `T_<sensor>_degC`, displacements `<name>_um`.
 Every cell is a number. A gap longer than five median intervals is refused: lags cannot be followed over it. Displacements and
