@@ -89,8 +89,7 @@ def compensate(
 ) -> CommandResult:
     """Rewrite NC programs so that the machine with its errors produces the programmed path.
 
-    A calibration extended by twin diagnose may need temperatures (--temperature X=23.1 bed=21) and, for thermal drift, a time (--time).
-    Backlash needs no option: the direction of approach follows from the program.
+    An extended calibration may need temperatures (--temperature X=23.1 bed=21), a time (--time) or a speed (--rpm). Backlash needs none.
 
     Several programs are written to a folder under their own names, each with its report (.report.txt, .report.json); --json and
     --report then hold a summary. A program that cannot be compensated does not stop the others. The exit status is the worst of all:
