@@ -67,3 +67,24 @@ def test_without_the_speed_it_cannot_be_told(dmu50: Machine, calibration: Calibr
     found = diagnose(Measurements.load(table, dmu50), dmu50, calibration)
     assert ("spindle_growth", "Z", "spindle_rpm") in found.not_evaluated
     assert found.verdict == "unexplained"
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        Hidden("thermal_drift", "Z", {"amplitude": 15.0, "time_constant": 3000.0}),
+        Hidden("thermal_growth", "Z by bed", {"coefficient": 6.0}),
+    ],
+    ids=lambda truth: truth.effect,
+)
+def test_time_and_temperature_are_not_taken_for_the_speed(
+    dmu50: Machine, calibration: Calibration, tmp_path: Path, truth: Hidden
+) -> None:
+    """The decoy: the speed changes in blocks while the machine warms up."""
+    found = looked(tmp_path, dmu50, calibration, [truth])
+    (cause,) = found.causes
+    assert (cause.effect, cause.where) == truth.key
+    # A warm-up may also be that of a scale's sensor, which warms likewise; never the speed.
+    assert "spindle_growth" not in {effect for effect, _ in cause.equivalent}
+    for quantity in cause.parameters:
+        assert abs(quantity.value - truth.numbers[quantity.name]) < 3.0 * quantity.u

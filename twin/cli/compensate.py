@@ -89,7 +89,7 @@ def compensate(
 ) -> CommandResult:
     """Rewrite NC programs so that the machine with its errors produces the programmed path.
 
-    An extended calibration may need temperatures (--temperature X=23.1 bed=21), a time (--time) or a speed (--rpm). Backlash needs none.
+    An extended calibration may need temperatures (--temperature X=23.1 bed=21), a time (--time), a speed (--rpm). Backlash needs none.
 
     Several programs are written to a folder under their own names, each with its report (.report.txt, .report.json); --json and
     --report then hold a summary. A program that cannot be compensated does not stop the others. The exit status is the worst of all:
