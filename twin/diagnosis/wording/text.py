@@ -19,6 +19,7 @@ from twin.diagnosis.wording.words import (
     listed,
     lower,
     measured,
+    micrometres,
     missing,
     odds,
     percent,
@@ -163,9 +164,10 @@ def _gain(diagnosis: DiagnosisResult) -> list[str]:
         text += f"; on held-out {held_out_words(held.of)} {held.before_um:.3g} → {held.after_um:.3g} µm"
         if held.ci95_um is not None:
             low, high = held.ci95_um
-            text += f" (reduced by {low:.2g} to {high:.2g} µm, 95 %)".replace("-", "−")
+            text += f" (reduced by {micrometres(low)} to {micrometres(high)}, 95 %)".replace("-", "−")
     if gain.tool_before_um > 0.0:
-        text += f"; compensated, at the tool over the working volume, {gain.tool_before_um:.3g} → {gain.tool_after_um:.2g} µm RMS"
+        text += f"; compensated, at the tool over the working volume, {micrometres(gain.tool_before_um)} → "
+        text += f"{micrometres(gain.tool_after_um)} RMS"
     return _wrapped(f"{text}.", hang=2)
 
 

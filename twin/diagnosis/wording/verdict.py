@@ -18,6 +18,7 @@ from twin.diagnosis.wording.words import (
     kind,
     listed,
     lower,
+    micrometres,
     percent,
     separating_points,
     side,
@@ -125,7 +126,7 @@ def extended(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
         low, high = held.ci95_um
         text += (
             f" On held-out {held_out_words(held.of)} it reduces the RMS residual from {held.before_um:.3g} to {held.after_um:.3g} µm "
-            f"(by {low:.2g} to {high:.2g} µm, 95 %)."
+            f"(by {micrometres(low)} to {micrometres(high)}, 95 %)."
         )
     others = [str(term.reason) for term in made.terms if term.reason is not None]
     if others:
@@ -165,7 +166,7 @@ def moves(cause: Cause) -> str:
     """Return the largest shift of a reading, in a sentence."""
     size = np.linalg.norm(np.nan_to_num(cause.pattern_um), axis=1).max(initial=0.0)
     what = "shifts readings" if cause.origin == "instrument" else "moves the measured points"
-    return f"It {what} by up to {size:.2g} µm."
+    return f"It {what} by up to {micrometres(size)}."
 
 
 def noisier_than_stated(diagnosis: DiagnosisResult) -> bool:
@@ -190,13 +191,13 @@ def _at_tool(diagnosis: DiagnosisResult) -> str:
         return "No effect: the error is in the readings only."
     if gain is None or gain.tool_before_um <= 0.0:
         return ""
-    made = f"{gain.tool_before_um:.2g} µm (RMS over the working volume)"
+    made = f"{micrometres(gain.tool_before_um)} (RMS over the working volume)"
     if _written(diagnosis):
-        return f"{made}, within the measured range. After compensation {gain.tool_after_um:.2g} µm remain there."
+        return f"{made}, within the measured range. After compensation {micrometres(gain.tool_after_um)} remain there."
     if diagnosis.verdict == "unexplained":
         return f"The causes found contribute {made}; the contribution of the rest is unknown."
     condition = ", if this is the cause" if diagnosis.verdict == "ambiguous" else ""
-    remaining = f"After compensation {gain.tool_after_um:.2g} µm remain{condition}."
+    remaining = f"After compensation {micrometres(gain.tool_after_um)} remain{condition}."
     return f"{made}; relevant if your tolerance is below about five times this. {remaining}"
 
 
@@ -215,7 +216,7 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     spurious = "if the noise is larger than stated, some of the causes found may not exist."
     if noisier_than_stated(diagnosis) and diagnosis.gain is not None:
         times = diagnosis.gain.rms_after_um / diagnosis.expected_rms_um
-        rest = f"With these causes in the model the RMS residual is {diagnosis.gain.rms_after_um:.2g} µm"
+        rest = f"With these causes in the model the RMS residual is {micrometres(diagnosis.gain.rms_after_um)}"
         return [
             ("Residual", f"{rest}, {times:.2g} times the stated noise."),
             ("What to do", f"{check} Then diagnose again."),

@@ -11,7 +11,7 @@ from math import ceil, exp, floor, isfinite, log10
 from typing import Any, Final, final
 
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
-from twin.display.numbers import COVERAGE_FACTOR
+from twin.display.numbers import COVERAGE_FACTOR, figure
 from twin.machine.effects.names import axis_of
 from twin.machine.effects.specification import Advice, Kind
 
@@ -21,6 +21,11 @@ ENOUGH: Final = 25.0
 """Expected χ² between the predictions of two causes that rules one of them out."""
 HOPELESS: Final = 1000.0
 """Number of readings at one position above which the measurement is not suggested."""
+
+
+def micrometres(value: float) -> str:
+    """Return a size in µm with two significant digits and no exponent."""
+    return figure(value, "µm", digits=2)
 
 
 def kind(effect: str) -> Kind:
