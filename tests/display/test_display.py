@@ -426,7 +426,9 @@ def test_every_exported_result_has_a_display() -> None:
         "Kit",
         "Placement",
         "Status",
+        "ThermalRecord",
         "ThesisMethod",
+        "WatchSettings",
         "Workers",
     }
     classes = {name for name in twin.__all__ if isinstance(getattr(twin, name), type)}
