@@ -14,11 +14,18 @@ from twin.measurement.table import Measurements
 
 NOISE_UM = 0.35
 RADIUS_MM = 100.0
+SPIKE_S = 0.6
 CENTRE_MM = np.array([250.0, 225.0])
 
 
 def circles(
-    feeds: Sequence[float], seed: int, *, backlash_um: float = 0.0, square_urad: float = 0.0, lag_s: float = 0.0
+    feeds: Sequence[float],
+    seed: int,
+    *,
+    backlash_um: float = 0.0,
+    square_urad: float = 0.0,
+    lag_s: float = 0.0,
+    spike_um: float = 0.0,
 ) -> Measurements:
     """Return lengths on circles in XY in both directions at some feeds: backlash and lag of X, squareness of Y to X."""
     rng, parts = np.random.default_rng(seed), []
@@ -29,6 +36,10 @@ def circles(
         off = np.zeros_like(x)
         off[:, 0] = 0.5e-3 * backlash_um * np.sign(velocity[:, 0]) - 1e-6 * square_urad * (x[:, 1] + CENTRE_MM[1])
         off[:, 0] -= lag_s * velocity[:, 0]
+        # X reverses at 0° and 180°; the circle starts after the first.
+        since = np.mod(np.abs(angle), np.pi) * RADIUS_MM / (feed / 60.0)
+        passed = np.abs(angle) > np.pi
+        off[:, 0] -= 1e-3 * spike_um * np.sign(velocity[:, 0]) * np.exp(-since / SPIKE_S) * passed
         length = np.linalg.norm(x + off, axis=1) + 1e-3 * rng.normal(0.0, NOISE_UM, len(x))
         parts.append((x + CENTRE_MM, np.sign(velocity), length, np.full(len(x), feed), [str(number)] * len(x)))
     at, side, length, feed_of, rounds = (np.concatenate([part[k] for part in parts]) for k in range(5))
@@ -88,3 +99,15 @@ def test_lag_and_backlash_are_kept_apart(dmu50: Machine) -> None:
 def test_nothing_there(dmu50: Machine) -> None:
     verdicts = [found_in(dmu50, circles((1000.0, 3000.0), seed)).verdict for seed in range(10, 15)]
     assert verdicts.count("consistent") >= 4
+
+
+@pytest.mark.parametrize("more", [{}, {"backlash_um": 4.0}], ids=["alone", "with backlash"])
+def test_spikes_at_reversals(dmu50: Machine, more: dict[str, float]) -> None:
+    """X sticks at its reversal by 8 µm and catches up within 0.6 s: named beside backlash, and kept out of the calibration."""
+    found = found_in(dmu50, circles((1000.0, 2000.0), 4, spike_um=8.0, **more))
+    sizes = {(cause.effect, cause.where): cause.parameters[0] for cause in found.causes}
+    assert set(sizes) == {("reversal_spike", "X"), *((("reversal", "X"),) if more else ())}
+    assert sizes["reversal_spike", "X"].value == pytest.approx(8.0, abs=1.5)
+    if more:
+        assert sizes["reversal", "X"].value == pytest.approx(4.0, abs=4.0 * sizes["reversal", "X"].u + 0.2)
+    assert not any(effect.name.startswith("reversal_spike") for effect in found.extended.effects)

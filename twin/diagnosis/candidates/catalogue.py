@@ -14,6 +14,7 @@ from twin.diagnosis.candidates import (
     misplaced,
     probe_lobing,
     refraction_scale,
+    reversal_spike,
     station_drift,
     time_skew,
 )
@@ -33,6 +34,7 @@ SOURCES: Final[tuple[CandidateSource, ...]] = (
     affine_scale.SOURCE,
     station_drift.SOURCE,
     time_skew.SOURCE,
+    reversal_spike.SOURCE,
     following_error.SOURCE,
     probe_lobing.SOURCE,
     misplaced.SOURCE,
