@@ -48,7 +48,7 @@ EVERY = [
     one("thermal_lag", "Z by bed", coefficient=8.0, time_constant=1500.0),
     one("thermal_tilt", "E_AZ by bed", coefficient=30.0),
     one("thermal_tilt", "E_B0C by bed", coefficient=30.0),
-    one("scale_growth", "Y", coefficient=30.0, offset=-12.0),
+    one("scale_growth", "Y", coefficient=15.0, offset=-15.0),
     one("thermal_drift", "Z", amplitude=9.0, time_constant=2500.0),
     one("cross_axis", "E_ZY by Z", coefficient=60.0),
     one("cross_axis", "E_BZ by Y", coefficient=100.0),

@@ -18,7 +18,7 @@ from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions
 from twin.machine.machine import Machine
 
 TIME: Final = "time_s"
-TIME_CONSTANT_STRIDE: Final = 3
+TIME_CONSTANT_STRIDE: Final = 7
 """Every n-th of the time constants of a drift is tried."""
 
 
