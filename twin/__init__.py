@@ -7,6 +7,7 @@
   `measuring_sequence`, `InstrumentSizes`, `thesis_plan`;
 - identification: `identify`, `ToolUncertainty`, `compare`, `draw_machines`, `identify_as_thesis`;
 - standard tests (ISO 230, ISO 10791-6): `evaluate`, `evaluation_html`;
+- thermal models: `ThermalRecord`, `fit_thermal`;
 - diagnosis: `diagnose`, `diagnosis_html`;
 - programs: `compensate`, `compensate_file`, `compensate_files`, `Compensator`, `Options`, `Scope`, `Setup`, `Workers`, `execute_file`,
   `read_program`, `find_program`, `refit`, `ThesisMethod`;
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     from twin.samples import thesis_plan
     from twin.standards import evaluate
     from twin.standards.page import evaluation_html
+    from twin.thermal import ThermalRecord, fit_thermal
     from twin.uncertainty.at_tool import ToolUncertainty
     from twin.uncertainty.population import draw_machines
 
@@ -75,6 +77,7 @@ __all__ = [
     "Scope",
     "Setup",
     "Status",
+    "ThermalRecord",
     "ThesisMethod",
     "ToolUncertainty",
     "Workers",
@@ -94,6 +97,7 @@ __all__ = [
     "evaluation_html",
     "execute_file",
     "find_program",
+    "fit_thermal",
     "identification_plots",
     "identify",
     "identify_as_thesis",
@@ -135,6 +139,7 @@ _HOMES = {
     "Scope": ("twin.machine.iso16907", "Scope"),
     "Setup": ("twin.compensation.toolpath", "Setup"),
     "Status": ("twin.kinematics.inverse", "Status"),
+    "ThermalRecord": ("twin.thermal", "ThermalRecord"),
     "ThesisMethod": ("twin.compensation.thesis", "ThesisMethod"),
     "ToolUncertainty": ("twin.uncertainty.at_tool", "ToolUncertainty"),
     "Workers": ("twin.compute.parallel", "Workers"),
@@ -152,6 +157,7 @@ _HOMES = {
     "evaluation_html": ("twin.standards.page", "evaluation_html"),
     "execute_file": ("twin.compensation.execute", "execute_file"),
     "find_program": ("twin.nc", "find_program"),
+    "fit_thermal": ("twin.thermal", "fit_thermal"),
     "identify": ("twin.identification", "identify"),
     "identify_as_thesis": ("twin.identification.thesis.identify", "identify_as_thesis"),
     "judge": ("twin.planning", "judge"),

@@ -220,6 +220,17 @@ def test_pictures_of_standard_tests_are_refused_before_the_work(
     )
 
 
+def test_pictures_of_a_thermal_model_are_refused_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "m.csv").write_text(sample("table"))
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setattr("twin.cli.thermal.run_fit", lambda *_, **__: pytest.fail("the work was done first"))
+    assert "matplotlib is not installed" in refused(
+        capsys, "thermal", tmp_path / "m.csv", "--html", tmp_path / "t.html"
+    )
+
+
 def test_a_scheduler_without_dask_is_refused_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twin.compute.parallel.run.find_spec", lambda name: None)
     with pytest.raises(InputError, match="Dask, which is not installed"):

@@ -72,6 +72,9 @@ COMMANDS = {
     ),
     "evaluate, json over the machine": ("evaluate plan.csv -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
     "evaluate, json over the table": ("evaluate plan.csv --json plan.csv", "plan.csv"),
+    "thermal over the record": ("thermal plan.csv --predicted plan.csv", "plan.csv"),
+    "thermal, json over the record to predict": ("thermal contacts.csv --predict plan.csv --json plan.csv", "plan.csv"),
+    "thermal, json over the model": ("thermal plan.csv --model c.yaml --json c.yaml", "c.yaml"),
     "diagnose, json over the machine": ("diagnose plan.csv -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
     "diagnose, extended over the calibration": ("diagnose plan.csv -c c.yaml --extended c.yaml", "c.yaml"),
     "compare, json over one": ("compare c.yaml dmu50.calibration.yaml --json c.yaml", "c.yaml"),
@@ -130,7 +133,7 @@ def test_an_input_is_never_an_output(
 
 def test_every_path_of_every_command_is_known() -> None:
     """A path that a command writes is marked; every other path is an input and must not be an output."""
-    written = {"json_file", "output", "report_file", "html_file", "extended", "program_file"}
+    written = {"json_file", "output", "report_file", "html_file", "extended", "program_file", "predicted"}
     for command in map(commands.load, commands.COMMANDS):
         function: Callable[..., Any] = command.callback.__wrapped__
         marked = {name for name, mark in path_parameters(function).items() if mark is not None}

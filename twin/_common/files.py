@@ -49,6 +49,8 @@ has no known cause: it is a fitted displacement of the tool or work side, and ca
 `half_waves` k: cos(k π (value − low)/(high − low)). `whole_turns` ck, sk: cos kθ, sin kθ. `direction` (`approach_<axis>`): +1 or −1.
 Function 0 is the constant 1. One or two columns: axes, directions of approach, temperatures.
 
+**Thermal records** (`*.csv`) and **thermal models** (`schema: twin.thermal-model/1`): see `twin doc thermal`.
+
 **Measurements** (`*.csv`): one row per measured point: `X_mm … C_deg` commanded, `target`, `carrier` (`tool` or `work`), `x_mm, y_mm,
 z_mm` in the station's frame (an empty field was not measured; an interferometer's length goes into `x_mm`), and optionally `station`,
 `round`, `time_s`, `approach_<axis>`, `readback_<axis>_…`, `T_<axis or sensor>_degC`, `u_x_mm …`. `Measurements.load` lists

@@ -41,6 +41,7 @@ COMMANDS: Final = {
     "axis-run": "Identify the six error motions of a linear axis from interferometer readings.",
     "simulate-run": "Simulate the interferometer readings of a linear axis.",
     "evaluate": "Evaluate standard tests (ISO 230, ISO 10791-6) from measured points.",
+    "thermal": "Fit displacements to temperatures and spindle speed over time.",
     "diagnose": "Find what the model gets wrong about measured data, and name the cause.",
     "plan": "Plan the next measurement.",
     "report": "Report the state of a machine, in one HTML file.",

@@ -18,6 +18,7 @@ PAGES: Final = {
     "convert": "twin.measurement.formats",
     "identify": "twin.identification",
     "evaluate": "twin.standards",
+    "thermal": "twin.thermal",
     "diagnose": "twin.diagnosis",
     "plan": "twin.planning",
     "report": "twin.reporting",

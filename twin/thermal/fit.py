@@ -1,0 +1,261 @@
+"""Fit a thermal model to a record and estimate its error on unseen data from parts of the record that were not fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import read_only
+from twin._common.errors import InputError
+from twin._common.progress import silent
+from twin.thermal.candidates import (
+    Inputs,
+    TermCandidate,
+    averaged,
+    candidates,
+    clusters,
+    drivers,
+    features,
+    sensor_groups,
+)
+from twin.thermal.evidence import STEPS, DrawnModels, Evidence
+from twin.thermal.model import DisplacementModel, ThermalModel
+from twin.thermal.named_terms import named_terms
+from twin.thermal.record import ThermalRecord
+
+PARTS: Final = 139
+"""The record is averaged to some 140 rows: shorter changes are noise to the lags of the candidates."""
+LEAST_ROWS: Final = 60
+FORWARD: Final = (0.4, 0.55, 0.7)
+"""Shares of the record that are fitted to predict the rest."""
+BLOCKS: Final = 6
+"""Number of blocks of time of which each is left out once."""
+LONG_CHAIN: Final = 4
+"""Length of the chain of the final fit, in those of the validation."""
+KEPT_VARIANCE: Final = 0.99
+"""Share of the variance of predictions that a model file keeps."""
+
+
+@final
+@dataclass(frozen=True)
+class AveragedRecord:
+    """A record in the form that is fitted, averaged to fewer rows."""
+
+    record: ThermalRecord
+    terms: tuple[TermCandidate, ...]
+    inputs: Inputs
+    groups: tuple[tuple[str, ...], ...]
+    together: tuple[tuple[int, ...], ...]
+    x: np.ndarray
+    y: np.ndarray
+    time_s: np.ndarray
+    noise_um: np.ndarray
+    duration_s: float
+    notices: tuple[str, ...]
+
+
+@final
+@dataclass(frozen=True)
+class Fitted:
+    """The models drawn for a group of displacements."""
+
+    displacements: tuple[int, ...]
+    draws: DrawnModels
+
+
+@final
+@dataclass(frozen=True)
+class HeldOutErrors:
+    """Errors of models on averaged rows that they were not fitted to (displacements,)."""
+
+    factor: np.ndarray
+    blocks_um: np.ndarray
+    forward_um: np.ndarray
+
+
+def fit_thermal(
+    record: ThermalRecord,
+    *,
+    validate: bool = True,
+    seed: int = 0,
+    progress: Callable[[str, float], None] = silent,
+) -> ThermalModel:
+    """Fit a thermal model with few terms.
+
+    The candidates are lags of each group of sensors, lags of the spindle speed and its square, both without lag, and a decaying drift.
+    The prediction is the average over all subsets that the data allow (`twin.thermal.evidence`); its uncertainty counts what they
+    disagree on. The terms sum the candidates of one input. Held-out blocks of time calibrate the uncertainty.
+
+    Args:
+        record: the record, with displacements.
+        validate: whether the error on held-out blocks of time is found and calibrates the uncertainty.
+        seed: random seed.
+        progress: called with the stage and the share done.
+
+    Raises:
+        InputError: no displacement, too few rows, a displacement that does not vary, no sensor that varies and no speed.
+    """
+    problem = _problem(record)
+    progress("fitting", 0.0)
+    fitted = _fit(problem, np.arange(len(problem.x)), seed, steps=LONG_CHAIN * STEPS)
+    held_out = _held_out(problem, seed, progress) if validate else None
+    return _model(problem, fitted, held_out)
+
+
+def _problem(record: ThermalRecord) -> AveragedRecord:
+    if not record.displacements:
+        raise InputError("no displacement", expected="columns <name>_um", file=record.path)
+    if len(record) < LEAST_ROWS:
+        raise InputError(f"{len(record)} rows", expected=f"at least {LEAST_ROWS} rows to fit", file=record.path)
+    for k, name in enumerate(record.displacements):
+        if np.ptp(record.displacement_um[:, k]) == 0.0:
+            expected = "readings that vary; a constant reading suggests that the sensor does not work"
+            raise InputError(f"displacement {name} is constant", expected=expected, file=record.path)
+    length = max(1, len(record) // PARTS)
+    groups, flat = sensor_groups(record, length)
+    top = 0.0 if record.speed_rpm is None else float(record.speed_rpm.max())
+    speeds = record.speed_rpm is not None and bool(np.ptp(record.speed_rpm) > 0.0)
+    if not groups and not speeds:
+        raise InputError("no input varies", expected="a temperature or the speed to vary", file=record.path)
+    first = {name: float(record.temperature_degC[0, i]) for i, name in enumerate(record.sensors)}
+    inputs = Inputs(first, top, float(record.time_s[0]))
+    duration = float(np.ptp(record.time_s))
+    terms = tuple(candidates(groups, speeds, duration))
+    y = averaged(record.displacement_um, length)
+    together = clusters(y, record.displacements)
+    notices = [f"sensor {name} does not vary and is not used" for name in flat]
+    return AveragedRecord(
+        record,
+        terms,
+        inputs,
+        tuple(groups),
+        tuple(tuple(record.displacements.index(name) for name in group) for group in together),
+        averaged(features(record, terms, inputs), length),
+        y,
+        averaged(record.time_s[:, None], length)[:, 0],
+        np.diff(record.displacement_um, 2, axis=0).std(axis=0) / np.sqrt(6.0),
+        duration,
+        (*record.notices, *notices),
+    )
+
+
+def _fit(problem: AveragedRecord, rows: np.ndarray, seed: int, *, steps: int = STEPS) -> list[Fitted]:
+    """Fit the averaged rows of these indices."""
+    found = []
+    for group in problem.together:
+        columns = list(group)
+        evidence = Evidence(
+            problem.x[rows],
+            problem.y[np.ix_(rows, np.array(columns))],
+            problem.time_s[rows],
+            problem.terms,
+            problem.noise_um[columns],
+            problem.duration_s,
+        )
+        found.append(Fitted(group, evidence.draw(np.random.default_rng(seed), steps)))
+    return found
+
+
+def _held_out(problem: AveragedRecord, seed: int, progress: Callable[[str, float], None]) -> HeldOutErrors:
+    """Fit parts of the record and compare the errors on the rest with the uncertainty."""
+    count = len(problem.x)
+    folds = [np.arange(count) >= round(share * count) for share in FORWARD]
+    folds += [np.isin(np.arange(count), block) for block in np.array_split(np.arange(count), BLOCKS)]
+    top = _highest_speed_left_out(problem)
+    if top is not None:
+        folds.append(top)
+    errors, expected = [], []
+    for i, left_out in enumerate(folds):
+        progress("validating", (i + 1) / (len(folds) + 1))
+        error, variance = _errors(problem, _fit(problem, np.flatnonzero(~left_out), seed), left_out)
+        errors.append((error**2).mean(axis=0))
+        expected.append(variance.mean(axis=0))
+    squares, variances = np.array(errors), np.array(expected)
+    factor = np.sqrt((squares / variances).mean(axis=0))
+    forward, blocks = slice(0, len(FORWARD)), slice(len(FORWARD), len(FORWARD) + BLOCKS)
+    return HeldOutErrors(np.maximum(factor, 1.0), np.sqrt(squares[blocks].mean(axis=0)), np.sqrt(squares[forward]))
+
+
+def _highest_speed_left_out(problem: AveragedRecord) -> np.ndarray | None:
+    """Return the averaged rows from each start of the highest speed until another speed starts; None without two speeds."""
+    speed = problem.record.speed_rpm
+    if speed is None or len(np.unique(speed[speed > 0.0])) < 2:
+        return None
+    last, found = 0.0, np.zeros(len(speed), dtype=bool)
+    for i, value in enumerate(speed):
+        last = value if value > 0.0 else last
+        found[i] = last == speed.max()
+    length = len(speed) // len(problem.x)
+    rows = averaged(found[:, None].astype(float), length)[:, 0] > 0.0
+    return None if rows.mean() > 0.5 else rows
+
+
+def _errors(problem: AveragedRecord, fitted: Sequence[Fitted], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return measured minus predicted, and the variance expected, at averaged rows (m, displacements)."""
+    x = np.c_[problem.x[rows], np.ones(int(rows.sum()))]
+    error, variance = np.empty((len(x), problem.y.shape[1])), np.empty((len(x), problem.y.shape[1]))
+    for one in fitted:
+        for displacement, average in zip(one.displacements, one.draws.averages, strict=True):
+            error[:, displacement] = problem.y[rows, displacement] - x @ average.mean
+            spread = np.einsum("ij,jk,ik->i", x, average.covariance, x)
+            variance[:, displacement] = spread + average.residual_um**2
+    return error, variance
+
+
+def _model(problem: AveragedRecord, fitted: Sequence[Fitted], held_out: HeldOutErrors | None) -> ThermalModel:
+    record = problem.record
+    found: dict[int, DisplacementModel] = {}
+    for one in fitted:
+        for k, displacement in enumerate(one.displacements):
+            found[displacement] = _displacement(problem, one, k, held_out)
+    used = [name for group in problem.groups for name in group]
+    columns = [record.sensors.index(name) for name in used]
+    values = record.temperature_degC[:, columns]
+    all_features = features(record, problem.terms, problem.inputs)
+    driven = drivers(record, problem.terms, problem.inputs)
+    lag = driven - all_features
+    drift = np.array([term.effect == "thermal_drift" for term in problem.terms])
+    return ThermalModel(
+        record.path,
+        problem.terms,
+        problem.inputs,
+        tuple(found[k] for k in range(len(record.displacements))),
+        read_only(np.stack([values.min(axis=0), values.max(axis=0)], axis=1) if used else np.empty((0, 2))),
+        tuple(used),
+        problem.groups,
+        float(record.time_s[-1]),
+        record.interval_s,
+        read_only(all_features[-1]),
+        read_only(driven[-1]),
+        read_only(np.where(drift, 0.0, lag.std(axis=0))),
+        problem.notices,
+    )
+
+
+def _displacement(problem: AveragedRecord, one: Fitted, k: int, held_out: HeldOutErrors | None) -> DisplacementModel:
+    displacement = one.displacements[k]
+    average = one.draws.averages[k]
+    name = problem.record.displacements[displacement]
+    factor = 1.0 if held_out is None else float(held_out.factor[displacement])
+    return DisplacementModel(
+        name,
+        named_terms(name, problem.terms, problem.x, one.draws, average, factor),
+        read_only(average.mean),
+        average.residual_um,
+        float("nan") if held_out is None else float(held_out.blocks_um[displacement]),
+        () if held_out is None else tuple(float(value) for value in held_out.forward_um[:, displacement]),
+        factor,
+        read_only(_directions(average.covariance, np.r_[problem.x.std(axis=0), 1.0])),
+    )
+
+
+def _directions(covariance: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Return the fewest rows whose products sum to nearly the covariance, for candidates that vary by ``scale``."""
+    safe = np.maximum(scale, 1e-6)
+    value, vector = np.linalg.eigh(covariance * np.outer(safe, safe))
+    value, vector = np.maximum(value[::-1], 0.0), vector[:, ::-1]
+    count = int(np.searchsorted(np.cumsum(value), KEPT_VARIANCE * value.sum())) + 1
+    return (vector[:, :count] * np.sqrt(value[:count] / KEPT_VARIANCE)).T / safe

@@ -1,0 +1,310 @@
+"""A thermal model: few named inputs for each displacement, their uncertainty, and predictions for other records."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin._common.arrays import read_only
+from twin._common.errors import InputError
+from twin._common.json_form import json_form
+from twin.thermal.candidates import Inputs, TermCandidate, drivers, features, lagged
+from twin.thermal.record import SPEED, ThermalRecord
+
+SCHEMA: Final = "twin.thermal-model/1"
+FOLLOWS: Final = 5.0
+"""A record continues the fitted one if it begins within this many of its intervals."""
+
+
+@final
+@dataclass(frozen=True)
+class ThermalTerm:
+    """The response of one displacement to one input: sensors, spindle speed or a drift.
+
+    Attributes:
+        effect: ``thermal_lag``, ``spindle_growth``, ``spindle_shift`` (no lag) or ``thermal_drift``.
+        name: what moves with what: ``d1 by t4``, ``d1 by group t6, t7``, ``d1``.
+        input: the input alone: ``t4``, ``group t6, t7``, ``speed``, ``drift``.
+        coefficient: in the steady state: µm/K, µm at the highest speed, or µm of a drift.
+        standard_uncertainty: of the coefficient, with what the choice of models leaves open.
+        time_constant_s: mean time constant, weighted by the squared coefficients; 0 without lag.
+        u_time_constant_s: standard deviation of the time constant in the same weights.
+        exponent: mean exponent of the speed; None for other effects.
+        share: share of the models allowed by the data that follow the same input, 0 to 1.
+        alternatives: inputs that the models without this one follow instead.
+        contribution_um: RMS change of the displacement by this term over the fitted record.
+        matters: whether the term is listed: its contribution exceeds the standard deviation of the residual.
+    """
+
+    effect: str
+    name: str
+    input: str
+    coefficient: float
+    standard_uncertainty: float
+    time_constant_s: float
+    u_time_constant_s: float
+    exponent: float | None
+    share: float
+    alternatives: tuple[str, ...]
+    contribution_um: float
+    matters: bool
+
+    @property
+    def unit(self) -> str:
+        """Unit of the coefficient."""
+        return "µm/K" if self.effect == "thermal_lag" else "µm"
+
+
+@final
+@dataclass(frozen=True)
+class DisplacementModel:
+    """The model of one displacement and the error that it leaves.
+
+    Attributes:
+        name: name of the displacement.
+        terms: by falling contribution.
+        coefficients: (candidates + 1,), the constant last: their sum over the candidates is the prediction.
+        residual_um: standard deviation of the correlated residual.
+        held_out_um: RMS error on blocks of time that were not fitted; NaN if not validated.
+        forward_um: RMS error on what follows the fitted part, for each share of `FORWARD`; empty if not validated.
+        calibration: factor from the uncertainty computed to the error found on held-out data, at least 1.
+        directions: (k, candidates + 1): the sum of the squares of their products with the candidates' values is a variance, µm².
+    """
+
+    name: str
+    terms: tuple[ThermalTerm, ...]
+    coefficients: np.ndarray
+    residual_um: float
+    held_out_um: float
+    forward_um: tuple[float, ...]
+    calibration: float
+    directions: np.ndarray
+
+    @property
+    def listed(self) -> tuple[ThermalTerm, ...]:
+        """Terms that matter."""
+        return tuple(term for term in self.terms if term.matters)
+
+
+@final
+@dataclass(frozen=True)
+class ThermalPrediction:
+    """Displacements predicted for a record.
+
+    Attributes:
+        displacements: names.
+        time_s: (n,).
+        displacement_um: (n, displacements).
+        standard_uncertainty_um: (n, displacements).
+        warnings: what the uncertainty was widened for.
+        residual_um: measured minus predicted (n, displacements), NaN where the record has no such displacement.
+    """
+
+    displacements: tuple[str, ...]
+    time_s: np.ndarray
+    displacement_um: np.ndarray
+    standard_uncertainty_um: np.ndarray
+    warnings: tuple[str, ...]
+    residual_um: np.ndarray
+
+    @property
+    def expected_rms_um(self) -> np.ndarray:
+        """RMS error that the model expects over these rows (displacements,)."""
+        return read_only(np.sqrt((self.standard_uncertainty_um**2).mean(axis=0)))
+
+    @property
+    def rms_um(self) -> np.ndarray:
+        """RMS of the residuals (displacements,), NaN without measured values."""
+        return read_only(np.sqrt((self.residual_um**2).mean(axis=0)))
+
+
+@final
+@dataclass(frozen=True)
+class ThermalModel:
+    """Displacements as sums of lagged temperatures, lagged speed, immediate speed and drift.
+
+    Attributes:
+        source: the fitted record.
+        candidates: all candidate terms, chosen or not: the uncertainty counts them all.
+        inputs: reference temperatures and highest speed.
+        displacements: the model of each displacement.
+        temperature_range_degC: (sensors, 2), as ``sensors``.
+        sensors: sensors needed by a prediction, in the order of the ranges.
+        groups: groups of sensors that the record cannot distinguish.
+        end_s: time of the last fitted row.
+        interval_s: median interval of the fitted record.
+        end_state: state of every candidate's lag at that time.
+        end_input: input of every candidate at that time.
+        unsettled: standard deviation of each candidate's input minus its lag: the uncertainty of an unknown state.
+        notices: what was not used.
+    """
+
+    source: str
+    candidates: tuple[TermCandidate, ...]
+    inputs: Inputs
+    displacements: tuple[DisplacementModel, ...]
+    temperature_range_degC: np.ndarray
+    sensors: tuple[str, ...]
+    groups: tuple[tuple[str, ...], ...]
+    end_s: float
+    interval_s: float
+    end_state: np.ndarray
+    end_input: np.ndarray
+    unsettled: np.ndarray
+    notices: tuple[str, ...] = ()
+
+    @property
+    def needs_speed(self) -> bool:
+        """Whether a prediction needs the spindle speed."""
+        return any(term.exponent for term in self.candidates)
+
+    def predict(self, record: ThermalRecord, *, continues: bool | None = None) -> ThermalPrediction:
+        """Predict the displacements of a record, relative to the start of the fitted record.
+
+        Args:
+            record: temperatures and speeds.
+            continues: whether the record follows the fitted one without a break, so that its lags go on; None decides by its times.
+
+        Raises:
+            InputError: a sensor or the speed is missing.
+        """
+        self._check(record)
+        gap = float(record.time_s[0]) - self.end_s
+        goes_on = 0.0 < gap <= FOLLOWS * self.interval_s if continues is None else continues
+        rows = self._shifted(record, goes_on and continues is True)
+        values = self._values(rows, goes_on)
+        warnings = [] if goes_on else self._start_warning(rows)
+        doubt = np.zeros_like(values) if not warnings else self._start_doubt(rows)
+        beyond, range_warnings = self._beyond(rows)
+        found, u = [], []
+        for one in self.displacements:
+            full = np.c_[values, np.ones(len(values))]
+            found.append(full @ one.coefficients)
+            variance = ((full @ one.directions.T) ** 2).sum(axis=1) + (doubt**2) @ (
+                one.coefficients[:-1] ** 2 + (one.directions[:, :-1] ** 2).sum(axis=0)
+            )
+            u.append(one.calibration * np.sqrt(variance + (one.residual_um * (1.0 + beyond)) ** 2))
+        predicted = np.stack(found, axis=1)
+        return ThermalPrediction(
+            tuple(one.name for one in self.displacements),
+            record.time_s,
+            read_only(predicted),
+            read_only(np.stack(u, axis=1)),
+            tuple([*warnings, *range_warnings]),
+            read_only(self._measured(record) - predicted),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the terms, groups, ranges and errors for JSON."""
+        return {
+            "schema": SCHEMA,
+            "source": self.source,
+            "highest_rpm": self.inputs.highest_rpm,
+            "temperature_range_degC": {
+                name: [float(low), float(high)]
+                for name, (low, high) in zip(self.sensors, self.temperature_range_degC, strict=True)
+            },
+            "groups": [list(group) for group in self.groups if len(group) > 1],
+            "displacements": [_displacement_dict(one) for one in self.displacements],
+            "notices": list(self.notices),
+        }
+
+    def _check(self, record: ThermalRecord) -> None:
+        missing = [name for name in self.sensors if name not in record.sensors]
+        if missing:
+            expected = (
+                f"columns {', '.join(f'T_{name}_degC' for name in missing)}: the model of {self.source} needs them"
+            )
+            raise InputError(
+                f"{len(missing)} of {len(self.sensors)} sensors missing", expected=expected, file=record.path
+            )
+        if self.needs_speed and record.speed_rpm is None:
+            raise InputError(
+                f"no column {SPEED}", expected="the spindle speed, which the model needs", file=record.path
+            )
+
+    def _shifted(self, record: ThermalRecord, follow: bool) -> ThermalRecord:
+        """Return the record with its times moved behind the fitted ones, if it must follow them."""
+        if not follow or record.time_s[0] > self.end_s:
+            return record
+        moved = record.time_s - record.time_s[0] + self.end_s + self.interval_s
+        return ThermalRecord(
+            record.path,
+            read_only(moved),
+            record.temperature_degC,
+            record.sensors,
+            record.displacement_um,
+            record.displacements,
+            record.speed_rpm,
+        )
+
+    def _values(self, record: ThermalRecord, goes_on: bool) -> np.ndarray:
+        if not goes_on:
+            return features(record, self.candidates, self.inputs)
+        now = drivers(record, self.candidates, self.inputs)[0]
+        times = np.array([self.end_s, float(record.time_s[0])])
+        states = [
+            lagged(np.array([last, first]), times, term.time_constant_s, float(state))[1]
+            for term, last, first, state in zip(self.candidates, self.end_input, now, self.end_state, strict=True)
+        ]
+        return features(record, self.candidates, self.inputs, np.array(states))
+
+    def _start_warning(self, record: ThermalRecord) -> list[str]:
+        start = drivers(record, self.candidates, self.inputs)[0]
+        if record.time_s[0] == self.inputs.start_s and np.allclose(start, 0.0, atol=1e-9):
+            return []  # the fitted record itself, or one that begins with it
+        return [
+            "the record does not continue the fitted one: lags start in steady state, and the uncertainty is larger until they settle; "
+            "displacements count from the start of the fitted record"
+        ]
+
+    def _start_doubt(self, record: ThermalRecord) -> np.ndarray:
+        tau = np.array([max(term.time_constant_s, 1e-9) for term in self.candidates])
+        return self.unsettled * np.exp(-(record.time_s - record.time_s[0])[:, None] / tau)
+
+    def _beyond(self, record: ThermalRecord) -> tuple[np.ndarray, list[str]]:
+        """Return how far each row lies outside the fitted ranges, in widths of the range, and warnings on it."""
+        far = np.zeros(len(record))
+        outside, largest = [], 0.0
+        for name, (low, high) in zip(self.sensors, self.temperature_range_degC, strict=True):
+            values = record.temperature_degC[:, record.sensors.index(name)]
+            excess = np.maximum(np.maximum(low - values, values - high), 0.0)
+            far = np.maximum(far, excess / max(high - low, 1e-9))
+            if excess.max() > 0.0:
+                outside.append(name)
+                largest = max(largest, float(excess.max()))
+        warnings = []
+        if outside:
+            warnings.append(
+                f"{len(outside)} of {len(self.sensors)} sensors leave the fitted range, by at most {largest:.2g} K "
+                f"({', '.join(outside)}): extrapolated with larger uncertainty"
+            )
+        if record.speed_rpm is not None and self.needs_speed:
+            excess = np.maximum(record.speed_rpm - self.inputs.highest_rpm, 0.0)
+            far = np.maximum(far, excess / max(self.inputs.highest_rpm, 1e-9))
+            if excess.max() > 0.0:
+                warnings.append(
+                    f"speed up to {record.speed_rpm.max():g} rpm, fitted up to {self.inputs.highest_rpm:g} rpm: extrapolated with "
+                    "larger uncertainty"
+                )
+        return far, warnings
+
+    def _measured(self, record: ThermalRecord) -> np.ndarray:
+        found = np.full((len(record), len(self.displacements)), np.nan)
+        for k, one in enumerate(self.displacements):
+            if one.name in record.displacements:
+                found[:, k] = record.displacement_um[:, record.displacements.index(one.name)]
+        return found
+
+
+def _displacement_dict(one: DisplacementModel) -> dict[str, Any]:
+    return {
+        "name": one.name,
+        "residual_um": one.residual_um,
+        "held_out_rms_um": one.held_out_um,
+        "forward_rms_um": list(one.forward_um),
+        "uncertainty_factor": one.calibration,
+        "terms": [{**json_form(term), "unit": term.unit} for term in one.terms],
+    }
