@@ -17,12 +17,14 @@ from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.instruments import instrument_named
 from twin.measurement.table import Measurements
 from twin.standards import evaluate as run_evaluation
+from twin.standards import evaluate_drift
 
 
 @command(
     "twin evaluate measured.csv --html tests.html --json tests.json",
     "twin evaluate measured.csv --tolerance A=10 B=3 H=5",
     "twin evaluate measured.csv --tolerance X:A=8 Y:A=12 E_C0Y=20 --instrument tracker",
+    "twin evaluate record.csv --iso230-3 --sensors d1=X1 d2=X2 X1-X2=76 d5=Z t5=ambient --html drift.html",
 )
 def evaluate(
     measured: options.MeasuredArgument,
@@ -50,6 +52,17 @@ def evaluate(
         ),
         POSITIVE,
     ] = None,
+    drift: Annotated[
+        bool,
+        typer.Option("--iso230-3", help="Evaluate the thermal tests of ISO 230-3: displacements over time_s."),
+    ] = False,
+    sensors: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--sensors",
+            help="Directions and distances of sensors, with --iso230-3: d1=X1 d2=X2 X1-X2=76 t5=ambient; default: the table's.",
+        ),
+    ] = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
 ) -> CommandResult:
@@ -62,8 +75,17 @@ def evaluate(
         options.need_pictures("the HTML report")
     loaded = Machine.load(machine)
     reader = None if instrument is None else instrument_named(instrument)
-    data = Measurements.join([Measurements.load(path, loaded) for path in measured])
-    found = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
+    if drift:
+        if len(measured) > 1 or length is not None:
+            raise InputError("--iso230-3 evaluates one record", expected="one file, without --length")
+        found = evaluate_drift(measured[0], loaded, tolerances=limits, instrument=reader, sensors=sensors or [])
+    elif sensors:
+        raise InputError(
+            "--sensors needs --iso230-3", expected="directions of displacement sensors", value=" ".join(sensors)
+        )
+    else:
+        data = Measurements.join([Measurements.load(path, loaded) for path in measured])
+        found = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
     if html_file is not None:
         from twin.standards.page import evaluation_html  # imports matplotlib, which is slow and needed only here
 

@@ -54,7 +54,16 @@ propagated from the uncertainties of the readings (columns `u_x_mm` …, or `--i
 the instrument's scale error, temperature or set-up. Without an uncertainty nothing is proven.
 """
 
+from twin.standards.drift import evaluate_drift
 from twin.standards.evaluate import evaluate
 from twin.standards.result import EvaluationResult, NotEvaluated, StandardTest, StandardValue, ToleranceCheck
 
-__all__ = ["EvaluationResult", "NotEvaluated", "StandardTest", "StandardValue", "ToleranceCheck", "evaluate"]
+__all__ = [
+    "EvaluationResult",
+    "NotEvaluated",
+    "StandardTest",
+    "StandardValue",
+    "ToleranceCheck",
+    "evaluate",
+    "evaluate_drift",
+]
