@@ -19,6 +19,41 @@ from twin.measurement.table import Measurements
 from twin.standards import evaluate as run_evaluation
 from twin.standards import evaluate_drift
 
+ToleranceOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--tolerance",
+        help="Largest permitted value, µm or µrad, by symbol, or by axis and symbol: A=10 B=3 X:A=8 H=5; see twin doc evaluate.",
+    ),
+]
+InstrumentOption = Annotated[
+    str | None,
+    typer.Option(
+        "--instrument",
+        help="Instrument whose noise model gives the uncertainty of readings; default: the table's uncertainties, else unknown.",
+        autocompletion=complete.instruments,
+    ),
+]
+LengthOption = Annotated[
+    float | None,
+    typer.Option(
+        "--length",
+        help="Nominal length of the ball bar, mm; default: that of the table's comment, else the radius of the commanded circle.",
+    ),
+    POSITIVE,
+]
+DriftOption = Annotated[
+    bool,
+    typer.Option("--iso230-3", help="Evaluate the thermal tests of ISO 230-3: displacements over time_s."),
+]
+SensorsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--sensors",
+        help="Directions and distances of sensors, with --iso230-3: d1=X1 d2=X2 X1-X2=76 t5=ambient; default: the table's.",
+    ),
+]
+
 
 @command(
     "twin evaluate measured.csv --html tests.html --json tests.json",
@@ -29,40 +64,11 @@ from twin.standards import evaluate_drift
 def evaluate(
     measured: options.MeasuredArgument,
     machine: options.MachineOption = DEFAULT,
-    tolerance: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--tolerance",
-            help="Largest permitted value, µm or µrad, by symbol, or by axis and symbol: A=10 B=3 X:A=8 H=5; see twin doc evaluate.",
-        ),
-    ] = None,
-    instrument: Annotated[
-        str | None,
-        typer.Option(
-            "--instrument",
-            help="Instrument whose noise model gives the uncertainty of readings; default: the table's uncertainties, else unknown.",
-            autocompletion=complete.instruments,
-        ),
-    ] = None,
-    length: Annotated[
-        float | None,
-        typer.Option(
-            "--length",
-            help="Nominal length of the ball bar, mm; default: that of the table's comment, else the radius of the commanded circle.",
-        ),
-        POSITIVE,
-    ] = None,
-    drift: Annotated[
-        bool,
-        typer.Option("--iso230-3", help="Evaluate the thermal tests of ISO 230-3: displacements over time_s."),
-    ] = False,
-    sensors: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--sensors",
-            help="Directions and distances of sensors, with --iso230-3: d1=X1 d2=X2 X1-X2=76 t5=ambient; default: the table's.",
-        ),
-    ] = None,
+    tolerance: ToleranceOption = None,
+    instrument: InstrumentOption = None,
+    length: LengthOption = None,
+    drift: DriftOption = False,
+    sensors: SensorsOption = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
 ) -> CommandResult:

@@ -82,4 +82,4 @@ def _record(path: str | Path, machine: Machine, told: SensorMap, instrument: Ins
     data = Measurements.load(path, machine)
     if told.ambient:
         told.check([], list(data.temperature_degC))
-    return relative_displacements(data, machine, instrument, told.ambient)
+    return relative_displacements(data, machine, instrument, told.ambient_of(data.temperature_degC))

@@ -110,7 +110,7 @@ def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -
         raise InputError("no displacement was read", expected="numbers in a column <name>_um", file=file)
     measured = {name[2:-5]: numbers[name] for name in temperatures}
     told = sensors or SensorMap.of_comments(comments)
-    told.check(list(found), list(measured))
+    told.check([name[: -len(SUFFIX)] for name in names], list(measured))
     displacement, units, remarks = told.applied(found)
     known = {TIME, SPEED, ROUND, *axes, *names, *temperatures}
     none = np.zeros(len(rows))
@@ -123,7 +123,7 @@ def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -
         displacement=MappingProxyType(displacement),
         units=MappingProxyType(units),
         temperature_degC=MappingProxyType(measured),
-        ambient=told.ambient,
+        ambient=told.ambient_of(measured),
         speed_rpm=numbers.get(SPEED),
         remarks=tuple(remarks),
         notices=tuple(unused_column_note(name, sorted(known)) for name in header if name not in known),

@@ -93,6 +93,11 @@ class SensorMap:
                     nearest=closest_name(name, known),
                 )
 
+    def ambient_of(self, temperatures: Mapping[str, np.ndarray]) -> str:
+        """Return the sensor of the ambient temperature, given or named ``ambient``; empty if there is none that read anything."""
+        name = self.ambient or AMBIENT
+        return name if name in temperatures and np.isfinite(temperatures[name]).any() else ""
+
     def applied(self, readings: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, str], list[str]]:
         """Return displacements by direction, with tilts, their units, and remarks.
 
@@ -100,11 +105,13 @@ class SensorMap:
         spindle along Z. Sensors without a direction keep their names.
 
         Args:
-            readings: (n,) µm by sensor.
+            readings: (n,) µm by sensor, of those that read anything.
         """
-        values = {place: self.sign[place] * readings[self.sensor[place]] for place in PLACES if place in self.sensor}
+        read = [place for place in PLACES if self.sensor.get(place) in readings]
+        values = {place: self.sign[place] * readings[self.sensor[place]] for place in read}
         units = dict.fromkeys(values, "um")
-        remarks = []
+        silent = sorted(set(self.sensor.values()) - set(readings))
+        remarks = [f"sensors without any reading: {', '.join(silent)}"] if silent else []
         for pair, tilt, way in (("X1-X2", "B", 1.0), ("Y1-Y2", "A", -1.0)):
             lower, upper = pair.split("-")
             if lower in values and upper in values:

@@ -18,7 +18,7 @@ SAME_POSE: Final = 1.0
 """Difference in mm or degrees up to which positions are one pose: a probe records where the sphere was."""
 LEAST_TRAVEL: Final = 5.0
 """Travel in mm or degrees above which an axis counts as moved between target positions."""
-SIDEWAYS: Final = 0.1
+SIDEWAYS: Final = 0.3
 """Share of the travel up to which the other axes may move with it, because targets are not exactly in line."""
 NOT_VERIFIED: Final = (
     "the kinds of test and the name ETVE are those of the public scope of ISO 230-3:2020; figures and symbols were not checked "
@@ -156,10 +156,11 @@ def _axes_test(record: DriftRecord, rows: np.ndarray, machine: Machine, axis: in
                 _value(record, f"e({one}){k}", f"e_{one}_{k}", found.range(one, target=k), unit, f"range of {at}"),
                 _value(record, f"e({one}){k}end", f"e_{one}_{k}_end", found.end(one, target=k), unit, f"{at}, end of test"),
             ]  # fmt: skip
-    if len(targets) == 2 and name in found.units:
-        growth = found.end(name, target=2) - found.end(name, target=1)
+    along = next((one for one in (name, f"{name}1") if one in found.units), "")
+    if len(targets) == 2 and along:
+        growth = found.end(along, target=2) - found.end(along, target=1)
         words = f"change of the distance of {targets[1] - targets[0]:g} mm between the target positions"
-        values.append(_value(record, f"e({name})2−1", f"e_{name}_21", growth, found.units[name], words))
+        values.append(_value(record, f"e({name})2−1", f"e_{name}_21", growth, found.units[along], words))
     remarks = [NOT_VERIFIED, *record.remarks, "displacements count from the first reading at each target position"]
     if len(targets) != 2:
         remarks.append(f"not a full test: {len(targets)} target positions instead of 2")
