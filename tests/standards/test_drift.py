@@ -230,3 +230,12 @@ def test_real_record_has_three_periods(dmu50: Machine) -> None:
             np.ptp(d)
         )
         assert value(test, "d_d4_60") == pytest.approx(np.ptp(d[:61]))
+
+
+def test_simulated_readings_keep_their_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for comment, wanted in (("simulated readings", True), ("", False)):
+        path, report = spindle_record(tmp_path / "r.csv", comment), tmp_path / "r.json"
+        with pytest.raises(SystemExit):
+            cli.main(["evaluate", str(path), "--iso230-3", "--json", str(report)])
+        assert ("SIMULATED READINGS" in capsys.readouterr().out) is wanted
+        assert bool(json.loads(report.read_text())["warnings"]) is wanted

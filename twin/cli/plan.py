@@ -13,6 +13,7 @@ from twin._common.errors import InputError
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, Output, command, progress_bar
+from twin.cli.shared.drift import AxisOption, DriftOption, DriftRequest, HighestOption, SpectrumOption
 from twin.cli.shared.words import three_numbers
 from twin.machine.calibration import Calibration
 from twin.machine.machine import DEFAULT, Machine
@@ -21,8 +22,6 @@ from twin.measurement.instruments import INSTRUMENTS, instrument_named
 from twin.measurement.table import Measurements
 from twin.planning import Kit, Plan, duration, judge, judge_sequence, measuring_sequence, separate
 from twin.planning import plan as make_plan
-from twin.planning.drift import DRIFTS, drift_plan
-from twin.planning.drift import INSTRUMENTS as DRIFT_INSTRUMENTS
 from twin.planning.kit import bundled_kit
 from twin.planning.programs import format_of, program_steps, write_program
 from twin.planning.sequences import SEQUENCES, SET_UPS, InstrumentSizes, minutes_of
@@ -124,25 +123,6 @@ FeedOption = Annotated[
     ),
     POSITIVE,
 ]
-DriftOption = Annotated[
-    str | None,
-    typer.Option(
-        "--drift",
-        help=f"Plan a thermal test (ISO 230-3): {', '.join(one.name for one in DRIFTS)}; --instrument: {', '.join(DRIFT_INSTRUMENTS)}.",
-    ),
-]
-HighestOption = Annotated[
-    float | None,
-    typer.Option("--highest-rpm", help="Highest spindle speed, 1/min, with --drift spindle."),
-    POSITIVE,
-]
-SpectrumOption = Annotated[
-    bool,
-    typer.Option("--spectrum", help="Change the speed at random every 10 min, with --drift spindle; default: steps."),
-]
-AxisOption = Annotated[
-    str | None, typer.Option("--axis", help="Linear axis that moves, with --drift axes; default: the first.")
-]
 ProgramOption = Annotated[
     Path | None,
     typer.Option(
@@ -198,7 +178,7 @@ def plan(
     if (output is None) is (judged is None):
         raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
     _check_combination(after, causes, reduce, instrument)
-    test = _DriftRequest(drift, highest_rpm, spectrum, axis, feed, seed)
+    test = DriftRequest(drift, highest_rpm, spectrum, axis, feed, seed)
     if test.wanted(bool(causes or reduce or judged or sequence or program_file or radius)):
         own_sizes = InstrumentSizes(tool_length, **_sizes(sphere_diameter, ball_diameter, clearance, None, None))
         return test.planned(loaded, own, instrument, spheres, minutes, own_sizes, output)
@@ -267,64 +247,6 @@ def _check_combination(
         raise InputError("--separate and --reduce exclude each other", expected="one of them", value=" ".join(reduce))
     if instrument in SET_UPS and (causes is not None or reduce):
         raise InputError("--instrument plans a sequence", expected="no --separate and no --reduce", value=instrument)
-
-
-@final
-@dataclass(frozen=True)
-class _DriftRequest:
-    """Options of a drift test: name, highest speed, spectrum, axis, feed, seed."""
-
-    name: str | None
-    highest_rpm: float | None
-    spectrum: bool
-    axis: str | None
-    feed_mm_min: float | None
-    seed: int
-
-    def wanted(self, others: bool) -> bool:
-        """Return whether a drift test is wanted.
-
-        Raises:
-            InputError: an option of a drift test without its name, or beside options of another plan.
-        """
-        names = "|".join(one.name for one in DRIFTS)
-        if self.name is None and (self.highest_rpm is not None or self.spectrum or self.axis is not None):
-            raise InputError("--highest-rpm, --spectrum and --axis need --drift", expected=f"--drift {names}")
-        if self.name is not None and others:
-            raise InputError("--drift plans a thermal test", expected="no option of another plan", value=self.name)
-        return self.name is not None
-
-    def planned(
-        self,
-        machine: Machine,
-        kit: Kit,
-        instrument: str | None,
-        spheres: list[str] | None,
-        minutes: float | None,
-        sizes: InstrumentSizes,
-        output: Path | None,
-    ) -> CommandResult:
-        """Plan the drift test and write it."""
-        chosen = instrument or DRIFT_INSTRUMENTS[0]
-        part = "sphere" if chosen == DRIFT_INSTRUMENTS[0] else "nest"
-        places = {
-            f"{part} {k + 1}": three_numbers("--spheres", text, text, "x,y,z in mm")
-            for k, text in enumerate(spheres or [])
-        }
-        options = {name: getattr(self, name) for name in ("highest_rpm", "spectrum", "axis", "feed_mm_min", "seed")}
-        made = drift_plan(
-            machine,
-            str(self.name),
-            chosen,
-            kit,
-            places_mm=places or None,
-            minutes=minutes,
-            sizes=sizes,
-            options=options,
-        )
-        if output is not None:
-            made.save(output)
-        return CommandResult(made.to_text(), made.to_dict)
 
 
 @final

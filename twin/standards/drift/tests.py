@@ -245,4 +245,4 @@ def _temperature_remark(found: DriftSeries) -> list[str]:
 
 
 def _hours(seconds: float) -> str:
-    return f"{seconds / 3600.0:.1f} h"
+    return f"{seconds / 3600.0:.1f} h" if seconds >= 7200.0 else f"{seconds / 60.0:.0f} min"
