@@ -239,3 +239,17 @@ def test_simulated_readings_keep_their_warning(tmp_path: Path, capsys: pytest.Ca
             cli.main(["evaluate", str(path), "--iso230-3", "--json", str(report)])
         assert ("SIMULATED READINGS" in capsys.readouterr().out) is wanted
         assert bool(json.loads(report.read_text())["warnings"]) is wanted
+
+
+def test_range_of_noise_alone_is_stated(dmu50: Machine, tmp_path: Path) -> None:
+    """The remark against drawn noise: the mean range of 97 readings."""
+    n = 97
+    drawn = np.ptp(np.random.default_rng(5).normal(0.0, 1.4, (4000, n)), axis=1).mean()
+    path = write(
+        tmp_path / "t.csv", positions(n), np.zeros((n, 3)) + 1.0, station_carrier=["work"] * n,
+        time_s=300.0 * np.arange(n), u_x_mm=[0.0014] * n, u_y_mm=[0.0014] * n, u_z_mm=[0.0014] * n,
+    )  # fmt: skip
+    (test,) = evaluate_drift(path, dmu50).tests
+    (said,) = [text for text in test.remarks if "noise alone" in text]
+    assert float(said.partition("about ")[2].split()[0]) == pytest.approx(drawn, rel=0.02)
+    assert test.values[0].u == pytest.approx(1.4 * np.sqrt(2.0))

@@ -58,7 +58,8 @@ def relative_displacements(
         remarks.append(more)
     data, names = data.select(rows), ("x", "y", "z") if base and not posed else ("X", "Y", "Z")
     used = {name: read_only(signed[rows, k]) for k, name in enumerate(names)}
-    u = reading_uncertainty_mm(data, instrument)
+    u = _uncertainty_mm(data, instrument)
+    speed = data.channels.get(SPEED, np.full(len(data), np.nan))
     return DriftRecord(
         source=data.source,
         time_s=data.time_s,
@@ -71,13 +72,21 @@ def relative_displacements(
         units=MappingProxyType(dict.fromkeys(used, "um")),
         temperature_degC=data.temperature_degC,
         ambient=ambient,
-        speed_rpm=data.channels.get(SPEED),
+        speed_rpm=read_only(np.abs(speed)) if np.isfinite(speed).any() else None,
         u_um=float(np.sqrt(np.nanmean(u**2))) * (MM / UM) if np.isfinite(u).any() else float("nan"),
         remarks=tuple(remarks),
         notices=data.notices,
         set_aside=data.set_aside,
         simulated=data.simulated,
     )
+
+
+def _uncertainty_mm(data: Measurements, instrument: Instrument | None) -> np.ndarray:
+    """Return (n, 3) standard uncertainties of the readings, mm, those of a touch probe at its zero; NaN if unknown."""
+    if instrument is None or instrument.specification.reads != "null":
+        return reading_uncertainty_mm(data, instrument)
+    model = np.diagonal(instrument.covariance(np.zeros((len(data), 3))), axis1=1, axis2=2)
+    return np.where(np.isfinite(data.u_mm), data.u_mm, np.sqrt(model) / MM)
 
 
 def _check(data: Measurements) -> None:

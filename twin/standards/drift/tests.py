@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
+from scipy.stats import norm
 
 from twin.machine.machine import Machine
 from twin.measurement.evaluation.drift import FIRST_S, DriftSeries, drift_series, spread
@@ -115,7 +116,7 @@ def _environment_test(record: DriftRecord, rows: np.ndarray, spot: str) -> Stand
         axes=(),
         place="; ".join(filter(None, [f"machine at rest for {_hours(found.duration_s)}", spot])),
         values=tuple(_environment_values(record, found)),
-        remarks=(*remarks, *_temperature_remark(found)),
+        remarks=(*remarks, *_noise_remark(record, found), *_temperature_remark(found)),
         detail=found,
     )
 
@@ -136,6 +137,7 @@ def _spindle_test(record: DriftRecord, rows: np.ndarray, number: int, count: int
             *(NOT_VERIFIED, *record.remarks, AT_ONCE),
             *([SHORT] if end - start < FIRST_S else []),
             *([PERIODS] if count > 1 else []),
+            *_noise_remark(record, found),
             *_temperature_remark(found),
         ),
         detail=found,
@@ -173,7 +175,7 @@ def _axes_test(record: DriftRecord, rows: np.ndarray, machine: Machine, axis: in
             "-", "−"
         ),
         values=tuple(values),
-        remarks=(*remarks, *_temperature_remark(found)),
+        remarks=(*remarks, *_noise_remark(record, found), *_temperature_remark(found)),
         detail=found,
     )
 
@@ -220,9 +222,10 @@ def _environment_values(record: DriftRecord, found: DriftSeries) -> Iterator[Sta
 def _spindle_values(record: DriftRecord, found: DriftSeries) -> Iterator[StandardValue]:
     start, end = found.running_s or (0.0, 0.0)
     for name, unit in found.units.items():
+        noun = "tilt" if unit == "urad" else "displacement"
         first = found.range(name, until_s=FIRST_S) if end - start >= FIRST_S else float("nan")
         rows = (
-            (f"d({name})end", f"d_{name}_end", found.end(name), f"displacement {name} at the end of running"),
+            (f"d({name})end", f"d_{name}_end", found.end(name), f"{noun} {name} at the end of running"),
             (f"d({name})60", f"d_{name}_60", first, f"range of {name} in the first 60 min of running"),
             (f"d({name})t", f"d_{name}_t", found.range(name), f"range of {name} over the period of running"),
         )
@@ -242,6 +245,17 @@ def _temperature_remark(found: DriftSeries) -> list[str]:
     ranges = {name: spread(values) for name, values in found.temperature_degC.items()}
     known = [f"{name} {value:.1f} K" for name, value in ranges.items() if np.isfinite(value)]
     return [f"ranges of temperature: {', '.join(known)}"] if known else ["no temperatures were recorded"]
+
+
+def _noise_remark(record: DriftRecord, found: DriftSeries) -> list[str]:
+    """Return the range that noise alone gives: expected normal extremes after Blom (1958)."""
+    n = int(np.count_nonzero(found.target == 1))
+    if not (np.isfinite(record.u_um) and n > 1):
+        return []
+    expected = 2.0 * float(norm.ppf((n - 0.375) / (n + 0.25))) * record.u_um
+    return [
+        f"noise alone gives a range of about {expected:.1f} µm over {n} readings; U of a range does not contain this"
+    ]
 
 
 def _hours(seconds: float) -> str:
