@@ -162,7 +162,7 @@ def _axes_test(record: DriftRecord, rows: np.ndarray, machine: Machine, axis: in
     if len(targets) == 2 and along:
         growth = found.end(along, target=2) - found.end(along, target=1)
         words = f"change of the distance of {targets[1] - targets[0]:g} mm between the target positions"
-        values.append(_value(record, f"e({name})2−1", f"e_{name}_21", growth, found.units[along], words))
+        values.append(_value(record, f"e({name})2−1", f"e_{name}_21", growth, found.units[along], words, 2.0**0.5))
     remarks = [NOT_VERIFIED, *record.remarks, "displacements count from the first reading at each target position"]
     if len(targets) != 2:
         remarks.append(f"not a full test: {len(targets)} target positions instead of 2")
