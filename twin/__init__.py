@@ -7,7 +7,7 @@
   `measuring_sequence`, `InstrumentSizes`, `thesis_plan`;
 - identification: `identify`, `ToolUncertainty`, `compare`, `draw_machines`, `identify_as_thesis`;
 - checks over time: `watch`, `WatchSettings`, `watch_html`;
-- standard tests (ISO 230, ISO 10791-6): `evaluate`, `evaluation_html`;
+- standard tests (ISO 230, ISO 10791-6): `evaluate`, `evaluate_drift`, `evaluation_html`;
 - thermal models: `ThermalRecord`, `fit_thermal`;
 - diagnosis: `diagnose`, `diagnosis_html`;
 - programs: `compensate`, `compensate_file`, `compensate_files`, `Compensator`, `Options`, `Scope`, `Setup`, `Workers`, `execute_file`,
@@ -52,10 +52,11 @@ if TYPE_CHECKING:
     from twin.nc import find_program, read_program
     from twin.planning import InstrumentSizes, Kit, duration, judge, measuring_sequence, plan, separate
     from twin.planning import plots as planning_plots
+    from twin.planning.drift import drift_plan
     from twin.reporting import machine_report as report
     from twin.reporting.scene import draw_program as scene
     from twin.samples import thesis_plan
-    from twin.standards import evaluate
+    from twin.standards import evaluate, evaluate_drift
     from twin.standards.page import evaluation_html
     from twin.thermal import ThermalRecord, fit_thermal
     from twin.uncertainty.at_tool import ToolUncertainty
@@ -95,9 +96,11 @@ __all__ = [
     "diagnosis_html",
     "diagnosis_plots",
     "draw_machines",
+    "drift_plan",
     "duration",
     "effect_named",
     "evaluate",
+    "evaluate_drift",
     "evaluation_html",
     "execute_file",
     "find_program",
@@ -158,9 +161,11 @@ _HOMES = {
     "diagnose": ("twin.diagnosis", "diagnose"),
     "diagnosis_html": ("twin.diagnosis.wording.report", "diagnosis_html"),
     "draw_machines": ("twin.uncertainty.population", "draw_machines"),
+    "drift_plan": ("twin.planning.drift", "drift_plan"),
     "duration": ("twin.planning", "duration"),
     "effect_named": ("twin.machine.effects.entries", "effect_named"),
     "evaluate": ("twin.standards", "evaluate"),
+    "evaluate_drift": ("twin.standards", "evaluate_drift"),
     "evaluation_html": ("twin.standards.page", "evaluation_html"),
     "execute_file": ("twin.compensation.execute", "execute_file"),
     "find_program": ("twin.nc", "find_program"),

@@ -198,6 +198,9 @@ def _table(path: Path) -> None:
     evaluated = twin.evaluate(data, machine(), tolerances={"A": 10.0})
     evaluated.to_text()
     json.dumps(evaluated.to_dict(), allow_nan=False)
+    drift = twin.evaluate_drift(path, machine())
+    drift.to_text()
+    json.dumps(drift.to_dict(), allow_nan=False)
 
 
 def _plan(path: Path) -> None:

@@ -149,6 +149,7 @@ def test_a_report_never_replaces_an_input(capsys: pytest.CaptureFixture[str], tm
         (("simulate", "thesis_plan.csv", "-o", "x.csv", "--instrument", "traker"), "tracker"),
         (("identify", "m.csv", "-o", "x.yaml", "--only", "E_C0X"), "E_"),
         (("evaluate", "thesis_plan.csv", "--instrument", "traker"), "tracker"),
+        (("plan", "-o", "x.csv", "--drift", "spindel"), "spindle"),
         (("plan", "-o", "x.csv", "--reduce", "tol"), "tool"),
         (("plan", "-o", "x.csv", "--kit", "dmu5"), "dmu50"),
         (("simulate-run", "-l", "nine_beam_x.yaml", "--positions", "0,500,3", "-o", "x.csv"), "nine_beams_x.yaml"),
@@ -240,6 +241,7 @@ def test_help_without_arguments(capsys: pytest.CaptureFixture[str]) -> None:
         ("twin simulate p.csv --instrument tracker", {"tracker", "tracker-absolute"}),
         ("twin identify m.csv --only E_C0", {"E_C0Y"}),
         ("twin plan --kit d", {"dmu50"}),
+        ("twin plan --drift s", {"spindle"}),
         ("twin plan --reduce we", {"weakest"}),
         (
             "twin plan --separate the",

@@ -28,6 +28,8 @@ from twin import cli
         (("simulate-run", "-l", "measured.csv", "--positions", "0,100,5", "-o", "out.xlsx"), ".csv"),
         (("plan", "-o", "out.nc"), ".csv"),
         (("plan", "-o", "out.csv", "--instrument", "probe", "--program", "out.txt"), ".ngc"),
+        (("plan", "--drift", "environment", "-o", "out.nc"), ".csv"),
+        (("evaluate", "measured.csv", "--iso230-3", "--html", "out.pdf"), ".html or .htm"),
         (("convert", "measured.csv", "-o", "out.rtl"), ".csv"),
         (("compensate", "cone_frustum.nc", "-o", "out.png"), ".nc .ngc"),
         (("path", "cone_frustum.nc", "-o", "out.pdf"), ".nc .ngc"),

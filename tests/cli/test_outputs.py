@@ -42,6 +42,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(folder / "dmu50.calibration.yaml", folder / "c.yaml")
     plan = Path(cli.__file__).parents[1] / "samples" / "thesis_plan.csv"
     (folder / "plan.csv").write_text("".join(plan.read_text().splitlines(keepends=True)[:40]))
+    (folder / "drift.csv").write_text("time_s,a_um\n0,0\n60,1\n")
     (folder / "contacts.csv").write_text(MEASURED["contacts"].GOOD)
     with pytest.raises(SystemExit) as ended:
         cli.main(["control", "--to", "siemens", "-o", str(folder / "tables"), "--json", str(folder / "report.json")])
@@ -74,6 +75,11 @@ COMMANDS = {
     "evaluate, json over the table": ("evaluate plan.csv --json plan.csv", "plan.csv"),
     "watch, json over a check": ("watch . --json plan.csv", "plan.csv"),
     "watch, page over the machine's copy": ("watch tables -m dmu50.yaml --json dmu50.urdf", "dmu50.urdf"),
+    "evaluate, json over the record": ("evaluate drift.csv --iso230-3 --json drift.csv", "drift.csv"),
+    "plan of a drift test over the kit": (
+        "plan --drift environment --kit p.nc -o o.csv --json p.nc",
+        "p.nc",
+    ),
     "thermal over the record": ("thermal plan.csv --predicted plan.csv", "plan.csv"),
     "thermal, json over the record to predict": ("thermal contacts.csv --predict plan.csv --json plan.csv", "plan.csv"),
     "thermal, json over the model": ("thermal plan.csv --model c.yaml --json c.yaml", "c.yaml"),

@@ -13,6 +13,7 @@ from twin._common.errors import InputError
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, Output, command, progress_bar
+from twin.cli.shared.drift import AxisOption, DriftOption, DriftRequest, HighestOption, SpectrumOption
 from twin.cli.shared.words import three_numbers
 from twin.machine.calibration import Calibration
 from twin.machine.machine import DEFAULT, Machine
@@ -29,6 +30,11 @@ MINUTES = 210.0
 MINUTES_TO_SEPARATE = 60.0
 SEQUENCE_MINUTES = 60.0
 
+PlanOutput = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", help="Plan to write: a measurement table without coordinates."),
+    TABLE,
+]
 KitOption = Annotated[
     Path | None,
     typer.Option(
@@ -111,7 +117,11 @@ RadiusOption = Annotated[
     float | None, typer.Option("--radius", help="Length of the ball bar, mm; default: 100."), POSITIVE
 ]
 FeedOption = Annotated[
-    float | None, typer.Option("--feed", help="Feed with a ball bar, mm/min; default: 1000."), POSITIVE
+    float | None,
+    typer.Option(
+        "--feed", help="Feed with a ball bar, mm/min, default 1000; of the axis with --drift axes, default 5000."
+    ),
+    POSITIVE,
 ]
 ProgramOption = Annotated[
     Path | None,
@@ -129,14 +139,11 @@ ProgramOption = Annotated[
     'twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv',
     "twin plan --judge thesis_plan.csv --json judged.json",
     "twin plan --instrument probe -o plan.csv --tool-length 120 --minutes 45",
+    "twin plan --drift spindle --instrument displacement --highest-rpm 12000 --minutes 300 -o spindle.csv",
     'twin plan --instrument probe --sequence turns -o plan.csv --tool-length 120 --spheres "150,0,60" --program probe.ngc',
 )
 def plan(
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Plan to write: a measurement table without coordinates."),
-        TABLE,
-    ] = None,
+    output: PlanOutput = None,
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,
     kit: KitOption = None,
@@ -154,8 +161,12 @@ def plan(
     radius: RadiusOption = None,
     feed: FeedOption = None,
     program_file: ProgramOption = None,
+    drift: DriftOption = None,
+    highest_rpm: HighestOption = None,
+    spectrum: SpectrumOption = False,
+    axis: AxisOption = None,
     tool_length: options.ToolOption = None,
-    seed: Annotated[int, typer.Option("--seed", help="Random seed of the candidate poses.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Random seed of the candidate poses, or of the speeds.")] = 0,
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Plan the measurement that gives the smallest uncertainty in the available time."""
@@ -167,6 +178,10 @@ def plan(
     if (output is None) is (judged is None):
         raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
     _check_combination(after, causes, reduce, instrument)
+    test = DriftRequest(drift, highest_rpm, spectrum, axis, feed, seed)
+    if test.wanted(bool(causes or reduce or judged or sequence or program_file or radius)):
+        own_sizes = InstrumentSizes(tool_length, **_sizes(sphere_diameter, ball_diameter, clearance, None, None))
+        return test.planned(loaded, own, instrument, spheres, minutes, own_sizes, output)
     sizes = _sizes(sphere_diameter, ball_diameter, clearance, radius, feed)
     request = _SequenceRequest(instrument, sequence, spheres, sizes, program_file)
     if judged is not None:

@@ -52,6 +52,24 @@ known, and with these and the tip known. It lists what the sequence cannot tell,
 `--judge` gives the same for an existing plan. Error motions that depend on the position are neither in the criterion nor in the
 prediction: identify them, or diagnose the residuals.
 
+Thermal tests after ISO 230-3 (evaluated by `twin evaluate --iso230-3`):
+
+    twin plan --drift environment --instrument displacement -o etve.csv
+    twin plan --drift spindle --instrument probe --highest-rpm 12000 --minutes 300 --tool-length 120 -o spindle.csv
+    twin plan --drift axes --axis X --feed 8000 --instrument r-test --tool-length 120 -o axis.csv
+
+The plan has a time and a spindle speed for each reading; `spindle_rpm` is the speed from the reading before to this one. For
+displacement sensors it is the record to fill in, with the comment that gives their directions.
+
+- `environment`: machine at rest, a reading every 5 min for 24 h.
+- `spindle`: 25, 50, 75 and 100 % of `--highest-rpm` for equal times, then rest for a fifth of the time. `--spectrum` changes the
+  speed at random every 10 min instead, which separates speed from time.
+- `axes`: two target positions; between pairs of readings the axis traverses at `--feed`. Two `--spheres` give the places. An axis
+  perpendicular to the table has no default for them.
+
+A touch probe needs the spindle stopped. The plan says for how long (assumed), and what does not show because of it. Duration, steps and
+intervals are choices of twin, not those of the standard. No measuring program is written for these tests.
+
 `--program` writes the measuring program for a touch probe: `.ngc` or `.nc` (LinuxCNC), `.h` (HEIDENHAIN), `.mpf` (SINUMERIK). The
 tool retracts, the rotary axes turn, and the tip touches the sphere five times: from the spindle and at four points of the equator
 that keep the stylus away from the stem. Every position is checked for the ranges. Every move is checked with the shapes of the URDF
@@ -70,6 +88,7 @@ the positions at the contacts; `twin convert` makes the measurement table of the
 #     result       Plan             the plan as displayed and written
 #
 # A measuring sequence: `sequences` (poses, reach, prediction), `measure` (SequencePlan), `programs` (for a control).
+# A thermal test: `drift` (schedules; DriftPlan).
 
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit

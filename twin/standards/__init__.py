@@ -47,6 +47,28 @@ cannot show tilt by itself.
 from the base, 4 for both together. The text of ISO 10791-6 was not available: what is evaluated is the range of the deviation
 in each direction of the station's frame, and neither the names nor the quantity are verified against the standard.
 
+**Thermal tests** after ISO 230-3 are evaluated from displacements over time, one file at a time:
+
+    twin evaluate record.csv --iso230-3 --sensors d1=X1 d2=X2 d3=Y1 d4=Y2 d5=Z X1-X2=76 Y1-Y2=76 t5=ambient --html drift.html
+    twin evaluate measured.csv --iso230-3 --tolerance d_Z_t=20 ETVE_Z=10
+
+The file is a record of displacement sensors (`time_s`, `<name>_um`; optional `spindle_rpm`, `T_<sensor>_degC`, axis positions, `round`)
+or a measurement table with `time_s` of a probe, an R-test or a tracker. In a table, the nominal motion between the positions is
+subtracted, and the displacement is that of the tool relative to the work; a tracker needs a target on each side for that. Directions
+of sensors are given by `--sensors` or a comment `# sensors: d1=X1 …`, and never guessed: without them each sensor has values
+of its own. X1 and Y1 are near the end of the mandrel, X2 and Y2 near the spindle nose; `d1=-X1` turns a sign. With the distances
+(`X1-X2=76`, mm) the tilts A and B follow, right-handed for a spindle along Z. The ambient temperature is that of a sensor `ambient`.
+
+- One pose, spindle at rest: environmental temperature variation error. `ETVE_X` … range over the test; `ETVE_X_per_K` the same divided
+  by the range of the ambient temperature, `T_ambient`.
+- Spindle ran: `d_X_end` displacement at the end of running, `d_X_60` range in the first 60 min, `d_X_t` range over the running period.
+  All count from the last reading before the spindle ran. A rest of more than 60 min begins a new test (`spindle1`, `spindle2`).
+- One linear axis at two target positions: `e_X_1`, `e_X_2` range at each, `e_X_1_end` … displacement at the end, `e_X_21` change of
+  their distance. Several axes are separate rounds. The test of rotary axes is not evaluated.
+
+The kinds of test and the name ETVE come from the public scope of ISO 230-3:2020. Its text was not available: figures, symbols and
+the signs of the tilts are not verified against it. `twin plan --drift` makes the schedule.
+
 **Tolerances.** `A=10` applies to every test that has the value, `X:A=8` to that of X; µm or µrad. The absolute value is compared. The
 exit status is 3 if a tolerance is not met, if no test gives its value, or if the table allows no test at all. Beside pass or fail
 stands the decision by ISO 14253-1: conformity proven, nonconformity proven, or neither, because the margin is within U. U (95 %) is
@@ -54,7 +76,16 @@ propagated from the uncertainties of the readings (columns `u_x_mm` …, or `--i
 the instrument's scale error, temperature or set-up. Without an uncertainty nothing is proven.
 """
 
+from twin.standards.drift import evaluate_drift
 from twin.standards.evaluate import evaluate
 from twin.standards.result import EvaluationResult, NotEvaluated, StandardTest, StandardValue, ToleranceCheck
 
-__all__ = ["EvaluationResult", "NotEvaluated", "StandardTest", "StandardValue", "ToleranceCheck", "evaluate"]
+__all__ = [
+    "EvaluationResult",
+    "NotEvaluated",
+    "StandardTest",
+    "StandardValue",
+    "ToleranceCheck",
+    "evaluate",
+    "evaluate_drift",
+]

@@ -22,7 +22,7 @@ from twin.standards.circles import circle_test
 from twin.standards.kinematic import kinematic_test
 from twin.standards.linear import linear_positioning, squareness_tests, straightness_tests
 from twin.standards.readings import NotPossible, reading_uncertainty_mm, station_frame
-from twin.standards.result import EvaluationResult, NotEvaluated, StandardTest, check_tolerances
+from twin.standards.result import EvaluationResult, NotEvaluated, StandardTest, check_limits, check_tolerances
 from twin.standards.rotary import rotary_tests
 from twin.standards.runs import MeasuredRun, TableRuns, directions, find_runs
 from twin.standards.words import place_of
@@ -103,11 +103,7 @@ def _check_arguments(
 ) -> None:
     require_type("data", data, Measurements)
     require_type("machine", machine, Machine)
-    for name, limit in tolerances.items():
-        if not (np.isfinite(limit) and limit >= 0.0):
-            raise InputError(
-                "a tolerance must be positive", expected="µm or µrad, not negative", value=f"{name}={limit}"
-            )
+    check_limits(tolerances)
     if length_mm is not None and not (np.isfinite(length_mm) and length_mm > 0.0):
         raise InputError("the length of the ball bar must be positive", expected="mm, above 0", value=length_mm)
 

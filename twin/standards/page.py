@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,11 +16,13 @@ from twin.measurement.checks import grouped_notes
 from twin.measurement.evaluation import (
     AngularError,
     CircularTest,
+    DriftSeries,
     Positioning,
     RotaryMotion,
     Straightness,
     UnidirectionalPositioning,
 )
+from twin.measurement.evaluation.drift_plot import plot_drift
 from twin.measurement.evaluation.plots import (
     plot_angular_error,
     plot_circular,
@@ -32,6 +35,15 @@ from twin.standards.result import SENTENCES, EvaluationResult, StandardTest
 
 MOST_PICTURES: Final = 40
 """Number of tests of one page that are drawn; the values of all are listed."""
+PLOTS: Final[tuple[tuple[type, Callable[[Any], Figure]], ...]] = (
+    (Positioning, plot_positioning),
+    (UnidirectionalPositioning, plot_unidirectional),
+    (CircularTest, plot_circular),
+    (Straightness, plot_straightness),
+    (AngularError, plot_angular_error),
+    (RotaryMotion, plot_error_motion),
+)
+"""Plots by the kind of result."""
 COLOURS: Final = {"met": "#e8f3ea", "failed": "#fbe4de", "none": "#f3f3f3"}
 
 
@@ -75,20 +87,15 @@ def _picture(test: StandardTest) -> Html:
 def _figure(test: StandardTest, *, draw: bool = True) -> Figure | bool:
     """Return the standard's plot of a test; without ``draw`` only whether there is one."""
     detail = test.detail
-    if isinstance(detail, Positioning) and np.isfinite(detail.R):
-        return plot_positioning(detail) if draw else True
-    if isinstance(detail, UnidirectionalPositioning):
-        return plot_unidirectional(detail) if draw else True
-    if isinstance(detail, CircularTest):
-        return plot_circular(detail) if draw else True
-    if isinstance(detail, Straightness):
-        return plot_straightness(detail) if draw else True
-    if isinstance(detail, AngularError):
-        return plot_angular_error(detail) if draw else True
-    if isinstance(detail, RotaryMotion):
-        return plot_error_motion(detail) if draw else True
+    if isinstance(detail, Positioning) and not np.isfinite(detail.R):
+        return False
+    if isinstance(detail, DriftSeries):
+        return plot_drift(detail, title=f"{test.title}, {test.standard}") if draw else True
     if isinstance(detail, np.ndarray):
         return _plot_deviations(test, detail) if draw else True
+    for kind, plot in PLOTS:
+        if isinstance(detail, kind):
+            return plot(detail) if draw else True
     return False
 
 

@@ -5,25 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import wrap
-from typing import Any, Final, Literal, final
+from typing import Any, Final, Literal, Protocol, final
 
 import numpy as np
 
+from twin._common.errors import InputError
 from twin._common.json_form import json_form
 from twin._common.provenance import SourceWarning, warning_texts, warnings_to_json
 from twin.display import card, count_with_noun, figure, note, readable, table
 from twin.display.numbers import COVERAGE_FACTOR, with_joined_units
-from twin.measurement.checks import grouped_notes
+from twin.measurement.checks import RowNote, grouped_notes
 from twin.measurement.evaluation import (
     AngularError,
     CircularTest,
+    DriftSeries,
     Positioning,
     RotaryMotion,
     SquarenessError,
     Straightness,
     UnidirectionalPositioning,
 )
-from twin.measurement.table import Measurements
 
 SCHEMA: Final = "twin.evaluation/1"
 WIDTH: Final = 110
@@ -81,8 +82,27 @@ Detail = (
     | Straightness
     | SquarenessError
     | RotaryMotion
+    | DriftSeries
     | np.ndarray
 )
+
+
+class EvaluatedData(Protocol):
+    """A table or record that was evaluated: its file, what was not used, and its number of rows."""
+
+    @property
+    def source(self) -> str:
+        """The file."""
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """Facts to know before using the result."""
+
+    @property
+    def set_aside(self) -> tuple[RowNote, ...]:
+        """Rows that were not used."""
+
+    def __len__(self) -> int: ...
 
 
 @final
@@ -92,7 +112,8 @@ class StandardTest:
 
     Attributes:
         kind: ``positioning``, ``straightness``, ``squareness``, ``angular error``, ``circular``,
-            ``rotary error motion`` or ``kinematic``.
+            ``rotary error motion``, ``kinematic``; ``environmental temperature variation``,
+            ``rotating spindle`` or ``moving linear axis``.
         name: axis (``X``), axes (``XY``) or error (``E_YX``); tolerances select tests by it.
         standard: standard and clause.
         axes: names of the axes that moved.
@@ -216,7 +237,7 @@ class EvaluationResult:
         warnings: where the readings come from.
     """
 
-    data: Measurements
+    data: EvaluatedData
     machine: str
     tests: tuple[StandardTest, ...]
     not_evaluated: tuple[NotEvaluated, ...]
@@ -291,6 +312,15 @@ class EvaluationResult:
         missing = [note(f"not evaluated: {one.test}: {one.why}") for one in self.not_evaluated]
         shown = table(("test", "at", "values", "standard"), rows)
         return card("Standard tests", *warnings, *loud, shown, *missing, small=self.machine, wrong=not self.met).text
+
+
+def check_limits(tolerances: Mapping[str, float]) -> None:
+    """Raise `InputError` for a tolerance that is negative or not finite."""
+    for name, limit in tolerances.items():
+        if not (np.isfinite(limit) and limit >= 0.0):
+            raise InputError(
+                "a tolerance must be positive", expected="µm or µrad, not negative", value=f"{name}={limit}"
+            )
 
 
 def check_tolerances(tolerances: Mapping[str, float], tests: Sequence[StandardTest]) -> tuple[ToleranceCheck, ...]:

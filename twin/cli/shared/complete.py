@@ -14,6 +14,7 @@ from twin.machine.iso16907 import NAMES
 from twin.machine.machine import DEFAULT, Machine, bundled_folder
 from twin.measurement.instruments import INSTRUMENTS
 from twin.nc import DIALECTS, find_program
+from twin.planning.drift import DRIFTS
 from twin.planning.sequences import SEQUENCES
 from twin.samples import PLANS
 
@@ -31,6 +32,11 @@ def classes(incomplete: str) -> list[str]:
 def instruments(incomplete: str) -> list[str]:
     """Complete the name of an instrument."""
     return _starting_with(incomplete, [one.name for one in INSTRUMENTS])
+
+
+def drifts(incomplete: str) -> list[str]:
+    """Complete the name of a drift test."""
+    return _starting_with(incomplete, [one.name for one in DRIFTS])
 
 
 def sequences(incomplete: str) -> list[str]:

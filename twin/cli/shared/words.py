@@ -23,7 +23,10 @@ MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
 OF_COMMAS: Final = frozenset({"--spheres"})
 """Options among them whose words contain commas."""
 MANY_WORDS_OF: Final[Mapping[str, Mapping[str, re.Pattern[str]]]] = {
-    "evaluate": {"--tolerance": re.compile(r"[A-Za-z][\w:()↑↓↺↻]*=.*")},
+    "evaluate": {
+        "--tolerance": re.compile(r"[A-Za-z][\w:()↑↓↺↻]*=.*"),
+        "--sensors": re.compile(r"[A-Za-z][\w-]*=.*"),
+    },
 }
 """The same for options that take several words with one command only."""
 VARIABLE: Final = "_TWIN_COMPLETE"

@@ -1,0 +1,96 @@
+"""Options of the drift tests of ``twin plan``, and the plan that they ask for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, final
+
+import typer
+
+from twin._common.errors import InputError
+from twin.cli.shared import complete
+from twin.cli.shared.command import POSITIVE, CommandResult
+from twin.cli.shared.words import three_numbers
+from twin.machine.machine import Machine
+from twin.planning import InstrumentSizes, Kit
+from twin.planning.drift import DRIFTS, INSTRUMENTS, drift_plan
+
+DriftOption = Annotated[
+    str | None,
+    typer.Option(
+        "--drift",
+        help=f"Plan a thermal test (ISO 230-3): {', '.join(one.name for one in DRIFTS)}; --instrument: {', '.join(INSTRUMENTS)}.",
+        autocompletion=complete.drifts,
+    ),
+]
+HighestOption = Annotated[
+    float | None,
+    typer.Option("--highest-rpm", help="Highest spindle speed, 1/min, with --drift spindle."),
+    POSITIVE,
+]
+SpectrumOption = Annotated[
+    bool,
+    typer.Option("--spectrum", help="Change the speed at random every 10 min, with --drift spindle; default: steps."),
+]
+AxisOption = Annotated[
+    str | None, typer.Option("--axis", help="Linear axis that moves, with --drift axes; default: the first.")
+]
+
+
+@final
+@dataclass(frozen=True)
+class DriftRequest:
+    """Options of a drift test: name, highest speed, spectrum, axis, feed, seed."""
+
+    name: str | None
+    highest_rpm: float | None
+    spectrum: bool
+    axis: str | None
+    feed_mm_min: float | None
+    seed: int
+
+    def wanted(self, others: bool) -> bool:
+        """Return whether a drift test is wanted.
+
+        Raises:
+            InputError: an option of a drift test without its name, or beside options of another plan.
+        """
+        names = "|".join(one.name for one in DRIFTS)
+        if self.name is None and (self.highest_rpm is not None or self.spectrum or self.axis is not None):
+            raise InputError("--highest-rpm, --spectrum and --axis need --drift", expected=f"--drift {names}")
+        if self.name is not None and others:
+            raise InputError("--drift plans a thermal test", expected="no option of another plan", value=self.name)
+        return self.name is not None
+
+    def planned(
+        self,
+        machine: Machine,
+        kit: Kit,
+        instrument: str | None,
+        spheres: list[str] | None,
+        minutes: float | None,
+        sizes: InstrumentSizes,
+        output: Path | None,
+    ) -> CommandResult:
+        """Plan the drift test and write it."""
+        chosen = instrument or INSTRUMENTS[0]
+        part = "sphere" if chosen == INSTRUMENTS[0] else "nest"
+        places = {
+            f"{part} {k + 1}": three_numbers("--spheres", text, text, "x,y,z in mm")
+            for k, text in enumerate(spheres or [])
+        }
+        options = {name: getattr(self, name) for name in ("highest_rpm", "spectrum", "axis", "feed_mm_min", "seed")}
+        made = drift_plan(
+            machine,
+            str(self.name),
+            chosen,
+            kit,
+            places_mm=places or None,
+            minutes=minutes,
+            sizes=sizes,
+            options=options,
+        )
+        if output is not None:
+            made.save(output)
+        return CommandResult(made.to_text(), made.to_dict)

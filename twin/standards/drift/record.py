@@ -1,0 +1,151 @@
+"""A drift record: displacements of the tool relative to the work over time, with temperatures, spindle speed and axis positions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import read_only
+from twin._common.csv_tables import Cells, read_table, unused_column_note
+from twin._common.errors import InputError
+from twin.machine.machine import Machine
+from twin.measurement.checks import RowNote
+from twin.measurement.columns import simulated_comments
+from twin.standards.drift.sensors import SensorMap
+
+TIME: Final = "time_s"
+SPEED: Final = "spindle_rpm"
+ROUND: Final = "round"
+SUFFIX: Final = "_um"
+Readings = Mapping[str, np.ndarray]
+
+
+@final
+@dataclass(frozen=True)
+class DriftRecord:
+    """Displacements over time; n rows in the order of time.
+
+    Attributes:
+        source: the file.
+        time_s: (n,) strictly increasing.
+        part: (n,) name of the part of the record (round): tests of different axes are different parts.
+        spot: (n,) what was read: target and station, in words; empty for displacement sensors.
+        positions: (n, axes) mm and degrees, command order.
+        displacement: (n,) by direction or sensor, µm or µrad; NaN where it was not read.
+        units: ``um`` or ``urad`` by name.
+        temperature_degC: (n,) by sensor.
+        ambient: the sensor of the ambient temperature; empty if unknown.
+        speed_rpm: (n,); None if the record has no speeds.
+        u_um: standard uncertainty of a displacement; NaN if unknown.
+        remarks: assumptions on directions.
+        notices: what was read but not used.
+        set_aside: rows that are not used.
+        simulated: whether the readings were simulated.
+    """
+
+    source: str
+    time_s: np.ndarray
+    part: np.ndarray
+    spot: np.ndarray
+    positions: np.ndarray
+    displacement: Readings
+    units: Mapping[str, str]
+    temperature_degC: Readings
+    ambient: str
+    speed_rpm: np.ndarray | None
+    u_um: float = float("nan")
+    remarks: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()
+    set_aside: tuple[RowNote, ...] = ()
+    simulated: bool = False
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+def is_displacement_record(path: str | Path) -> bool:
+    """Return whether a file has columns ``<name>_um`` and none of targets: it is not a measurement table."""
+    header, _, _ = read_table(Path(path))
+    return any(map(_is_displacement, header)) and "target" not in header
+
+
+def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -> DriftRecord:
+    """Read a record of displacement sensors.
+
+    Columns: ``time_s``, ``<name>_um``; optionally ``spindle_rpm``, ``T_<sensor>_degC``, ``round`` and the axes' positions. A comment
+    ``# sensors: d1=X1 …`` gives the directions.
+
+    Args:
+        path: the file.
+        machine: the machine, for the names of its axes.
+        sensors: the sensors' directions; empty for those of the comment.
+
+    Raises:
+        InputError: no times, fewer than two rows, a cell that is not a number, times that do not increase, a sensor that is not there.
+    """
+    file = Path(path)
+    header, rows, comments = read_table(file)
+    if TIME not in header:
+        raise InputError("no column of times", expected=f"a column {TIME}", file=file, line=1, value=",".join(header))
+    if len(rows) < 2:
+        raise InputError(f"{len(rows)} rows", expected="at least 2 rows below the header", file=file)
+    cells, lines = Cells(file, {name: i for i, name in enumerate(header)}, rows), [line for line, _ in rows]
+    axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
+    names = [name for name in header if _is_displacement(name)]
+    temperatures = [name for name in header if name.startswith("T_") and name.endswith("_degC")]
+    numbers = {
+        name: _numbers(cells, name, lines) for name in [TIME, SPEED, *axes, *names, *temperatures] if name in header
+    }
+    for name in (TIME, SPEED, *axes):
+        _refuse(np.isnan(numbers.get(name, np.zeros(0))), numbers, name, "a number in every row", file, lines)
+    _refuse(np.r_[False, np.diff(numbers[TIME]) <= 0.0], numbers, TIME, "a later time in every row", file, lines)
+    _refuse(numbers.get(SPEED, np.zeros(0)) < 0.0, numbers, SPEED, "0 or above", file, lines)
+    found = {name[: -len(SUFFIX)]: numbers[name] for name in names if np.isfinite(numbers[name]).any()}
+    if not found:
+        raise InputError("no displacement was read", expected="numbers in a column <name>_um", file=file)
+    measured = {name[2:-5]: numbers[name] for name in temperatures}
+    told = sensors or SensorMap.of_comments(comments)
+    told.check([name[: -len(SUFFIX)] for name in names], list(measured))
+    displacement, units, remarks = told.applied(found)
+    known = {TIME, SPEED, ROUND, *axes, *names, *temperatures}
+    none = np.zeros(len(rows))
+    return DriftRecord(
+        source=str(path),
+        time_s=numbers[TIME],
+        part=cells.words(ROUND, "1"),
+        spot=read_only(np.full(len(rows), "", dtype=object)),
+        positions=read_only(np.stack([numbers.get(name, none) for name in axes], axis=1)),
+        displacement=MappingProxyType(displacement),
+        units=MappingProxyType(units),
+        temperature_degC=MappingProxyType(measured),
+        ambient=told.ambient_of(measured),
+        speed_rpm=numbers.get(SPEED),
+        remarks=tuple(remarks),
+        notices=tuple(unused_column_note(name, sorted(known)) for name in header if name not in known),
+        simulated=bool(simulated_comments(comments)),
+    )
+
+
+def _is_displacement(name: str) -> bool:
+    return name.endswith(SUFFIX) and len(name) > len(SUFFIX)
+
+
+def _numbers(cells: Cells, name: str, lines: Sequence[int]) -> np.ndarray:
+    """Return a column; NaN for an empty cell."""
+    values = cells.numbers(name)
+    _refuse(np.isinf(values), {name: values}, name, "a number or an empty cell", cells.path, lines)
+    return values
+
+
+def _refuse(wrong: np.ndarray, values: Readings, name: str, expected: str, file: Path, lines: Sequence[int]) -> None:
+    for i in np.flatnonzero(wrong)[:1]:
+        value = float(values[name][i])
+        what = f"{name} is empty" if np.isnan(value) else f"{name} cannot be used"
+        raise InputError(
+            what, expected=expected, file=file, line=lines[int(i)], value=value if np.isfinite(value) else None
+        )
