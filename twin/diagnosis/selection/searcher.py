@@ -39,8 +39,8 @@ def select_causes(task: DiagnosisTask) -> Findings:
     """Return the causes and the unnamed patterns that explain the residuals.
 
     A variant that changes with time (a growth that lags behind its sensor) resembles many slow changes. It is searched for only where
-    something changes with time, and named only if it predicts blocks of time that were held out better than the plain effects do, or as
-    well with fewer parameters.
+    something changes with time, and named only if it predicts held-out blocks of time better than the plain effect does, or as well as
+    several causes with more parameters.
 
     Args:
         task: the problem without outliers, and the causes to test.
@@ -75,8 +75,9 @@ def _changes_with_time(found: Findings) -> bool:
 def _is_better_in_time(other: Findings, plain: Findings) -> bool:
     """Return whether causes with a variant in time are preferred to those without.
 
-    They are if, with 95 % confidence, they predict held-out blocks of time better; if neither predicts better, the one with fewer
-    parameters, or, of equally many, fewer causes is taken.
+    They are if they predict held-out blocks of time no worse with fewer parameters, or, of equally many, with fewer causes; or if they
+    are the same causes, some as variants, and predict better with 95 % confidence. Blocks inside one warm-up are interpolation: any
+    further drift would predict them, so a better prediction by other causes with more parameters does not count.
     """
     split = blocks_of_time(plain.problem.network.data)
     if split is None or not any(_is_variant_in_time(form.candidate) for form in other.structure.forms):
@@ -94,7 +95,12 @@ def _is_better_in_time(other: Findings, plain: Findings) -> bool:
     interval = jackknife_interval(np.column_stack([tables[0][:, 0], tables[1]]))
     if interval is None or interval[1] < 0.0:
         return False
-    return interval[0] > 0.0 or _complexity(other) < _complexity(plain)
+    if _complexity(other) < _complexity(plain):
+        return True
+    keys = {
+        (one.candidate.specification.variant_of or one.candidate.effect, one.key[1]) for one in other.structure.forms
+    }
+    return interval[0] > 0.0 and keys == {form.key for form in plain.structure.forms}
 
 
 def _complexity(found: Findings) -> tuple[int, int]:
