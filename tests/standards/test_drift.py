@@ -71,9 +71,9 @@ def test_directions_are_never_guessed(dmu50: Machine, tmp_path: Path) -> None:
     (test,) = evaluate_drift(spindle_record(tmp_path / "r.csv"), dmu50).tests
     assert {one.key for one in test.values} == {f"d_d{k}_{end}" for k in range(1, 6) for end in ("end", "60", "t")}
     assert any("direction of d1, d2, d3, d4, d5 is not given" in text for text in test.remarks)
-    (told,) = evaluate_drift(tmp_path / "r.csv", dmu50, sensors=["d1=X1", "d2=X2"]).tests
-    assert "d_B_t" not in {one.key for one in told.values}
-    assert any("the distance X1-X2" in text for text in told.remarks)
+    (test,) = evaluate_drift(tmp_path / "r.csv", dmu50, sensors=["d1=X1", "d2=X2"]).tests
+    assert "d_B_t" not in {one.key for one in test.values}
+    assert any("the distance X1-X2" in text for text in test.remarks)
 
 
 def test_environment_by_hand(dmu50: Machine, tmp_path: Path) -> None:

@@ -142,6 +142,18 @@ class Cells:
                 values[i] = np.inf  # "NaN" was written: unlike an empty cell, that does not mean "not measured"
         return read_only(values)
 
+    def refuse(self, wrong: np.ndarray, values: np.ndarray, name: str, expected: str) -> None:
+        """Raise `InputError` for the first row (n,) in which a value of a column is wrong; NaN is an empty cell."""
+        for i in np.flatnonzero(wrong)[:1]:
+            value = float(values[i])
+            raise InputError(
+                f"{name} is empty" if np.isnan(value) else f"{name} cannot be used",
+                expected=expected,
+                file=self.path,
+                line=self.rows[int(i)][0],
+                value=value if np.isfinite(value) else None,
+            )
+
     def words(self, name: str, default: str) -> np.ndarray:
         """Return a column of words, the default where the cell is empty or the column is absent."""
         column = self.columns.get(name)

@@ -25,7 +25,7 @@ from twin.cli.shared.options import (
     print_unused,
 )
 from twin.cli.shared.terminal import echo
-from twin.cli.shared.words import number, positive
+from twin.cli.shared.words import number, pairs, positive
 from twin.control import Account, Existing, Request, compare_tables, make, outputs_of, write_folder, written_by
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
@@ -180,10 +180,5 @@ def _classes(scope: list[str] | None) -> frozenset[str]:
 
 
 def _positions(at: list[str] | None) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for entry in at or []:
-        name, equals, text = entry.partition("=")
-        if not equals or name in found:
-            raise InputError("--at cannot be read", expected="X=250 Y=225 …, each axis once", value=entry)
-        found[name] = number("--at", text, entry)
-    return found
+    words = pairs("--at", at, "X=250 Y=225 …, each axis once")
+    return {name: number("--at", text, entry) for name, text, entry in words}

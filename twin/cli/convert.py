@@ -8,10 +8,9 @@ from typing import Annotated
 
 import typer
 
-from twin._common.errors import InputError, closest_name
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, command
-from twin.cli.shared.words import number
+from twin.cli.shared.words import axis_values
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.contacts import Probing
 from twin.measurement.formats import FORMATS, Given
@@ -100,8 +99,8 @@ def convert(
     """
     loaded = Machine.load(machine)
     given = Given(
-        at=axis_values("--at", at, loaded),
-        offset=axis_values("--work-offset", work_offset, loaded),
+        at=axis_values("--at", at, loaded.names),
+        offset=axis_values("--work-offset", work_offset, loaded.names),
         axis=axis,
         probing=Probing(sphere_radius, tip_radius, contact_uncertainty),
         contacts=contacts,
@@ -113,23 +112,3 @@ def convert(
     found = convert_files(files, loaded, given, format_name=None if kind is None else kind.value)
     found.save(output, loaded)
     return CommandResult(found.to_text(), found.to_dict)
-
-
-def axis_values(option: str, entries: list[str] | None, machine: Machine) -> dict[str, float]:
-    """Return one number for each axis of ``AXIS=number`` words.
-
-    Raises:
-        InputError: an unknown axis, an axis given twice, or text that is not a number.
-    """
-    found: dict[str, float] = {}
-    for entry in entries or []:
-        name, _, text = entry.partition("=")
-        if name not in machine.by_name or name in found:
-            raise InputError(
-                f"{option} names an unknown axis, or one twice",
-                expected=f"AXIS=number, once for each axis of {', '.join(machine.names)}",
-                value=entry,
-                nearest=closest_name(name, machine.names),
-            )
-        found[name] = number(option, text, entry)
-    return found

@@ -12,7 +12,7 @@ from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command
-from twin.cli.shared.words import number
+from twin.cli.shared.words import number, pairs
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.instruments import instrument_named
 from twin.measurement.table import Measurements
@@ -106,12 +106,7 @@ def tolerances(entries: Sequence[str]) -> dict[str, float]:
         InputError: text that is not SYMBOL=NUMBER, a negative number, or a symbol given twice.
     """
     found: dict[str, float] = {}
-    for entry in entries:
-        name, equals, text = entry.partition("=")
-        if not equals or not name:
-            raise InputError("--tolerance cannot be read", expected="symbol and µm or µrad: A=10", value=entry)
-        if name in found:
-            raise InputError("--tolerance names a value twice", expected="each value once", value=entry)
+    for name, text, entry in pairs("--tolerance", entries, "symbol and µm or µrad: A=10"):
         found[name] = number("--tolerance", text, entry)
         if found[name] < 0.0:
             raise InputError("--tolerance must not be negative", expected="µm or µrad, 0 or above", value=entry)

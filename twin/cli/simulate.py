@@ -13,7 +13,7 @@ from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import TABLE, CommandResult, JsonOption, command, progress_bar
-from twin.cli.shared.words import three_numbers
+from twin.cli.shared.words import pairs, three_numbers
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.checks import grouped_notes
 from twin.measurement.instruments import INSTRUMENTS, Air, instrument_named
@@ -120,10 +120,7 @@ def _surroundings(air: str | None, drift: list[str] | None) -> Environment:
         InputError: text that cannot be read, or a station given twice.
     """
     rates: dict[str, tuple[float, float, float]] = {}
-    for entry in drift or []:
-        name, equals, text = entry.rpartition("=")
-        if not equals or not name or name in rates:
-            raise InputError("--drift cannot be read", expected="STATION=x,y,z in µm/h, each station once", value=entry)
+    for name, text, entry in pairs("--drift", drift, "STATION=x,y,z in µm/h, each station once", last=True):
         rates[name] = three_numbers("--drift", text, entry, "x,y,z in µm/h")
     if air is None:
         return Environment(None, rates)

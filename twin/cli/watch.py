@@ -9,10 +9,10 @@ from typing import Annotated
 
 import typer
 
-from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.shared import options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.words import pairs
 from twin.machine.machine import DEFAULT, Machine
 from twin.watching import WatchSettings
 from twin.watching import watch as run_watch
@@ -86,12 +86,5 @@ def dates(entries: Sequence[str]) -> dict[str, datetime]:
     Raises:
         InputError: text that is not FILE=DATE, no date, or a file given twice.
     """
-    found: dict[str, datetime] = {}
-    for entry in entries:
-        name, equals, text = entry.rpartition("=")
-        if not equals or not name:
-            raise InputError("--date cannot be read", expected="FILE=DATE: first.csv=2026-03-02", value=entry)
-        if name in found:
-            raise InputError("--date names a file twice", expected="each file once", value=entry)
-        found[name] = parsed_date(text)
-    return found
+    words = pairs("--date", entries, "FILE=DATE: first.csv=2026-03-02", last=True)
+    return {name: parsed_date(text) for name, text, _ in words}

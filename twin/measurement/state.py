@@ -20,12 +20,22 @@ def machine_state(data: Measurements, machine: Machine) -> dict[str, np.ndarray]
     for i, axis in enumerate(machine.axes):
         if np.any(data.approach[:, i]):
             found[f"approach_{axis.name}"] = np.asarray(data.approach[:, i], dtype=float)
-    if np.all(np.isfinite(data.time_s)):
+    if has_times(data):
         found["time_s"] = np.asarray(data.time_s)
     for name, values in data.temperature_degC.items():
         if np.all(np.isfinite(values)):
             found[f"T_{name}_degC"] = np.asarray(values)
     return found | {name: np.asarray(values) for name, values in data.channels.items() if np.all(np.isfinite(values))}
+
+
+def has_times(data: Measurements) -> bool:
+    """Return whether every row has a time."""
+    return bool(np.all(np.isfinite(data.time_s)))
+
+
+def order_in_time(data: Measurements) -> np.ndarray:
+    """Return (n,) the rows in the order of time if every row has one, else in that of the table."""
+    return np.argsort(data.time_s, kind="stable") if has_times(data) else np.arange(len(data))
 
 
 def of_angles(data: Measurements) -> np.ndarray:

@@ -8,8 +8,8 @@ from typing import Final, final
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.signal import lfilter
 
+from twin.numerics.first_order_lag import follow
 from twin.thermal.record import ThermalRecord
 
 EXPONENTS: Final = (1.0, 2.0)
@@ -124,19 +124,8 @@ def lagged(values: np.ndarray, time_s: np.ndarray, time_constant_s: float, state
     """
     if time_constant_s == 0.0:
         return np.array(values, dtype=float)
-    step = np.diff(time_s)
     first = float(values[0]) if state is None else state
-    decay = np.exp(-step / time_constant_s)
-    gain = (1.0 - decay) * time_constant_s / step
-    driven = (gain - decay) * values[:-1] + (1.0 - gain) * values[1:]
-    if np.ptp(step) <= 1e-9 * step[0]:
-        rest, _ = lfilter([1.0], [1.0, -decay[0]], driven, zi=[decay[0] * first])
-        return np.r_[first, rest]
-    found = np.empty(len(values))
-    found[0] = first
-    for i in range(len(step)):
-        found[i + 1] = decay[i] * found[i] + driven[i]
-    return found
+    return np.r_[first, follow(np.diff(time_s), values[:-1], values[1:], time_constant_s, first)]
 
 
 def drivers(record: ThermalRecord, terms: Sequence[TermCandidate], inputs: Inputs) -> np.ndarray:

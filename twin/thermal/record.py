@@ -74,12 +74,11 @@ class ThermalRecord:
         if len(rows) * len(header) > MAX_CELLS:
             raise InputError(f"{len(rows)} rows", expected=f"at most {MAX_CELLS} cells", file=file)
         cells = Cells(file, {name: i for i, name in enumerate(header)}, rows)
-        lines = [line for line, _ in rows]
-        columns = {name: _complete(cells, name, lines) for name in header if name in known}
-        _check_time(columns[TIME], file, lines)
+        columns = {name: _complete(cells, name) for name in header if name in known}
+        _check_time(columns[TIME], cells)
         speed = columns.get(SPEED)
         if speed is not None:
-            _refuse(speed < 0.0, speed, SPEED, "0 or above", file, lines)
+            cells.refuse(speed < 0.0, speed, SPEED, "0 or above")
         return ThermalRecord(
             path=str(path),
             time_s=columns[TIME],
@@ -114,31 +113,23 @@ def _check_columns(header: Sequence[str], sensors: Sequence[str], file: Path) ->
         raise InputError("no temperature and no speed", expected=expected, file=file, line=1, value=",".join(header))
 
 
-def _complete(cells: Cells, name: str, lines: Sequence[int]) -> np.ndarray:
+def _complete(cells: Cells, name: str) -> np.ndarray:
     """Return a column in which every cell is a finite number."""
     values = cells.numbers(name)
-    _refuse(~np.isfinite(values), values, name, "a number in every row", cells.path, lines)
+    cells.refuse(~np.isfinite(values), values, name, "a number in every row")
     return values
 
 
-def _refuse(wrong: np.ndarray, values: np.ndarray, name: str, expected: str, file: Path, lines: Sequence[int]) -> None:
-    for i in np.flatnonzero(wrong)[:1]:
-        missing = np.isnan(values[i])
-        what = f"{name} is empty" if missing else f"{name} cannot be used"
-        value = None if missing else float(values[i])
-        raise InputError(what, expected=expected, file=file, line=lines[int(i)], value=value)
-
-
-def _check_time(time_s: np.ndarray, file: Path, lines: Sequence[int]) -> None:
+def _check_time(time_s: np.ndarray, cells: Cells) -> None:
     step = np.diff(time_s)
-    _refuse(np.r_[False, step <= 0.0], time_s, TIME, "a later time in every row", file, lines)
+    cells.refuse(np.r_[False, step <= 0.0], time_s, TIME, "a later time in every row")
     longest = MAX_GAP * float(np.median(step))
     for i in np.flatnonzero(step > longest)[:1]:
         raise InputError(
             f"gap of {step[i]:g} s in {TIME}",
             expected=f"at most {longest:g} s between rows ({MAX_GAP:g} median intervals): split the record at the gap",
-            file=file,
-            line=lines[int(i) + 1],
+            file=cells.path,
+            line=cells.rows[int(i) + 1][0],
             value=float(time_s[i + 1]),
         )
 

@@ -14,7 +14,7 @@ from twin._common.errors import InputError, closest_name
 from twin.cli.shared import complete
 from twin.cli.shared.command import POSITIVE
 from twin.cli.shared.terminal import echo
-from twin.cli.shared.words import number, three_numbers
+from twin.cli.shared.words import axis_values, number, pairs, three_numbers
 from twin.compensation.toolpath import Setup
 from twin.compute.parallel import Tls, Workers
 from twin.machine.calibration import Calibration
@@ -201,19 +201,7 @@ def setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Se
     Raises:
         InputError: an unknown axis, an axis given twice, or text that is not a number.
     """
-    found = {}
-    for entry in offsets or []:
-        name, _, text = entry.partition("=")
-        if name not in machine.by_name:
-            raise InputError(
-                "--work-offset names an unknown axis",
-                expected=f"one of {', '.join(machine.names)}",
-                value=entry,
-                nearest=closest_name(name, machine.names),
-            )
-        if name in found:
-            raise InputError("--work-offset names an axis twice", expected="each axis once", value=entry)
-        found[name] = number("--work-offset", text, entry)
+    found = axis_values("--work-offset", offsets, machine.names)
     if origin is None:
         return Setup(found)
     return Setup(found, three_numbers("--work-origin", origin, origin, "x,y,z in mm"))
@@ -225,16 +213,8 @@ def conditions(temperatures: list[str] | None, time_s: float | None, rpm: float 
     Raises:
         InputError: text that is not NAME=°C, or a name given twice.
     """
-    found = {}
-    for entry in temperatures or []:
-        name, equals, text = entry.partition("=")
-        if not equals or not name:
-            raise InputError("--temperature cannot be read", expected="axis or sensor and °C: X=23.1", value=entry)
-        if name in found:
-            raise InputError(
-                "--temperature names an axis or sensor twice", expected="each axis or sensor once", value=entry
-            )
-        found[name] = number("--temperature", text, entry)
+    words = pairs("--temperature", temperatures, "axis or sensor and °C: X=23.1")
+    found = {name: number("--temperature", text, entry) for name, text, entry in words}
     return Conditions(found, time_s, rpm)
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from twin._common.errors import InputError
+from twin._common.errors import InputError, closest_name
 
 MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
     "--work-offset": re.compile(r"[A-Za-z]\w*=.*"),
@@ -59,6 +59,44 @@ def repeat_options(arguments: list[str]) -> list[str]:
             gathering = None
             out.append(word)
     return [*out, gathering] if gathering and fresh else out
+
+
+def pairs(
+    option: str, entries: Iterable[str] | None, expected: str, *, last: bool = False
+) -> Iterator[tuple[str, str, str]]:
+    """Yield name, text and word of each ``NAME=text``; ``last`` if a name may contain an equals sign, as a file's may.
+
+    Raises:
+        InputError: a word that is not NAME=text, or a name given twice.
+    """
+    known: set[str] = set()
+    for entry in entries or ():
+        name, equals, text = entry.rpartition("=") if last else entry.partition("=")
+        if not equals or not name:
+            raise InputError(f"{option} cannot be read", expected=expected, value=entry)
+        if name in known:
+            raise InputError(f"{option} names {name} twice", expected="each name once", value=entry)
+        known.add(name)
+        yield name, text, entry
+
+
+def axis_values(option: str, entries: Iterable[str] | None, axes: Sequence[str]) -> dict[str, float]:
+    """Return one number for each axis of ``AXIS=number`` words.
+
+    Raises:
+        InputError: an unknown axis, an axis given twice, or text that is not a number.
+    """
+    found: dict[str, float] = {}
+    for name, text, entry in pairs(option, entries, f"AXIS=number, once for each axis of {', '.join(axes)}"):
+        if name not in axes:
+            raise InputError(
+                f"{option} names an unknown axis",
+                expected=f"one of {', '.join(axes)}",
+                value=entry,
+                nearest=closest_name(name, axes),
+            )
+        found[name] = number(option, text, entry)
+    return found
 
 
 def _many_words(arguments: list[str]) -> Mapping[str, re.Pattern[str]]:

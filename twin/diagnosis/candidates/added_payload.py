@@ -7,7 +7,7 @@ Control of Robots, ch. 12). Compliances that are not known are estimated togethe
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from twin.machine.effects.gravity_compliance import PAYLOAD, AddedLoad, GravityC
 from twin.machine.effects.payload import NUMBERS, SIDES, Side, side_of
 from twin.numerics.functions import tabulated
 
-LOADS = 4
+LOADS: Final = 4
 """Mass and three first moments."""
 
 
@@ -68,4 +68,4 @@ def _mass_and_centre(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values[:1], 1e3 * values[1:] / values[0]])
 
 
-SOURCE = CandidateSource((PAYLOAD,), added_payloads)
+SOURCE: Final = CandidateSource((PAYLOAD,), added_payloads)

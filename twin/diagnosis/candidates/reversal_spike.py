@@ -14,6 +14,7 @@ from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, Cand
 from twin.diagnosis.candidates.signatures import along_command, tabulated_column
 from twin.diagnosis.candidates.time_skew import velocities
 from twin.machine.effects.specification import NOTHING, REST, Advice, Drawing, Specification
+from twin.measurement.state import has_times, order_in_time
 from twin.measurement.table import Measurements
 
 ROWS: Final = (1.0, 2.0, 4.0, 8.0)
@@ -62,8 +63,7 @@ def time_since_reversal(data: Measurements, velocity: np.ndarray) -> tuple[np.nd
         data: the measurements; rows of a round follow each other, at a known feed or at known times.
         velocity: (n,) of the axis; a reversal is taken in the middle between two rows of opposite sign.
     """
-    timed = bool(np.all(np.isfinite(data.time_s)))
-    order = np.argsort(data.time_s, kind="stable") if timed else np.arange(len(data))
+    timed, order = has_times(data), order_in_time(data)
     q, rounds = data.positions[order], data.round[order]
     step = np.linalg.norm(np.diff(q, axis=0, prepend=q[:1]), axis=1)
     feed = np.nan_to_num(data.feed_mm_min[order]) / 60.0

@@ -12,6 +12,7 @@ from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, Cand
 from twin.diagnosis.candidates.signatures import along_command, tabulated_column
 from twin.machine.effects.specification import NOTHING, REST, Advice, Specification
 from twin.machine.machine import Machine
+from twin.measurement.state import has_times, order_in_time
 from twin.measurement.table import Measurements
 
 IN_MOTION: Final = 1.0
@@ -41,8 +42,7 @@ def velocities(data: Measurements, machine: Machine) -> Mapping[str, np.ndarray]
     one of the round, which is the tangent of a circle read at equal steps; from the previous row alone it would lag by half a step. A
     row where nothing moved has the direction of the one before. The direction of approach, where given, sets the sign.
     """
-    timed = bool(np.all(np.isfinite(data.time_s)))
-    order = np.argsort(data.time_s, kind="stable") if timed else np.arange(len(data))
+    timed, order = has_times(data), order_in_time(data)
     q = data.positions[order]
     step = np.diff(q, axis=0, prepend=q[:1])
     interval = np.diff(data.time_s[order], prepend=data.time_s[order][:1]) if timed else np.full(len(q), np.inf)

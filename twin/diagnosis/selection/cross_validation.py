@@ -21,6 +21,7 @@ from twin.diagnosis.problem.problem import Problem, rms, unwhiten, unwhitened_um
 from twin.diagnosis.selection.likelihood import Likelihood
 from twin.machine.effects.names import axis_of
 from twin.machine.machine import Machine
+from twin.measurement.state import order_in_time
 from twin.measurement.table import Measurements
 
 DENSE: Final = 20
@@ -210,9 +211,8 @@ def blocks_of_time(data: Measurements) -> HeldOutFolds | None:
     """
     if len(data) < 2 * BLOCKS:
         return None
-    order = np.argsort(data.time_s, kind="stable") if np.all(np.isfinite(data.time_s)) else np.arange(len(data))
     group = np.empty(len(data), dtype=int)
-    group[order] = np.arange(len(data)) * BLOCKS // len(data)
+    group[order_in_time(data)] = np.arange(len(data)) * BLOCKS // len(data)
     return HeldOutFolds("blocks", group, group)
 
 

@@ -9,12 +9,12 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.machine.effects.base import Parameter, channel
-from twin.machine.effects.first_order_lag import lagged
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
-from twin.machine.effects.thermal_drift import STEP_FACTORS, drift_time_constants
+from twin.machine.effects.thermal_drift import drift_time_constants, one_step
 from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions, tool_side
 from twin.machine.machine import Machine
+from twin.numerics.first_order_lag import lagged
 
 SPEED: Final = "spindle_rpm"
 TIME: Final = "time_s"
@@ -30,7 +30,7 @@ TIME_CONSTANT_STRIDE: Final = 3
 class SpindleGrowth(ToolSideShift):
     """The tool side moves along a direction of the base frame: A times the first-order lag of (n/n_max)^p with time constant τ.
 
-    The lag is that of `twin.machine.effects.first_order_lag`. In a measured table, the speed of a reading applies from the previous
+    The lag is that of `twin.numerics.first_order_lag`. In a measured table, the speed of a reading applies from the previous
     reading in time on, that of the first from time zero on. In a program, the given speed applies from time zero on.
 
     Args:
@@ -125,8 +125,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 
 def _constrain(effect: SpindleGrowth, values: Sequence[float], longest: float) -> SpindleGrowth:
     exponent = min(max(values[1], LEAST_EXPONENT), LARGEST_EXPONENT)
-    least, most = (share * effect.time_constant for share in STEP_FACTORS)
-    return effect.changed(values[0], exponent, min(max(values[2], least), most, longest))
+    return effect.changed(values[0], exponent, one_step(effect.time_constant, values[2], longest))
 
 
 SPINDLE_GROWTH: Final = Specification(

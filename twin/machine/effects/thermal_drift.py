@@ -89,6 +89,12 @@ def drift_time_constants(time_s: np.ndarray) -> tuple[float, ...]:
     return tuple(np.geomspace(SHORTEST * span, span, TIME_CONSTANTS).tolist())
 
 
+def one_step(constant: float, wanted: float, longest: float) -> float:
+    """Return a time constant after one step of a fit, s: changed by no more than `STEP_FACTORS`, and no longer than ``longest``."""
+    least, most = (share * constant for share in STEP_FACTORS)
+    return min(max(wanted, least), most, longest)
+
+
 def drift_course(fit: FittedCause) -> str:
     """Describe the course of a drift in time, as the end of a sentence."""
     if "time_constant" in fit.numbers:
@@ -131,8 +137,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 
 
 def _constrain(effect: ThermalDrift, values: Sequence[float], longest: float) -> ThermalDrift:
-    least, most = (share * effect.time_constant for share in STEP_FACTORS)
-    return effect.changed(values[0], min(max(values[1], least), most, longest))
+    return effect.changed(values[0], one_step(effect.time_constant, values[1], longest))
 
 
 THERMAL_DRIFT: Final = Specification(

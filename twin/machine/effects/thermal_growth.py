@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, final
 
+import numpy as np
+
 from twin.machine.effects.base import Parameter, channel
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.places import single_parameter_form
@@ -56,6 +58,11 @@ def direction_and_sensor(machine: Machine, where: str, specification: Specificat
 def sensors_of(state: State) -> list[str]:
     """Return the names of the temperature sensors of a table, and of the axes whose scales have one."""
     return [name[2:-5] for name in state if name.startswith("T_")]
+
+
+def varying_sensors(state: State) -> list[str]:
+    """Return the names of those whose temperature changed."""
+    return [name for name in sensors_of(state) if np.ptp(state[f"T_{name}_degC"]) > 0.0]
 
 
 def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> ThermalGrowth:

@@ -8,14 +8,14 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.machine.effects.base import Parameter, channel
-from twin.machine.effects.first_order_lag import lagged
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
-from twin.machine.effects.thermal_drift import STEP_FACTORS, drift_time_constants
+from twin.machine.effects.thermal_drift import drift_time_constants, one_step
 from twin.machine.effects.thermal_expansion import REFERENCE_DEGC
-from twin.machine.effects.thermal_growth import direction_and_sensor, sensors_of
+from twin.machine.effects.thermal_growth import direction_and_sensor, varying_sensors
 from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions
 from twin.machine.machine import Machine
+from twin.numerics.first_order_lag import lagged
 
 TIME: Final = "time_s"
 TIME_CONSTANT_STRIDE: Final = 7
@@ -73,8 +73,7 @@ def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
     if TIME not in state:
         return [], []
-    found = [name for name in sensors_of(state) if np.ptp(state[f"T_{name}_degC"]) > 0.0]
-    return [f"{way} by {sensor}" for way in directions(machine) for sensor in found], []
+    return [f"{way} by {sensor}" for way in directions(machine) for sensor in varying_sensors(state)], []
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
@@ -92,8 +91,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 
 
 def _constrain(effect: ThermalLag, values: Sequence[float], longest: float) -> ThermalLag:
-    least, most = (share * effect.time_constant for share in STEP_FACTORS)
-    return effect.changed(values[0], min(max(values[1], least), most, longest))
+    return effect.changed(values[0], one_step(effect.time_constant, values[1], longest))
 
 
 THERMAL_LAG: Final = Specification(

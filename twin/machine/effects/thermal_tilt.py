@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, final
 
-import numpy as np
-
 from twin.machine.effects.base import Effect, Frame, Parameter, channel
 from twin.machine.effects.names import direction_of, split_name
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.places import single_parameter_form
 from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
 from twin.machine.effects.thermal_expansion import REFERENCE_DEGC
-from twin.machine.effects.thermal_growth import sensors_of
+from twin.machine.effects.thermal_growth import varying_sensors
 from twin.machine.machine import Machine
 
 FIRST_ANGLE: Final = 3
@@ -63,8 +61,7 @@ def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: 
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
-    sensors = [name for name in sensors_of(state) if np.ptp(state[f"T_{name}_degC"]) > 0.0]
-    return [f"{name} by {sensor}" for name in _angles(machine) for sensor in sensors], []
+    return [f"{name} by {sensor}" for name in _angles(machine) for sensor in varying_sensors(state)], []
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:

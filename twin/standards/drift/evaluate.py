@@ -48,8 +48,8 @@ def evaluate_drift(
     """
     require_type("machine", machine, Machine)
     check_limits(tolerances or {})
-    told = SensorMap.parse(sensors)
-    record = _record(path, machine, told, instrument)
+    directions = SensorMap.parse(sensors)
+    record = _record(path, machine, directions, instrument)
     tests: list[StandardTest] = []
     missing: list[NotEvaluated] = []
     try:
@@ -68,18 +68,18 @@ def evaluate_drift(
     )
 
 
-def _record(path: str | Path, machine: Machine, told: SensorMap, instrument: Instrument | None) -> DriftRecord:
+def _record(path: str | Path, machine: Machine, directions: SensorMap, instrument: Instrument | None) -> DriftRecord:
     if is_displacement_record(path):
         if instrument is not None:
             raise InputError(
                 "a record of displacement sensors has no noise model", expected="no instrument", value=instrument.name
             )
-        return load_displacements(path, machine, told)
-    if told.sensor or told.distance_mm:
+        return load_displacements(path, machine, directions)
+    if directions.sensor or directions.distance_mm:
         raise InputError(
             "directions of sensors are for records with columns <name>_um", expected="such a record", file=Path(path)
         )
     data = Measurements.load(path, machine)
-    if told.ambient:
-        told.check([], list(data.temperature_degC))
-    return relative_displacements(data, machine, instrument, told.ambient_of(data.temperature_degC))
+    if directions.ambient:
+        directions.check([], list(data.temperature_degC))
+    return relative_displacements(data, machine, instrument, directions.ambient_of(data.temperature_degC))

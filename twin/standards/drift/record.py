@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -94,24 +94,23 @@ def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -
         raise InputError("no column of times", expected=f"a column {TIME}", file=file, line=1, value=",".join(header))
     if len(rows) < 2:
         raise InputError(f"{len(rows)} rows", expected="at least 2 rows below the header", file=file)
-    cells, lines = Cells(file, {name: i for i, name in enumerate(header)}, rows), [line for line, _ in rows]
+    cells = Cells(file, {name: i for i, name in enumerate(header)}, rows)
     axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
     names = [name for name in header if _is_displacement(name)]
     temperatures = [name for name in header if name.startswith("T_") and name.endswith("_degC")]
-    numbers = {
-        name: _numbers(cells, name, lines) for name in [TIME, SPEED, *axes, *names, *temperatures] if name in header
-    }
-    for name in (TIME, SPEED, *axes):
-        _refuse(np.isnan(numbers.get(name, np.zeros(0))), numbers, name, "a number in every row", file, lines)
-    _refuse(np.r_[False, np.diff(numbers[TIME]) <= 0.0], numbers, TIME, "a later time in every row", file, lines)
-    _refuse(numbers.get(SPEED, np.zeros(0)) < 0.0, numbers, SPEED, "0 or above", file, lines)
+    numbers = {name: _numbers(cells, name) for name in [TIME, SPEED, *axes, *names, *temperatures] if name in header}
+    for name in [name for name in (TIME, SPEED, *axes) if name in numbers]:
+        cells.refuse(np.isnan(numbers[name]), numbers[name], name, "a number in every row")
+    cells.refuse(np.r_[False, np.diff(numbers[TIME]) <= 0.0], numbers[TIME], TIME, "a later time in every row")
+    if SPEED in numbers:
+        cells.refuse(numbers[SPEED] < 0.0, numbers[SPEED], SPEED, "0 or above")
     found = {name[: -len(SUFFIX)]: numbers[name] for name in names if np.isfinite(numbers[name]).any()}
     if not found:
         raise InputError("no displacement was read", expected="numbers in a column <name>_um", file=file)
     measured = {name[2:-5]: numbers[name] for name in temperatures}
-    told = sensors or SensorMap.of_comments(comments)
-    told.check([name[: -len(SUFFIX)] for name in names], list(measured))
-    displacement, units, remarks = told.applied(found)
+    directions = sensors or SensorMap.of_comments(comments)
+    directions.check([name[: -len(SUFFIX)] for name in names], list(measured))
+    displacement, units, remarks = directions.applied(found)
     known = {TIME, SPEED, ROUND, *axes, *names, *temperatures}
     none = np.zeros(len(rows))
     return DriftRecord(
@@ -123,7 +122,7 @@ def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -
         displacement=MappingProxyType(displacement),
         units=MappingProxyType(units),
         temperature_degC=MappingProxyType(measured),
-        ambient=told.ambient_of(measured),
+        ambient=directions.ambient_of(measured),
         speed_rpm=numbers.get(SPEED),
         remarks=tuple(remarks),
         notices=tuple(unused_column_note(name, sorted(known)) for name in header if name not in known),
@@ -135,17 +134,8 @@ def _is_displacement(name: str) -> bool:
     return name.endswith(SUFFIX) and len(name) > len(SUFFIX)
 
 
-def _numbers(cells: Cells, name: str, lines: Sequence[int]) -> np.ndarray:
+def _numbers(cells: Cells, name: str) -> np.ndarray:
     """Return a column; NaN for an empty cell."""
     values = cells.numbers(name)
-    _refuse(np.isinf(values), {name: values}, name, "a number or an empty cell", cells.path, lines)
+    cells.refuse(np.isinf(values), values, name, "a number or an empty cell")
     return values
-
-
-def _refuse(wrong: np.ndarray, values: Readings, name: str, expected: str, file: Path, lines: Sequence[int]) -> None:
-    for i in np.flatnonzero(wrong)[:1]:
-        value = float(values[name][i])
-        what = f"{name} is empty" if np.isnan(value) else f"{name} cannot be used"
-        raise InputError(
-            what, expected=expected, file=file, line=lines[int(i)], value=value if np.isfinite(value) else None
-        )

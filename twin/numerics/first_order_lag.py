@@ -1,0 +1,73 @@
+"""First-order lag of an input: dL/dt = (s − L)/τ (Bryan 1990, CIRP Annals 39, 645, on thermal effects)."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+Between = Literal["held", "linear"]
+
+
+class Lagged(NamedTuple):
+    """The lag of an input and its derivative by the time constant, (n,) each, in the order of the readings."""
+
+    value: np.ndarray
+    by_constant: np.ndarray
+
+
+def lagged(time_s: np.ndarray, source: np.ndarray, constant: float, between: Between) -> Lagged:
+    """Return the first-order lag of an input at readings in any order of time.
+
+    Args:
+        time_s: (n,) time of each reading, s.
+        source: (n,) the input s at the readings.
+        constant: time constant τ, s.
+        between: ``held``: a value applies from the reading before on, the first from time zero on, and L(0) = 0 (a speed that was
+            set); ``linear``: the input changes linearly between readings, and L is equal to it at the first one (a temperature).
+    """
+    order = np.argsort(time_s, kind="stable")
+    end = np.asarray(source, dtype=float)[order]
+    t = np.asarray(time_s, dtype=float)[order]
+    held = between == "held"
+    passed = np.maximum(np.diff(t, prepend=0.0 if held else t[:1]), 0.0)
+    begin = end if held else np.concatenate([end[:1], end[:-1]])
+    first = 0.0 if held else float(end[0])
+    value = follow(passed, begin, end, constant, first)
+    slope = np.where(passed > 0.0, (end - begin) / np.where(passed > 0.0, passed, 1.0), 0.0)
+    decay = np.exp(-passed / constant)
+    # L − (s − kτ) decays; s − kτ follows an input of slope k for ever.
+    ahead = np.concatenate([[first], value[:-1]]) - begin + slope * constant
+    driven = slope * (decay - 1.0) + ahead * passed * decay / constant**2
+    back = np.empty((2, len(end)))
+    back[:, order] = value, _recursion(decay, driven, 0.0, uniform=False)
+    return Lagged(back[0], back[1])
+
+
+def follow(passed: np.ndarray, begin: np.ndarray, end: np.ndarray, constant: float, first: float) -> np.ndarray:
+    """Return (n,) the lag at the end of consecutive intervals, in each of which the input changes linearly.
+
+    Args:
+        passed: (n,) lengths of the intervals, s.
+        begin: (n,) the input at the beginning of each.
+        end: (n,) the input at the end of each.
+        constant: time constant, s.
+        first: the lag before the first interval.
+    """
+    decay = np.exp(-passed / constant)
+    gain = np.where(passed > 0.0, (1.0 - decay) * constant / np.where(passed > 0.0, passed, 1.0), 1.0)
+    driven = (gain - decay) * begin + (1.0 - gain) * end
+    return _recursion(decay, driven, first, uniform=len(passed) > 0 and np.ptp(passed) <= 1e-9 * passed[0])
+
+
+def _recursion(decay: np.ndarray, driven: np.ndarray, first: float, *, uniform: bool) -> np.ndarray:
+    """Return (n,) x with x_i = decay_i x_{i−1} + driven_i; ``uniform`` if every interval is equally long."""
+    if uniform:
+        found, _ = lfilter([1.0], [1.0, -decay[0]], driven, zi=[decay[0] * first])
+        return np.asarray(found)
+    values, last = [], first
+    for share, more in zip(decay.tolist(), driven.tolist(), strict=True):
+        last = share * last + more
+        values.append(last)
+    return np.array(values)
