@@ -6,6 +6,7 @@ Positions are (poses, axes) arrays in mm and degrees, axes in command order. The
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
@@ -102,13 +103,16 @@ class Kinematics:
         calibration: its errors; the machine file's own if None. `Calibration.zero` gives the machine without errors.
         tool_length_mm: the machine file's own if None.
         conditions: temperatures and time, for the effects that need them.
+        by_pose: names of the channels that differ from pose to pose; they take the place of those of the conditions.
 
     Attributes:
         machine, tool_length_mm, conditions: as given.
+        by_pose: as given.
         calibration: as given, with the control's own correction evaluated for this tool.
         chain: CasADi function (q, e, length) → (R, p), metres and radians; see `twin.machine.chain.chain_function`.
-        directed: whether the approach direction of an axis matters (backlash). An argument ``approach`` is (n, axes), from +1 (from
-            below) to −1 (from above), 0 where unknown; None for 0 throughout.
+        directed: whether the approach direction of an axis matters (backlash), or a channel by pose. An argument ``approach`` is (n,
+            axes), from +1 (from below) to −1 (from above), 0 where unknown; None for 0 throughout. Channels by pose follow as further
+            columns and must be given.
         errors: CasADi function q → e of this calibration; (q, approach) → e if directed.
 
     Raises:
@@ -123,10 +127,12 @@ class Kinematics:
         *,
         tool_length_mm: float | None = None,
         conditions: Conditions | None = None,
+        by_pose: Sequence[str] = (),
     ) -> None:
         require_type("machine", machine, Machine)
         self.machine = machine
         self.conditions = Conditions() if conditions is None else conditions
+        self.by_pose = tuple(by_pose)
         self.tool_length_mm = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
         if not 0.0 <= self.tool_length_mm <= LONGEST_TOOL_MM:
             raise InputError(
@@ -138,12 +144,13 @@ class Kinematics:
         self.calibration = given_errors.with_tool(self.tool_length_mm)
         check_ranges(self.calibration.empirical, self.conditions.channels)
         self.chain = chain_function(machine)
-        q, side = ca.SX.sym("q", len(machine.axes)), ca.SX.sym("approach", len(machine.axes))
-        sides = {f"{APPROACH}{axis.name}": side[i] for i, axis in enumerate(machine.axes)}
-        errors = error_vector(machine, self.calibration.effects, q, sides | self.conditions.channels)
+        names = [*(f"{APPROACH}{axis.name}" for axis in machine.axes), *self.by_pose]
+        q, side = ca.SX.sym("q", len(machine.axes)), ca.SX.sym("approach", len(names))
+        channels = self.conditions.channels | dict(zip(names, ca.vertsplit(side), strict=True))
+        errors = error_vector(machine, self.calibration.effects, q, channels)
         self.directed = bool(ca.depends_on(errors, side))
-        inputs, names = ([q, side], ["q", "approach"]) if self.directed else ([q], ["q"])
-        self.errors = ca.Function("errors", inputs, [errors], names, ["e"])
+        inputs = {"q": q, "approach": side} if self.directed else {"q": q}
+        self.errors = ca.Function("errors", [*inputs.values()], [errors], [*inputs], ["e"])
 
     def _repr_html_(self) -> str:
         known = ", ".join(f"{name} {value:g}" for name, value in self.conditions.channels.items())
@@ -160,8 +167,9 @@ class Kinematics:
 
     def symbols(self) -> list[Any]:
         """Return new symbols of the arguments of a pose: q (metres, radians), and the approach directions if directed."""
-        names = ("q", "approach") if self.directed else ("q",)
-        return [ca.SX.sym(name, len(self.machine.axes)) for name in names]
+        axes = len(self.machine.axes)
+        sizes = {"q": axes, "approach": axes + len(self.by_pose)} if self.directed else {"q": axes}
+        return [ca.SX.sym(name, size) for name, size in sizes.items()]
 
     def rows(self, q: np.ndarray, approach: Any = None) -> tuple[np.ndarray, ...]:
         """Return numerical values for `symbols`, from (n, axes) q in metres and radians.
@@ -171,11 +179,12 @@ class Kinematics:
         """
         if not self.directed:
             return (q,)
-        if approach is None:
+        if approach is None and not self.by_pose:
             return q, np.zeros(q.shape)
-        sides = np.atleast_2d(np.asarray(approach, dtype=float))
-        if sides.shape != q.shape:
-            raise InputError("approach has the wrong shape", expected=str(q.shape), value=sides.shape)
+        sides = np.atleast_2d(np.asarray([] if approach is None else approach, dtype=float))
+        shape = (len(q), len(self.machine.axes) + len(self.by_pose))
+        if sides.shape != shape:
+            raise InputError("approach has the wrong shape", expected=str(shape), value=sides.shape)
         return q, sides
 
     def pose_at(self, *at: Any) -> tuple[Any, Any]:

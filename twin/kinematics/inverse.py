@@ -137,7 +137,7 @@ class Inverse:
                 functions=Steps(self.kinematics, limit),
                 axes=len(machine.axes),
                 rotary=tuple(machine.rotary),
-                directed=self.kinematics.directed,
+                sides=sum(symbol.numel() for symbol in self.kinematics.symbols()[1:]),
                 scale=machine.scale,
                 bounds=np.column_stack([lower, upper]),
                 limits=machine.limits[list(machine.rotary)],

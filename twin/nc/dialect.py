@@ -10,6 +10,7 @@ import numpy as np
 
 from twin.nc.blocks import AxisWords, Interpretation, Program, Rewrite
 from twin.nc.emit import OutputState
+from twin.nc.technology import LineWords, Technology, carried
 from twin.nc.text import Style, format_number, read_lines
 
 
@@ -89,9 +90,17 @@ class Dialect(ABC):
     def is_motion_only(self, text: str, names: tuple[str, ...]) -> bool:
         """Return whether a line has nothing but a position and a feed; ``names``: the axes."""
 
-    def feed_word(self, text: str) -> tuple[str, bool | None]:
-        """Return the feed word of a line (empty: none), and whether it switches inverse time feed on or off (None: neither)."""
-        return "", None
+    @abstractmethod
+    def line_words(self, text: str) -> LineWords:
+        """Return what a line says about feed, spindle speed and dwell."""
+
+    def technology(self, program: Program) -> Technology:
+        """Return feed, spindle speed and dwell of every line.
+
+        Raises:
+            InputError: as for `twin.nc.technology.carried`.
+        """
+        return carried(program, self.line_words)
 
     def read(self, data: bytes, source: str) -> Program:
         """Split bytes into lines.

@@ -6,7 +6,6 @@ that a program compensated twice has it once.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Sequence
 from textwrap import wrap
 from typing import Final
@@ -17,9 +16,6 @@ HEAD_LINES: Final = 50
 """Number of lines within which the header ends and the comment syntax of the program shows."""
 WIDTH: Final = 72
 """Characters per comment line; older HEIDENHAIN controls accept blocks of up to 100 characters."""
-REMARK: Final = re.compile(r"\([^()]*\)|;.*")
-FEED: Final = re.compile(r"(?<![A-Z])F[ \t]*(\d*[.,]?\d*)", re.ASCII | re.IGNORECASE)
-"""Comments and feed words of ISO and Heidenhain programs."""
 
 
 def first_lines(text: str) -> list[str]:

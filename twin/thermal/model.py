@@ -10,8 +10,9 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
+from twin._common.machine_log import SPEED
 from twin.thermal.candidates import Inputs, TermCandidate, drivers, features, lagged
-from twin.thermal.record import SPEED, ThermalRecord
+from twin.thermal.record import ThermalRecord
 
 SCHEMA: Final = "twin.thermal-model/1"
 FOLLOWS: Final = 5.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
@@ -10,14 +10,12 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.csv_tables import Cells, read_table, unused_column_note
+from twin._common.csv_tables import Cells
 from twin._common.errors import InputError
+from twin._common.machine_log import SPEED, TIME, is_temperature, read_log, sensor_of
 
-TIME: Final = "time_s"
-SPEED: Final = "spindle_rpm"
 MAX_GAP: Final = 5.0
 """Longest interval between two rows, in median intervals: a lag cannot be followed over a longer one."""
-MAX_CELLS: Final = 5_000_000
 
 
 @final
@@ -63,31 +61,20 @@ class ThermalRecord:
             InputError: with line and value: no such columns, a cell that is empty or no number, a time that does not increase, a gap in
                 time, a negative speed, too few rows.
         """
-        file = Path(path)
-        header, rows, _ = read_table(file)
-        sensors = [name for name in header if name.startswith("T_") and name.endswith("_degC")]
-        displacements = [name for name in header if name.endswith("_um") and len(name) > len("_um")]
-        known = {TIME, SPEED, *sensors, *displacements}
-        _check_columns(header, sensors, file)
-        if len(rows) < 2:
-            raise InputError(f"{len(rows)} rows", expected="at least 2 rows below the header", file=file)
-        if len(rows) * len(header) > MAX_CELLS:
-            raise InputError(f"{len(rows)} rows", expected=f"at most {MAX_CELLS} cells", file=file)
-        cells = Cells(file, {name: i for i, name in enumerate(header)}, rows)
-        columns = {name: _complete(cells, name) for name in header if name in known}
-        _check_time(columns[TIME], cells)
-        speed = columns.get(SPEED)
-        if speed is not None:
-            cells.refuse(speed < 0.0, speed, SPEED, "0 or above")
+        cells, columns, notices = read_log(path, _is_displacement)
+        sensors = [name for name in columns if is_temperature(name)]
+        displacements = [name for name in columns if _is_displacement(name)]
+        rows = len(columns[TIME])
+        _check_gaps(columns[TIME], cells)
         return ThermalRecord(
             path=str(path),
             time_s=columns[TIME],
-            temperature_degC=_stacked(columns, sensors, len(rows)),
-            sensors=tuple(name[len("T_") : -len("_degC")] for name in sensors),
-            displacement_um=_stacked(columns, displacements, len(rows)),
+            temperature_degC=_stacked(columns, sensors, rows),
+            sensors=tuple(map(sensor_of, sensors)),
+            displacement_um=_stacked(columns, displacements, rows),
             displacements=tuple(name[: -len("_um")] for name in displacements),
-            speed_rpm=speed,
-            notices=tuple(unused_column_note(name, sorted(known)) for name in header if name not in known),
+            speed_rpm=columns.get(SPEED),
+            notices=notices,
         )
 
     def rows(self, start: int, stop: int) -> ThermalRecord:
@@ -105,24 +92,12 @@ class ThermalRecord:
         )
 
 
-def _check_columns(header: Sequence[str], sensors: Sequence[str], file: Path) -> None:
-    if TIME not in header:
-        raise InputError("no column of times", expected=f"a column {TIME}", file=file, line=1, value=",".join(header))
-    if not sensors and SPEED not in header:
-        expected = f"columns T_<sensor>_degC, {SPEED} or both"
-        raise InputError("no temperature and no speed", expected=expected, file=file, line=1, value=",".join(header))
+def _is_displacement(name: str) -> bool:
+    return name.endswith("_um") and len(name) > len("_um")
 
 
-def _complete(cells: Cells, name: str) -> np.ndarray:
-    """Return a column in which every cell is a finite number."""
-    values = cells.numbers(name)
-    cells.refuse(~np.isfinite(values), values, name, "a number in every row")
-    return values
-
-
-def _check_time(time_s: np.ndarray, cells: Cells) -> None:
+def _check_gaps(time_s: np.ndarray, cells: Cells) -> None:
     step = np.diff(time_s)
-    cells.refuse(np.r_[False, step <= 0.0], time_s, TIME, "a later time in every row")
     longest = MAX_GAP * float(np.median(step))
     for i in np.flatnonzero(step > longest)[:1]:
         raise InputError(
@@ -134,5 +109,5 @@ def _check_time(time_s: np.ndarray, cells: Cells) -> None:
         )
 
 
-def _stacked(columns: dict[str, np.ndarray], names: Sequence[str], count: int) -> np.ndarray:
+def _stacked(columns: Mapping[str, np.ndarray], names: Sequence[str], count: int) -> np.ndarray:
     return read_only(np.stack([columns[name] for name in names], axis=1) if names else np.empty((count, 0)))

@@ -15,6 +15,7 @@ from twin.compensation.fewer_blocks.fit import PARTS, Polyline
 from twin.compensation.toolpath import PathMotion, ToolPath, WordSpace
 from twin.nc.blocks import Kind, Program
 from twin.nc.dialect import Dialect
+from twin.nc.technology import FeedUnit
 
 FEWEST: Final = 3
 """Least number of blocks of a run: two cannot be reduced."""
@@ -117,10 +118,12 @@ def _plain_lines(program: Program, dialect: Dialect, path: ToolPath, names: tupl
     """Return the lines that contain only positions, with the feed in force; none in inverse-time feed mode."""
     moving = {motion.move.line for motion in path.motions}
     found: dict[int, str] = {}
-    feed, timed = "", False
+    feed: float | None = None
+    timed = False
     for index, text in enumerate(program.texts):
-        new_feed, times = dialect.feed_word(text)
-        feed, timed = new_feed or feed, timed if times is None else times
+        words = dialect.line_words(text)
+        feed = feed if words.feed is None else words.feed
+        timed = timed if words.unit is None else words.unit is FeedUnit.INVERSE
         if index in moving and not timed and dialect.is_motion_only(text, names):
-            found[index] = feed
+            found[index] = str(feed)
     return found

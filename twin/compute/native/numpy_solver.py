@@ -79,7 +79,7 @@ class NumpySolver:
         x = np.empty((problem.inputs, len(batch)))
         x[: problem.axes] = (batch.start * problem.scale).T
         if batch.approach is not None:
-            x[problem.axes : 2 * problem.axes] = batch.approach.T
+            x[problem.axes : -6] = batch.approach.T
         x[-6:-3] = batch.point.T * problem.mm
         x[-3:] = batch.axis.T * (1.0 / np.sqrt(np.einsum("ni,ni->n", batch.axis, batch.axis)))
         return x

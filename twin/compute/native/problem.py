@@ -18,7 +18,7 @@ ROUTINES: Final = ("turn", "again", "follow", "repair", "check")
 
 
 class StepFunctions(Protocol):
-    """The functions of a solver step. Inputs: q (axes), the approach (axes) if the machine has reversals, point (3) and axis (3)."""
+    """The functions of a solver step. Inputs: q (axes), the approach (sides) if there is one, point (3) and axis (3)."""
 
     @property
     def turn(self) -> ca.Function:
@@ -50,7 +50,7 @@ class InverseProblem:
         functions: functions of a step.
         axes: number of axes.
         rotary: indices of the rotary axes.
-        directed: whether the errors depend on the direction of approach.
+        sides: number of further inputs: directions of approach, and channels that differ from pose to pose.
         scale: (axes,) metres per millimetre, radians per degree.
         bounds: (axes, 2) limits of a result in mm and degrees.
         limits: (rotary, 2) limits of the rotary axes for a full correction of the orientation.
@@ -64,7 +64,7 @@ class InverseProblem:
     functions: StepFunctions
     axes: int
     rotary: tuple[int, ...]
-    directed: bool
+    sides: int
     scale: np.ndarray
     bounds: np.ndarray
     limits: np.ndarray
@@ -77,7 +77,7 @@ class InverseProblem:
     @property
     def inputs(self) -> int:
         """Number of inputs of a function."""
-        return self.axes * (1 + self.directed) + 6
+        return self.axes + self.sides + 6
 
 
 @final
@@ -89,7 +89,7 @@ class Batch:
         start: (n, axes) start positions.
         point: (n, 3) target points.
         axis: (n, 3) target directions of the tool axis.
-        approach: (n, axes) directions of approach, or None.
+        approach: (n, sides) directions of approach and channels, or None.
         loose: (n,) whether the rotary axes may move.
     """
 

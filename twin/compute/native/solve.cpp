@@ -1,5 +1,5 @@
 // Newton's method on blocks of poses. Before this file: simd.hpp, the sizes
-//   A axes, N inputs of a routine, R rotary axes and ROTARY[], DIRECTED, K numbers in the matrices of a step,
+//   A axes, N inputs of a routine, R rotary axes and ROTARY[], S sides, K numbers in the matrices of a step,
 // and the routines turn, again, follow, repair, check (StepFunctions in problem.py).
 // The algorithm is that of numpy_solver.py, pose by pose; tests compare the two.
 
@@ -139,8 +139,7 @@ NOINLINE void load(const Job &job, int64_t from, int count, Block &b) {
   const double *axis = job.axis + from * job.axis_row, *approach = job.approach + from * job.approach_row;
   for (int i = 0; i < count; ++i) {
     for (int a = 0; a < A; ++a) in[a * LINE + i] = start[i * job.start_row + a * job.start_column] * job.scale[a];
-    if (DIRECTED)
-      for (int a = 0; a < A; ++a) in[(A + a) * LINE + i] = approach[i * job.approach_row + a * job.approach_column];
+    for (int s = 0; s < S; ++s) in[(A + s) * LINE + i] = approach[i * job.approach_row + s * job.approach_column];
     for (int c = 0; c < 3; ++c) {
       in[(N - 6 + c) * LINE + i] = point[i * job.point_row + c * job.point_column] * job.mm;
       in[(N - 3 + c) * LINE + i] = axis[i * job.axis_row + c * job.axis_column];
@@ -160,7 +159,7 @@ INLINE M sound(const Job &job, Block &b, int g, M &small) {
   small = M{} - 1;
   for (int c = N - 3; c < N; ++c) b.in[c][g] *= unit;
   for (int c = 0; c < COLUMNS; ++c) {
-    if (!DIRECTED || c < A || c >= 2 * A) good &= vabs(b.in[c][g]) < inf;
+    if (c < A || c >= A + S) good &= vabs(b.in[c][g]) < inf;
     if (c < A) small &= vabs(b.in[c][g]) <= job.largest;
   }
   return good;

@@ -151,7 +151,7 @@ class Solver:
     @cached_property
     def _source(self) -> str:
         problem, tapes = self.problem, self._tapes or ()
-        sizes = {"A": problem.axes, "N": problem.inputs, "R": len(problem.rotary), "DIRECTED": int(problem.directed)}
+        sizes = {"A": problem.axes, "N": problem.inputs, "R": len(problem.rotary), "S": problem.sides}
         sizes["K"] = tapes[0].outputs - problem.axes - 1
         return "\n".join(
             [

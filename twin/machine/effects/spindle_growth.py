@@ -12,7 +12,7 @@ from twin.machine.effects.base import Parameter, channel
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
 from twin.machine.effects.thermal_drift import drift_time_constants, one_step
-from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions, tool_side
+from twin.machine.effects.tool_side import HistoryShift, ToolSide, directions, tool_side
 from twin.machine.machine import Machine
 from twin.numerics.first_order_lag import lagged
 
@@ -27,11 +27,12 @@ TIME_CONSTANT_STRIDE: Final = 3
 
 
 @final
-class SpindleGrowth(ToolSideShift):
+class SpindleGrowth(HistoryShift):
     """The tool side moves along a direction of the base frame: A times the first-order lag of (n/n_max)^p with time constant τ.
 
     The lag is that of `twin.numerics.first_order_lag`. In a measured table, the speed of a reading applies from the previous
-    reading in time on, that of the first from time zero on. In a program, the given speed applies from time zero on.
+    reading in time on, that of the first from time zero on. A single speed given for a program applies from time zero on; the speeds of
+    its blocks, and of a log before it, each apply for their time.
 
     Args:
         side: tool side and direction.
@@ -40,8 +41,6 @@ class SpindleGrowth(ToolSideShift):
         time_constant: τ, s.
         highest_rpm: n_max.
     """
-
-    history = True
 
     def __init__(
         self, side: ToolSide, amplitude: float, exponent: float, time_constant: float, highest_rpm: float
@@ -70,10 +69,10 @@ class SpindleGrowth(ToolSideShift):
         """Parameters and the speed to which the amplitude refers."""
         return {**super().numbers, "highest_rpm": self.highest_rpm}
 
-    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
-        """See `Effect.derivatives`; needs ``spindle_rpm`` and ``time_s``."""
-        share = np.asarray(channel(positions, SPEED, self.name), dtype=float) / self.highest_rpm
-        time = np.asarray(channel(positions, TIME, self.name), dtype=float)
+    def factors(self, state: Mapping[str, Any]) -> Sequence[np.ndarray]:
+        """See `HistoryShift.factors`; needs ``spindle_rpm`` and ``time_s``."""
+        share = np.asarray(channel(state, SPEED, self.name), dtype=float) / self.highest_rpm
+        time = np.asarray(channel(state, TIME, self.name), dtype=float)
         driven = np.power(share, self.exponent)
         by_exponent = driven * np.log(np.where(share > 0.0, share, 1.0))
         shape = np.broadcast_shapes(share.shape, time.shape)
@@ -83,9 +82,9 @@ class SpindleGrowth(ToolSideShift):
             for source in (driven, by_exponent)
         ]
         return (
-            self._shifted(follows[0].value.reshape(shape)),
-            self._shifted(self.amplitude * follows[1].value.reshape(shape)),
-            self._shifted(self.amplitude * follows[0].by_constant.reshape(shape)),
+            follows[0].value.reshape(shape),
+            self.amplitude * follows[1].value.reshape(shape),
+            self.amplitude * follows[0].by_constant.reshape(shape),
         )
 
 

@@ -13,7 +13,7 @@ from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms
 from twin.machine.effects.thermal_drift import drift_time_constants, one_step
 from twin.machine.effects.thermal_expansion import REFERENCE_DEGC
 from twin.machine.effects.thermal_growth import direction_and_sensor, varying_sensors
-from twin.machine.effects.tool_side import ToolSide, ToolSideShift, directions
+from twin.machine.effects.tool_side import HistoryShift, ToolSide, directions
 from twin.machine.machine import Machine
 from twin.numerics.first_order_lag import lagged
 
@@ -23,10 +23,10 @@ TIME_CONSTANT_STRIDE: Final = 7
 
 
 @final
-class ThermalLag(ToolSideShift):
+class ThermalLag(HistoryShift):
     """The tool side moves along a direction of the base frame by c·L, L the first-order lag of T − 20 °C with time constant τ.
 
-    L is equal to T − 20 °C at the first reading. A single temperature, as that of a program, is taken to have been constant.
+    L is equal to T − 20 °C at the first reading. A single temperature given for a program is taken to have been constant.
 
     Args:
         side: tool side and direction.
@@ -34,8 +34,6 @@ class ThermalLag(ToolSideShift):
         coefficient: c, µm/K.
         time_constant: τ, s.
     """
-
-    history = True
 
     def __init__(self, side: ToolSide, sensor: str, coefficient: float, time_constant: float) -> None:
         super().__init__(f"thermal_lag:{side.direction} by {sensor}", side)
@@ -55,14 +53,14 @@ class ThermalLag(ToolSideShift):
             self._number("time_constant", "s", self.time_constant),
         )
 
-    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
-        """See `Effect.derivatives`; needs ``T_<sensor>_degC``, and ``time_s`` if there is more than one reading."""
-        warm = np.asarray(channel(positions, f"T_{self.sensor}_degC", self.name), dtype=float) - REFERENCE_DEGC
+    def factors(self, state: Mapping[str, Any]) -> Sequence[np.ndarray]:
+        """See `HistoryShift.factors`; needs ``T_<sensor>_degC``, and ``time_s`` if there is more than one reading."""
+        warm = np.asarray(channel(state, f"T_{self.sensor}_degC", self.name), dtype=float) - REFERENCE_DEGC
         if warm.size == 1:
-            return self._shifted(warm), self._shifted(np.zeros_like(warm))
-        time = np.broadcast_to(np.asarray(channel(positions, TIME, self.name), dtype=float), warm.shape)
+            return warm, np.zeros_like(warm)
+        time = np.broadcast_to(np.asarray(channel(state, TIME, self.name), dtype=float), warm.shape)
         follows = lagged(time, warm, self.time_constant, "linear")
-        return self._shifted(follows.value), self._shifted(self.coefficient * follows.by_constant)
+        return follows.value, self.coefficient * follows.by_constant
 
 
 def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> ThermalLag:

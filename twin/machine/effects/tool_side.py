@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +42,38 @@ class ToolSideShift(Effect):
     def _shifted(self, shape: Any) -> dict[int, Any]:
         """Return a shift of ``shape`` along the direction, by component."""
         return {i: part * shape for i, part in enumerate(self._side.vector) if part != 0.0}
+
+
+class HistoryShift(ToolSideShift):
+    """A shift of the tool side that depends on what the machine did before.
+
+    Its derivatives by the parameters follow from readings in the order of time. At single poses, as those of a program, they are given
+    as the channels `factor_channels`.
+    """
+
+    history = True
+
+    @property
+    def factor_channels(self) -> tuple[str, ...]:
+        """Names of the channels that hold the derivative by each parameter."""
+        return tuple(f"factor:{parameter.name}" for parameter in self.parameters)
+
+    @abstractmethod
+    def factors(self, state: Mapping[str, Any]) -> Sequence[np.ndarray]:
+        """Return the derivative of the shift by each parameter at readings, in any order of time: µm per unit of the parameter.
+
+        Args:
+            state: the channels of the readings, (n,) or single values.
+
+        Raises:
+            InputError: a channel that the effect needs is missing.
+        """
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`; needs the channels of `factors`, or `factor_channels`."""
+        given = [positions.get(name) for name in self.factor_channels]
+        factors = self.factors(positions) if given[0] is None else given
+        return tuple(self._shifted(factor) for factor in factors)
 
 
 def directions(machine: Machine) -> tuple[str, ...]:

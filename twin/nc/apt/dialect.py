@@ -11,11 +11,13 @@ import numpy as np
 
 from twin.nc.apt.reader import AptReader
 from twin.nc.apt.statements import Statement, statement_at, statements
+from twin.nc.apt.technology import line_words
 from twin.nc.apt.writer import VECTOR_DECIMALS, AptWriter
 from twin.nc.blocks import AxisWords, Interpretation, Kind, Program, Rewrite
 from twin.nc.dialect import Dialect
 from twin.nc.emit import rewrites_by_line
 from twin.nc.header import first_lines, insert_comments
+from twin.nc.technology import LineWords
 from twin.nc.text import MM_PER_INCH, Style, format_number, newline_of, number
 
 _REMARK: Final = re.compile(r"[ \t]*+(?:\$\$[^\r\n]*+)?+[\r\n]*+", re.ASCII)
@@ -76,6 +78,10 @@ class Apt(Dialect):
         style = Style(min_decimals=5)
         rows = [",".join(format_number(value, 9, style) for value in row) for row in points.tolist()]
         return f"$$ {remark}\nUNITS/MM\n{said}" + "".join(f"GOTO/{row}\n" for row in rows) + "FINI\n"
+
+    def line_words(self, text: str) -> LineWords:
+        """See `Dialect.line_words`."""
+        return line_words(text)
 
     def is_comment(self, text: str) -> bool:
         """See `Dialect.is_comment`."""

@@ -11,11 +11,13 @@ import numpy as np
 from twin.nc.blocks import AxisWords, Interpretation, Move, Program, Rewrite
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
 from twin.nc.emit import rewrites_by_line
-from twin.nc.header import FEED, REMARK, first_lines, insert_comments, missing_comments
+from twin.nc.header import first_lines, insert_comments, missing_comments
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
+from twin.nc.heidenhain.technology import line_words
 from twin.nc.heidenhain.vocabulary import HEAD, numbered_as
 from twin.nc.heidenhain.writer import HeidenhainWriter
+from twin.nc.technology import LineWords
 from twin.nc.text import BLANK, Style, lines_in, newline_of, style_in
 
 _REMARK: Final = re.compile(r"[ \t]*+(?:\d++[ \t]*+)?+(?:[;*][^\r\n~]*+)?+[\r\n]*+", re.ASCII)
@@ -87,10 +89,9 @@ class Heidenhain(Dialect):
         """See `Dialect.is_motion_only`."""
         return vocabulary.simple_pattern(names).pattern.fullmatch(text) is not None
 
-    def feed_word(self, text: str) -> tuple[str, bool | None]:
-        """See `Dialect.feed_word`."""
-        feeds = FEED.findall(REMARK.sub(" ", text))
-        return feeds[-1] if feeds else "", None
+    def line_words(self, text: str) -> LineWords:
+        """See `Dialect.line_words`."""
+        return line_words(text)
 
     def renumbered(self, program: Program, text: str) -> str:
         """See `Dialect.renumbered`."""

@@ -12,10 +12,12 @@ from twin.nc.blocks import AxisWords, Interpretation, Program, Rewrite
 from twin.nc.columns import MoveBuilder, MoveColumns
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
 from twin.nc.emit import rewrites_by_line
-from twin.nc.header import FEED, REMARK, first_lines, insert_comments
+from twin.nc.header import first_lines, insert_comments
 from twin.nc.iso import vocabulary
 from twin.nc.iso.bulk import NewPositions
 from twin.nc.iso.stream import CHUNK_LINES, DELETED_LINE, IsoReader, IsoRewriter, chunks
+from twin.nc.iso.technology import line_words
+from twin.nc.technology import LineWords
 from twin.nc.text import BOM, Style, newline_of, style_in
 
 _TAPE: Final = re.compile(
@@ -32,7 +34,6 @@ _SIEMENS: Final = re.compile(
 _REMARK: Final = re.compile(
     r"[ \t]*+(?:N\d++[ \t]*+)?+(?:\([^()\r\n]*+\)[ \t]*+)*+(?:;[^\r\n]*+)?+[\r\n]*+", re.ASCII | re.I
 )
-_FEED_MODE: Final = re.compile(r"(?<![A-Z\d])G0*(9[345])(?![\d.])", re.ASCII | re.IGNORECASE)
 
 
 @final
@@ -113,11 +114,9 @@ class Iso(Dialect):
         found = vocabulary.simple_pattern(names).pattern.fullmatch(text)
         return found is not None and found[found.re.groups] is None
 
-    def feed_word(self, text: str) -> tuple[str, bool | None]:
-        """See `Dialect.feed_word`."""
-        bare = REMARK.sub(" ", text)
-        feeds, modes = FEED.findall(bare), _FEED_MODE.findall(bare)
-        return feeds[-1] if feeds else "", modes[-1] == "93" if modes else None
+    def line_words(self, text: str) -> LineWords:
+        """See `Dialect.line_words`."""
+        return line_words(text)
 
     def new_program(self, axes: AxisWords) -> NewProgram:
         """See `Dialect.new_program`."""

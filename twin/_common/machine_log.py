@@ -1,0 +1,107 @@
+"""A record of a machine over time: temperatures and spindle speed in rows of a CSV file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from twin._common.csv_tables import Cells, read_table, unused_column_note
+from twin._common.errors import InputError
+
+TIME: Final = "time_s"
+SPEED: Final = "spindle_rpm"
+MAX_CELLS: Final = 5_000_000
+
+
+class LogColumns(NamedTuple):
+    """Columns of a record, complete and checked.
+
+    Attributes:
+        cells: the table.
+        numbers: (n,) values of every column that was read, by its name.
+        notices: names of columns that were not read, in words.
+    """
+
+    cells: Cells
+    numbers: Mapping[str, np.ndarray]
+    notices: tuple[str, ...]
+
+
+def is_temperature(name: str) -> bool:
+    """Return whether a column is ``T_<sensor>_degC``."""
+    return name.startswith("T_") and name.endswith("_degC") and len(name) > len("T__degC")
+
+
+def sensor_of(name: str) -> str:
+    """Return the sensor of a column of temperatures."""
+    return name[len("T_") : -len("_degC")]
+
+
+def read_log(path: str | Path, also: Callable[[str], bool] = lambda name: False) -> LogColumns:
+    """Read the columns ``time_s``, ``T_<sensor>_degC`` and ``spindle_rpm`` of a record, and others.
+
+    Args:
+        path: the file.
+        also: whether to read a further column of that name.
+
+    Raises:
+        InputError: with line and value: no times, neither temperature nor speed, a cell that is empty or no number, a time that does
+            not increase, a negative speed, too few or too many rows.
+    """
+    file = Path(path)
+    header, rows, _ = read_table(file)
+    if TIME not in header:
+        raise InputError("no column of times", expected=f"a column {TIME}", file=file, line=1, value=",".join(header))
+    if SPEED not in header and not any(map(is_temperature, header)):
+        expected = f"columns T_<sensor>_degC, {SPEED} or both"
+        raise InputError("no temperature and no speed", expected=expected, file=file, line=1, value=",".join(header))
+    if len(rows) < 2:
+        raise InputError(f"{len(rows)} rows", expected="at least 2 rows below the header", file=file)
+    if len(rows) * len(header) > MAX_CELLS:
+        raise InputError(f"{len(rows)} rows", expected=f"at most {MAX_CELLS} cells", file=file)
+    cells = Cells(file, {name: i for i, name in enumerate(header)}, rows)
+    known = [name for name in header if name in (TIME, SPEED) or is_temperature(name) or also(name)]
+    numbers = {name: cells.numbers(name) for name in known}
+    for name, values in numbers.items():
+        cells.refuse(~np.isfinite(values), values, name, "a number in every row")
+    cells.refuse(np.r_[False, np.diff(numbers[TIME]) <= 0.0], numbers[TIME], TIME, "a later time in every row")
+    if SPEED in numbers:
+        cells.refuse(numbers[SPEED] < 0.0, numbers[SPEED], SPEED, "0 or above")
+    unused = tuple(unused_column_note(name, sorted(known)) for name in header if name not in known)
+    return LogColumns(cells, MappingProxyType(numbers), unused)
+
+
+@final
+@dataclass(frozen=True)
+class MachineLog:
+    """A record of a machine.
+
+    Attributes:
+        path: the file.
+        time_s: (n,), strictly increasing.
+        temperature_degC: (n,) by sensor or axis.
+        speed_rpm: (n,) spindle speed of the time up to each row; None if it was not recorded.
+        notices: what was read but not used.
+    """
+
+    path: Path
+    time_s: np.ndarray
+    temperature_degC: Mapping[str, np.ndarray]
+    speed_rpm: np.ndarray | None
+    notices: tuple[str, ...] = ()
+
+    @staticmethod
+    def load(path: str | Path) -> MachineLog:
+        """Read a record with the columns ``time_s``, ``T_<sensor>_degC`` and ``spindle_rpm``.
+
+        Raises:
+            InputError: as for `read_log`.
+        """
+        cells, numbers, notices = read_log(path)
+        found = {sensor_of(name): values for name, values in numbers.items() if is_temperature(name)}
+        return MachineLog(cells.path, numbers[TIME], MappingProxyType(found), numbers.get(SPEED), notices)
