@@ -60,6 +60,7 @@ MethodOption = Annotated[
     "twin compensate cone_frustum.nc -o compensated.nc --tool-length 120 --json report.json",
     "twin compensate part.nc -o part.compensated.nc --calibration mine.yaml --scope L-VOL R-VOL",
     "twin compensate warm.h -o warm.compensated.h -c better.yaml --temperature X=23.1 bed=21 --time 7200",
+    "twin compensate warm.nc -o warm.compensated.nc -c better.yaml --log machine.csv --time 7200",
     "twin compensate a.nc b.nc c.h -o out/ --workers 2",
 )
 def compensate(
@@ -80,6 +81,7 @@ def compensate(
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     rpm: options.RpmOption = None,
+    log: options.LogOption = None,
     workers: options.WorkersOption = None,
     scheduler: options.SchedulerOption = None,
     strict: options.StrictOption = False,
@@ -89,7 +91,9 @@ def compensate(
 ) -> CommandResult:
     """Rewrite NC programs so that the machine with its errors produces the programmed path.
 
-    An extended calibration may need temperatures (--temperature X=23.1 bed=21), a time (--time), a speed (--rpm). Backlash needs none.
+    An extended calibration may need temperatures (--temperature X=23.1 bed=21), a time (--time), a speed. They apply to the whole
+    program, or are read from a log of the machine (--log). The speed of every block is that of the program's S words unless --rpm gives
+    one. Backlash needs none.
 
     Several programs are written to a folder under their own names, each with its report (.report.txt, .report.json); --json and
     --report then hold a summary. A program that cannot be compensated does not stop the others. The exit status is the worst of all:
@@ -104,7 +108,7 @@ def compensate(
         tolerance_mm=tolerance,
         rotary_limit_deg=rotary_limit,
         method=method.value,
-        conditions=options.conditions(temperature, time, rpm),
+        conditions=options.conditions(temperature, time, rpm, log, by_block=True),
     )
     errors = options.calibration_of(calibration, loaded)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)

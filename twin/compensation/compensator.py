@@ -16,16 +16,17 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.files import atomic_file, tracked_files
+from twin._common.machine_log import MachineLog
 from twin._common.progress import Progress, silent
 from twin._common.provenance import program_comments
 from twin.compensation.account import CompensationAccount, Report
+from twin.compensation.block_conditions import block_conditions
 from twin.compensation.checked import check, motionless, unreadable
 from twin.compensation.prepared import Options, PreparedMachine
 from twin.compensation.solving import Corrected, Pieces, correct, new_positions
 from twin.compensation.stream import Streamed
 from twin.compensation.toolpath import ToolPath, follow, turns_tool
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.nc import dialect_for, dialect_of, find_program, read_program
 from twin.nc.blocks import Interpretation, Program, Rewrite
@@ -117,7 +118,11 @@ class Compensator:
         posted = written.name != dialect.name
         aim = prepared.aim(turns=turns_tool(reading.moves, axes))
         progress("solving", 0.1)
-        found = correct(Pieces(prepared, path, aim, dialect, source=program.source, posted=posted), progress)
+        conditions = block_conditions(
+            program, dialect, path, prepared.space, prepared.calibration, prepared.options.conditions
+        )
+        pieces = Pieces(prepared, path, aim, dialect, source=program.source, conditions=conditions, posted=posted)
+        found = correct(pieces, progress)
         rewrites = tuple(_rewrites(found))
         progress("writing", 0.8)
         if posted:
@@ -156,8 +161,8 @@ class Compensator:
     ) -> Report:
         """Compensate a program from file to file; the output is written atomically.
 
-        An ISO program on a machine without backlash is processed in stretches, so memory does not grow with its length. Any other
-        program, and one with drilling cycles, is held in memory as a whole.
+        An ISO program on a machine without backlash, under conditions that apply to all of it, is processed in stretches, so memory
+        does not grow with its length. Any other program, and one with drilling cycles, is held in memory as a whole.
 
         Args:
             program: its path.
@@ -172,9 +177,8 @@ class Compensator:
         """
         dialect = dialect_of(program)
         target = dialect if into is None else into
-        streams = (
-            dialect.in_chunks and target.name == dialect.name and program.is_file() and not self.prepared.backlash.axes
-        )
+        in_one_piece = bool(self.prepared.backlash.axes or self.prepared.by_block)
+        streams = dialect.in_chunks and target.name == dialect.name and program.is_file() and not in_one_piece
         with tracked_files() as files, ExitStack() as stack:
             for path in self._inputs(program):
                 files.add_input(path)
@@ -192,7 +196,9 @@ class Compensator:
         """Yield the input files of this compensation."""
         calibration, machine = self.prepared.calibration, self.prepared.machine
         tables = () if calibration.control is None else calibration.control.tables
-        files = (program, machine.path, machine.urdf, calibration.path, *(table.file for table in tables))
+        log = self.prepared.options.conditions.log
+        paths = (program, machine.path, machine.urdf, calibration.path, None if log is None else log.path)
+        files = (*paths, *(table.file for table in tables))
         return (path for path in files if path is not None)
 
 
@@ -205,6 +211,7 @@ def compensate(
     temperature: Mapping[str, float] | None = None,
     time_s: float | None = None,
     spindle_rpm: float | None = None,
+    log: str | Path | None = None,
 ) -> Compensation:
     """Compensate the program of a file, or a sample program of twin, and return it with its report.
 
@@ -215,7 +222,10 @@ def compensate(
         options: the options; defaults if None.
         temperature: °C by axis (of its scale) or sensor over the whole program; replaces those of the options.
         time_s: time within a warm-up, in the measured table's ``time_s``; replaces that of the options.
-        spindle_rpm: spindle speed, constant since the start, 1/min; replaces that of the options.
+        spindle_rpm: spindle speed, constant since the start, 1/min; replaces that of the options. Without it the speeds are those of
+            the log, or of the program's S words.
+        log: CSV file with ``time_s``, ``T_<sensor>_degC`` and ``spindle_rpm`` before and during the program, which begins at ``time_s``
+            (`twin.compensation.block_conditions`); replaces that of the options.
 
     Raises:
         InputError: as for `Compensator` and its `compensate`; the program cannot be read.
@@ -223,10 +233,13 @@ def compensate(
     """
     chosen = Options() if options is None else options
     base = chosen.conditions
-    conditions = Conditions(
-        base.temperature_degC if temperature is None else temperature,
-        base.time_s if time_s is None else time_s,
-        base.spindle_rpm if spindle_rpm is None else spindle_rpm,
+    conditions = replace(
+        base,
+        temperature_degC=base.temperature_degC if temperature is None else temperature,
+        time_s=base.time_s if time_s is None else time_s,
+        spindle_rpm=base.spindle_rpm if spindle_rpm is None else spindle_rpm,
+        log=base.log if log is None else MachineLog.load(log),
+        speed_of_program=True,
     )
     errors = Calibration.default(machine) if calibration is None else calibration
     read, dialect = read_program(program)

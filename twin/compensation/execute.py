@@ -9,6 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.backlash import Backlash
+from twin.compensation.block_conditions import CONSTANT, BlockConditions, block_conditions
 from twin.compensation.toolpath import PathMotion, Setup, ToolPath, WordSpace, check_domains, follow, outside_range
 from twin.display import card, count_with_noun, histogram, note, pairs
 from twin.kinematics.forward import Kinematics
@@ -89,7 +90,7 @@ def execute_file(
         tool_length_mm: the machine file's own if None.
         tcp: whether tool-centre-point mode is on from the start.
         setup: work offsets and origin; none if None.
-        conditions: temperatures and time, for the effects that need them.
+        conditions: temperatures, time and speed, for the effects that need them.
 
     Raises:
         InputError: as for `execute`; the program cannot be read; an effect needs a temperature or time that is not given.
@@ -100,10 +101,14 @@ def execute_file(
     read, dialect = read_program(program)
     space = WordSpace(machine, Setup() if setup is None else setup, tool_length_mm)
     path = follow(read, dialect.moves(read, space.axes, tcp=tcp), space)
-    return execute(read, path, space, Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=at))
+    by_block = block_conditions(read, dialect, path, space, errors, at)
+    real = Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=at, by_pose=by_block.names)
+    return execute(read, path, space, real, by_block)
 
 
-def execute(program: Program, path: ToolPath, space: WordSpace, real: Kinematics) -> Execution:
+def execute(
+    program: Program, path: ToolPath, space: WordSpace, real: Kinematics, conditions: BlockConditions = CONSTANT
+) -> Execution:
     """Execute a program as its control would: straight lines in words between blocks, also for rapids.
 
     Args:
@@ -111,19 +116,22 @@ def execute(program: Program, path: ToolPath, space: WordSpace, real: Kinematics
         path: its motions (`twin.compensation.toolpath.follow`).
         space: conversion from words to commands on the machine without errors.
         real: the machine with errors, the same tool length, and the temperatures and time its effects need.
+        conditions: those of every motion.
 
     Raises:
         InputError: a position within the axis's range that its error motions do not cover.
     """
-    words, of = path.dense([_fractions(motion) for motion in path.motions])
+    fractions = [_fractions(motion) for motion in path.motions]
+    words, of = path.dense(fractions)
     columns = path.columns
     ends, lines = np.append(of[1:] != of[:-1], True), columns.line[of] + 1
     positions = space.commands(words, columns.tcp[of])
     check_domains(real, program.source, lines[ends], positions[ends])
     sides = Backlash(real.calibration).sides(path, of, positions)
+    state = conditions.at(sides, of, np.concatenate(fractions))
     keep = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
     positions, sides = positions[keep], sides[keep]
-    nominal, reached = space.nominal.forward(positions), real.forward(positions, sides)
+    nominal, reached = space.nominal.forward(positions), real.forward(positions, state[keep])
     return Execution(
         positions=positions,
         meant_mm=nominal.point_mm,

@@ -11,6 +11,7 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.compensation.backlash import Backlash
+from twin.compensation.block_conditions import channels_by_block
 from twin.compensation.comparison import PoseComparison
 from twin.compensation.thesis import ThesisMethod
 from twin.compensation.toolpath import Setup, WordSpace, outside_range
@@ -42,7 +43,7 @@ class Options:
         tolerance_mm: error allowed between the end points of a block, and of a chord.
         rotary_limit_deg: largest motion of a rotary axis to correct an orientation.
         method: ``exact``, or ``thesis`` for the baseline of `twin.compensation.thesis`.
-        conditions: temperatures and time, constant over the whole program.
+        conditions: temperatures, time and speed.
     """
 
     setup: Setup = field(default_factory=Setup)
@@ -82,6 +83,7 @@ class PreparedMachine:
         options: the options.
 
     Attributes:
+        by_block: names of the channels that differ from block to block.
         space: conversion between words and commands on the machine without errors.
         real: the machine with all its errors.
         backlash: its reversal values.
@@ -103,6 +105,7 @@ class PreparedMachine:
         self.options = options
         calibration.check_settled()
         options.conditions.require(calibration)
+        self.by_block = channels_by_block(calibration, options.conditions)
         self.space = WordSpace(machine, options.setup, options.tool_length_mm)
         self.real = self._with(calibration)
         self.backlash = Backlash(calibration)
@@ -146,7 +149,13 @@ class PreparedMachine:
 
     def _with(self, calibration: Calibration) -> Kinematics:
         length = self.options.tool_length_mm
-        return Kinematics(self.machine, calibration, tool_length_mm=length, conditions=self.options.conditions)
+        return Kinematics(
+            self.machine,
+            calibration,
+            tool_length_mm=length,
+            conditions=self.options.conditions,
+            by_pose=self.by_block,
+        )
 
     @cached_property
     def _acts_as(self) -> dict[str, str]:

@@ -1,7 +1,7 @@
 """Inputs of the error model besides the positions: temperatures, time, spindle speed, and the direction of approach of every axis.
 
-All but the last are given for a whole program; the direction of approach follows from the program
-(`twin.compensation.backlash`).
+All but the last are given for a whole program, or by a log of the machine and the program's own words for every block
+(`twin.compensation.block_conditions`); the direction of approach follows from the program (`twin.compensation.backlash`).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.errors import InputError, closest_name
+from twin._common.machine_log import MachineLog
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
 from twin.machine.machine import Machine
@@ -37,17 +38,22 @@ def temperature_channel(name: str) -> str:
 @final
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions that apply to a whole program.
+    """Conditions of a program: values that apply to all of it, and sources of values that change during it.
 
     Attributes:
         temperature_degC: °C by axis (of its scale) or sensor.
         time_s: time on the clock of the measured table's ``time_s``, which for a warm-up starts with the machine; None if not given.
+            With a log, or with speeds of the program, it is that of the beginning of the program.
         spindle_rpm: spindle speed, 1/min, constant since time zero; None if not given.
+        log: temperatures and speeds of the machine over time; None if not given.
+        speed_of_program: whether the program's own words give the spindle speed where nothing else does.
     """
 
     temperature_degC: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     time_s: float | None = None
     spindle_rpm: float | None = None
+    log: MachineLog | None = None
+    speed_of_program: bool = False
 
     @property
     def channels(self) -> dict[str, float]:
@@ -55,6 +61,21 @@ class Conditions:
         found = {temperature_channel(name): float(value) for name, value in self.temperature_degC.items()}
         held = {TIME: self.time_s, SPEED: self.spindle_rpm}
         return found | {name: float(value) for name, value in held.items() if value is not None}
+
+    def by_block(self, calibration: Calibration) -> bool:
+        """Return whether conditions that a calibration needs differ from block to block."""
+        required = needed(calibration)
+        own_speed = self.speed_of_program and self.spindle_rpm is None and SPEED in required
+        return own_speed or (self.log is not None and bool(required))
+
+    @property
+    def _by_time(self) -> set[str]:
+        """Channels that a log or the program gives."""
+        found = {SPEED} if self.speed_of_program else set()
+        if self.log is not None:
+            found |= {temperature_channel(name) for name in self.log.temperature_degC}
+            found |= {SPEED} if self.log.speed_rpm is not None else set()
+        return found
 
     def check(self, calibration: Calibration) -> None:
         """Raise `InputError` unless every temperature is of an axis or sensor of the calibration and every value is plausible."""
@@ -84,7 +105,7 @@ class Conditions:
 
     def missing(self, calibration: Calibration) -> dict[str, tuple[str, ...]]:
         """Return the channels, other than directions of approach, that a calibration needs and that are not given, with the effects."""
-        given = self.channels
+        given = self.channels.keys() | self._by_time
         return {name: by for name, by in needed(calibration).items() if name not in given}
 
     def unused(self, calibration: Calibration) -> tuple[str, ...]:
@@ -95,6 +116,7 @@ class Conditions:
     def require(self, calibration: Calibration) -> None:
         """Raise `InputError` if `check` fails or a channel that the calibration needs is missing; it names effects and channel."""
         self.check(calibration)
+        self._check_log()
         missing = self.missing(calibration)
         if missing:
             settings = [
@@ -106,6 +128,24 @@ class Conditions:
                 expected=needed_values(missing),
                 file=calibration.path,
                 setting=", ".join(settings) or None,
+            )
+
+    def _check_log(self) -> None:
+        if self.log is None:
+            return
+        twice = self.channels.keys() & (self._by_time - ({SPEED} if self.log.speed_rpm is None else set()))
+        if twice:
+            raise InputError(
+                f"{', '.join(sorted(twice))} is given and in the log",
+                expected="the log, or a value for the whole program",
+                file=self.log.path,
+            )
+        if self.time_s is None:
+            raise InputError(
+                "the beginning of the program is unknown",
+                expected="the time at which the program begins, on the clock of the log",
+                file=self.log.path,
+                setting="time",
             )
 
 

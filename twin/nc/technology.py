@@ -62,7 +62,7 @@ class Technology:
     Attributes:
         feed: (lines,) mm, degrees or blocks by ``unit``; NaN if unknown.
         unit: (lines,) `FeedUnit` objects.
-        speed_rpm: (lines,) spindle speed, 0 while it is switched off; NaN if no line has said it yet.
+        speed_rpm: (lines,) spindle speed, 0 while it is switched off, and before the first speed word.
         dwell_s: (lines,) time for which each line waits.
         says_speed: whether any line has a speed word.
     """
@@ -102,7 +102,7 @@ def carried(program: Program, words_of: Callable[[str], LineWords]) -> Technolog
         turning = turning if words.turning is None else words.turning
         feeds.append(feed)
         units.append(unit)
-        speeds.append(speed if turning else 0.0 if switched else nan)
+        speeds.append(0.0 if isnan(speed) or not turning else speed)
         turning = turning and not words.off_after
     return Technology(
         read_only(np.array(feeds)),

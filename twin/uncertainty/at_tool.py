@@ -326,7 +326,9 @@ class ToolUncertainty:
             For every component with a derivative: its index into the (6·frames,) vector, the indices of the ``parameters`` it depends
             on, and its derivatives (n, k) with respect to them, µm and µrad. They are exact, as components are linear in parameters.
         """
-        state = state_at(self.kinematics.machine, positions, approach, self.kinematics.conditions)
+        state = state_at(
+            self.kinematics.machine, positions, approach, self.kinematics.conditions, self.kinematics.by_pose
+        )
         moved: dict[int, list[tuple[int, Any]]] = {}
         for effect in self.kinematics.calibration.effects:
             start = self._start[effect.frame.axis, effect.frame.role]

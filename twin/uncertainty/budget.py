@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -87,14 +87,16 @@ def inside_domains(positions: np.ndarray, *calibrations: Calibration) -> np.ndar
     return np.asarray(positions[~outside])
 
 
-def state_at(machine: Machine, q: np.ndarray, sides: np.ndarray, conditions: Conditions) -> dict[str, Any]:
-    """Return the arguments of effects by name, each (n,): positions (n, axes), directions of approach, and channels."""
+def state_at(
+    machine: Machine, q: np.ndarray, sides: np.ndarray, conditions: Conditions, by_pose: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Return the arguments of effects by name, each (n,): positions (n, axes), directions of approach, and channels.
+
+    Columns of ``sides`` after the directions are the channels ``by_pose``.
+    """
     found: dict[str, Any] = dict(zip(machine.names, q.T, strict=True))
-    return (
-        found
-        | {f"{APPROACH}{name}": side for name, side in zip(machine.names, sides.T, strict=True)}
-        | dict(conditions.channels)
-    )
+    names = [*(f"{APPROACH}{name}" for name in machine.names), *by_pose]
+    return found | dict(conditions.channels) | dict(zip(names, sides.T, strict=True))
 
 
 def error_budget(

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from twin._common.errors import InputError, closest_name
+from twin._common.machine_log import MachineLog
 from twin.cli.shared import complete
 from twin.cli.shared.command import POSITIVE
 from twin.cli.shared.terminal import echo
@@ -86,6 +87,14 @@ RpmOption = Annotated[
     float | None,
     typer.Option(
         "--rpm", help="Constant spindle speed, 1/min, for growth with spindle speed; with --time since the cold start."
+    ),
+]
+LogOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--log",
+        help="CSV file of the machine over time: time_s, T_<sensor>_degC, spindle_rpm, before and during the program, which begins at "
+        "--time; every block is compensated for its own temperatures and speed.",
     ),
 ]
 ScopeOption = Annotated[
@@ -207,15 +216,29 @@ def setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Se
     return Setup(found, three_numbers("--work-origin", origin, origin, "x,y,z in mm"))
 
 
-def conditions(temperatures: list[str] | None, time_s: float | None, rpm: float | None) -> Conditions:
+def conditions(
+    temperatures: list[str] | None,
+    time_s: float | None,
+    rpm: float | None,
+    log: Path | None = None,
+    *,
+    by_block: bool = False,
+) -> Conditions:
     """Return the temperatures, the time and the spindle speed of a program.
 
+    Args:
+        temperatures: words ``NAME=°C``.
+        time_s: time, s.
+        rpm: spindle speed, 1/min.
+        log: record of the machine.
+        by_block: whether the program's own speed words apply where no speed is given.
+
     Raises:
-        InputError: text that is not NAME=°C, or a name given twice.
+        InputError: text that is not NAME=°C, or a name given twice; a log that cannot be read.
     """
     words = pairs("--temperature", temperatures, "axis or sensor and °C: X=23.1")
     found = {name: number("--temperature", text, entry) for name, text, entry in words}
-    return Conditions(found, time_s, rpm)
+    return Conditions(found, time_s, rpm, None if log is None else MachineLog.load(log), speed_of_program=by_block)
 
 
 def workers(

@@ -19,7 +19,7 @@ from twin.compensation.account.uncertainty import Corrections, CorrectionTally
 from twin.compensation.account.uncorrected import uncorrected
 from twin.compensation.comparison import Commands, ComparedPoses
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
-from twin.compensation.solving import Corrected
+from twin.compensation.solving import Corrected, Pieces
 from twin.compensation.solving.rows import Rows
 from twin.kinematics.forward import angle_between_rad
 from twin.nc.blocks import Notice
@@ -58,16 +58,17 @@ class CompensationAccount:
         self._motions = self._split = self._added = self._rewritten = self._cutting = 0
         self._idle = self._any_tcp = False
         self._all_tcp = True
+        self._by_block = ""
         self._reversals = np.zeros(len(prepared.machine.axes), dtype=int)
         self._approach_notes: list[LineNote] = []
 
     def add(self, corrected: Corrected) -> None:
         """Simulate a corrected stretch densely, before and after correction, and add the result to the totals."""
         pieces, rows, context = corrected.pieces, corrected.own, corrected.context
-        self._idle = pieces.idle
+        self._idle, self._by_block = pieces.idle, pieces.conditions.source
         for points in self._simulated(corrected):
             self._compare(points, corrected.lines, self._motions - context)
-        residual_um = self._end_point_residuals_um(rows)
+        residual_um = self._end_point_residuals_um(pieces, rows)
         corrections = np.abs(rows.commands - rows.nominal)[~rows.untouched]
         self._largest = np.maximum(self._largest, corrections.max(axis=0, initial=0.0))
         count = pieces.count(corrected.rows)[context:]
@@ -77,7 +78,7 @@ class CompensationAccount:
         self._rewritten += corrected.rewritten
         self._all_tcp &= bool(pieces.tcp[context:].all())
         self._any_tcp |= bool(pieces.tcp[context:].any())
-        self._tally_correction(rows, corrected.lines)
+        self._tally_correction(pieces, rows, corrected.lines)
         if not self._idle:
             for found in uncorrected(corrected, residual_um):
                 self._shortfalls.add(found)
@@ -97,7 +98,7 @@ class CompensationAccount:
         prepared, options = self._prepared, self._prepared.options
         notes = (
             *setup_notes(prepared, all_tcp=self._all_tcp, any_tcp=self._any_tcp),
-            *condition_notes(prepared),
+            *condition_notes(prepared, self._by_block),
             *self._approach_notes,
             *(LineNote(notice.line + 1, notice.text) for notice in notices),
         )
@@ -149,7 +150,8 @@ class CompensationAccount:
         ends = Commands(rows.nominal), Commands(rows.nominal if pieces.idle else rows.commands)
         directed = bool(self._prepared.backlash.axes)
         if not directed:
-            yield SimulatedPoints(rows.motion, *ends, valid=~rows.backlash_move)
+            state = self._state(pieces, rows.motion, rows.fraction)
+            yield SimulatedPoints(rows.motion, *ends, state, state, valid=~rows.backlash_move)
         for portion in [dense] if directed else path_errors.portions(dense):
             samples = path_errors.samples(portion)
             nominal = path_errors.nominal_commands(samples)
@@ -161,7 +163,8 @@ class CompensationAccount:
                     corrected, ends, (nominal, written), np.concatenate([rows.motion, motion]), fraction
                 )
             else:
-                yield SimulatedPoints(motion, nominal, written)
+                state = self._state(pieces, motion, path_errors.fractions(samples))
+                yield SimulatedPoints(motion, nominal, written, state, state)
 
     def _with_sides(
         self,
@@ -189,9 +192,15 @@ class CompensationAccount:
             side = np.zeros(both.shape)
             side[order] = self._prepared.backlash.sides(corrected.pieces.path, motion[order], both[order])
             commands.append(Commands(both))
-            sides.append(side)
+            sides.append(corrected.pieces.conditions.at(side, motion, fraction))
         # A move that only takes up backlash has no nominal position.
         return SimulatedPoints(motion, commands[0], commands[1], sides[0], sides[1], ~inserted)
+
+    def _state(self, pieces: Pieces, motion: np.ndarray, fraction: np.ndarray) -> np.ndarray | None:
+        """Return (n, axes + channels) the conditions of points where there is no backlash; None if they are the same everywhere."""
+        if not pieces.conditions.names:
+            return None
+        return pieces.conditions.at(np.zeros((len(motion), len(self._prepared.machine.axes))), motion, fraction)
 
     def _compare(self, points: SimulatedPoints, lines: np.ndarray, first: int) -> None:
         """Simulate points with nominal and with written commands, and add the deviations to the tallies.
@@ -213,17 +222,17 @@ class CompensationAccount:
             _add(tally, found, line_of)
         self._sample.add(first, points, keep)
 
-    def _end_point_residuals_um(self, rows: Rows) -> dict[str, np.ndarray]:
+    def _end_point_residuals_um(self, pieces: Pieces, rows: Rows) -> dict[str, np.ndarray]:
         """Return by cause (``rounding``, ``solver``) the (rows,) distance in µm of the tool point from its target at end points."""
-        good = ~rows.untouched & ~rows.clamped
+        good, state = ~rows.untouched & ~rows.clamped, pieces.state(rows)
         residual_um = {}
         for name, commands in (("rounding", rows.commands), ("solver", rows.exact)):
-            distance = self._aim.comparison.distance_mm(Commands(rows.nominal), Commands(commands), rows.approach)
+            distance = self._aim.comparison.distance_mm(Commands(rows.nominal), Commands(commands), state)
             residual_um[name] = distance * 1e3
             self._residual_um[name] = max(self._residual_um[name], float(residual_um[name][good].max(initial=0.0)))
         return residual_um
 
-    def _tally_correction(self, rows: Rows, lines: np.ndarray) -> None:
+    def _tally_correction(self, pieces: Pieces, rows: Rows, lines: np.ndarray) -> None:
         """Tally how far the correction moves the tool at block end points, and the uncertainty of that correction.
 
         The displacement is that of the machine without errors between nominal and compensated commands. The uncertainty is that of the
@@ -241,13 +250,15 @@ class CompensationAccount:
         line_of = lines[rows.motion]
         at_point = None
         if not aim.point.calibration.empty:
-            at_point = _uncertainty(aim.at_point, rows)
+            at_point = _uncertainty(aim.at_point, pieces, rows)
             self._point.add(line_of, rows.motion, moved.distance_mm * 1e3, at_point[:, 0], aim.at_point)
         turned = ~rows.singular  # the others are listed as not corrected
         orientation_corrected = aim.scope.orientation and self._prepared.thesis is None
         if orientation_corrected and aim.at_axis is not None and np.any(turned):
             uncertainty = (
-                at_point if at_point is not None and aim.at_axis is aim.at_point else _uncertainty(aim.at_axis, rows)
+                at_point
+                if at_point is not None and aim.at_axis is aim.at_point
+                else _uncertainty(aim.at_axis, pieces, rows)
             )
             size = moved.angle_rad[turned] * 1e6
             self._axis.add(line_of[turned], rows.motion[turned], size, uncertainty[turned, 1], aim.at_axis)
@@ -296,13 +307,15 @@ def _add(tally: CompensationTally, found: ComparedPoses, lines: np.ndarray) -> N
     tally.add(size, np.einsum("ij,ij->i", size, size), lines)
 
 
-def _uncertainty(tool: ToolUncertainty, rows: Rows) -> np.ndarray:
+def _uncertainty(tool: ToolUncertainty, pieces: Pieces, rows: Rows) -> np.ndarray:
     """Return (rows, 2, 4): U and three standard uncertainties of the tool point (µm) and of its orientation (µrad); NaN if unknown."""
     if not tool.parameters:
         return np.full((len(rows.motion), 2, 4), np.nan)
 
+    state = pieces.state(rows)
+
     def some(which: np.ndarray) -> np.ndarray:
-        found = tool.at(rows.nominal[which], rows.approach[which])
+        found = tool.at(rows.nominal[which], state[which])
         point = np.column_stack([found.expanded_um, found.standard_um])
         return np.stack([point, np.column_stack([found.axis_expanded_urad, found.standard_urad])], axis=1)
 

@@ -28,12 +28,19 @@ def setup_notes(prepared: PreparedMachine, *, all_tcp: bool, any_tcp: bool) -> I
         yield LineNote(1, "the work origin is ignored: the words are axis positions, which work offsets shift")
 
 
-def condition_notes(prepared: PreparedMachine) -> Iterator[LineNote]:
-    """Yield notes on temperatures and time: values that no effect uses, and effects that still change considerably."""
+def condition_notes(prepared: PreparedMachine, by_block: str) -> Iterator[LineNote]:
+    """Yield notes on temperatures and time: values that no effect uses, and effects that still change considerably.
+
+    Args:
+        prepared: machine, calibration and options.
+        by_block: the conditions that changed during the program, in words; empty if none did.
+    """
     conditions = prepared.options.conditions
+    if by_block:
+        yield LineNote(1, by_block)
     for name in conditions.unused(prepared.calibration):
         yield LineNote(1, f"{name} was given and the calibration does not need it")
-    if conditions.time_s is None:
+    if conditions.time_s is None or TIME in prepared.by_block:
         return
     for effect in prepared.calibration.effects:
         now, later = RecordingState(prepared.machine), RecordingState(prepared.machine)

@@ -24,7 +24,8 @@ class SimulatedPoints(NamedTuple):
     Attributes:
         motion: (n,) motion each point is on.
         nominal, written: nominal commands and written commands.
-        nominal_sides, written_sides: (n, axes) approach directions at these commands; None if the machine does not depend on them.
+        nominal_sides, written_sides: (n, axes + channels) approach directions and conditions at these commands; None if the machine
+            does not depend on them.
         valid: (n,) whether the point counts as a nominal position; None for all.
     """
 

@@ -192,6 +192,7 @@ def _check_ranges(pieces: Pieces, rows: Rows) -> None:
     """Raise `InputError` if a corrected block leaves the range of an empirical effect between its end points."""
     calibration = pieces.prepared.calibration
     if calibration.empirical:
-        nominal = rows.nominal[~rows.untouched]
-        lines = pieces.path.columns.line[rows.motion[~rows.untouched]] + 1
-        check_ranges(calibration.empirical, calibration.state(nominal), lines, pieces.source)
+        rows = rows.where(~rows.untouched)
+        lines = pieces.path.columns.line[rows.motion] + 1
+        state = calibration.state(rows.nominal) | pieces.conditions.channels(rows.motion, rows.fraction)
+        check_ranges(calibration.empirical, state, lines, pieces.source)

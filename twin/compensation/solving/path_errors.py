@@ -85,14 +85,19 @@ class PathErrors:
 
     def _portion(self, legs: np.ndarray, rows: Rows, ways: Ways) -> np.ndarray:
         samples, aim = self.samples(legs), self._pieces.aim
-        sides = self._sides(samples, rows, ways) if aim.point.directed else None
+        state = self._state(samples, rows, ways) if aim.point.directed else None
         distance = aim.comparison.distance_mm(
-            self.nominal_commands(samples), self.written_commands(samples, ways), sides
+            self.nominal_commands(samples), self.written_commands(samples, ways), state
         )
         # A leg merged into another has no pieces and no points.
         points = self._points_per_piece(legs) * self._pieces.legs.count[legs]
         worst = np.maximum.reduceat(np.append(distance, 0.0), np.cumsum(points) - points)
         return np.where(points > 0, worst, 0.0)
+
+    def _state(self, samples: Samples, rows: Rows, ways: Ways) -> np.ndarray:
+        """Return (n, axes + channels) directions of approach and conditions inside pieces."""
+        motion = self._pieces.legs.motion[samples.leg][samples.piece]
+        return self._pieces.conditions.at(self._sides(samples, rows, ways), motion, self.fractions(samples))
 
     def _sides(self, samples: Samples, rows: Rows, ways: Ways) -> np.ndarray:
         """Return (n, axes) approach directions inside pieces."""

@@ -13,6 +13,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import rows_all_true
+from twin.compensation.block_conditions import CONSTANT, BlockConditions
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving.legs import Legs, turning_points
 from twin.compensation.solving.rows import Rows
@@ -35,6 +36,7 @@ class Pieces:
         aim: errors to correct.
         dialect: the program's language.
         source: its name, for messages.
+        conditions: those of every motion.
         posted: whether axis words are written even for tool-tip input (cutter locations posted for a control).
 
     Attributes:
@@ -58,9 +60,11 @@ class Pieces:
         dialect: Dialect,
         *,
         source: str,
+        conditions: BlockConditions = CONSTANT,
         posted: bool = False,
     ) -> None:
         self.prepared, self.path, self.aim, self.source, self.posted = prepared, path, aim, source, posted
+        self.conditions = conditions
         self.space = prepared.space
         self.idle = aim.idle and not posted
         self.increment = prepared.printed_increment(dialect, posted=posted)
@@ -102,6 +106,10 @@ class Pieces:
                 words[rows] = self.path.motions[motion].along(fraction[rows])
         return words
 
+    def state(self, rows: Rows) -> np.ndarray:
+        """Return (n, axes + channels) directions of approach and conditions of rows, as `Kinematics.directed` describes."""
+        return self.conditions.at(rows.approach, rows.motion, rows.fraction)
+
     def count(self, rows: Rows) -> np.ndarray:
         """Return (motions,) the number of output blocks of each motion."""
         return np.bincount(rows.motion, minlength=len(self.start))
@@ -138,9 +146,10 @@ class Pieces:
         if self.prepared.thesis is not None:
             exact = self.prepared.thesis.commands(safe)
         else:
-            commands, orientation_residual_rad = self.oriented(target, safe, sides)
+            state = self.conditions.at(sides, of, fraction)
+            commands, orientation_residual_rad = self.oriented(target, safe, state)
             commands, vectors = self._rotary_as_printed(commands, of)
-            exact = self.aim.point_inverse.solve(target, commands, rotary=False, approach=sides).positions
+            exact = self.aim.point_inverse.solve(target, commands, rotary=False, approach=state).positions
         no, nowhere = np.zeros(len(of), dtype=bool), np.zeros(sides.shape)
         rows = Rows(
             leg=leg,
@@ -165,7 +174,7 @@ class Pieces:
         )
         return self.printed(rows)
 
-    def oriented(self, target: Poses, start: np.ndarray, sides: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    def oriented(self, target: Poses, start: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (n, axes) start commands with the rotary axes turned to correct the orientation, and (n,) the residual in radians.
 
         The rotary axes do so wherever they can, even if a linear axis lacks the travel that the point would then need.
@@ -174,7 +183,7 @@ class Pieces:
         inverse, real = self.aim.orientation_inverse, self.aim.orientation
         if inverse is None or real is None:
             return commands, np.zeros(len(start))
-        solution = inverse.solve(target, start, approach=sides)
+        solution = inverse.solve(target, start, approach=state)
         rotary = list(self.prepared.machine.rotary)
         low, high = self.prepared.limits[rotary].T
         turned = solution.positions[:, rotary]
@@ -185,7 +194,7 @@ class Pieces:
         )
         unable = np.flatnonzero(~able)
         if unable.size:
-            reached = real.forward(commands[unable], None if sides is None else sides[unable])
+            reached = real.forward(commands[unable], state[unable])
             left[unable] = angle_between_rad(reached.axis, target.axis[unable])
         return commands, left
 

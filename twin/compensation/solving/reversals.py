@@ -72,8 +72,9 @@ def _rows_to_insert_before(pieces: Pieces, rows: Rows, intended: np.ndarray, tur
 def _intended(pieces: Pieces, rows: Rows) -> np.ndarray:
     """Return (rows, axes) the intended axis positions: compensated for everything but backlash, not rounded."""
     start = np.clip(rows.nominal, *pieces.prepared.limits.T)
-    commands, _ = pieces.oriented(rows.target, start, None)
-    solved = pieces.aim.point_inverse.solve(rows.target, commands, rotary=False).positions
+    state = pieces.state(replace(rows, approach=np.zeros_like(rows.approach)))
+    commands, _ = pieces.oriented(rows.target, start, state)
+    solved = pieces.aim.point_inverse.solve(rows.target, commands, rotary=False, approach=state).positions
     return np.where(rows.untouched[:, None], rows.nominal, solved)
 
 
@@ -88,8 +89,9 @@ def _linear_axes_solved_again(pieces: Pieces, rows: Rows) -> Rows:
     for axis in rotary:
         sides[there, axis] = real[there, axis]
         start[:, axis] = (rows.commands - rows.overshoot)[:, axis]
-    exact = pieces.aim.point_inverse.solve(rows.target, start, rotary=False, approach=sides).positions
-    return pieces.printed(replace(rows, exact=exact, approach=sides))
+    rows = replace(rows, approach=sides)
+    exact = pieces.aim.point_inverse.solve(rows.target, start, rotary=False, approach=pieces.state(rows)).positions
+    return pieces.printed(replace(rows, exact=exact))
 
 
 def _without_steps_back(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tuple[int, ...]) -> Rows:

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import re
-from math import nan
+from collections.abc import Mapping
 from typing import Final
 
+from twin.nc.iso import vocabulary
 from twin.nc.technology import NOTHING, FeedUnit, LineWords
 from twin.nc.text import number
 
-_ASIDE: Final = re.compile(r"\([^()]*\)|\"[^\"]*\"|;.*", re.ASCII)
-_VALUE: Final = r"[+-]?[ \t]*[\d.]+"
-_START: Final = r"(?<![A-Z\d_$])"
-_WORD: Final = re.compile(
-    rf"{_START}(?:G[ \t]*(?P<g>[\d.]+)|M(?:[1-9][ \t]*=)?[ \t]*(?P<m>\d+)|(?P<of>[FSPXU])(?:"
-    rf"[ \t]*(?:(?P<value>{_VALUE})(?![\d.]*[ \t]*=)|[#\[])|[1-9]?[ \t]*=[ \t]*(?:(?P<given>{_VALUE})(?![\d.]*[ \t]*[-+*/])|\S)))",
-    re.ASCII | re.IGNORECASE,
-)
 _UNITS: Final = {"93": FeedUnit.INVERSE, "94": FeedUnit.MINUTE, "95": FeedUnit.TURN}
 _INCH: Final = {"20": True, "70": True, "700": True, "21": False, "71": False, "710": False}
 _VARYING: Final = frozenset({"96", "961", "962"})
@@ -28,10 +21,10 @@ MILLISECONDS: Final = 100.0
 
 def line_words(text: str) -> LineWords:
     """Return what a line says. A dwell (G4) has its time in F, X, U or P; revolutions (S) are not counted."""
-    found = list(_WORD.finditer(_ASIDE.sub(" ", text)))
-    codes = [(match["g"].lstrip("0") or "0").removesuffix(".") for match in found if match["g"]]
-    switches = [int(match["m"]) for match in found if match["m"]]
-    values = {match["of"].upper(): match["value"] or match["given"] for match in found if match["of"]}
+    found = [_word(match) for match in vocabulary.TOKEN.finditer(text)]
+    codes = [vocabulary.canonical(f"G{value}")[1:] for name, value in found if name == "G"]
+    switches = [int(value) for name, value in found if name == "M" and value.isdigit()]
+    values = dict(found)
     if "4" in codes:
         return LineWords(dwell_s=_dwell(values))
     words = LineWords(
@@ -46,19 +39,23 @@ def line_words(text: str) -> LineWords:
     return NOTHING if words == NOTHING else words
 
 
-def _number(values: dict[str, str | None], name: str) -> float | None:
-    if name not in values:
-        return None
-    text = values[name]
-    return nan if text is None else number(text)
+def _word(match: re.Match[str]) -> tuple[str, str]:
+    """Return letter and value of a word, of ``S1=8000`` too; empty for any other token."""
+    kind = match.lastgroup
+    name, value = {"word": (2, 3), "given": (6, 8), "late": (14, 15)}.get(kind or "", (0, 0))
+    letter = match[name].upper() if name else ""
+    return (letter[:1], match[value]) if len(letter) == 1 or letter[1:].isdigit() else ("", "")
 
 
-def _dwell(values: dict[str, str | None]) -> float:
+def _number(values: Mapping[str, str], name: str) -> float | None:
+    return number(values[name]) if name in values else None
+
+
+def _dwell(values: Mapping[str, str]) -> float:
     seconds = next((_number(values, name) for name in "FXU" if name in values), None)
     if seconds is not None:
         return seconds
     pause = _number(values, "P")
     if pause is None:
         return 0.0
-    whole = "." not in (values["P"] or "")
-    return pause / 1000.0 if whole and pause >= MILLISECONDS else pause
+    return pause / 1000.0 if "." not in values["P"] and pause >= MILLISECONDS else pause
