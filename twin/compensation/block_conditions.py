@@ -24,6 +24,10 @@ from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
 from twin.nc.technology import FeedUnit, Technology
 
+FASTEST: Final = 1e6
+"""m/s and rad/s; a limit above is none."""
+STEP_S: Final = 10.0
+"""Longest time between two moments at which conditions are evaluated, s."""
 STILL: Final = 1e-9
 """Length of a path (mm, degrees) below which nothing moves."""
 
@@ -31,18 +35,22 @@ STILL: Final = 1e-9
 @final
 @dataclass(frozen=True)
 class BlockConditions:
-    """Channels of every motion; within a motion they change linearly.
+    """Channels at every place of every motion, by the time at which the tool is there.
 
     Attributes:
         names: names of the channels, as in `Kinematics.by_pose`.
-        begin: (motions, channels) values at the beginning of each motion.
-        end: (motions, channels) at its end.
+        begin_s: (motions,) when each begins.
+        duration_s: (motions,) how long each takes.
+        time_s: (moments,) increasing.
+        values: (moments, channels); linear between the moments, except a speed, which is that of the time up to its moment.
         source: time, speeds and temperatures over the program, and where they are from, in words.
     """
 
     names: tuple[str, ...] = ()
-    begin: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    end: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    begin_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    duration_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    time_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    values: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     source: str = ""
 
     def at(self, sides: np.ndarray, motion: np.ndarray, fraction: np.ndarray) -> np.ndarray:
@@ -55,8 +63,12 @@ class BlockConditions:
         """
         if not self.names:
             return sides
-        begin, end = self.begin[motion], self.end[motion]
-        return np.hstack([sides, begin + np.asarray(fraction)[:, None] * (end - begin)])
+        moment = self.begin_s[motion] + np.asarray(fraction) * self.duration_s[motion]
+        found = np.array([np.interp(moment, self.time_s, values) for values in self.values.T])
+        if SPEED in self.names:
+            after = np.minimum(np.searchsorted(self.time_s, moment), len(self.time_s) - 1)
+            found[self.names.index(SPEED)] = self.values[after, self.names.index(SPEED)]
+        return np.hstack([sides, found.T])
 
     def channels(self, motion: np.ndarray, fraction: np.ndarray) -> dict[str, np.ndarray]:
         """Return (n,) values by name; arguments as for `at`."""
@@ -120,9 +132,15 @@ def block_conditions(
     for effect in calibration.effects:
         if isinstance(effect, HistoryShift):
             state |= dict(zip(effect.factor_channels, effect.factors(state), strict=True))
-    at = [np.searchsorted(course.time_s, moment) for moment in times]
-    begin, last = (np.stack([np.asarray(state[name], dtype=float)[rows] for name in names], axis=1) for rows in at)
-    return BlockConditions(names, read_only(begin), read_only(last), course.in_words())
+    values = np.stack([np.asarray(state[name], dtype=float) for name in names], axis=1)
+    return BlockConditions(
+        names,
+        read_only(times.begin),
+        read_only(lengths),
+        read_only(course.time_s),
+        read_only(values),
+        course.in_words(),
+    )
 
 
 def durations_s(source: str, said: Technology, path: ToolPath, space: WordSpace) -> np.ndarray:
@@ -155,10 +173,10 @@ def durations_s(source: str, said: Technology, path: ToolPath, space: WordSpace)
 
 
 def velocity_limits(machine: Machine) -> np.ndarray:
-    """Return (axes,) the velocity limits of the URDF in mm/s and degrees/s; infinite where there is none."""
+    """Return (axes,) the velocity limits of the URDF in mm/s and degrees/s; very large where there is none."""
     model = machine.model
     limits = [model.velocityLimit[model.joints[model.getJointId(axis.joint)].idx_v] for axis in machine.axes]
-    found = np.array(limits) / machine.scale
+    found = np.minimum(limits, FASTEST) / machine.scale
     return np.where(found > 0.0, found, np.inf)
 
 
@@ -179,7 +197,7 @@ def _way(path: ToolPath) -> np.ndarray:
 
 @final
 class _Course:
-    """Channels in the order of time: rows of the log before the program, then beginning and end of every motion.
+    """Channels in the order of time: at the rows of the log, then at beginning, end and between these of every motion.
 
     Args:
         source: name of the program.
@@ -206,7 +224,8 @@ class _Course:
         self._conditions, self._needs_speed = conditions, needs_speed
         self._log = conditions.log
         before = np.zeros(0) if self._log is None else self._log.time_s[self._log.time_s < times.end[-1]]
-        self.time_s = np.unique(np.concatenate([before, *times]))
+        between = np.arange(times.begin[0], times.end[-1], STEP_S)
+        self.time_s = np.unique(np.concatenate([before, between, *times]))
         self._check_log()
 
     def state(self) -> dict[str, np.ndarray]:
