@@ -20,7 +20,9 @@ from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, Ou
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
 from twin.compensation import Compensator, Options
 from twin.compensation.many import JSON_SUFFIX, TEXT_SUFFIX, ProgramOutcome, compensate_files
+from twin.compute.parallel import Workers
 from twin.kinematics.inverse import DEFAULT_ROTARY_LIMIT_DEG
+from twin.machine.calibration import Calibration
 from twin.machine.iso16907 import Scope
 from twin.machine.machine import DEFAULT, Machine
 from twin.nc import dialect_for, dialect_of, find_program
@@ -112,19 +114,34 @@ def compensate(
     )
     errors = options.calibration_of(calibration, loaded)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)
-    if len(programs) > 1 or (output.is_dir() and not output.suffix):
-        with progress_bar() as bar:
-            every = compensate_files(programs, output, loaded, errors, options=settings, workers=own, progress=bar)
-            outcomes_done, interrupted = _collect(every, strict)
-        result = _summary(programs, outcomes_done, output, warning_texts(errors.warnings), interrupted=interrupted)
-    elif scheduler is not None:
-        raise InputError(
-            "--scheduler needs several programs", expected="several programs, and -o with a folder", value=scheduler
-        )
-    else:
-        result = _compensate_one(programs[0], output, Compensator(loaded, errors, settings), strict=strict)
+    result = _compensated(programs, output, loaded, errors, settings, own, strict=strict)
     if report_file is not None:
         write_atomic(report_file, result.text)
+    return result
+
+
+def _compensated(
+    programs: list[Path],
+    output: Path,
+    machine: Machine,
+    errors: Calibration,
+    settings: Options,
+    own: Workers,
+    *,
+    strict: bool,
+) -> CommandResult:
+    """Compensate one program, or several into a folder."""
+    if len(programs) > 1 or (output.is_dir() and not output.suffix):
+        with progress_bar() as bar:
+            every = compensate_files(programs, output, machine, errors, options=settings, workers=own, progress=bar)
+            outcomes_done, interrupted = _collect(every, strict)
+        result = _summary(programs, outcomes_done, output, warning_texts(errors.warnings), interrupted=interrupted)
+    elif own.scheduler is not None:
+        raise InputError(
+            "--scheduler needs several programs", expected="several programs, and -o with a folder", value=own.scheduler
+        )
+    else:
+        result = _compensate_one(programs[0], output, Compensator(machine, errors, settings), strict=strict)
     return result
 
 

@@ -8,6 +8,7 @@ the machine supplies temperatures during the program, and temperatures and speed
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, final
 
@@ -127,7 +128,7 @@ def block_conditions(
     lengths = durations_s(program.source, said, path, space)
     end = start + np.cumsum(said.dwell_s)[path.columns.line] + np.cumsum(lengths)
     times = _Times(end - lengths, end)
-    course = _Course(program.source, said, path.columns, times, conditions, SPEED in needed(calibration))
+    course = _Course(program.source, said, path.columns, times, conditions, needed(calibration))
     state = course.state()
     for effect in calibration.effects:
         if isinstance(effect, HistoryShift):
@@ -205,7 +206,7 @@ class _Course:
         columns: its motions.
         times: when they begin and end.
         conditions: the conditions.
-        needs_speed: whether an effect needs the spindle speed.
+        required: channels that the effects need.
 
     Attributes:
         time_s: (n,) the moments.
@@ -218,10 +219,11 @@ class _Course:
         columns: MotionColumns,
         times: _Times,
         conditions: Conditions,
-        needs_speed: bool,
+        required: Collection[str],
     ) -> None:
         self._source, self._said, self._columns, self._times = source, said, columns, times
-        self._conditions, self._needs_speed = conditions, needs_speed
+        self._conditions, self._needs_speed = conditions, SPEED in required
+        self._sensors = [name[2:-5] for name in required if name.startswith("T_")]
         self._log = conditions.log
         before = np.zeros(0) if self._log is None else self._log.time_s[self._log.time_s < times.end[-1]]
         between = np.arange(times.begin[0], times.end[-1], STEP_S)
@@ -297,11 +299,16 @@ class _Course:
         ]
         state = self.state()
         if SPEED in state and self._conditions.spindle_rpm is None:
-            low, high = np.min(state[SPEED][inside]), np.max(state[SPEED][inside])
             logged = self._log is not None and self._log.speed_rpm is not None and self._log.time_s[-1] >= end
-            parts.append(f"spindle {low:g} to {high:g} 1/min ({'log' if logged else 'S words'})")
+            parts.append(f"spindle {_span(state[SPEED][inside], 0)} 1/min ({'log' if logged else 'S words'})")
         if self._log is not None:
-            for name in self._log.temperature_degC:
+            for name in (sensor for sensor in self._sensors if sensor in self._log.temperature_degC):
                 values = state[temperature_channel(name)][inside]
-                parts.append(f"{name} {values.min():.1f} to {values.max():.1f} °C (log)")
+                parts.append(f"{name} {_span(values, 1)} °C (log)")
         return "; ".join(parts)
+
+
+def _span(values: np.ndarray, decimals: int) -> str:
+    """Return the range of values in words: "21.4 to 21.9", "6000"."""
+    low, high = (f"{value:.{decimals}f}" for value in (values.min(), values.max()))
+    return low if low == high else f"{low} to {high}"

@@ -18,7 +18,6 @@ from twin._common.errors import InputError
 from twin._common.files import atomic_file, tracked_files
 from twin._common.machine_log import MachineLog
 from twin._common.progress import Progress, silent
-from twin._common.provenance import program_comments
 from twin.compensation.account import CompensationAccount, Report
 from twin.compensation.block_conditions import block_conditions
 from twin.compensation.checked import check, motionless, unreadable
@@ -116,13 +115,8 @@ class Compensator:
             raise motionless(program.source)
         written = dialect if into is None else into
         posted = written.name != dialect.name
-        aim = prepared.aim(turns=turns_tool(reading.moves, axes))
         progress("solving", 0.1)
-        conditions = block_conditions(
-            program, dialect, path, prepared.space, prepared.calibration, prepared.options.conditions
-        )
-        pieces = Pieces(prepared, path, aim, dialect, source=program.source, conditions=conditions, posted=posted)
-        found = correct(pieces, progress)
+        found = correct(self._pieces(program, dialect, reading, path, posted=posted), progress)
         rewrites = tuple(_rewrites(found))
         progress("writing", 0.8)
         if posted:
@@ -130,10 +124,10 @@ class Compensator:
         else:
             text = dialect.rewrite(program, axes, reading, rewrites)
         if rewrites:
-            text = written.with_comments(text, program_comments(prepared.calibration.warnings))
+            text = written.with_comments(text, prepared.comments)
         self._check(program, reading, found, text, written, posted=posted)
         progress("checking", 0.9)
-        account = CompensationAccount(prepared, aim, program.source)
+        account = CompensationAccount(prepared, found.pieces.aim, program.source)
         account.add(found)
         notices = [*reading.notices, *path.notices]
         report = account.report(lines=len(program.texts), moves=len(reading.moves), notices=notices)
@@ -142,6 +136,17 @@ class Compensator:
         moves, lines = path.columns.move[rows.motion], found.lines[rows.motion]
         columns = (rows.nominal, rows.exact, rows.commands, moves, lines, rows.backlash_move)
         return Compensation(text, report, reading, rewrites, path, *map(read_only, columns))
+
+    def _pieces(
+        self, program: Program, dialect: Dialect, reading: Interpretation, path: ToolPath, *, posted: bool
+    ) -> Pieces:
+        """Return the program cut into pieces, with the conditions of its blocks."""
+        prepared = self.prepared
+        aim = prepared.aim(turns=turns_tool(reading.moves, prepared.space.axes))
+        conditions = block_conditions(
+            program, dialect, path, prepared.space, prepared.calibration, prepared.options.conditions
+        )
+        return Pieces(prepared, path, aim, dialect, source=program.source, conditions=conditions, posted=posted)
 
     def _check(
         self, program: Program, reading: Interpretation, found: Corrected, text: str, written: Dialect, *, posted: bool

@@ -10,6 +10,7 @@ from typing import Literal, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.provenance import program_comments
 from twin.compensation.backlash import Backlash
 from twin.compensation.block_conditions import channels_by_block
 from twin.compensation.comparison import PoseComparison
@@ -19,7 +20,7 @@ from twin.display import Html, card, pairs
 from twin.kinematics.forward import Kinematics
 from twin.kinematics.inverse import DEFAULT_ROTARY_LIMIT_DEG, Inverse
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
+from twin.machine.conditions import Conditions, values_in_words
 from twin.machine.effects import ControlCorrection
 from twin.machine.iso16907 import BASIC, Scope, error_motion_of, iso_class
 from twin.machine.machine import Machine
@@ -125,6 +126,23 @@ class PreparedMachine:
         self.limits = np.stack(
             [np.maximum(ranges[:, 0], domains[:, 0]), np.minimum(ranges[:, 1], domains[:, 1])], axis=1
         )
+
+    @property
+    def constant(self) -> dict[str, float]:
+        """Channels that the calibration needs and that have one value for the whole program."""
+        used = self.options.conditions.used(self.calibration)
+        return {name: value for name, value in used.items() if name not in self.by_block}
+
+    @property
+    def comments(self) -> tuple[str, ...]:
+        """Comments for the header of an output: warnings, and the conditions that it is for."""
+        conditions = self.options.conditions
+        parts = [values_in_words(self.constant)] if self.constant else []
+        if self.by_block:
+            source = "with the speeds of the program" if conditions.log is None else f"of {conditions.log.path.name}"
+            parts.append(f"a start at {conditions.time_s or 0.0:g} s {source}")
+        held = (f"twin: only for {'; '.join(parts).replace('°C', 'degC')}",) if parts else ()
+        return (*program_comments(self.calibration.warnings), *held)
 
     @cached_property
     def control_alone(self) -> Kinematics | None:

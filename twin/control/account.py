@@ -12,6 +12,7 @@ from twin.control.design import Table
 from twin.control.make import ControlTables
 from twin.control.remains import CorrectedShare, RemainingErrors
 from twin.machine.calibration import Calibration
+from twin.machine.conditions import values_in_words
 from twin.machine.control import TableSum
 
 SCHEMA: Final = "twin.control/1"
@@ -108,6 +109,11 @@ class Account:
     def _limits(self) -> list[str]:
         """Return the lines that say for which axis positions and tool lengths the tables are valid."""
         made, found = self.made, list[str]()
+        if made.held:
+            found += [
+                "",
+                f"The tables are for {values_in_words(made.held)}, and do not follow them: at others make new tables.",
+            ]
         if isinstance(made.correction, TableSum):
             products = any(len(term.factors) > 1 for term in made.correction.terms)
             found += [
@@ -136,6 +142,7 @@ class Account:
             "classes": list(made.request.carried_classes),
             "tool_length_mm": required.tool_length_mm,
             "at": dict(required.at),
+            "conditions": dict(made.held),
             "files": list(made.files),
             "tables": [_row(one) for one in made.tables],
             "error_at_tool": self.remains.to_dict(),

@@ -17,7 +17,7 @@ from twin.control.request import Request
 from twin.control.required import RequiredCorrections
 from twin.control.spatial_grid import GridDesign
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import APPROACH
+from twin.machine.conditions import APPROACH, values_in_words
 from twin.machine.control import Correction, TableFormat, TableSummary
 from twin.machine.machine import Machine
 from twin.uncertainty.budget import volume
@@ -56,6 +56,11 @@ class ControlTables:
     largest: Mapping[str, float]
 
     @property
+    def held(self) -> Mapping[str, float]:
+        """Temperatures, time and speed for which the tables are."""
+        return self.request.conditions.used(self.required.calibration)
+
+    @property
     def unmet(self) -> tuple[str, ...]:
         """Requirements that are not met, one sentence each."""
         found = [text for one in self.tables for text in one.unmet]
@@ -79,7 +84,9 @@ def make(machine: Machine, calibration: Calibration, request: Request) -> Contro
     calibration.check_settled()
     form = request.form
     doubts = (f"not checked against public documentation: {one}" for one in form.unchecked)
-    request = replace(request, notes=(*request.notes, *warning_texts(calibration.warnings), *doubts))
+    held = values_in_words(request.conditions.used(calibration)).replace("°C", "degC")
+    only = (f"only for {held}",) if held else ()
+    request = replace(request, notes=(*request.notes, *only, *warning_texts(calibration.warnings), *doubts))
     old = _old_tables(machine, calibration, request)
     required = RequiredCorrections(
         machine, calibration, request.at, request.tool_length_mm, request.classes, request.conditions

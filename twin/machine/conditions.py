@@ -23,6 +23,8 @@ TIME: Final = "time_s"
 SPEED: Final = "spindle_rpm"
 WORDS: Final = MappingProxyType({TIME: "the time", SPEED: "the spindle speed"})
 """Channels that are given by a single value, in words."""
+UNITS: Final = MappingProxyType({TIME: "time {:g} s of the measured table", SPEED: "spindle {:g} 1/min"})
+"""The same with their value."""
 SETTINGS: Final = MappingProxyType({TIME: "time", SPEED: "rpm"})
 """Names of the settings that give them."""
 APPROACH: Final = "approach_"
@@ -107,6 +109,11 @@ class Conditions:
         """Return the channels, other than directions of approach, that a calibration needs and that are not given, with the effects."""
         given = self.channels.keys() | self._by_time
         return {name: by for name, by in needed(calibration).items() if name not in given}
+
+    def used(self, calibration: Calibration) -> dict[str, float]:
+        """Return the given channels that a calibration needs."""
+        required = needed(calibration)
+        return {name: value for name, value in self.channels.items() if name in required}
 
     def unused(self, calibration: Calibration) -> tuple[str, ...]:
         """Return the given channels that a calibration does not need."""
@@ -198,6 +205,14 @@ class RecordingState(dict[str, Any]):
         if name not in self.asked:
             self.asked.append(name)
         return np.array([27.0])
+
+
+def values_in_words(channels: Mapping[str, float]) -> str:
+    """Return values by channel in words: "X 25 °C, time 3600 s of the measured table"."""
+    return ", ".join(
+        f"{name[2:-5]} {value:g} °C" if name.startswith("T_") else UNITS[name].format(value)
+        for name, value in channels.items()
+    )
 
 
 def needed_values(channels: Iterable[str]) -> str:

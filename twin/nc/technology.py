@@ -18,7 +18,7 @@ from twin.nc.text import MM_PER_INCH
 
 @final
 class FeedUnit(Enum):
-    """What a feed word counts."""
+    """Unit of a feed word."""
 
     MINUTE = "mm per minute"
     TURN = "mm per revolution"
@@ -26,7 +26,7 @@ class FeedUnit(Enum):
 
 
 class LineWords(NamedTuple):
-    """What one line says; None where it says nothing, NaN for a word whose value is not a number.
+    """Feed, speed and dwell in one line; None where it says nothing, NaN for a word whose value is not a number.
 
     Attributes:
         feed: the number of the feed word, in the units of the program.

@@ -80,13 +80,15 @@ TimeOption = Annotated[
     typer.Option(
         "--time",
         help="Time for thermal drift effects, s since the cold start (clock of the table's time_s); constant over the program, "
-        "so give its mid-time. Warm machine: a large number.",
+        "so give its mid-time. Warm machine: a large number. With --log, or speeds of the program: when the program begins.",
     ),
 ]
 RpmOption = Annotated[
     float | None,
     typer.Option(
-        "--rpm", help="Constant spindle speed, 1/min, for growth with spindle speed; with --time since the cold start."
+        "--rpm",
+        help="Constant spindle speed, 1/min, for growth with spindle speed; with --time since the cold start. `twin compensate` "
+        "without it: the program's S words.",
     ),
 ]
 LogOption = Annotated[

@@ -102,7 +102,6 @@ class CompensationAccount:
             *self._approach_notes,
             *(LineNote(notice.line + 1, notice.text) for notice in notices),
         )
-        unused = options.conditions.unused(prepared.calibration)
         not_corrected = self._shortfalls.shortfalls()
         return Report(
             program=self._source,
@@ -133,7 +132,7 @@ class CompensationAccount:
             uncertainty=Corrections(self._point.correction(), self._axis.correction()),
             cutting=self._cutting,
             idle=self._idle,
-            conditions={name: value for name, value in options.conditions.channels.items() if name not in unused},
+            conditions=prepared.constant,
             reversals=tuple(reversal_notes(prepared, self._aim, self._reversals)),
             control=self._control_note(),
         )

@@ -13,7 +13,7 @@ from twin.compensation.account.shortfalls import SHOWN, Shortfall, line_numbers
 from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections
 from twin.display import bar, card, count_with_noun, note, pairs, readable, table
-from twin.machine.conditions import TIME
+from twin.machine.conditions import values_in_words
 from twin.uncertainty.at_tool import DEFINITION
 
 SCHEMA = "twin.compensation/1"
@@ -350,11 +350,8 @@ class Report:
 
     def _channels_text(self) -> list[str]:
         """Return lines on temperatures, time and backlash."""
-        channels = [
-            f"time {value:g} s of the measured table" if name == TIME else f"{name[2:-5]} {value:g} °C"
-            for name, value in self.conditions.items()
-        ]
-        out = [f"  conditions    {', '.join(channels)}, over the whole program"] if channels else []
+        held = values_in_words(self.conditions)
+        out = [f"  conditions    {held}, over the whole program"] if held else []
         for reversal in self.reversals:
             done = (
                 f"taken up by extra moves at {reversal.taken_up} reversals of {reversal.axis}"

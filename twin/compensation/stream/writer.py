@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import BinaryIO, Final, final
 
 from twin._common.errors import InputError
-from twin._common.provenance import program_comments
 from twin.compensation.checked import check, unreadable
 from twin.compensation.prepared import PreparedMachine
 from twin.compensation.stream.parts import ProgramFile, ProgramPart, ReadStretch
@@ -87,7 +86,7 @@ class PartWriter:
             return
         self._head += data
         if last or self._lines >= HEAD_LINES:
-            comments = program_comments(self._prepared.calibration.warnings)
+            comments = self._prepared.comments
             self._out.write(ISO.with_comments(self._head.decode("latin-1"), comments).encode("latin-1"))
             self._head = None
 
