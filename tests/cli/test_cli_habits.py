@@ -54,6 +54,20 @@ def completed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_a_short_help_and_can_be_quiet(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    short, long = run(capsys, name, "-h"), run(capsys, name, "--help")
+    assert short == long and short[0] == 0 and "--quiet" in short[1]
+
+
+def test_version_and_quiet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "--version") == (0, f"twin {twin.__version__}\n", "")
+    assert run(capsys, "-h")[1] == run(capsys, "--help")[1]
+    assert run(capsys, "info", "--quiet", "--json", tmp_path / "info.json") == (0, "", "")
+    assert (tmp_path / "info.json").is_file()
+    assert run(capsys, "volume", "--quiet", "--calibration", tmp_path / "none.yaml")[:2] == (2, "")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_writes_json_and_gives_two_examples_or_more(name: str) -> None:
     assert any("--json" in one.opts for one in COMMANDS[name].params)
     assert sum(own == name for own, _ in EXAMPLES) >= 2

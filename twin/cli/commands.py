@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
-from typing import Any, Final
+from importlib.metadata import version
+from typing import Annotated, Any, Final
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from twin._common.errors import InputError, OutputError
 from twin.cli.shared import installation
-from twin.cli.shared.command import registered
+from twin.cli.shared.command import HELP, registered
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
 from twin.cli.shared.signals import as_interrupt
 from twin.cli.shared.terminal import (
@@ -77,11 +78,23 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
+    context_settings=HELP,
 )
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        echo(f"twin {version('twin')}")
+        raise typer.Exit
+
+
+VersionOption = Annotated[
+    bool, typer.Option("--version", help="Show the version.", callback=_print_version, is_eager=True)
+]
+
+
 @app.callback()
-def _twin() -> None:
+def _twin(version: VersionOption = False) -> None:
     """Make `app` a group although no command is registered with it."""
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -23,9 +23,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from twin._common.errors import InputError
 from twin._common.files import check_writable, tracked_files, write_json
 from twin.cli.shared.installation import NOT_ALL_MET
-from twin.cli.shared.terminal import echo, print_error
+from twin.cli.shared.terminal import echo, is_silenced, print_error, silenced
 from twin.cli.shared.words import positive, usable_number
 
+HELP: Final = {"help_option_names": ["-h", "--help"]}
+"""Options that show the help of a command."""
 registered = typer.Typer()
 """Commands whose modules were imported; `twin.cli.commands.load` takes them from here."""
 
@@ -50,6 +52,7 @@ TABLE: Final = Output((".csv",))
 ANY: Final = Output()
 POSITIVE: Final = "positive"
 """Marker of a number that must be positive."""
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result as JSON to this file."), ANY]
 
 
@@ -95,7 +98,11 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
         paths = path_parameters(function)
 
         @functools.wraps(function)
-        def checked(*arguments: Any, **options: Any) -> None:
+        def checked(*arguments: Any, quiet: bool = False, **options: Any) -> None:
+            with silenced() if quiet else nullcontext():
+                run(*arguments, **options)
+
+        def run(*arguments: Any, **options: Any) -> None:
             values = inspect.signature(function).bind(*arguments, **options).arguments
             for parameter, value in values.items():
                 option = f"--{parameter.replace('_', '-')}"
@@ -116,10 +123,22 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
                 if result is not None:
                     _report(result, outputs, values.get("json_file"))
 
-        registered.command(name, epilog="\n\n".join(("Examples:", *examples)))(checked)
+        _add_option(checked, "quiet", QuietOption)
+        epilog = "\n\n".join(("Examples:", *examples))
+        registered.command(name, epilog=epilog, context_settings=HELP)(checked)
         return function
 
     return register
+
+
+def _add_option(function: Callable[..., Any], name: str, option: Any) -> None:
+    """Give a function one more parameter, a flag, for Typer, which reads signature and annotations."""
+    hints = get_type_hints(function, include_extras=True)
+    own = inspect.signature(function)
+    flag = inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=option)
+    known = [parameter.replace(annotation=hints[key]) for key, parameter in own.parameters.items()]
+    function.__signature__ = own.replace(parameters=[*known, flag])  # type: ignore[attr-defined]
+    function.__annotations__ = {**hints, name: option}
 
 
 def path_parameters(function: Callable[..., Any]) -> dict[str, Output | None]:
@@ -135,7 +154,7 @@ def path_parameters(function: Callable[..., Any]) -> dict[str, Output | None]:
 def progress_bar() -> Iterator[Any]:
     """Show a progress bar on stderr; show nothing if stderr is not a terminal."""
     console = Console(stderr=True)
-    if not console.is_terminal:  # a disabled `Progress` of rich before 14.1 writes an empty line
+    if not console.is_terminal or is_silenced():  # a disabled `Progress` of rich before 14.1 writes an empty line
         yield lambda stage, fraction: None
         return
     columns = (

@@ -6,7 +6,8 @@ import codecs
 import io
 import os
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
 from typing import Final
 
 from twin._common.errors import printable
@@ -52,6 +53,25 @@ def accept_any_text() -> None:
 def echo(text: object = "", *, end: str = "\n") -> None:
     """Print to the standard output, with control characters escaped."""
     print(printable(str(text)), end=end)
+
+
+class _Nowhere(io.StringIO):
+    """A standard output that keeps nothing."""
+
+    def write(self, text: str) -> int:
+        return len(text)
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Print nothing to the standard output, and show no progress."""
+    with redirect_stdout(_Nowhere()):
+        yield
+
+
+def is_silenced() -> bool:
+    """Return whether nothing is printed, within `silenced`."""
+    return isinstance(sys.stdout, _Nowhere)
 
 
 def print_error(text: str) -> None:
