@@ -51,8 +51,10 @@ def test_it_is_found_with_its_size(dmu50: Machine, calibration: Calibration, tmp
     found.extended.save(path)
     again = Calibration.load(path, dmu50)
     assert [effect.name for effect in again.extra] == ["spindle_growth:Z"]
-    with pytest.raises(InputError, match="spindle_growth:Z needs spindle_rpm"):
+    with pytest.raises(InputError, match="spindle_growth:Z needs time_s"):
         compensate("cone_frustum.nc", dmu50, again)
+    cold = compensate("cone_frustum.nc", dmu50, again, time_s=0.0).report
+    assert any("spindle 6000 1/min (S words)" in note.text for note in cold.notes)
 
 
 def test_nothing_is_found_where_nothing_is(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
