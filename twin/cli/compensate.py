@@ -80,6 +80,7 @@ def compensate(
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     rpm: options.RpmOption = None,
+    load: options.LoadOption = None,
     workers: options.WorkersOption = None,
     scheduler: options.SchedulerOption = None,
     strict: options.StrictOption = False,
@@ -89,7 +90,8 @@ def compensate(
 ) -> CommandResult:
     """Rewrite NC programs so that the machine with its errors produces the programmed path.
 
-    An extended calibration may need temperatures (--temperature X=23.1 bed=21), a time (--time), a speed (--rpm). Backlash needs none.
+    An extended calibration may need temperatures (--temperature X=23.1 bed=21), a time (--time), a speed (--rpm) or a load (--load).
+    Backlash needs none.
 
     Several programs are written to a folder under their own names, each with its report (.report.txt, .report.json); --json and
     --report then hold a summary. A program that cannot be compensated does not stop the others. The exit status is the worst of all:
@@ -104,7 +106,7 @@ def compensate(
         tolerance_mm=tolerance,
         rotary_limit_deg=rotary_limit,
         method=method.value,
-        conditions=options.conditions(temperature, time, rpm),
+        conditions=options.conditions(temperature, time, rpm, load),
     )
     errors = options.calibration_of(calibration, loaded)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)

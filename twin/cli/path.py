@@ -57,6 +57,7 @@ def path(
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     rpm: options.RpmOption = None,
+    load: options.LoadOption = None,
     strict: options.StrictOption = False,
     json_file: JsonOption = None,
 ) -> CommandResult:
@@ -74,7 +75,7 @@ def path(
         scope=None if scope is None else Scope.parse(scope),
         tolerance_mm=tolerance,
         rotary_limit_deg=rotary_limit,
-        conditions=options.conditions(temperature, time, rpm),
+        conditions=options.conditions(temperature, time, rpm, load),
     )
     errors = options.calibration_of(calibration, loaded)
     with progress_bar() as bar:

@@ -205,6 +205,7 @@ def compensate(
     temperature: Mapping[str, float] | None = None,
     time_s: float | None = None,
     spindle_rpm: float | None = None,
+    load_kg: float | None = None,
 ) -> Compensation:
     """Compensate the program of a file, or a sample program of twin, and return it with its report.
 
@@ -216,6 +217,7 @@ def compensate(
         temperature: °C by axis (of its scale) or sensor over the whole program; replaces those of the options.
         time_s: time within a warm-up, in the measured table's ``time_s``; replaces that of the options.
         spindle_rpm: spindle speed, constant since the start, 1/min; replaces that of the options.
+        load_kg: mass carried, kg; replaces that of the options.
 
     Raises:
         InputError: as for `Compensator` and its `compensate`; the program cannot be read.
@@ -227,6 +229,7 @@ def compensate(
         base.temperature_degC if temperature is None else temperature,
         base.time_s if time_s is None else time_s,
         base.spindle_rpm if spindle_rpm is None else spindle_rpm,
+        base.load_kg if load_kg is None else load_kg,
     )
     errors = Calibration.default(machine) if calibration is None else calibration
     read, dialect = read_program(program)

@@ -88,6 +88,12 @@ RpmOption = Annotated[
         "--rpm", help="Constant spindle speed, 1/min, for growth with spindle speed; with --time since the cold start."
     ),
 ]
+LoadOption = Annotated[
+    float | None,
+    typer.Option(
+        "--load", help="Mass carried in the spindle or gripper, or on the table, kg, for compliances under it."
+    ),
+]
 ScopeOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -207,15 +213,17 @@ def setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Se
     return Setup(found, three_numbers("--work-origin", origin, origin, "x,y,z in mm"))
 
 
-def conditions(temperatures: list[str] | None, time_s: float | None, rpm: float | None) -> Conditions:
-    """Return the temperatures, the time and the spindle speed of a program.
+def conditions(
+    temperatures: list[str] | None, time_s: float | None, rpm: float | None, load_kg: float | None
+) -> Conditions:
+    """Return the temperatures, the time, the spindle speed and the carried load of a program.
 
     Raises:
         InputError: text that is not NAME=°C, or a name given twice.
     """
     words = pairs("--temperature", temperatures, "axis or sensor and °C: X=23.1")
     found = {name: number("--temperature", text, entry) for name, text, entry in words}
-    return Conditions(found, time_s, rpm)
+    return Conditions(found, time_s, rpm, load_kg)
 
 
 def workers(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, final
 
 from twin._common.json_form import json_form
@@ -13,11 +14,16 @@ from twin.compensation.account.shortfalls import SHOWN, Shortfall, line_numbers
 from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections
 from twin.display import bar, card, count_with_noun, note, pairs, readable, table
-from twin.machine.conditions import TIME
+from twin.machine.conditions import SPEED, TIME
+from twin.machine.effects.payload import LOAD
 from twin.uncertainty.at_tool import DEFINITION
 
 SCHEMA = "twin.compensation/1"
 NO_ERRORS = "NOTHING CORRECTED: no error motion is in scope, so no position is changed"
+CONDITION_TEXTS: Final = MappingProxyType(
+    {TIME: "time {:g} s of the measured table", SPEED: "spindle speed {:g} 1/min", LOAD: "load {:g} kg"}
+)
+"""Conditions given by a single value, in words; all others are temperatures."""
 IN_SCOPE: Final = {True: "corrected", False: "not in scope", None: ""}
 
 
@@ -351,7 +357,7 @@ class Report:
     def _channels_text(self) -> list[str]:
         """Return lines on temperatures, time and backlash."""
         channels = [
-            f"time {value:g} s of the measured table" if name == TIME else f"{name[2:-5]} {value:g} °C"
+            CONDITION_TEXTS.get(name, f"{name[2:-5]} {{:g}} °C").format(value)
             for name, value in self.conditions.items()
         ]
         out = [f"  conditions    {', '.join(channels)}, over the whole program"] if channels else []

@@ -1,4 +1,4 @@
-"""Joint compliance under gravity: deflection under the machine's own weight and its payloads."""
+"""Joint compliance under gravity: deflection under the machine's own weight, its payloads and the load it carries."""
 
 from __future__ import annotations
 
@@ -12,14 +12,18 @@ import numpy as np
 from twin.compute.batch import BatchFunction
 from twin.machine.chain import gravity_load
 from twin.machine.effects import places
-from twin.machine.effects.base import AlongAxis, Effect, Frame, Parameter, along
+from twin.machine.effects.base import AlongAxis, Effect, Frame, Parameter, along, channel
 from twin.machine.effects.payload import (
     CENTRE_RANGE_MM,
+    LOAD,
+    LOAD_NUMBERS,
     MASS,
+    NUMBERS,
     SIDES,
     Payload,
     Side,
     loads,
+    loads_per_kg,
     max_payload_kg,
     side_of,
     sum_of,
@@ -40,7 +44,7 @@ class GravityCompliance(AlongAxis):
 
     Args:
         axis: the axis.
-        load: positions → load along the axis by own weight and payloads, N or N·m (`twin.machine.chain.gravity_load`).
+        load: positions → load along the axis by own weight, payloads and carried load, N or N·m (`twin.machine.chain.gravity_load`).
         compliance: µm/N or µrad/(N·m).
         payloads: loads that the URDF does not contain; not estimated.
     """
@@ -75,9 +79,11 @@ class AddedLoad(AlongAxis):
 
     Args:
         compliant: the deflection that is known.
-        load: positions → the (4,) loads along the axis by 1 kg and by a first moment of 1 kg·m in x, y, z (`gravity_load`).
+        load: positions → the (4,) loads along the axis by 1 kg and by a first moment of 1 kg·m in x, y, z (`gravity_load`); for a
+            carried load those by the mass of each reading and by that mass 1 m away.
         side: ``tool`` or ``work``.
-        weights: (4,) mass, kg, and first moments, kg·m.
+        weights: (4,) mass, kg, and first moments, kg·m; both per kg of a carried load.
+        carried: whether it is a carried load.
     """
 
     def __init__(
@@ -86,11 +92,14 @@ class AddedLoad(AlongAxis):
         load: Callable[[Mapping[str, Any]], Sequence[Any]],
         side: Side,
         weights: np.ndarray,
+        *,
+        carried: bool = False,
     ) -> None:
         super().__init__("payload", compliant.axis)
-        self.name = f"payload:{side}"
+        self.name = f"{CARRIED_LOAD.name if carried else PAYLOAD.name}:{side}"
         self.side: Side = side
         self.weights = weights
+        self.carried = carried
         self._compliance = compliant.compliance
         self._load = load
 
@@ -99,12 +108,13 @@ class AddedLoad(AlongAxis):
         """The mass and its centre."""
         mass = float(self.weights[0])
         x, y, z = (1e3 * float(moment) / mass for moment in self.weights[1:])
-        return Payload(self.side, mass, (x, y, z))
+        return Payload(self.side, mass, (x, y, z), self.carried)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Mass and first moments; every joint of the side has the same."""
-        names = (("mass", "kg"), *((f"moment_{letter}", "kg.m") for letter in "xyz"))
+        mass, moment = (("mass_ratio", "1"), "m") if self.carried else (("mass", "kg"), "kg.m")
+        names = (mass, *((f"moment_{letter}", moment) for letter in "xyz"))
         return tuple(
             self._number(name, unit, float(value)) for (name, unit), value in zip(names, self.weights, strict=True)
         )
@@ -134,9 +144,10 @@ def carrying(machine: Machine, extra: Sequence[Effect], known: int, added: Added
     for k, one in enumerate(found):
         if not isinstance(one, GravityCompliance) or side_of(one.axis) != added.side:
             continue
+        own = tuple(other for other in one.payloads if (other.side, other.carried) == (added.side, added.carried))
         if k < known:
-            whole = sum_of((*(own for own in one.payloads if own.side == added.side), added.payload))
-        others = tuple(own for own in one.payloads if own.side != added.side)
+            whole = sum_of((*own, added.payload))
+        others = tuple(other for other in one.payloads if other not in own)
         found[k] = gravity_compliance(machine, one.axis.name, one.compliance, (*others, whole))
     return found
 
@@ -165,11 +176,17 @@ def loads_of(machine: Machine) -> Callable[[Mapping[str, Any]], Mapping[str, Seq
 def gravity_compliance(
     machine: Machine, axis: str, compliance: float, payloads: Sequence[Payload] = ()
 ) -> GravityCompliance:
-    """Create the effect for one axis of a machine with the given payloads."""
+    """Create the effect for one axis of a machine with the given payloads; with a carried load it needs ``load_kg``."""
     weights, every = loads(payloads), loads_of(machine)
+    per_kg = loads_per_kg(payloads, side_of(machine.by_name[axis]))
 
     def load(positions: Mapping[str, Any]) -> Any:
-        return sum(weight * unit for weight, unit in zip(weights, every(positions)[axis], strict=True) if weight != 0.0)
+        units = every(positions)[axis]
+        total = sum(weight * unit for weight, unit in zip(weights, units, strict=True) if weight != 0.0)
+        if not np.any(per_kg):
+            return total
+        carried = sum(weight * unit for weight, unit in zip(per_kg, units, strict=True) if weight != 0.0)
+        return total + channel(positions, LOAD, f"gravity_compliance:{axis}") * carried
 
     return GravityCompliance(machine.by_name[axis], load, compliance, tuple(payloads))
 
@@ -250,9 +267,29 @@ PAYLOAD: Final = Specification(
         "Do not use that calibration with another load.",
     ),
     evidence=lambda fit: f"the {fit.where} side carries a mass that is missing from the URDF; joints deflect under it",
-    parameters=("mass", "centre_x_mm", "centre_y_mm", "centre_z_mm"),
+    parameters=NUMBERS,
     non_negative=True,
     places=lambda machine: SIDES,
     expected=lambda machine: "tool or work",
+    candidates=lambda machine, state: ([], []),
+)
+
+CARRIED_LOAD: Final = Specification(
+    name="carried_load",
+    kind="machine",
+    title=lambda where: f"deflection under the load that the {where} side carries",
+    family="deflection under the carried load",
+    advice=Advice(
+        "Set-up: the masses in the column load_kg, and how the load was held on the {where} side.",
+        f"{EXTENDED} and give the mass that is carried.",
+        "Do not hold a load at another place without entering its centre of gravity in the calibration.",
+    ),
+    evidence=lambda fit: f"joints deflect under the mass in the column {LOAD}, carried on the {fit.where} side",
+    parameters=LOAD_NUMBERS,
+    required=lambda names: LOAD_NUMBERS if LOAD_NUMBERS[0] in names else NUMBERS[1:],
+    non_negative=True,
+    places=lambda machine: SIDES,
+    expected=lambda machine: "tool or work",
+    channels=lambda where: (LOAD,),
     candidates=lambda machine, state: ([], []),
 )
