@@ -106,6 +106,11 @@ def loads_per_kg(payloads: Sequence[Payload], side: Side) -> np.ndarray:
     return np.asarray(sum((one.weights for one in payloads if one.carried and one.side == side), np.zeros(9)))
 
 
+def is_carrying(state: Mapping[str, np.ndarray]) -> bool:
+    """Return whether the readings have a carried load, in any row."""
+    return LOAD in state and bool(np.any(state[LOAD]))
+
+
 def sum_of(payloads: Sequence[Payload]) -> Payload:
     """Return one payload with the mass and the first moments of several of one kind on one side."""
     mass = sum(one.mass_kg for one in payloads)
