@@ -25,7 +25,8 @@ LOADS: Final = 4
 def added_payloads(inputs: CandidateInputs) -> Catalogue:
     """Return the candidates for each side on which the calibration has compliances: a payload, and the load that the readings carry.
 
-    If all readings carry the same load, a payload would be confounded with it and is not tested.
+    If all readings carry the same load, it is confounded with a payload: it is tested where compliances are known without it, else the
+    payload is.
     """
     compliant = [one for one in inputs.calibration.extra if isinstance(one, GravityCompliance)]
     every = {side: [one for one in compliant if side_of(one.axis) == side] for side in SIDES}
@@ -34,8 +35,12 @@ def added_payloads(inputs: CandidateInputs) -> Catalogue:
     found: list[Candidate] = []
     missing: list[Missing] = []
     carrying = is_carrying(inputs.state)
+    varied = carrying and bool(np.ptp(inputs.state[LOAD]) > 0.0)
+    if carrying and not varied and not sides:
+        own = dict.fromkeys(side_of(axis) for axis in inputs.machine.axes)
+        missing += [(CARRIED_LOAD.name, side, f"readings at different {LOAD}") for side in own]
     for side in sides:
-        if not carrying or np.ptp(inputs.state[LOAD]) > 0.0:
+        if not carrying or varied:
             found.append(_candidate(inputs, side, every[side], carried=False))
         else:
             missing.append((PAYLOAD.name, side, f"readings at different {LOAD}"))
