@@ -222,7 +222,11 @@ def points(
             moment = 1.0 if "load_z" not in v else 1.0 + _quarter(of, v)
             error["B"][:, 3] += v["tilt"] * moment * 1e-6 * np.sin(np.radians(of.at("B")))
         elif h.effect == "gravity_compliance":
-            _along(error, axis, v["compliance"] * (_load(of, axis) + (_carried_load(of, axis, v) if "load_z" in v else 0.0)))
+            _along(
+                error,
+                axis,
+                v["compliance"] * (_load(of, axis) + (_carried_load(of, axis, v) if "load_z" in v else 0.0)),
+            )
         elif h.effect == "zero_offset":
             _along(error, axis, v["offset"])
         elif h.effect == "following_error":
@@ -470,6 +474,8 @@ def _carried(of: Plan, error: dict[str, np.ndarray], place: np.ndarray) -> np.nd
 
 def _load(of: Plan, axis: str) -> np.ndarray:
     """Return the torque of gravity, N·m, about B along its command: that of everything on the cradle, about its own axis."""
+    if axis == "Z":
+        return np.zeros(len(of.q))
     if axis != "B":
         raise ValueError(
             "only B turns a weight on this machine: C stands on its own axis, X and Y are level, Z's load is constant"
@@ -488,8 +494,10 @@ def _load(of: Plan, axis: str) -> np.ndarray:
 
 
 def _carried_load(of: Plan, axis: str, centre: Mapping[str, float]) -> np.ndarray:
-    """Return the torque of gravity, N·m, about B of the load of each row, ``load_x``, ``load_y``, ``load_z`` mm in the work frame; for Z
-    the load is in the spindle, N."""
+    """Return the torque, N·m, about B by the load of each row at ``load_x``, ``load_y``, ``load_z`` mm of the work frame.
+
+    For Z, the force, N, by the load in the spindle.
+    """
     if axis == "Z":
         return -G * of.load_kg
     place = np.tile([centre.get("load_x", 0.0), centre.get("load_y", 0.0), centre["load_z"]], (len(of.q), 1))

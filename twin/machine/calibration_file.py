@@ -12,6 +12,7 @@ from twin.machine.control import BasicClass
 from twin.machine.effects import Effect, GravityCompliance, Payload
 from twin.machine.effects.entries import effect_named, payload_named
 from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD
+from twin.machine.effects.table_load import TableLoad
 from twin.machine.empirical_entry import NAME as EMPIRICAL
 from twin.machine.empirical_entry import ColumnSpec, empirical_named
 from twin.machine.machine import Machine
@@ -123,8 +124,10 @@ def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[
         except InputError as error:
             raise fail(("effects", index), error.what, str(error.expected), error.value, error.nearest) from None
     last = max(payloads, default=0)
-    if payloads and not any(isinstance(effect, GravityCompliance) for effect in found):
-        expected = "a gravity_compliance of a joint that it loads"
+    if payloads and not any(
+        isinstance(effect, GravityCompliance) or (isinstance(effect, TableLoad) and effect.payloads) for effect in found
+    ):
+        expected = "a gravity_compliance of a joint that it loads, or a table_load with a moment"
         raise fail(("effects", last), f"a {entries[last].effect} that loads no joint", expected, "none in the file")
     constant = [payload.side for payload in payloads.values() if not payload.carried]
     if len(set(constant)) < len(constant):

@@ -27,7 +27,7 @@ from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.forms import Candidates, Form, log_p_value
 from twin.diagnosis.problem.problem import unwhitened_um
 from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
-from twin.diagnosis.selection.payload import CARRY, Load, axis_of_form, loaded_joints, weights
+from twin.diagnosis.selection.payload import CARRY, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Payload
 from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, payloads_of
@@ -39,6 +39,8 @@ from twin.measurement.table import Measurements
 
 AT_BOUND: Final = 0.99
 """Ratio of a parameter to its bound from which on it counts as bounded."""
+UNDETERMINED: Final = 0.9 / np.sqrt(CENTRE_PRIOR)
+"""Standard uncertainty of a coordinate, as a share of its bound, from which on the readings do not determine it: almost the prior's."""
 
 
 @final
@@ -369,10 +371,14 @@ def _load_evidence(load: Load, payload: Payload) -> str:
 
 
 def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quantity, ...]:
-    """Return mass and centre of a payload, or the centre of a carried load, whose mass is known."""
+    """Return mass and centre of a payload, or those coordinates of the centre of a carried load that the readings determine."""
     first, largest = ("1", 1.0) if payload.carried else ("kg", heaviest)
     units, sizes = (first, "mm", "mm", "mm"), (largest, *[CENTRE_RANGE_MM] * 3)
-    return tuple(
+    found = tuple(
         Quantity(name, value, unit, float(own) * size)
         for (name, value), unit, own, size in zip(payload.numbers.items(), units, u, sizes, strict=True)
-    )[payload.carried :]
+    )
+    if not payload.carried:
+        return found
+    known = [one for one, own in zip(found[1:], u[1:], strict=True) if own < UNDETERMINED]
+    return tuple(known) or found[:1]
