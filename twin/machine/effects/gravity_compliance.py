@@ -282,8 +282,8 @@ GRAVITY_COMPLIANCE: Final = Specification(
     family="deflection under gravity",
     advice=Advice(
         "Service: clamp, drive and bearings of {axis}; the load it carries.",
-        f"{EXTENDED}, with this load only.",
-        "Do not use that calibration with another load.",
+        f"{EXTENDED}, with this load or with the load that you give.",
+        "Do not use that calibration with another load that is not given.",
     ),
     evidence=lambda fit: f"{fit.where} deflects under gravity",
     parameters=("compliance",),
@@ -332,4 +332,5 @@ CARRIED_LOAD: Final = Specification(
     expected=lambda machine: "tool or work",
     channels=lambda where: (LOAD,),
     candidates=lambda machine, state: ([], []),
+    drawing=Drawing(columns=lambda where: (LOAD,), spread=True),
 )
