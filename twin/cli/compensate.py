@@ -90,8 +90,7 @@ def compensate(
 ) -> CommandResult:
     """Rewrite NC programs so that the machine with its errors produces the programmed path.
 
-    An extended calibration may need temperatures (--temperature X=23.1 bed=21), a time (--time), a speed (--rpm) or a load (--load).
-    Backlash needs none.
+    An extended calibration may need --temperature X=23.1 bed=21, --time, --rpm or --load. Backlash needs none.
 
     Several programs are written to a folder under their own names, each with its report (.report.txt, .report.json); --json and
     --report then hold a summary. A program that cannot be compensated does not stop the others. The exit status is the worst of all:
@@ -117,7 +116,7 @@ def compensate(
         result = _summary(programs, outcomes_done, output, warning_texts(errors.warnings), interrupted=interrupted)
     elif scheduler is not None:
         raise InputError(
-            "--scheduler needs several programs", expected="several programs, and -o with a folder", value=scheduler
+            "--scheduler needs several programs", expected="several, and -o with a folder", value=scheduler
         )
     else:
         result = _compensate_one(programs[0], output, Compensator(loaded, errors, settings), strict=strict)

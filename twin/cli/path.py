@@ -63,8 +63,7 @@ def path(
 ) -> CommandResult:
     """Reduce the number of blocks of a program: fit curves to runs of short blocks and split them again within a tolerance.
 
-    The tolerance applies to the path executed by the machine with its errors. Corners are kept; blocks outside such runs are copied
-    unchanged.
+    The tolerance applies to the path executed by the machine with its errors. Corners and blocks outside such runs are kept.
     """
     loaded = Machine.load(machine)
     found = source if is_points(source) else find_program(source)

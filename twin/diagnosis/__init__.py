@@ -9,7 +9,7 @@ causes explains them.
 
 **Causes.** Every effect of a catalogue is tested wherever the machine can have it: reversal, constant or along the travel; pitch
 errors; squareness; axis locations; curves of the linear axes; harmonics of the rotary axes; thermal expansion, growth and drift; an
-error of one axis that grows with another; droop of the cradle; compliance under gravity, a payload and a carried load. So are errors of the
+error of one axis that grows with another; droop of the cradle; compliance under gravity, payload and carried load. So are errors of the
 instrument: a re-aligned frame, a drifting station, a bumped target, the refractive index, scales and shears of one of several stations
 or rounds, positions reported before an axis had settled, readings taken later than the positions (column `feed_mm_min`, or rows read in
 motion). So are errors of the calibration: a polynomial fitted without its constant, terms that the machine does not have, a wrong
@@ -42,8 +42,8 @@ exactly this load and place.
 
 The droop of a cradle (`table_load`) has a constant `tilt`. With a `moment` in its parameters, the torque of gravity about the axis at
 +90° in N·m at which the tilt was found, it grows with the torque of payload and carried load on the work side: tilt·(1 + load/moment).
-`diagnose` gives the moment of the URDF's masses if the calibration has such a load. About a horizontal axis along x the droop is the same
-as `gravity_compliance` of this axis; about an inclined axis it is not, because the compliance turns about the axis.
+`diagnose` gives the moment of the URDF's masses if the calibration has such a load. About a horizontal axis along x the droop is the
+same as `gravity_compliance` of this axis; about an inclined axis it is not, because the compliance turns about the axis.
 
 Positions finer than the axis's least increment cannot be commands. A reversal found with them may not exist: positions reported before
 the axis had settled depend on the approach direction too. Such a reversal has `read_back` among its `equivalent`; commanded
@@ -69,8 +69,8 @@ curves); `compensate`, `scene` and `info` use it. Errors of the instrument never
 few positions that do not predict held-out ones, nor pitch errors at evenly spaced positions, where another period fits equally well
 (`promised: false`).
 
-- Thermal effects need `--temperature X=23.1 bed=21`, a warm-up `--time S`, a carried load `--load KG`, constant over the program; if one is
-  missing, the program is refused with its name.
+- Thermal effects need `--temperature X=23.1 bed=21`, a warm-up `--time S`, a carried load `--load KG`; if one is missing, the program
+  is refused with its name.
 - Reversals need nothing: the approach direction of each axis follows from the program, and where an axis reverses, an extra move takes
   up the backlash; the account gives their number.
 
