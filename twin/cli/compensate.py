@@ -115,9 +115,7 @@ def compensate(
             outcomes_done, interrupted = _collect(every, strict)
         result = _summary(programs, outcomes_done, output, warning_texts(errors.warnings), interrupted=interrupted)
     elif scheduler is not None:
-        raise InputError(
-            "--scheduler needs several programs", expected="several, and -o with a folder", value=scheduler
-        )
+        raise InputError("--scheduler needs several programs", expected="several and a folder", value=scheduler)
     else:
         result = _compensate_one(programs[0], output, Compensator(loaded, errors, settings), strict=strict)
     if report_file is not None:
