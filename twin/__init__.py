@@ -2,7 +2,7 @@
 
 `import twin` gives every name that notebooks and scripts need; each is imported when it is first used (PEP 562):
 
-- machine and model: `Machine`, `Calibration`, `Curve`, `Conditions`, `effect_named`, `Kinematics`, `Inverse`;
+- machine and model: `Machine`, `Calibration`, `Curve`, `Conditions`, `MachineLog`, `effect_named`, `Kinematics`, `Inverse`;
 - measurements: `Measurements`, `convert`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`, `duration`,
   `measuring_sequence`, `InstrumentSizes`, `thesis_plan`;
 - identification: `identify`, `ToolUncertainty`, `compare`, `draw_machines`, `identify_as_thesis`;
@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin._common.errors import InputError
+    from twin._common.machine_log import MachineLog
     from twin.comparison import compare
     from twin.compensation import Compensator, Options, compensate, compensate_file
     from twin.compensation.execute import execute_file
@@ -75,6 +76,7 @@ __all__ = [
     "Kinematics",
     "Kit",
     "Machine",
+    "MachineLog",
     "Measurements",
     "Options",
     "Placement",
@@ -141,6 +143,7 @@ _HOMES = {
     "Kinematics": ("twin.kinematics.forward", "Kinematics"),
     "Kit": ("twin.planning", "Kit"),
     "Machine": ("twin.machine.machine", "Machine"),
+    "MachineLog": ("twin._common.machine_log", "MachineLog"),
     "Measurements": ("twin.measurement.table", "Measurements"),
     "Options": ("twin.compensation", "Options"),
     "Placement": ("twin.measurement.simulate", "Placement"),

@@ -597,3 +597,28 @@ def test_growth_with_the_spindle_speed(dmu50: Machine, tmp_path: Path) -> None:
     truth = WornMachine(path, reversal={}, shift_um=(0.0, 0.0, 25.0 * (8.0 / 12.0) ** 1.5 * (1.0 - np.exp(-6.0))))
     assert truth.off(result.nominal, result.nominal).min() > 7.0
     assert truth.off(result.commands, result.nominal).max() <= ROUNDING_UM
+
+
+def test_a_load_in_the_spindle(dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Z gives way by 0.1 µm/N under its own 240 kg (URDF) and 20 kg in the spindle; without the load nothing is written."""
+    path, program = tmp_path / "loaded.yaml", tmp_path / "program.nc"
+    program.write_text(PROGRAM)
+    carried = "{effect: carried_load, where: tool, parameters: {centre_x_mm: 0, centre_y_mm: 0, centre_z_mm: -80}}"
+    gives_way = "{effect: gravity_compliance, where: Z, parameters: {compliance: 0.1}}"
+    path.write_text(f"{HEAD}curves: {{}}\neffects:\n- {carried}\n- {gives_way}\n")
+    words = ["compensate", str(program), "-o", str(tmp_path / "out.nc"), "--calibration", str(path), "--tool-length"]
+    status, _, message = run_cli(capsys, *words, "120")
+    assert status == 2
+    assert "gravity_compliance:Z needs load_kg" in message and "--load" in message
+    assert not (tmp_path / "out.nc").exists()
+    with pytest.raises(InputError, match="load must be zero or positive"):
+        done(PROGRAM, dmu50, path, conditions=Conditions(load_kg=-1.0))
+    result = done(PROGRAM, dmu50, path, conditions=Conditions(load_kg=20.0))
+    assert "load 20 kg, over the whole program" in result.report.to_text()
+    truth = WornMachine(path, reversal={}, shift_um=(0.0, 0.0, -0.1 * (240.0 + 20.0) * 9.81))
+    assert truth.off(result.nominal, result.nominal).min() > 15.0
+    assert truth.off(result.commands, result.nominal).max() <= ROUNDING_UM
+    assert run_cli(capsys, *words, "120", "--load", "20")[0] == 0
+    assert (tmp_path / "out.nc").read_bytes() == compensate(
+        program, dmu50, Calibration.load(path, dmu50), options=Options(tool_length_mm=120.0), load_kg=20.0
+    ).text.encode()

@@ -41,7 +41,7 @@ SHIFT = {"shift_x": 9.0, "shift_y": -7.0, "shift_z": 4.0, "turn_x": 0.0, "turn_y
 EFFECTS = """reversal pitch_error squareness axis_location angular_error_motion straightness positioning harmonic thermal_expansion
 thermal_growth thermal_drift cross_axis table_load frame_shift gravity_compliance zero_offset read_back refraction_scale affine_scale
 station_drift reversal_curve time_skew target_shift following_error error_motion misplaced
-thermal_lag thermal_tilt scale_growth payload reversal_spike""".split()
+thermal_lag thermal_tilt scale_growth payload carried_load reversal_spike""".split()
 HEADINGS = [
     "Expected residuals",
     "Residuals",

@@ -6,8 +6,10 @@ The truth is a chain of plain matrices; the torques are differences of its poten
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -43,9 +45,9 @@ COMPLIANCE = {"J2": 26.0, "J3": 75.0, "J5": 140.0}
 
 @dataclass(frozen=True)
 class Carried:
-    """A mass at the flange."""
+    """A mass at the flange, one or one for each pose."""
 
-    mass_kg: float
+    mass_kg: float | np.ndarray
     centre_mm: tuple[float, float, float]
 
 
@@ -124,8 +126,14 @@ def write_arm(folder: Path, masses: bool = True) -> Path:
     return path
 
 
-def table(path: Path, q: np.ndarray, at_flange: tuple[np.ndarray, np.ndarray], rng: np.random.Generator) -> Path:
-    """Return the table of a tracker's readings of the reflectors, from commands (n, 6) and pose of the last link."""
+def table(
+    path: Path,
+    q: np.ndarray,
+    at_flange: tuple[np.ndarray, np.ndarray],
+    rng: np.random.Generator,
+    further: Mapping[str, np.ndarray] = MappingProxyType({}),
+) -> Path:
+    """Return the table of a tracker's readings of the reflectors, from commands (n, 6), pose of the last link, further columns (n,)."""
     turn, place = at_flange
     rows: list[dict[str, object]] = []
     for name, at in REFLECTORS_MM.items():
@@ -135,6 +143,7 @@ def table(path: Path, q: np.ndarray, at_flange: tuple[np.ndarray, np.ndarray], r
         rows += [
             {f"J{i + 1}_deg": q[k, i] for i in range(6)}
             | {"target": name, "carrier": "tool"}
+            | {column: values[k] for column, values in further.items()}
             | {f"{c}_mm": points[k, i] for i, c in enumerate("xyz")}
             | {f"u_{c}_mm": SIGMA_MM for c in "xyz"}
             for k in range(len(q))

@@ -50,6 +50,7 @@ class Plan:
     warm: dict[str, np.ndarray]
     readback: np.ndarray | None = None
     spindle_rpm: np.ndarray | None = None
+    load_kg: np.ndarray | None = None
 
     def at(self, axis: str) -> np.ndarray:
         return self.q[:, AXES.index(axis)]
@@ -218,9 +219,14 @@ def points(
             own = of.at(name[3]) * 1e-3 if name[2] in "XYZ" else 1.0
             _component(error, name)[:] += _size(name) * v["coefficient"] * own * of.at(by) * 1e-3
         elif h.effect == "table_load":
-            error["B"][:, 3] += v["tilt"] * 1e-6 * np.sin(np.radians(of.at("B")))
+            moment = 1.0 if "load_z" not in v else 1.0 + _quarter(of, v)
+            error["B"][:, 3] += v["tilt"] * moment * 1e-6 * np.sin(np.radians(of.at("B")))
         elif h.effect == "gravity_compliance":
-            _along(error, axis, v["compliance"] * _load(of, axis))
+            _along(
+                error,
+                axis,
+                v["compliance"] * (_load(of, axis) + (_carried_load(of, axis, v) if "load_z" in v else 0.0)),
+            )
         elif h.effect == "zero_offset":
             _along(error, axis, v["offset"])
         elif h.effect == "following_error":
@@ -373,6 +379,8 @@ def write(path: Path, of: Plan, read: np.ndarray, *, u_mm: float | None, without
     }
     if of.spindle_rpm is not None:
         columns["spindle_rpm"] = of.spindle_rpm
+    if of.load_kg is not None:
+        columns["load_kg"] = of.load_kg
     columns |= {f"approach_{a}": of.approach[:, i].astype(int) for i, a in enumerate(AXES)}
     columns |= {f"T_{name}_degC": np.round(values, 3) for name, values in of.warm.items()}
     columns |= {f"{c}_mm": read[:, i] for i, c in enumerate("xyz")}
@@ -466,6 +474,8 @@ def _carried(of: Plan, error: dict[str, np.ndarray], place: np.ndarray) -> np.nd
 
 def _load(of: Plan, axis: str) -> np.ndarray:
     """Return the torque of gravity, N·m, about B along its command: that of everything on the cradle, about its own axis."""
+    if axis == "Z":
+        return np.zeros(len(of.q))
     if axis != "B":
         raise ValueError(
             "only B turns a weight on this machine: C stands on its own axis, X and Y are level, Z's load is constant"
@@ -481,3 +491,27 @@ def _load(of: Plan, axis: str) -> np.ndarray:
         arm = np.einsum("nij,j->ni", tilt @ spin, local)
         total += mass * np.cross(arm, down) @ (_rx(1, np.pi / 4)[0] @ [0.0, 0.0, 1.0])
     return total
+
+
+def _carried_load(of: Plan, axis: str, centre: Mapping[str, float]) -> np.ndarray:
+    """Return the torque, N·m, about B by the load of each row at ``load_x``, ``load_y``, ``load_z`` mm of the work frame.
+
+    For Z, the force, N, by the load in the spindle.
+    """
+    if axis == "Z":
+        return -G * of.load_kg
+    place = np.tile([centre.get("load_x", 0.0), centre.get("load_y", 0.0), centre["load_z"]], (len(of.q), 1))
+    step, total = 1e-3, []
+    for way in (1.0, -1.0):
+        q = of.q.copy()
+        q[:, AXES.index("B")] += way * np.degrees(step)
+        none = {name: np.zeros((len(q), 6)) for name in ("X", "Y", "Z", "B", "C", "L_B", "L_C")}
+        work = replace(of, q=q, target=np.array(["T"] * len(q)))
+        total.append(1e-3 * G * of.load_kg * _carried(work, none, place)[:, 2])
+    return -(total[0] - total[1]) / (2.0 * step)
+
+
+def _quarter(of: Plan, centre: Mapping[str, float]) -> np.ndarray:
+    """Return the ratio of the load's torque to that of the cradle with B at 90° and C at zero."""
+    at = replace(of, q=np.tile([0.0, 0.0, 0.0, 90.0, 0.0], (len(of.q), 1)))
+    return _carried_load(at, "B", centre) / _load(at, "B")

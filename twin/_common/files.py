@@ -53,8 +53,9 @@ Function 0 is the constant 1. One or two columns: axes, directions of approach, 
 
 **Measurements** (`*.csv`): one row per measured point: `X_mm … C_deg` commanded, `target`, `carrier` (`tool` or `work`), `x_mm,
 y_mm, z_mm` in the station's frame (an empty field was not measured; an interferometer's length goes into `x_mm`), and optionally
-`station`, `round`, `time_s`, `approach_<axis>`, `readback_<axis>_…`, `T_<axis or sensor>_degC`, `u_x_mm …`. `Measurements.load`
-lists every row that it excludes, with the reason. A plan is the same table without the coordinates. A comment that begins with
+`station`, `round`, `time_s`, `approach_<axis>`, `readback_<axis>_…`, `T_<axis or sensor>_degC`, `spindle_rpm`, `load_kg` (the mass
+that the spindle, the gripper or the table carries in this row, 0 if nothing), `u_x_mm …`. `Measurements.load` lists
+every row that it excludes, with the reason. A plan is the same table without the coordinates. A comment that begins with
 `simulated` marks simulated readings; `twin simulate` writes it. A comment such as `measured 2026-03-02 08:10` gives the date (`twin
 watch`). Further optional columns: `place_x_mm, place_y_mm, place_z_mm`, the target's known place on its carrier (tool: frame of the
 spindle nose; work: work frame), and `station_x_mm … station_z_mm, station_a_deg … station_c_deg`, the station's known origin and

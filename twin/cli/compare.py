@@ -42,6 +42,7 @@ def compare(
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     rpm: options.RpmOption = None,
+    load: options.LoadOption = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Compare two calibrations of a machine: changes, their significance, and their effect at the tool.
@@ -56,7 +57,7 @@ def compare(
             older,
             newer,
             tool_length_mm=tool_length,
-            conditions=options.conditions(temperature, time, rpm),
+            conditions=options.conditions(temperature, time, rpm, load),
             tolerance_mm=tolerance,
             progress=bar,
         )

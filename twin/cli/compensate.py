@@ -84,6 +84,7 @@ def compensate(
     time: options.TimeOption = None,
     rpm: options.RpmOption = None,
     log: options.LogOption = None,
+    load: options.LoadOption = None,
     workers: options.WorkersOption = None,
     scheduler: options.SchedulerOption = None,
     strict: options.StrictOption = False,
@@ -93,9 +94,9 @@ def compensate(
 ) -> CommandResult:
     """Rewrite NC programs so that the machine with its errors produces the programmed path.
 
-    An extended calibration may need temperatures (--temperature X=23.1 bed=21), a time (--time), a speed. They apply to the whole
-    program, or are read from a log of the machine (--log). The speed of every block is that of the program's S words unless --rpm gives
-    one. Backlash needs none.
+    An extended calibration may need temperatures (--temperature X=23.1 bed=21), a time (--time), speed, a load (--load). They hold for
+    the whole program, or are read from a log of the machine (--log). The speed of every block is that of the program's S words unless
+    --rpm gives one. Backlash needs none.
 
     Several programs are written to a folder under their own names, each with its report (.report.txt, .report.json); --json and
     --report then hold a summary. A program that cannot be compensated does not stop the others. The exit status is the worst of all:
@@ -110,7 +111,7 @@ def compensate(
         tolerance_mm=tolerance,
         rotary_limit_deg=rotary_limit,
         method=method.value,
-        conditions=options.conditions(temperature, time, rpm, log, by_block=True),
+        conditions=options.conditions(temperature, time, rpm, load, log, by_block=True),
     )
     errors = options.calibration_of(calibration, loaded)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)

@@ -14,6 +14,7 @@ from twin.cli.shared.command import JsonOption, Output, command, progress_bar
 from twin.cli.shared.installation import NOT_ALL_MET
 from twin.cli.shared.options import (
     CalibrationOption,
+    LoadOption,
     MachineOption,
     RpmOption,
     ScopeOption,
@@ -91,6 +92,7 @@ def control(
     temperature: TemperatureOption = None,
     time: TimeOption = None,
     rpm: RpmOption = None,
+    load: LoadOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Write compensation tables for the machine's control from a calibration, or check existing ones.
@@ -101,7 +103,7 @@ def control(
     """
     loaded = Machine.load(machine)
     errors = calibration_of(calibration, loaded)
-    around = conditions(temperature, time, rpm)
+    around = conditions(temperature, time, rpm, load)
     around.check(errors)
     fixed = _positions(at)
     if read:

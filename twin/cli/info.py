@@ -51,6 +51,7 @@ def info(
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     rpm: options.RpmOption = None,
+    load: options.LoadOption = None,
     datum: Annotated[
         DatumChoice | None,
         typer.Option("--datum", help="Datum to which the calibration is converted first (twin doc datum)."),
@@ -66,7 +67,7 @@ def info(
         raise InputError("--output needs --datum", expected="--datum with --output", file=output)
     given = options.calibration_of(calibration, loaded)
     errors = given if datum is None else given.in_datum(datum.value)
-    at = options.conditions(temperature, time, rpm)
+    at = options.conditions(temperature, time, rpm, load)
     at.check(errors)
     known, missing = without_missing_channels(at, errors)
     kinematics = Kinematics(loaded, known, tool_length_mm=tool_length, conditions=at)

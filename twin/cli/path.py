@@ -57,13 +57,13 @@ def path(
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     rpm: options.RpmOption = None,
+    load: options.LoadOption = None,
     strict: options.StrictOption = False,
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Reduce the number of blocks of a program: fit curves to runs of short blocks and split them again within a tolerance.
 
-    The tolerance applies to the path executed by the machine with its errors. Corners are kept; blocks outside such runs are copied
-    unchanged.
+    The tolerance applies to the path executed by the machine with its errors. Corners and blocks outside such runs are kept.
     """
     loaded = Machine.load(machine)
     found = source if is_points(source) else find_program(source)
@@ -74,7 +74,7 @@ def path(
         scope=None if scope is None else Scope.parse(scope),
         tolerance_mm=tolerance,
         rotary_limit_deg=rotary_limit,
-        conditions=options.conditions(temperature, time, rpm),
+        conditions=options.conditions(temperature, time, rpm, load),
     )
     errors = options.calibration_of(calibration, loaded)
     with progress_bar() as bar:

@@ -37,6 +37,7 @@ def report(
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     rpm: options.RpmOption = None,
+    load: options.LoadOption = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Random seed of the Monte Carlo draws.")] = 0,
     json_file: JsonOption = None,
 ) -> CommandResult:
@@ -44,7 +45,7 @@ def report(
     options.need_pictures("the report")
     loaded = Machine.load(machine)
     errors = options.calibration_of(calibration, loaded)
-    at = options.conditions(temperature, time, rpm)
+    at = options.conditions(temperature, time, rpm, load)
     with progress_bar() as bar:
         bar("reading", 0.0)
         found = machine_report(

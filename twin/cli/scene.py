@@ -41,6 +41,7 @@ def scene(
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     rpm: options.RpmOption = None,
+    load: options.LoadOption = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Animate the machine running a program, with programmed and actual tool path, in one self-contained HTML file."""
@@ -49,7 +50,7 @@ def scene(
     loaded = Machine.load(machine)
     source = find_program(program)
     errors = options.calibration_of(calibration, loaded)
-    at = options.conditions(temperature, time, rpm)
+    at = options.conditions(temperature, time, rpm, load)
     with progress_bar() as bar:
         drawn = draw_program(
             source,

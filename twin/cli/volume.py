@@ -40,6 +40,7 @@ def volume(
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     rpm: options.RpmOption = None,
+    load: options.LoadOption = None,
     workers: options.WorkersOption = None,
     scheduler: options.SchedulerOption = None,
     tls_ca: options.TlsCaOption = None,
@@ -53,7 +54,7 @@ def volume(
     """
     loaded = Machine.load(machine)
     errors = options.calibration_of(calibration, loaded)
-    at = options.conditions(temperature, time, rpm)
+    at = options.conditions(temperature, time, rpm, load)
     kinematics = Kinematics(loaded, errors, tool_length_mm=tool_length, conditions=at)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)
     began = monotonic()

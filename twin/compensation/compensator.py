@@ -16,7 +16,6 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.files import atomic_file, tracked_files
-from twin._common.machine_log import MachineLog
 from twin._common.progress import Progress, silent
 from twin.compensation.account import CompensationAccount, Report
 from twin.compensation.block_conditions import block_conditions
@@ -216,7 +215,7 @@ def compensate(
     temperature: Mapping[str, float] | None = None,
     time_s: float | None = None,
     spindle_rpm: float | None = None,
-    log: str | Path | None = None,
+    load_kg: float | None = None,
 ) -> Compensation:
     """Compensate the program of a file, or a sample program of twin, and return it with its report.
 
@@ -224,13 +223,12 @@ def compensate(
         program: its path.
         machine: the machine it runs on.
         calibration: the machine's errors; the machine file's own if None.
-        options: the options; defaults if None.
+        options: the options; defaults if None. Their `Conditions` may have a log of the machine (`twin.MachineLog`).
         temperature: °C by axis (of its scale) or sensor over the whole program; replaces those of the options.
         time_s: time within a warm-up, in the measured table's ``time_s``; replaces that of the options.
         spindle_rpm: spindle speed, constant since the start, 1/min; replaces that of the options. Without it the speeds are those of
             the log, or of the program's S words.
-        log: CSV file with ``time_s``, ``T_<sensor>_degC`` and ``spindle_rpm`` before and during the program, which begins at ``time_s``
-            (`twin.compensation.block_conditions`); replaces that of the options.
+        load_kg: mass carried, kg; replaces that of the options.
 
     Raises:
         InputError: as for `Compensator` and its `compensate`; the program cannot be read.
@@ -243,7 +241,7 @@ def compensate(
         temperature_degC=base.temperature_degC if temperature is None else temperature,
         time_s=base.time_s if time_s is None else time_s,
         spindle_rpm=base.spindle_rpm if spindle_rpm is None else spindle_rpm,
-        log=base.log if log is None else MachineLog.load(log),
+        load_kg=base.load_kg if load_kg is None else load_kg,
         speed_of_program=True,
     )
     errors = Calibration.default(machine) if calibration is None else calibration

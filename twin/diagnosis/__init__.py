@@ -9,7 +9,7 @@ causes explains them.
 
 **Causes.** Every effect of a catalogue is tested wherever the machine can have it: reversal, constant or along the travel; pitch
 errors; squareness; axis locations; curves of the linear axes; harmonics of the rotary axes; thermal expansion, growth and drift; an
-error of one axis that grows with another; droop of the cradle; compliance under gravity and under a payload. So are errors of the
+error of one axis that grows with another; droop of the cradle; compliance under gravity, payload and carried load. So are errors of the
 instrument: a re-aligned frame, a drifting station, a bumped target, the refractive index, scales and shears of one of several stations
 or rounds, positions reported before an axis had settled, readings taken later than the positions (column `feed_mm_min`, or rows read in
 motion). So are errors of the calibration: a polynomial fitted without its constant, terms that the machine does not have, a wrong
@@ -30,6 +30,20 @@ side, mass and centre of gravity in the tool's or the work's frame, the same for
 `gravity_compliance` in the file, whose uncertainties there hold for exactly this payload. If the machine's own weight has no effect
 on the readings, as if the control corrected it, only the products of compliance and mass are known: the mass is then at its bound, the
 compliances are lower limits (`bounded`), and the evidence gives the products.
+
+A load that is known for each reading stands in the column `load_kg`. If it differs between readings, joints are also tested with it in
+their load. A `carried_load` on the tool or the work side is named if the readings show it, with the coordinates of its centre of
+gravity that they determine. If compliances are known from a calibration without it, readings under one load are enough: `mass_ratio` is
+then the mass that acts per kg of `load_kg`. It is 1 if that mass, the masses of the URDF and the compliances are right. Without known
+compliances, a load that is the same in all readings cannot be separated from a payload and is found as one, with a free mass. In a
+calibration it is `{effect: carried_load, where: tool, parameters: {centre_x_mm: 35, centre_y_mm: -20, centre_z_mm: 60}}`, with
+`mass_ratio` if it is not 1; there is one at most. A carried load has no covariance in the file: the uncertainties there hold for
+exactly this load and place.
+
+The droop of a cradle (`table_load`) has a constant `tilt`. With a `moment` in its parameters, the torque of gravity about the axis at
++90° in N·m at which the tilt was found, it grows with the torque of payload and carried load on the work side: tilt·(1 + load/moment).
+`diagnose` gives the moment of the URDF's masses if the calibration has such a load. About a horizontal axis along x the droop is the
+same as `gravity_compliance` of this axis; about an inclined axis it is not, because the compliance turns about the axis.
 
 Positions finer than the axis's least increment cannot be commands. A reversal found with them may not exist: positions reported before
 the axis had settled depend on the approach direction too. Such a reversal has `read_back` among its `equivalent`; commanded
@@ -55,7 +69,8 @@ curves); `compensate`, `scene` and `info` use it. Errors of the instrument never
 few positions that do not predict held-out ones, nor pitch errors at evenly spaced positions, where another period fits equally well
 (`promised: false`).
 
-- Thermal effects need `--temperature X=23.1 bed=21`, a warm-up `--time S`; if one is missing, the program is refused with its name.
+- Thermal effects need `--temperature X=23.1 bed=21`, a warm-up `--time S`, a carried load `--load KG`; if one is missing, the program
+  is refused with its name.
 - Reversals need nothing: the approach direction of each axis follows from the program, and where an axis reverses, an extra move takes
   up the backlash; the account gives their number.
 

@@ -40,8 +40,9 @@ from twin.machine.effects import (
     split_name,
 )
 from twin.machine.effects.empirical import channel_name, check_ranges
-from twin.machine.effects.entries import entry_of, payload_entries
+from twin.machine.effects.entries import entry_of, payload_entries, payloads_on
 from twin.machine.effects.gravity_compliance import AddedLoad, carrying
+from twin.machine.effects.table_load import with_payloads
 from twin.machine.empirical_entry import entry_of_empirical
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve, conversion_of, sum_of_curves
@@ -332,6 +333,7 @@ class Calibration:
             extra = carrying(self.machine, extra, len(self.extra), load)
             masses = {parameter.name for parameter in load.parameters}
             found = found.where(lambda name, masses=masses: name not in masses)  # type: ignore[misc]
+        extra = with_payloads(self.machine, extra, payloads_on(extra))
         for name in [name for name in motions if name in self.curves]:
             before, basis, count = self.curves[name], curves[name].family, len(curves[name].coefficients)
             widest = max(motions[name], key=lambda motion: len(motion.coefficients))

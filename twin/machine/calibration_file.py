@@ -11,7 +11,8 @@ from twin._common.errors import InputError
 from twin.machine.control import BasicClass
 from twin.machine.effects import Effect, GravityCompliance, Payload
 from twin.machine.effects.entries import effect_named, payload_named
-from twin.machine.effects.gravity_compliance import PAYLOAD
+from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD
+from twin.machine.effects.table_load import TableLoad
 from twin.machine.empirical_entry import NAME as EMPIRICAL
 from twin.machine.empirical_entry import ColumnSpec, empirical_named
 from twin.machine.machine import Machine
@@ -107,25 +108,32 @@ def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[
         fail: place in the file, what is wrong, what was expected, value and nearest valid name → the error.
 
     Raises:
-        InputError: the machine cannot have an effect, or a payload loads no compliant joint.
+        InputError: the machine cannot have an effect, a payload or carried load acts on no compliant joint, a side has more than one
+            payload, or there is more than one carried load.
     """
+    masses = {one.name: one for one in (PAYLOAD, CARRIED_LOAD)}
     payloads: dict[int, Payload] = {}
     found: list[Effect] = []
     # Payloads first, because they load every compliant joint.
-    for index, entry in sorted(enumerate(entries), key=lambda item: (item[1].effect != PAYLOAD.name, item[0])):
+    for index, entry in sorted(enumerate(entries), key=lambda item: (item[1].effect not in masses, item[0])):
         try:
-            if entry.effect == PAYLOAD.name:
-                payloads[index] = payload_named(entry.where, entry.parameters, machine)
+            if entry.effect in masses:
+                payloads[index] = payload_named(masses[entry.effect], entry.where, entry.parameters, machine)
             else:
                 found.append(_effect(entry, machine, list(payloads.values())))
         except InputError as error:
             raise fail(("effects", index), error.what, str(error.expected), error.value, error.nearest) from None
     last = max(payloads, default=0)
-    if payloads and not any(isinstance(effect, GravityCompliance) for effect in found):
-        expected = "a gravity_compliance of a joint that it loads"
-        raise fail(("effects", last), "a payload that loads no joint", expected, "none in the file")
-    if len({payload.side for payload in payloads.values()}) < len(payloads):
-        raise fail(("effects", last), "more than one payload on a side", "one", len(payloads))
+    if payloads and not any(
+        isinstance(effect, GravityCompliance) or (isinstance(effect, TableLoad) and effect.payloads) for effect in found
+    ):
+        expected = "a gravity_compliance of a joint that it loads, or a table_load with a moment"
+        raise fail(("effects", last), f"a {entries[last].effect} that loads no joint", expected, "none in the file")
+    constant = [payload.side for payload in payloads.values() if not payload.carried]
+    if len(set(constant)) < len(constant):
+        raise fail(("effects", last), "more than one payload on a side", "one", len(constant))
+    if len(payloads) - len(constant) > 1:
+        raise fail(("effects", last), f"more than one {CARRIED_LOAD.name}", "one", len(payloads) - len(constant))
     return tuple(found)
 
 

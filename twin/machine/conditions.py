@@ -1,6 +1,7 @@
-"""Inputs of the error model besides the positions: temperatures, time, spindle speed, and the direction of approach of every axis.
+"""Inputs of the error model besides the positions.
 
-All but the last are given for a whole program, or by a log of the machine and the program's own words for every block
+They are temperatures, time, spindle speed, carried load, and the direction of approach of every axis. All but the last are given for a
+whole program, or temperatures and speed by a log of the machine and the program's own words for every block
 (`twin.compensation.block_conditions`); the direction of approach follows from the program (`twin.compensation.backlash`).
 """
 
@@ -17,15 +18,18 @@ from twin._common.errors import InputError, closest_name
 from twin._common.machine_log import MachineLog
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
+from twin.machine.effects.payload import HEAVIEST_KG, LOAD
 from twin.machine.machine import Machine
 
 TIME: Final = "time_s"
 SPEED: Final = "spindle_rpm"
-WORDS: Final = MappingProxyType({TIME: "the time", SPEED: "the spindle speed"})
+WORDS: Final = MappingProxyType({TIME: "the time", SPEED: "the spindle speed", LOAD: "the load"})
 """Channels that are given by a single value, in words."""
-UNITS: Final = MappingProxyType({TIME: "time {:g} s of the measured table", SPEED: "spindle {:g} 1/min"})
+UNITS: Final = MappingProxyType(
+    {TIME: "time {:g} s of the measured table", SPEED: "spindle {:g} 1/min", LOAD: "load {:g} kg"}
+)
 """The same with their value."""
-SETTINGS: Final = MappingProxyType({TIME: "time", SPEED: "rpm"})
+SETTINGS: Final = MappingProxyType({TIME: "time", SPEED: "rpm", LOAD: "load"})
 """Names of the settings that give them."""
 APPROACH: Final = "approach_"
 PLAUSIBLE_DEGC: Final = (-40.0, 120.0)
@@ -47,6 +51,7 @@ class Conditions:
         time_s: time on the clock of the measured table's ``time_s``, which for a warm-up starts with the machine; None if not given.
             With a log, or with speeds of the program, it is that of the beginning of the program.
         spindle_rpm: spindle speed, 1/min, constant since time zero; None if not given.
+        load_kg: mass carried in the spindle or gripper, or on the table; None if not given.
         log: temperatures and speeds of the machine over time; None if not given.
         speed_of_program: whether the program's own words give the spindle speed where nothing else does.
     """
@@ -54,6 +59,7 @@ class Conditions:
     temperature_degC: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     time_s: float | None = None
     spindle_rpm: float | None = None
+    load_kg: float | None = None
     log: MachineLog | None = None
     speed_of_program: bool = False
 
@@ -61,7 +67,7 @@ class Conditions:
     def channels(self) -> dict[str, float]:
         """Values by the channel names that effects use."""
         found = {temperature_channel(name): float(value) for name, value in self.temperature_degC.items()}
-        held = {TIME: self.time_s, SPEED: self.spindle_rpm}
+        held = {TIME: self.time_s, SPEED: self.spindle_rpm, LOAD: self.load_kg}
         return found | {name: float(value) for name, value in held.items() if value is not None}
 
     def by_block(self, calibration: Calibration) -> bool:
@@ -104,6 +110,8 @@ class Conditions:
             raise InputError(
                 "spindle speed must be zero or positive", expected="1/min, 0 or more", value=self.spindle_rpm
             )
+        if self.load_kg is not None and not 0.0 <= self.load_kg <= HEAVIEST_KG:
+            raise InputError("load must be zero or positive", expected=f"kg, 0 to {HEAVIEST_KG:g}", value=self.load_kg)
 
     def missing(self, calibration: Calibration) -> dict[str, tuple[str, ...]]:
         """Return the channels, other than directions of approach, that a calibration needs and that are not given, with the effects."""

@@ -20,6 +20,7 @@ from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError, closest_name
 from twin._common.files import write_atomic
 from twin.display import Cell, card, count_with_noun, note, pairs, spans
+from twin.machine.effects.payload import LOAD
 from twin.machine.machine import Machine
 from twin.measurement.bar_length import length_comment, stated_length_mm, with_length
 from twin.measurement.checks import (
@@ -180,6 +181,8 @@ class Measurements:
             *(f"{PLANNED}{name}" for name in places),
         }
         channels = {name: reader.numbers(name) for name in header if name not in known and CHANNEL.fullmatch(name)}
+        if LOAD in channels:
+            reader.refuse(channels[LOAD] < 0.0, channels[LOAD], LOAD, "the mass that is carried, 0 kg or above")
         unknown_columns = [name for name in header if name not in known and name not in channels]
         values, notices = _fields(reader, parts, comments)
         if plan:

@@ -99,6 +99,12 @@ LogOption = Annotated[
         "--time; every block is compensated for its own temperatures and speed.",
     ),
 ]
+LoadOption = Annotated[
+    float | None,
+    typer.Option(
+        "--load", help="Mass carried in the spindle or gripper, or on the table, kg, for compliances under it."
+    ),
+]
 ScopeOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -222,16 +228,18 @@ def conditions(
     temperatures: list[str] | None,
     time_s: float | None,
     rpm: float | None,
+    load_kg: float | None,
     log: Path | None = None,
     *,
     by_block: bool = False,
 ) -> Conditions:
-    """Return the temperatures, the time and the spindle speed of a program.
+    """Return the temperatures, the time, the spindle speed and the carried load of a program.
 
     Args:
         temperatures: words ``NAME=°C``.
         time_s: time, s.
         rpm: spindle speed, 1/min.
+        load_kg: carried load, kg.
         log: record of the machine.
         by_block: whether the program's own speed words apply where no speed is given.
 
@@ -240,7 +248,8 @@ def conditions(
     """
     words = pairs("--temperature", temperatures, "axis or sensor and °C: X=23.1")
     found = {name: number("--temperature", text, entry) for name, text, entry in words}
-    return Conditions(found, time_s, rpm, None if log is None else MachineLog.load(log), speed_of_program=by_block)
+    record = None if log is None else MachineLog.load(log)
+    return Conditions(found, time_s, rpm, load_kg, record, speed_of_program=by_block)
 
 
 def workers(

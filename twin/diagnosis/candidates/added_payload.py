@@ -1,4 +1,4 @@
-"""Candidates: a load that is missing from the machine description, on a side whose joints have a known compliance.
+"""Candidates: a load that is missing from the machine description, or is known for each reading, where joints have a known compliance.
 
 With known compliances the deflection is linear in the mass and its first moments (Khalil and Dombre 2002, Modeling, Identification and
 Control of Robots, ch. 12). Compliances that are not known are estimated together with the load (`twin.diagnosis.selection.payload`).
@@ -6,16 +6,16 @@ Control of Robots, ch. 12). Compliances that are not known are estimated togethe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Variant
+from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Missing, Variant
 from twin.diagnosis.candidates.signatures import Column, component_column, first_component
-from twin.machine.effects.base import along
-from twin.machine.effects.gravity_compliance import PAYLOAD, AddedLoad, GravityCompliance, loads_of
-from twin.machine.effects.payload import NUMBERS, SIDES, Side, side_of
+from twin.machine.effects.base import along, channel
+from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, AddedLoad, GravityCompliance, loads_of
+from twin.machine.effects.payload import LOAD, LOAD_NUMBERS, NUMBERS, SIDES, Side, is_carrying, side_of
 from twin.numerics.functions import tabulated
 
 LOADS: Final = 4
@@ -23,38 +23,70 @@ LOADS: Final = 4
 
 
 def added_payloads(inputs: CandidateInputs) -> Catalogue:
-    """Return a candidate for each side on which the calibration has compliances."""
+    """Return the candidates for each side on which the calibration has compliances: a payload, and the load that the readings carry.
+
+    If all readings carry the same load, it is confounded with a payload: it is tested where compliances are known without it, else the
+    payload is.
+    """
     compliant = [one for one in inputs.calibration.extra if isinstance(one, GravityCompliance)]
     every = {side: [one for one in compliant if side_of(one.axis) == side] for side in SIDES}
-    return Catalogue(tuple(_candidate(inputs, side, own) for side, own in every.items() if own))
+    sides = [side for side in SIDES if every[side]]
+    known = {payload.side for one in compliant for payload in one.payloads if payload.carried}
+    found: list[Candidate] = []
+    missing: list[Missing] = []
+    carrying = is_carrying(inputs.state)
+    varied = carrying and bool(np.ptp(inputs.state[LOAD]) > 0.0)
+    if carrying and not varied and not sides:
+        own = dict.fromkeys(side_of(axis) for axis in inputs.machine.axes)
+        missing += [(CARRIED_LOAD.name, side, f"readings at different {LOAD}") for side in own]
+    for side in sides:
+        if not carrying or varied:
+            found.append(_candidate(inputs, side, every[side], carried=False))
+        else:
+            missing.append((PAYLOAD.name, side, f"readings at different {LOAD}"))
+        if carrying and side in (known or sides):
+            found.append(_candidate(inputs, side, every[side], carried=True))
+        elif not carrying:
+            missing.append((CARRIED_LOAD.name, side, LOAD))
+    return Catalogue(tuple(found), tuple(missing))
 
 
-def _candidate(inputs: CandidateInputs, side: Side, compliant: Sequence[GravityCompliance]) -> Candidate:
+def _candidate(
+    inputs: CandidateInputs, side: Side, compliant: Sequence[GravityCompliance], *, carried: bool
+) -> Candidate:
     first = 1 + LOADS * SIDES.index(side)
     loads_at = loads_of(inputs.machine)
     measured = loads_at(inputs.state)
+    mass = np.asarray(inputs.state[LOAD], dtype=float)[:, None] if carried else 1.0
 
     def column(k: int) -> Column:
         parts = []
         for one in compliant:
             at = first_component(inputs.machine, one.axis.name, "motion")
-            functions = tabulated(np.asarray(measured[one.axis.name][first + k], dtype=float)[:, None])
+            functions = tabulated(mass * np.asarray(measured[one.axis.name][first + k], dtype=float)[:, None])
             parts += [(at + i, functions, 0, one.compliance * part) for i, part in along(one.axis, 1.0).items()]
         return component_column(parts)
 
-    def loads_along(axis: str) -> Any:
-        return lambda positions: loads_at(positions)[axis][first : first + LOADS]
+    def loads_along(axis: str) -> Callable[[Mapping[str, Any]], Sequence[Any]]:
+        def along_axis(positions: Mapping[str, Any]) -> Sequence[Any]:
+            units = loads_at(positions)[axis][first : first + LOADS]
+            if not carried:
+                return units
+            held = channel(positions, LOAD, f"{CARRIED_LOAD.name}:{side}")
+            return [held * unit for unit in units]
+
+        return along_axis
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[AddedLoad, ...]:
         weights = np.concatenate([values, np.zeros(LOADS - len(values))])
-        return tuple(AddedLoad(one, loads_along(one.axis.name), side, weights) for one in compliant)
+        return tuple(AddedLoad(one, loads_along(one.axis.name), side, weights, carried=carried) for one in compliant)
 
     columns = tuple(column(k) for k in range(LOADS))
-    units = ("kg", "mm", "mm", "mm")
+    units = ("1" if carried else "kg", "mm", "mm", "mm")
     return Candidate(
-        PAYLOAD,
+        CARRIED_LOAD if carried else PAYLOAD,
         side,
-        tuple(zip(NUMBERS, units, strict=True)),
+        tuple(zip(LOAD_NUMBERS if carried else NUMBERS, units, strict=True)),
         # The mass at the origin of the frame that carries it, or with its centre.
         (Variant(columns[:1]), Variant(columns)),
         2.0,
@@ -68,4 +100,4 @@ def _mass_and_centre(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values[:1], 1e3 * values[1:] / values[0]])
 
 
-SOURCE: Final = CandidateSource((PAYLOAD,), added_payloads)
+SOURCE: Final = CandidateSource((PAYLOAD, CARRIED_LOAD), added_payloads)

@@ -19,6 +19,7 @@ from twin.diagnosis.candidates.signatures import Column, component_column, first
 from twin.machine.effects import MACHINE_EFFECTS, GravityCompliance, Payload, Specification
 from twin.machine.effects.places import single_parameter_form
 from twin.machine.effects.specification import Forms
+from twin.machine.effects.table_load import TableLoad
 from twin.machine.machine import Machine
 
 TRIED: Final = tuple(
@@ -28,10 +29,12 @@ TRIED: Final = tuple(
 
 def machine_effects(inputs: CandidateInputs) -> Catalogue:
     """Return every machine effect, except curves, for which the data have the columns."""
-    compliances = [effect for effect in inputs.calibration.extra if isinstance(effect, GravityCompliance)]
-    payloads = (
-        tuple(dict.fromkeys(payload for effect in compliances for payload in effect.payloads)) if compliances else None
+    loaded = [effect for effect in inputs.calibration.extra if isinstance(effect, (GravityCompliance, TableLoad))]
+    payloads: tuple[Payload, ...] | None = tuple(
+        dict.fromkeys(payload for effect in loaded for payload in effect.payloads)
     )
+    if not payloads and not any(isinstance(effect, GravityCompliance) for effect in loaded):
+        payloads = None
     found: list[Candidate] = []
     missing: list[Missing] = []
     for specification in TRIED:

@@ -27,11 +27,11 @@ from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.forms import Candidates, Form, log_p_value
 from twin.diagnosis.problem.problem import unwhitened_um
 from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
-from twin.diagnosis.selection.payload import Load, axis_of_form, loaded_joints, weights
+from twin.diagnosis.selection.payload import CARRY, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Payload
-from twin.machine.effects.gravity_compliance import PAYLOAD, payloads_of
-from twin.machine.effects.payload import CENTRE_RANGE_MM, SIDES
+from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, payloads_of
+from twin.machine.effects.payload import CENTRE_RANGE_MM, LOAD, SIDES
 from twin.machine.effects.waves import APPROACH
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
@@ -39,6 +39,8 @@ from twin.measurement.table import Measurements
 
 AT_BOUND: Final = 0.99
 """Ratio of a parameter to its bound from which on it counts as bounded."""
+UNDETERMINED: Final = 0.9 / np.sqrt(CENTRE_PRIOR)
+"""Standard uncertainty of a coordinate, as a share of its bound, from which on the readings do not determine it: almost the prior's."""
 
 
 @final
@@ -297,65 +299,86 @@ def causes_with_payloads(
         )
         if load is None or not known:
             continue
-        (payload,) = known
-        shares = load.shares_of(payload)
+        own = {one.carried: one for one in known}
+        payload = own.get(False)
+        shares = load.shares_of(payload, own.get(True))
         at = [forms.index(form) for form in load.joints]
         more, variances = load.covariances(shares, np.array([causes[k].parameters[0].u for k in at]))
         _, compliances = load.explained_under(shares)
         for k, times, value in zip(at, more.tolist(), compliances.tolist(), strict=True):
-            causes[k] = _less_certain(causes[k], times, value * payload.mass_kg, at_bound=_heaviest(load, payload))
-        found.append(_load_cause(candidates, load, payload, variances))
+            causes[k] = _less_certain(causes[k], times, value, payload, load)
+        found += [_load_cause(candidates, load, one, shares, variances) for one in known]
     return causes, found
 
 
-def _heaviest(load: Load, payload: Payload) -> bool:
-    """Return whether the mass is at its bound."""
-    return payload.mass_kg > AT_BOUND * load.heaviest
+def _is_heaviest(load: Load, payload: Payload | None) -> bool:
+    """Return whether the mass of a payload is at its bound."""
+    return payload is not None and not payload.carried and payload.mass_kg > AT_BOUND * load.heaviest
 
 
-def _less_certain(cause: Cause, times: float, product: float, *, at_bound: bool) -> Cause:
-    """Return a compliance with the uncertainty of the payload included; at the bound of the mass it is a lower limit."""
+def _less_certain(cause: Cause, times: float, compliance: float, payload: Payload | None, load: Load) -> Cause:
+    """Return a compliance with the uncertainty of the loads included; at the bound of the payload's mass it is a lower limit."""
     first = cause.parameters[0]
-    text = f"{cause.evidence}; compliance times mass of the payload {product:.3g} {readable_unit(first.unit)}·kg"
-    if at_bound:
+    less = replace(cause, parameters=(replace(first, u=first.u * times),))
+    if payload is None:
+        return less
+    product = f"{compliance * payload.mass_kg:.3g} {readable_unit(first.unit)}·kg"
+    text = f"{cause.evidence}; compliance times mass of the payload {product}"
+    if _is_heaviest(load, payload):
         return replace(cause, evidence=f"{text}, the compliance a lower limit", parameters=(first,), bounded=True)
-    return replace(cause, evidence=text, parameters=(replace(first, u=first.u * times),))
+    return replace(less, evidence=text)
 
 
-def _load_cause(candidates: Candidates, load: Load, payload: Payload, variances: np.ndarray) -> Cause:
-    """Return the payload as a cause: it explains what the joints explain with it and not without."""
-    shares, nothing = load.shares_of(payload), np.zeros(4)
+def _load_cause(
+    candidates: Candidates, load: Load, payload: Payload, shares: np.ndarray, variances: np.ndarray
+) -> Cause:
+    """Return a payload or a carried load as a cause: it explains what the joints explain with it and not without."""
+    own_shares = slice(CARRY, None) if payload.carried else slice(0, CARRY)
+    without = np.array(shares)
+    without[own_shares] = 0.0
     explained, compliances = load.explained_under(shares)
-    own, _ = load.explained_under(nothing)
+    own, _ = load.explained_under(without)
     log_p = float(log_p_value(np.array(max(explained - own, 0.0)), 4.0, candidates.dof)) + load.joints[0].log_tests
     excess = max(candidates.problem.chi2 - candidates.problem.dof, explained)
-    text = f"the {load.side} side carries a mass that is not in the URDF: joints deflect under it"
-    at_bound = _heaviest(load, payload)
-    if at_bound:
-        text += (
-            f". The mass is at its upper bound ({load.heaviest:.3g} kg): the effect of the machine's own weight is smaller than the "
-            "URDF implies, as if the control corrected it; only the products of mass and compliance are known"
-        )
     columns = [column for form in load.free for column in form.variant.columns]
     size = np.array([column.scale for column in columns])
-    shape = np.kron(compliances, weights(shares) - weights(nothing))
+    shape = np.kron(compliances, weights(shares) - weights(without))
+    specification = CARRIED_LOAD if payload.carried else PAYLOAD
     return Cause(
-        effect=PAYLOAD.name,
+        effect=specification.name,
         where=load.side,
         origin="machine",
-        parameters=_quantities(payload, np.sqrt(variances), load.heaviest),
+        parameters=_quantities(payload, np.sqrt(variances[own_shares]), load.heaviest),
         p_value=candidates.p_value(min(log_p, 0.0)),
         share=float(np.clip((explained - own) / excess, 0.0, 1.0)),
         equivalent=(),
-        evidence=text,
+        evidence=_load_evidence(load, payload),
         pattern_um=read_only(unwhitened_um(candidates.problem, (candidates.problem.signature(columns) / size) @ shape)),
-        bounded=at_bound,
+        bounded=_is_heaviest(load, payload),
+    )
+
+
+def _load_evidence(load: Load, payload: Payload) -> str:
+    if payload.carried:
+        return f"joints of the {load.side} side deflect under the mass in the column {LOAD}"
+    text = f"the {load.side} side carries a mass that is not in the URDF: joints deflect under it"
+    if not _is_heaviest(load, payload):
+        return text
+    return (
+        f"{text}. The mass is at its upper bound ({load.heaviest:.3g} kg): the effect of the machine's own weight is smaller than the "
+        "URDF implies, as if the control corrected it; only the products of mass and compliance are known"
     )
 
 
 def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quantity, ...]:
-    units, sizes = ("kg", "mm", "mm", "mm"), (heaviest, *[CENTRE_RANGE_MM] * 3)
-    return tuple(
+    """Return mass and centre of a payload, or those coordinates of the centre of a carried load that the readings determine."""
+    first, largest = ("1", 1.0) if payload.carried else ("kg", heaviest)
+    units, sizes = (first, "mm", "mm", "mm"), (largest, *[CENTRE_RANGE_MM] * 3)
+    found = tuple(
         Quantity(name, value, unit, float(own) * size)
         for (name, value), unit, own, size in zip(payload.numbers.items(), units, u, sizes, strict=True)
     )
+    if not payload.carried:
+        return found
+    known = [one for one, own in zip(found[1:], u[1:], strict=True) if own < UNDETERMINED]
+    return tuple(known) or found[:1]

@@ -1,15 +1,16 @@
-"""Estimation of a payload that is not in the URDF, from the deflection of the joints.
+"""Estimation of a payload that is not in the URDF, and of where a known load is carried, from the deflection of the joints.
 
 A joint's deflection is its compliance times its load: its own weight plus the payload. It is linear in the compliance, and in the
 products of compliance with mass and first moments of the payload. The search treats these products as free for every joint
 (`twin.diagnosis.candidates.catalogue`). If it finds any, they are replaced by one payload, the same for all joints and not heavier
-than possible, and the search is repeated. (Khalil and Dombre 2002, Modeling, Identification and Control of Robots, ch. 12: the
+than possible, and the search is repeated. A carried load has a known mass (channel `load_kg`); which side carries it, and where its
+centre of gravity is, follows in the same way. (Khalil and Dombre 2002, Modeling, Identification and Control of Robots, ch. 12: the
 torques, and so the deflections here, are linear in the base parameters.)
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
 
@@ -20,8 +21,16 @@ from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
 from twin.diagnosis.selection.search import Selection, select, within_limits
 from twin.machine.effects import Payload
-from twin.machine.effects.gravity_compliance import GRAVITY_COMPLIANCE, PAYLOAD, UNKNOWN_PAYLOAD, AddedLoad, payloads_of
-from twin.machine.effects.payload import CENTRE_RANGE_MM, MASS, SIDES, Side, max_payload_kg, side_of
+from twin.machine.effects.gravity_compliance import (
+    CARRIED_LOAD,
+    GRAVITY_COMPLIANCE,
+    PAYLOAD,
+    UNKNOWN_PAYLOAD,
+    AddedLoad,
+    payloads_of,
+    refined_form,
+)
+from twin.machine.effects.payload import CENTRE_RANGE_MM, MASS, SIDES, Side, max_payload_kg, side_of, sum_of
 from twin.machine.machine import Axis
 from twin.measurement.state import machine_state
 
@@ -31,6 +40,10 @@ FIRST: Final = (0.03, 0.2, 1.0)
 """Initial masses of a fit, as shares of the heaviest payload."""
 STILL: Final = 0.01
 """Change of the payload, as a share of the largest, below which it has converged."""
+CENTRE_PRIOR: Final = 3.0
+"""Inverse prior variance of a mass or centre as a share of its bound: uniform within ±1."""
+CARRY: Final = 4
+"""Index of a share: 1 if the side carries the load of the readings, else 0. Shares of a payload are before it, of the centre behind."""
 STEPS: Final = 200
 """Largest number of iterations of a fit."""
 LOST: Final = 1e-9
@@ -42,15 +55,17 @@ LOST: Final = 1e-9
 class Load:
     """The joints of one side that deflect, with the other causes projected out.
 
-    A payload is four numbers here: its mass as a share of the heaviest, and its centre as a share of the farthest.
+    The loads are four numbers here, or eight if the readings carry different loads: the payload's mass as a share of the heaviest, its
+    centre as shares of the farthest; whether the load is carried (`CARRY`), and its centre as shares of the farthest.
 
     Attributes:
         side: ``tool`` or ``work``.
         heaviest: largest mass considered, kg.
         joints: the forms of the deflecting joints.
-        free: for each joint the form with a free payload, of five columns: own weight, mass, three first moments.
-        gram: (5k, 5k) inner products of these columns of k joints, the other causes projected out, in units of the parameters.
-        slope: (5k,) inner products with the residual.
+        free: for each joint the form with free loads, of five or nine columns: own weight, mass, three first moments; the same four of
+            the carried load.
+        gram: (wk, wk) inner products of these w columns of k joints, the other causes projected out, in units of the parameters.
+        slope: (wk,) inner products with the residual.
     """
 
     side: Side
@@ -60,8 +75,13 @@ class Load:
     gram: np.ndarray
     slope: np.ndarray
 
+    @property
+    def nothing(self) -> np.ndarray:
+        """Shares without payload and without carried load."""
+        return np.zeros(len(self.slope) // len(self.joints) - 1)
+
     def explained_under(self, shares: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the χ² that the joints explain under a payload, and (k,) their compliances."""
+        """Return the χ² that the joints explain under some loads, and (k,) their compliances."""
         shapes = self._shapes(shares)
         inverse = np.linalg.pinv(shapes.T @ self.gram @ shapes, rcond=LOST, hermitian=True)
         slope = shapes.T @ self.slope
@@ -70,48 +90,96 @@ class Load:
     def _shapes(self, shares: np.ndarray) -> np.ndarray:
         return np.kron(np.eye(len(self.joints)), weights(shares)[:, None])
 
-    def payload(self) -> Payload:
-        """Return the payload that explains most."""
+    def best(self, *, payload: bool, carried: bool) -> np.ndarray:
+        """Return the shares that explain most, with or without a payload and the carried load."""
+        start = self.nothing
+        bounds = [(0.0, 1.0 if payload else 0.0), *[(-1.0, 1.0) if payload else (0.0, 0.0)] * 3]
+        if len(start) > CARRY:
+            start[CARRY] = float(carried)
+            bounds += [(start[CARRY], start[CARRY]), *[(-1.0, 1.0) if carried else (0.0, 0.0)] * 3]
+        if not payload and not carried:
+            return start
         fits = [
             minimize(
-                lambda shares: -self.explained_under(shares)[0],
-                np.array([share, 0.0, 0.0, 0.0]),
+                lambda shares: CENTRE_PRIOR * np.sum(shares[CARRY + 1 :] ** 2) - self.explained_under(shares)[0],
+                np.concatenate([[share if payload else 0.0], start[1:]]),
                 method="L-BFGS-B",
-                bounds=[(0.0, 1.0), *[(-1.0, 1.0)] * 3],
+                bounds=bounds,
                 options={"maxiter": STEPS},
             )
-            for share in FIRST
+            for share in (FIRST if payload else FIRST[:1])
         ]
-        return Payload.of_shares(self.side, self.heaviest, min(fits, key=lambda fit: float(fit.fun)).x)
+        return np.asarray(min(fits, key=lambda fit: float(fit.fun)).x)
 
-    def shares_of(self, payload: Payload) -> np.ndarray:
-        """Return a payload as (4,) shares of its bounds."""
-        return np.array([payload.mass_kg / self.heaviest, *(one / CENTRE_RANGE_MM for one in payload.centre_mm)])
-
-    def covariances(self, shares: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return (k,) factors on the uncertainties of the compliances due to the payload, and (4,) variances of the payload.
+    def significant(self, critical: Callable[[float], float]) -> tuple[np.ndarray, float]:
+        """Return the shares of the loads that are significant, and the χ² that the carried load explains; 0 if it is not significant.
 
         Args:
-            shares: (4,) the payload, as shares of its bounds.
-            u: (k,) standard uncertainties of the compliances under exactly this payload.
+            critical: degrees of freedom → critical value.
+        """
+        tried = {
+            (payload, carried): self.best(payload=payload, carried=carried)
+            for payload in (False, True)
+            for carried in ((False, True) if len(self.nothing) > CARRY else (False,))
+        }
+        explained = {key: self.explained_under(shares)[0] for key, shares in tried.items()}
+        gain = 0.0
+        if (True, True) in tried:
+            gain = explained[True, True] - explained[True, False]
+            gain = gain if gain > critical(4.0) else 0.0
+        carried = gain > 0.0
+        payload = explained[True, carried] - explained[False, carried] > critical(4.0)
+        return tried[payload, carried], gain
+
+    def payloads_of(self, shares: np.ndarray) -> tuple[Payload | None, Payload | None]:
+        """Return the payload and the carried load of some shares; None for one that is not there."""
+        payload = Payload.of_shares(self.side, self.heaviest, shares[:CARRY]) if shares[0] else None
+        carried = None
+        if len(shares) > CARRY and shares[CARRY]:
+            carried = replace(Payload.of_shares(self.side, 1.0, shares[CARRY:]), carried=True)
+        return payload, carried
+
+    def shares_of(self, payload: Payload | None, carried: Payload | None) -> np.ndarray:
+        """Return a payload and a carried load as shares of their bounds."""
+        found = self.nothing
+        if payload is not None:
+            found[:CARRY] = [payload.mass_kg / self.heaviest, *(one / CENTRE_RANGE_MM for one in payload.centre_mm)]
+        if carried is not None:
+            found[CARRY:] = [carried.mass_kg, *(one / CENTRE_RANGE_MM for one in carried.centre_mm)]
+        return found
+
+    def covariances(self, shares: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (k,) factors on the uncertainties of the compliances due to the loads, and the variances of the shares.
+
+        Args:
+            shares: the loads, as shares of their bounds.
+            u: (k,) standard uncertainties of the compliances under exactly these loads.
         """
         _, values = self.explained_under(shares)
-        step = np.eye(4) * 1e-6
-        by_four = [(weights(shares + one) - weights(shares - one)) / 2e-6 for one in step]
-        slopes = np.concatenate([self._shapes(shares), *[np.kron(values, one)[:, None] for one in by_four]], axis=1)
+        present = np.concatenate([[shares[0]] * CARRY, [0.0], [shares[-CARRY]] * 3])[: len(shares)] != 0.0
+        step = np.eye(len(shares))[present] * 1e-6
+        by_share = [(weights(shares + one) - weights(shares - one)) / 2e-6 for one in step]
+        slopes = np.concatenate([self._shapes(shares), *[np.kron(values, one)[:, None] for one in by_share]], axis=1)
         known = slopes.T @ self.gram @ slopes
         count = len(values)
         given = np.diag(np.linalg.pinv(known[:count, :count], rcond=LOST, hermitian=True))
         known /= max(float(np.median(u**2 / np.maximum(given, 1e-300))), 1e-300)
         # Prior: a mass or centre that the data do not determine is uniformly distributed within its bounds.
-        known[count:, count:] += 3.0 * np.eye(4)
+        known[count:, count:] += CENTRE_PRIOR * np.eye(len(step))
         found = np.diag(np.linalg.pinv(known, hermitian=True))
-        return np.sqrt(np.maximum(found[:count] / np.maximum(u**2, 1e-300), 1.0)), found[count:]
+        variances = np.zeros(len(shares))
+        variances[present] = found[count:]
+        return np.sqrt(np.maximum(found[:count] / np.maximum(u**2, 1e-300), 1.0)), variances
 
 
 def weights(shares: np.ndarray) -> np.ndarray:
-    """Return (5,) weights of the columns of a joint: own weight, mass, first moments."""
-    return np.concatenate([[1.0, shares[0]], shares[0] * shares[1:]])
+    """Return (5,) or (9,) weights of the columns of a joint: own weight; mass and first moments of payload and carried load."""
+    some = [
+        part
+        for k in range(0, len(shares), CARRY)
+        for part in (shares[k : k + 1], shares[k] * shares[k + 1 : k + CARRY])
+    ]
+    return np.concatenate([[1.0], *some])
 
 
 def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> Selection:
@@ -124,10 +192,8 @@ def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> 
     anew = not any(MASS in form.variant.fixed for form in before)
     best = select(candidates, () if anew else [candidates.forms[form.index] for form in before])
     for _ in range(ROUNDS):
-        loads = [load for side in SIDES if (load := loaded_joints(candidates, best.forms, side)) is not None]
-        payloads = [_significant_payload(candidates, load) for load in loads]
-        payloads += _added_loads(candidates, best.forms)
-        if not any([_add_payload(candidates, payload) for payload in payloads]):
+        moved = [_refine_side(candidates, side, *found) for side, found in _loads_found(candidates, best.forms).items()]
+        if not any(moved):
             break
         _exclude_free_payloads(candidates)
         known = {form.key: form for form in candidates.forms if MASS in form.variant.fixed}
@@ -135,9 +201,33 @@ def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> 
     return within_limits(candidates, best, anew)
 
 
+def _loads_found(candidates: Candidates, forms: Sequence[Form]) -> dict[Side, tuple[Payload | None, Payload | None]]:
+    """Return by side the payload and the carried load that some causes imply; the load is carried on one side only."""
+    found: dict[Side, tuple[Payload | None, Payload | None]] = {}
+    carried: dict[Side, float] = {}
+    for side in SIDES:
+        load = loaded_joints(candidates, forms, side)
+        if load is not None:
+            first = load.free[0]
+            shares, carried[side] = load.significant(lambda dof, first=first: candidates.critical_value(first, dof))  # type: ignore[misc]
+            found[side] = load.payloads_of(shares)
+    for side in found:
+        if carried[side] < max(carried.values()):
+            found[side] = found[side][0], None
+    if any(carried.values()):
+        # The other side's joints must not carry it either, even if none of them is among the causes yet.
+        found = {side: found.get(side, (None, None)) for side in SIDES}
+    for own in _added_loads(candidates, forms):
+        others = found.get(own.side, (None, None))
+        kinds = [sum_of((one, own)) if one is not None and one.carried == own.carried else one for one in others]
+        kinds[own.carried] = own if kinds[own.carried] is None else kinds[own.carried]
+        found[own.side] = kinds[0], kinds[1]
+    return found
+
+
 def _added_loads(candidates: Candidates, forms: Sequence[Form]) -> list[Payload]:
     """Return the loads found with the known compliances, which further compliances of that side carry as well."""
-    own = [form for form in forms if form.candidate.specification is PAYLOAD]
+    own = [form for form in forms if form.candidate.specification in (PAYLOAD, CARRIED_LOAD)]
     if not own:
         return []
     columns, values, _ = candidates.fitted(forms)
@@ -150,20 +240,19 @@ def _added_loads(candidates: Candidates, forms: Sequence[Form]) -> list[Payload]
     return found
 
 
-def _significant_payload(candidates: Candidates, load: Load) -> Payload:
-    """Return the payload that explains most, with zero mass if it is not significant."""
-    found = load.payload()
-    more = load.explained_under(load.shares_of(found))[0] - load.explained_under(np.zeros(4))[0]
-    return found if more > candidates.critical_value(load.free[0], 4.0) else replace(found, mass_kg=0.0)
-
-
 def restore_payloads(candidates: Candidates, forms: Sequence[Form]) -> None:
-    """Put the payloads of the given causes back into the load of all joints, after the pool was evaluated on other data."""
-    yielding = [form for form in forms if form.candidate.specification is GRAVITY_COMPLIANCE]
-    for payload in {
-        one for form in yielding for one in payloads_of(axis_of_form(candidates, form), form.variant.fixed)
-    }:
-        _add_payload(candidates, payload)
+    """Put the loads of the given causes back into the load of all joints, after the pool was evaluated on other data."""
+    for side in SIDES:
+        yielding = [
+            form
+            for form in forms
+            if form.candidate.specification is GRAVITY_COMPLIANCE
+            and MASS in form.variant.fixed
+            and side_of(axis_of_form(candidates, form)) == side
+        ]
+        for form in yielding[:1]:
+            own = {one.carried: one for one in payloads_of(axis_of_form(candidates, form), form.variant.fixed)}
+            _refine_side(candidates, side, own.get(False), own.get(True))
 
 
 def select_on_part(part: Candidates, forms: Sequence[Form]) -> Selection:
@@ -183,10 +272,10 @@ def _exclude_free_payloads(candidates: Candidates) -> None:
 
 
 def loaded_joints(candidates: Candidates, forms: Sequence[Form], side: Side) -> Load | None:
-    """Return the deflecting joints of a side if any of them has a payload, free or fixed; else None."""
+    """Return the deflecting joints of a side if any of them has a payload or carries a load, free or fixed; else None."""
     free = {form.key: form for form in candidates.forms if UNKNOWN_PAYLOAD in form.variant.fixed}
     joints = [form for form in forms if form.key in free and side_of(axis_of_form(candidates, form)) == side]
-    if not any(UNKNOWN_PAYLOAD in form.variant.fixed or MASS in form.variant.fixed for form in joints):
+    if not any({UNKNOWN_PAYLOAD, MASS} & form.variant.fixed.keys() for form in joints):
         return None
     own = [free[form.key] for form in joints]
     every = [*(form for form in forms if form not in joints), *own]
@@ -202,16 +291,20 @@ def loaded_joints(candidates: Candidates, forms: Sequence[Form], side: Side) -> 
     return Load(side, heaviest, tuple(joints), tuple(own), left, (slope[at] - along @ slope[rest]) / size)
 
 
-def _add_payload(candidates: Candidates, payload: Payload) -> bool:
-    """Put a payload into the load of every joint of its side; return whether that changed anything."""
+def _refine_side(candidates: Candidates, side: Side, payload: Payload | None, carried: Payload | None) -> bool:
+    """Put a payload and a carried load into the load of every joint of a side; return whether that changed anything."""
     machine = candidates.problem.network.machine
     state = machine_state(candidates.problem.network.data, machine)
-    numbers = payload.numbers
-    size = Payload.of_shares(payload.side, max_payload_kg(machine), np.ones(4)).numbers
+    numbers = refined_form(payload, carried)
+    farthest = np.ones(4)
+    size = refined_form(
+        Payload.of_shares(side, max_payload_kg(machine), farthest),
+        replace(Payload.of_shares(side, 1.0, farthest), carried=True),
+    )
     moved = False
     for form in list(candidates.forms):
         joint = form.candidate.specification is GRAVITY_COMPLIANCE and UNKNOWN_PAYLOAD not in form.variant.fixed
-        if not joint or side_of(axis_of_form(candidates, form)) != payload.side:
+        if not joint or side_of(axis_of_form(candidates, form)) != side:
             continue
         before = form.variant.fixed
         if before and all(abs(before[name] - value) <= STILL * size[name] for name, value in numbers.items()):

@@ -3,8 +3,9 @@
     effects:
       - {effect: reversal, where: Y, parameters: {size: 5.1}}
 
-Names, places and parameters are those of the contract's table (§5) and are defined in each effect's specification. A payload is not an
-effect by itself: it is part of the load of every `gravity_compliance` in the file.
+Names, places and parameters are those of the contract's table (§5) and are defined in each effect's specification. A payload and a
+carried load are not effects by themselves: they are part of the load of every `gravity_compliance` in the file, and
+of every `table_load` with a stated moment.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from twin._common.errors import InputError, closest_name
 from twin.machine.effects.base import Effect
 from twin.machine.effects.cross_axis import CROSS_AXIS
 from twin.machine.effects.error_motion import ANGULAR_ERROR_MOTION, POSITIONING, ROTARY_ERROR_MOTION, STRAIGHTNESS
-from twin.machine.effects.gravity_compliance import GRAVITY_COMPLIANCE, PAYLOAD, GravityCompliance
+from twin.machine.effects.gravity_compliance import CARRIED_LOAD, GRAVITY_COMPLIANCE, PAYLOAD, GravityCompliance
 from twin.machine.effects.harmonic import HARMONIC
 from twin.machine.effects.location import AXIS_LOCATION
-from twin.machine.effects.payload import Payload
+from twin.machine.effects.payload import Payload, Side
 from twin.machine.effects.pitch_error import PITCH_ERROR
 from twin.machine.effects.reversal import REVERSAL
 from twin.machine.effects.reversal_curve import REVERSAL_CURVE
@@ -27,7 +28,7 @@ from twin.machine.effects.scale_growth import SCALE_GROWTH
 from twin.machine.effects.specification import Specification
 from twin.machine.effects.spindle_growth import SPINDLE_GROWTH
 from twin.machine.effects.squareness import SQUARENESS
-from twin.machine.effects.table_load import TABLE_LOAD
+from twin.machine.effects.table_load import TABLE_LOAD, TableLoad
 from twin.machine.effects.thermal_drift import THERMAL_DRIFT
 from twin.machine.effects.thermal_expansion import THERMAL_EXPANSION
 from twin.machine.effects.thermal_growth import THERMAL_GROWTH
@@ -59,6 +60,7 @@ MACHINE_EFFECTS: Final[tuple[Specification, ...]] = (
     TABLE_LOAD,
     GRAVITY_COMPLIANCE,
     PAYLOAD,
+    CARRIED_LOAD,
 )
 """Specifications of all machine effects."""
 
@@ -96,10 +98,11 @@ def effect_named(
     return specification.make(machine, where, values, payloads)
 
 
-def payload_named(where: str, numbers: Mapping[str, float], machine: Machine) -> Payload:
-    """Create a payload from its parameters.
+def payload_named(specification: Specification, where: str, numbers: Mapping[str, float], machine: Machine) -> Payload:
+    """Create a payload or a carried load from its parameters.
 
     Args:
+        specification: `PAYLOAD` or `CARRIED_LOAD`.
         where: ``tool`` or ``work``.
         numbers: its parameters by name.
         machine: the machine.
@@ -109,16 +112,30 @@ def payload_named(where: str, numbers: Mapping[str, float], machine: Machine) ->
     """
     side = next((name for name in ("tool", "work") if name == where), None)
     if side is None:
-        raise PAYLOAD.no_place(machine, where)
-    return Payload.of(side, PAYLOAD.numbers_of(where, numbers)).checked()
+        raise specification.no_place(machine, where)
+    carried = specification is CARRIED_LOAD
+    return Payload.of(side, specification.numbers_of(where, numbers), carried=carried).checked()
+
+
+def payloads_on(effects: Sequence[Effect]) -> tuple[Payload, ...]:
+    """Return the payloads and carried loads that act on the given effects; of a compliance before those of a table's sag."""
+    loaded = [effect for kind in (GravityCompliance, TableLoad) for effect in effects if isinstance(effect, kind)]
+    kinds: dict[tuple[Side, bool], Payload] = {}
+    for effect in loaded:
+        for one in effect.payloads:
+            kinds.setdefault((one.side, one.carried), one)
+    return tuple(kinds.values())
 
 
 def payload_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:
-    """Return the entries of the payloads that act on the given effects, as `payload_named` reads them."""
-    carried = [payload for effect in effects if isinstance(effect, GravityCompliance) for payload in effect.payloads]
+    """Return the entries of the payloads and carried loads that act on the given effects, as `payload_named` reads them."""
     return [
-        {"effect": PAYLOAD.name, "where": payload.side, "parameters": payload.numbers}
-        for payload in dict.fromkeys(carried)
+        {
+            "effect": (CARRIED_LOAD if payload.carried else PAYLOAD).name,
+            "where": payload.side,
+            "parameters": payload.numbers,
+        }
+        for payload in payloads_on(effects)
     ]
 
 
