@@ -64,7 +64,10 @@ of its own. X1 and Y1 are near the end of the mandrel, X2 and Y2 near the spindl
 - Spindle ran: `d_X_end` displacement at the end of running, `d_X_60` range in the first 60 min, `d_X_t` range over the running period.
   All count from the last reading before the spindle ran. A rest of more than 60 min begins a new test (`spindle1`, `spindle2`).
 - One linear axis at two target positions: `e_X_1`, `e_X_2` range at each, `e_X_1_end` … displacement at the end, `e_X_21` change of
-  their distance. Several axes are separate rounds. The test of rotary axes is not evaluated.
+  their distance. Several axes are separate rounds. For Z the places may lie beside each other.
+- One rotary axis at three positions or more, cycle after cycle, in a table of a probe or an R-test: changes of location, orientation
+  and zero of the axis (`E_X0C_end`, `E_A0C_end`, `zero_C_end`), of the shift along it and of the radial expansion (`axial_C_end`,
+  `radial_C_end`) by least squares; with `_t` their ranges. They count from the first cycle, at the level of the sphere along the axis.
 
 The kinds of test and the name ETVE come from the public scope of ISO 230-3:2020. Its text was not available: figures, symbols and
 the signs of the tilts are not verified against it. `twin plan --drift` makes the schedule.

@@ -16,6 +16,7 @@ from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.measurement.checks import RowNote
 from twin.measurement.columns import simulated_comments
+from twin.standards.drift.axis_design import AxisDesign
 from twin.standards.drift.sensors import SensorMap
 
 TIME: Final = "time_s"
@@ -46,6 +47,7 @@ class DriftRecord:
         notices: what was read but not used.
         set_aside: rows that are not used.
         simulated: whether the readings were simulated.
+        design: how the errors of the rotary axis that moves act on the displacements; None if there is none.
     """
 
     source: str
@@ -63,6 +65,7 @@ class DriftRecord:
     notices: tuple[str, ...] = ()
     set_aside: tuple[RowNote, ...] = ()
     simulated: bool = False
+    design: AxisDesign | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
