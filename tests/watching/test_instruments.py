@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import twin
@@ -13,6 +15,7 @@ from tests.truth.machine import TruthMachine
 from tests.watching.folder import CALIBRATION, write_bar_check, write_check, write_folder, write_nest_check
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.watching.check import CheckFile, read_check
 
 AFTER, CHECKS = 8, 14
 PROBE_NOISE_MM = 0.0013
@@ -23,6 +26,23 @@ STEP = {"E_C0Y": 12.0, "E_A0C": 15.0}
 def changed(i: int, machine: TruthMachine, degrees: dict[str, float]) -> None:
     machine.squareness["E_C0Y"] += STEP["E_C0Y"] * (i >= AFTER)
     machine.location["E_A0C"] += STEP["E_A0C"] * (i >= AFTER)
+
+
+@pytest.mark.parametrize("write", [write_bar_check, write_nest_check])
+def test_a_check_shows_the_changes(
+    dmu50: Machine, calibration: Calibration, tmp_path: Path, write: Callable[..., Path]
+) -> None:
+    """The same set-up and noise before and after: what differs is the machine. The nest's readings were once fitted to nothing."""
+    found = []
+    for i in (AFTER - 1, AFTER):
+        machine, now = TruthMachine(CALIBRATION), datetime(2026, 3, 2)
+        changed(i, machine, {})
+        path = write(tmp_path / "c.csv", machine, np.random.default_rng(8))
+        found.append(read_check(CheckFile(path.name, "", path), (now, "given"), dmu50, calibration, now))
+    first, second = (dict(zip(check.errors, check.value, strict=True)) for check in found)
+    assert found[0].reduced_chi2 < 2.0 and set(STEP) <= set(first)
+    for name, value in first.items():
+        assert second[name] - value == pytest.approx(STEP.get(name, 0.0), abs=0.5), name
 
 
 @pytest.mark.parametrize("write", [write_bar_check, write_nest_check])
