@@ -52,8 +52,9 @@ in each direction of the station's frame, and neither the names nor the quantity
     twin evaluate record.csv --iso230-3 --sensors d1=X1 d2=X2 d3=Y1 d4=Y2 d5=Z X1-X2=76 Y1-Y2=76 t5=ambient --html drift.html
     twin evaluate measured.csv --iso230-3 --tolerance d_Z_t=20 ETVE_Z=10
 
-The file is a record of displacement sensors (`time_s`, `<name>_um`; optional `spindle_rpm`, `T_<sensor>_degC`, axis positions, `round`)
-or a measurement table with `time_s` of a probe, an R-test or a tracker. In a table, the nominal motion between the positions is
+The file is a record of sensors (`time_s`, `<name>_um`, `<name>_urad` of a level or an autocollimator; optional `spindle_rpm`,
+`T_<sensor>_degC`, axis positions, `round`) or a measurement table with `time_s` of a probe, an R-test or a tracker. An angle keeps the
+name of its column (`ETVE_angle_<name>`). In a table, the nominal motion between the positions is
 subtracted, and the displacement is that of the tool relative to the work; a tracker needs a target on each side for that. Directions
 of sensors are given by `--sensors` or a comment `# sensors: d1=X1 …`, and never guessed: without them each sensor has values
 of its own. X1 and Y1 are near the end of the mandrel, X2 and Y2 near the spindle nose; `d1=-X1` turns a sign. With the distances
