@@ -258,13 +258,7 @@ def _task(
     fastest = 60.0 * float(own.speeds[axis])
     feed = options.get("feed_mm_min") or (FEED_MM_MIN if moved.linear else fastest)
     highest = options.get("highest_rpm")
-    for what, value, most in (
-        ("duration", duration, MOST_MINUTES),
-        ("feed", feed, 1e6),
-        ("spindle speed", 1.0 if highest is None else highest, FASTEST_RPM),
-    ):
-        if not 0.0 < value <= most:
-            raise InputError(f"impossible {what}", expected=f"above 0, up to {most:g}", value=value)
+    _check_numbers(duration, feed, highest)
     reader = instrument_named("r-test" if instrument == "displacement" else instrument)
     tip = (0.0, 0.0, -(sizes.tool_length_mm or machine.tool_length_mm or 100.0))
     names = SET_UPS[reader.name]
@@ -294,6 +288,17 @@ def _task(
     if len(found) != parts or not np.isfinite(list(found.values())).all():
         raise InputError("wrong places on the table", expected=f"{parts} in the work frame, mm", value=dict(found))
     return replace(task, angles_deg=_angles(task)) if turning else task
+
+
+def _check_numbers(duration: float, feed: float, highest: float | None) -> None:
+    """Raise `InputError` for a duration, feed or speed that is impossible."""
+    for what, value, most in (
+        ("duration", duration, MOST_MINUTES),
+        ("feed", feed, 1e6),
+        ("spindle speed", 1.0 if highest is None else highest, FASTEST_RPM),
+    ):
+        if not 0.0 < value <= most:
+            raise InputError(f"impossible {what}", expected=f"above 0, up to {most:g}", value=value)
 
 
 def _poses(task: DriftTask) -> SequencePoints:
