@@ -40,11 +40,46 @@ def test_the_tool_is_at_the_parts_and_the_times_fit(dmu50: Machine, name: str, i
     made = planned(dmu50, name, instrument)
     table, places = made.table, np.array(list(made.task.base.places_mm.values()))
     at = np.array([dmu50_pose([*q[:3], *np.radians(q[3:])], {}, LENGTH)[:3, 3] for q in table.positions])
-    assert np.linalg.norm(at - places[made.schedule.place], axis=1).max() < 1.5e-3
+    assert np.linalg.norm(at - places[made.schedule.pose], axis=1).max() < 1.5e-3
     assert np.all(np.diff(table.time_s) > 0.0) and table.time_s[0] == 0.0
     assert table.time_s[-1] <= 60.0 * made.sequence.minutes + 1.0
     assert any("not checked against the text" in text for text in made.notices())
     assert len({tuple(q) for q in table.positions}) == made.sequence.targets
+
+
+@pytest.mark.parametrize(("axis", "angles"), [("C", 4), ("B", 5)])
+def test_readings_of_a_rotary_axis_follow_the_sphere(dmu50: Machine, axis: str, angles: int) -> None:
+    made = planned(dmu50, "axes", "probe", axis=axis)
+    (place,) = made.task.base.places_mm.values()
+    at = np.array([dmu50_pose([*q[:3], *np.radians(q[3:])], {}, LENGTH)[:3, 3] for q in made.table.positions])
+    assert np.linalg.norm(at - place, axis=1).max() < 1.5e-3
+    turned = made.table.positions[:, "XYZBC".index(axis)]
+    assert len(set(turned)) == angles and np.ptp(turned) >= 150.0
+    assert np.all(np.diff(made.table.time_s) > 0.0) and any("E_X0" in text for text in made.notices())
+
+
+@pytest.mark.parametrize(("axis", "wanted"), [("C", "axial_C_end"), ("Z", "e_Z_1_end")])
+def test_filled_plans_of_a_rotary_axis_and_of_z_are_evaluated(
+    dmu50: Machine, tmp_path: Path, axis: str, wanted: str
+) -> None:
+    """The recorded Z falls by 12 µm until the end: the tool moved up relative to the work."""
+    path = tmp_path / "p.csv"
+    planned(dmu50, "axes", "probe", axis=axis).save(path)
+    lines = path.read_text().splitlines()
+    first = next(i for i, text in enumerate(lines) if not text.startswith("#"))
+    header, rows = lines[first].split(","), [text.split(",") for text in lines[first + 1 :]]
+    time, z = header.index("time_s"), header.index("Z_mm")
+    start, end = (float(rows[k][time]) for k in (0, -4 if axis == "C" else -2))
+    for row in rows:
+        row[z] = repr(float(row[z]) - 0.012 * min(max(float(row[time]) - start, 0.0) / (end - start), 1.0))
+        row += ["0", "0", "0"]
+    (tmp_path / "m.csv").write_text("\n".join([lines[first] + ",x_mm,y_mm,z_mm", *map(",".join, rows)]) + "\n")
+    (test,) = evaluate_drift(tmp_path / "m.csv", dmu50).tests
+    assert test.name == axis
+    value = next(one.value for one in test.values if one.key == wanted)
+    assert abs(value) == pytest.approx(12.0, abs=0.3)
+    if axis == "Z":
+        assert value > 0.0 and any("mm apart between the target positions" in text for text in test.remarks)
 
 
 def test_speed_steps_end_in_rest(dmu50: Machine) -> None:
@@ -119,8 +154,9 @@ def test_plan_reads_back_as_a_plan(dmu50: Machine, tmp_path: Path) -> None:
     [
         (["--drift", "spindel"], "spindle"),
         (["--drift", "spindle"], "no highest spindle speed"),
-        (["--drift", "axes", "--axis", "B"], "one of X, Y, Z"),
-        (["--drift", "axes", "--axis", "Z"], "two places"),
+        (["--drift", "axes", "--axis", "A"], "one of X, Y, Z, B, C"),
+        (["--drift", "axes", "--axis", "C", "--instrument", "displacement"], "do not follow a rotary axis"),
+        (["--drift", "axes", "--axis", "Z", "--tool-length", "400"], "no default places for Z"),
         (["--drift", "axes", "--feed", "100"], "no time to heat"),
         (["--drift", "environment", "--instrument", "tracker"], "displacement"),
         (["--drift", "environment", "--minutes", "5"], "too little time"),

@@ -88,6 +88,19 @@ def test_environment_by_hand(dmu50: Machine, tmp_path: Path) -> None:
     assert any("taken as stopped" in text for text in test.remarks)
 
 
+def test_a_level_beside_a_sensor(dmu50: Machine, tmp_path: Path) -> None:
+    """An angle keeps its name and unit, also one named like a tilt, and a record of angles alone is enough."""
+    hours = np.arange(0.0, 24.5, 0.5)
+    wave = np.sin(2.0 * np.pi * hours / 24.0)
+    columns = {"time_s": 3600.0 * hours, "dz_um": 6.0 * wave, "B_urad": 20.0 * wave}
+    for names in (("time_s", "dz_um", "B_urad"), ("time_s", "B_urad")):
+        path = record(tmp_path / "r.csv", {name: columns[name] for name in names})
+        (test,) = evaluate_drift(path, dmu50).tests
+        (angle,) = [one for one in test.values if one.unit == "urad"]
+        assert angle.key == "ETVE_angle_B" and angle.value == pytest.approx(40.0)
+        assert len(test.values) == len(names) - 1
+
+
 def test_a_long_rest_separates_spindle_tests(dmu50: Machine, tmp_path: Path) -> None:
     minutes = np.arange(0.0, 601.0, 10.0)
     speed = np.where(

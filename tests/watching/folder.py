@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import datetime, timedelta
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from tests.truth.machine import TruthMachine, carried
 
+CALIBRATION = Path(__file__).resolve().parents[2] / "urdf" / "dmu50.calibration.yaml"
+BAR_MM = 100.0
 TIP = np.array([0.0, 0.0, -150.0])
 START = datetime(2026, 3, 2, 7, 30)
 SPHERES = {
@@ -40,6 +43,7 @@ def write_check(
     *,
     temperatures: dict[str, float] | None = None,
     comment: str = "",
+    noise_mm: float = NOISE_MM,
 ) -> Path:
     """Write one check: three spheres, set up anew, in every pose that the travels reach."""
     tip = TIP + rng.normal(0.0, 0.05, 3)
@@ -50,11 +54,85 @@ def write_check(
     rows = []
     for name, place in SPHERES.items():
         for b, c in POSES:
-            x, y, z = probed(truth, place + shift, tip, b, c) + rng.normal(0.0, NOISE_MM, 3)
+            x, y, z = probed(truth, place + shift, tip, b, c) + rng.normal(0.0, noise_mm, 3)
             if 0.0 <= x <= 500.0 and 0.0 <= y <= 450.0 and -400.0 <= z <= 0.0:
                 cells = [f"{x:.5f}", f"{y:.5f}", f"{z:.5f}", f"{b:g}", f"{c:g}", name, "work", "0", "0", "0", "1"]
                 rows.append([*cells, "tool", "probe", *(f"{value:.3f}" for value in sensors.values())])
     lines = [*([f"# {comment}"] if comment else []), ",".join(head), *(",".join(row) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@cache
+def nominal_xyz(sphere: str, b: float, c: float) -> np.ndarray:
+    """Return the X, Y, Z at which the tip of a machine without errors is at a sphere, mm."""
+    found = TruthMachine(CALIBRATION)
+    found.curves, found.squareness, found.location = {}, {}, {}
+    return probed(found, SPHERES[sphere], TIP, b, c)
+
+
+def within_travels(q: np.ndarray) -> bool:
+    return bool(np.all(q[:3] >= [0.0, 0.0, -400.0]) and np.all(q[:3] <= [500.0, 450.0, 0.0]))
+
+
+def write_nest_check(
+    path: Path,
+    truth: TruthMachine,
+    rng: np.random.Generator,
+    *,
+    temperatures: dict[str, float] | None = None,
+    comment: str = "",
+) -> Path:
+    """Write one R-test check: a nest at two places on the table, set up anew, reads the ball in the spindle in every pose."""
+    tip = TIP + rng.normal(0.0, 0.05, 3)
+    rows = []
+    for name in ("S1", "S2"):
+        place = SPHERES[name] + rng.normal(0.0, 2.0, 3)
+        for b, c in POSES:
+            q = np.array([*nominal_xyz(name, b, c), b, c])
+            if within_travels(q):
+                origin = carried(truth, q, "work", np.zeros(3))
+                turn = np.stack([carried(truth, q, "work", np.eye(3)[k]) - origin for k in range(3)])
+                read = turn @ (carried(truth, q, "tool", tip) - carried(truth, q, "work", place))
+                rows.append((q, name, read + rng.normal(0.0, NOISE_MM, 3)))
+    return _write(path, rows, "r-test", temperatures or {}, comment)
+
+
+def write_bar_check(
+    path: Path,
+    truth: TruthMachine,
+    rng: np.random.Generator,
+    *,
+    temperatures: dict[str, float] | None = None,
+    comment: str = "",
+) -> Path:
+    """Write one ball bar check: circles in three planes, then turns of C and tilts of B with the bar along X, Y and Z."""
+    pivot, tip = SPHERES["S1"] + rng.normal(0.0, 0.05, 3), TIP + rng.normal(0.0, 0.05, 3)
+    whole, upper = np.radians(np.arange(0.0, 360.0, 30.0)), np.radians(np.arange(0.0, 181.0, 22.5))
+    poses = [(0.0, 0.0, np.array([np.cos(a), np.sin(a), 0.0])) for a in whole]
+    poses += [(0.0, 0.0, np.array([np.cos(a), 0.0, np.sin(a)])) for a in upper]
+    poses += [(0.0, 0.0, np.array([0.0, np.cos(a), np.sin(a)])) for a in upper]
+    turns = [*((0.0, float(c)) for c in range(0, 360, 45)), *((float(b), 0.0) for b in range(0, 91, 15))]
+    poses += [(b, c, np.eye(3)[k]) for b, c in turns for k in range(3)]
+    rows = []
+    for b, c, way in poses:
+        q = np.array([*nominal_xyz("S1", b, c) + BAR_MM * way, b, c])
+        if within_travels(q):
+            length = np.linalg.norm(carried(truth, q, "tool", tip) - carried(truth, q, "work", pivot))
+            rows.append((q, "pivot", np.array([length + rng.normal(0.0, NOISE_MM), np.nan, np.nan])))
+    return _write(path, rows, "ball-bar", temperatures or {}, comment)
+
+
+def _write(
+    path: Path, rows: list[tuple[np.ndarray, str, np.ndarray]], instrument: str, sensors: dict[str, float], comment: str
+) -> Path:
+    """Write readings of a ball in the spindle from a station on the table."""
+    head = ["X_mm", "Y_mm", "Z_mm", "B_deg", "C_deg", "target", "carrier", "x_mm", "y_mm", "z_mm"]
+    head += ["station", "station_carrier", "instrument", *(f"T_{name}_degC" for name in sensors)]
+    lines = [*([f"# {comment}"] if comment else []), ",".join(head)]
+    for q, station, read in rows:
+        cells = [*(f"{v:.5f}" for v in q), "ball", "tool", *("" if np.isnan(v) else f"{v:.6f}" for v in read)]
+        lines.append(",".join([*cells, station, "work", instrument, *(f"{v:.3f}" for v in sensors.values())]))
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -68,6 +146,7 @@ def write_folder(
     deviation: Callable[[int, TruthMachine, dict[str, float]], None] = lambda i, machine, temperatures: None,
     temperatures: Callable[[int], dict[str, float]] = lambda i: {},
     repeatability: float = 0.0,
+    write: Callable[..., Path] = write_check,
 ) -> Path:
     """Write a folder of checks, three to four days apart.
 
@@ -78,6 +157,7 @@ def write_folder(
         seed: of noise and set-up.
         deviation: changes a copy of the machine for check i, given its temperatures.
         temperatures: of check i, by sensor.
+        write: writes one check.
         repeatability: standard deviation of every squareness and location between the checks, µm and µrad.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -91,7 +171,7 @@ def write_folder(
         )
         degrees = temperatures(i)
         deviation(i, truth, degrees)
-        write_check(folder / f"spheres_{day:%Y-%m-%dT%H-%M}.csv", truth, rng, temperatures=degrees)
+        write(folder / f"check_{day:%Y-%m-%dT%H-%M}.csv", truth, rng, temperatures=degrees)
         day += timedelta(days=3 + i % 2)
     truth.squareness, truth.location = squareness, location
     return folder

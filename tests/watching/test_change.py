@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.watching.change import ErrorSeries, WatchedError, examine
+from twin.watching.change import ErrorSeries, WatchedError, examine, lag_correlation
 
 LIMIT = float(np.log(2 * 14 / 0.05))
 CHECKS = 26
@@ -120,3 +120,18 @@ def test_few_checks(count: int) -> None:
     one = examine(series(np.arange(count) * 9.0, days, bed=np.arange(count) * 1.0), LIMIT)
     assert one.verdict == "steady" and one.change is None and len(one.weights) == count
     assert np.isfinite(one.repeatability) == (count > 1)
+
+
+@pytest.mark.parametrize("wanted", [0.0, 0.3, 0.5])
+def test_the_correlation_from_check_to_check_is_estimated(wanted: float) -> None:
+    """The mean over 40 watches of six errors, one of which has a step and one a temperature."""
+    rng, found = np.random.default_rng(10), []
+    for _ in range(40):
+        days, degrees = dates(rng), 20.0 + rng.normal(0.0, 1.0, CHECKS)
+        noise = rng.normal(0.0, 1.0, (CHECKS, 6))
+        for n in range(1, CHECKS):
+            noise[n] = wanted * noise[n - 1] + np.sqrt(1.0 - wanted**2) * noise[n]
+        noise[AFTER:, 0] += 6.0
+        noise[:, 1] += 4.0 * degrees
+        found.append(lag_correlation([series(noise[:, k], days, u=0.01, bed=degrees) for k in range(6)]))
+    assert np.mean(found) == pytest.approx(wanted, abs=0.1)

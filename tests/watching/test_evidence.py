@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy.stats import binom, multivariate_normal
 
-from twin.watching.evidence import DATES, MONTH_DAYS, PRIOR_VARIANCES, log_evidence, spent_share
+from twin.watching.evidence import (
+    DATES,
+    MONTH_DAYS,
+    OUTLIER_VARIANCES,
+    OUTLIER_WEIGHT,
+    PRIOR_VARIANCES,
+    log_evidence,
+    spent_share,
+)
 
 LOOKS = 30
 SERIES = 1000
@@ -44,6 +52,44 @@ def test_the_evidence_is_the_ratio_of_the_densities_without_level_and_scale() ->
         expected += weight * float(np.mean(ratios))
     assert found[-1] == pytest.approx(expected + rest, rel=2e-3)
     assert np.all(found[:2] == 1.0)
+
+
+def test_one_check_far_off_is_no_evidence_by_itself() -> None:
+    """The denominator is the larger of the densities of no change and of one check with an inflated variance, by quadrature."""
+    days, x = np.arange(5.0), np.array([0.1, -0.2, 0.0, 0.2, 9.0])
+    nothing = marginal(x, np.eye(5))
+    sizes = [g * np.diag(np.eye(5)[k]) for k in range(5) for g in OUTLIER_VARIANCES]
+    far = OUTLIER_WEIGHT * max(marginal(x, np.eye(5) + size) / nothing for size in sizes)
+    assert far > 1.0
+    expected, rest = 0.0, 1.0
+    for after in (1, 2, 3, 4):
+        weight = DATES / ((DATES + after - 1) * (DATES + after))
+        rest -= weight
+        shapes = [(np.arange(5) >= after).astype(float), np.maximum(days - days[after - 1], 0.0) / MONTH_DAYS]
+        ratios = [marginal(x, np.eye(5) + g * np.outer(z, z)) / nothing for z in shapes for g in PRIOR_VARIANCES]
+        expected += weight * float(np.mean(ratios))
+    assert np.exp(log_evidence(x, days, np.ones((5, 1))))[-1] == pytest.approx((expected + rest) / far, rel=5e-3)
+
+
+@pytest.mark.parametrize("heavy", [3.0, 4.0])
+def test_heavy_tails_do_not_raise_the_alarm_rate(heavy: float) -> None:
+    """At the limit of 14 errors and two tests: 1000 series of Student's t are an alarm in 0.05/28 or fewer of them, at 99.9 %."""
+    days, _ = drawn(8)
+    x = np.random.default_rng(9).standard_t(heavy, (LOOKS, SERIES))
+    found = log_evidence(x, days, np.ones((LOOKS, 1))).max(axis=0)
+    assert np.count_nonzero(found >= np.log(2 * 14 / 0.05)) <= binom.ppf(0.999, SERIES, 0.05 / 28)
+    assert np.mean(found >= np.log(20.0)) <= 0.05
+
+
+def test_correlated_checks_are_whitened() -> None:
+    """White noise passed through an autoregression, filtered here, gives the evidence of white noise where only noise is."""
+    days, white = drawn(10)
+    x = white.copy()
+    for n in range(1, LOOKS):
+        x[n] = 0.6 * x[n - 1] + 0.8 * (white[n] - 7.0) + 7.0 * 0.4
+    known = log_evidence(x, days, np.ones((LOOKS, 1)), correlation=0.6).max(axis=0)
+    assert np.mean(known >= np.log(20.0)) <= 0.05
+    assert np.mean(log_evidence(x, days, np.ones((LOOKS, 1))).max(axis=0) >= np.log(20.0)) > 0.15, "it matters"
 
 
 @pytest.mark.parametrize("rate", [0.05, 0.2])

@@ -157,6 +157,31 @@ def test_check_by_check_gives_the_same_as_all_at_once(
         assert memory.execute("SELECT count(*) FROM statements").fetchone() == (3,)
 
 
+def test_an_sqlite_that_does_not_serialize_writes_the_same_memory(
+    copy: Path, watched: twin.watching.Watch, dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory = copy.with_name(watched.memory.name)
+    last = sorted(copy.iterdir())[-1]
+    shutil.copy(last, copy / "later_2026-09-01.csv")
+    (copy / "later_2026-09-01.csv").write_text(last.read_text() + "\n")
+    before = memory.read_bytes()
+    found = []
+    for serializes in (True, False):
+        monkeypatch.setattr("twin.watching.memory.SERIALIZES", serializes)
+        memory.write_bytes(before)
+        found.append(twin.watch(copy, dmu50, calibration, settings=SETTINGS, now=START.replace(year=2027)))
+        with sqlite3.connect(memory) as opened:
+            found.append(list(opened.iterdump()))
+            assert opened.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+    assert found[1] == found[3] and text_of(found[0]) == text_of(found[2]) and len(found[2].checks) == 19
+    assert sorted(path.name for path in copy.parent.iterdir()) == sorted([copy.name, memory.name]), (
+        "no temporary file is left"
+    )
+    memory.write_bytes(b"SQLite format 3\0 and no more")
+    with pytest.raises(twin.InputError, match="not a memory of a watch"):
+        twin.watch(copy, dmu50, calibration, settings=SETTINGS)
+
+
 def test_changed_vanished_and_copied_files_are_reported(
     copy: Path, watched: twin.watching.Watch, dmu50: Machine, calibration: Calibration
 ) -> None:

@@ -119,7 +119,8 @@ RadiusOption = Annotated[
 FeedOption = Annotated[
     float | None,
     typer.Option(
-        "--feed", help="Feed with a ball bar, mm/min, default 1000; of the axis with --drift axes, default 5000."
+        "--feed",
+        help="Feed with a ball bar, mm/min, default 1000; of the axis with --drift axes, default 5000 (rotary: degrees/min).",
     ),
     POSITIVE,
 ]
@@ -127,7 +128,7 @@ ProgramOption = Annotated[
     Path | None,
     typer.Option(
         "--program",
-        help="Measuring program for the touch probe, untested on a control: .ngc .nc (LinuxCNC), .h (HEIDENHAIN), .mpf (SINUMERIK).",
+        help="Program for a touch probe or a drift test, untested: .ngc .nc (LinuxCNC), .h (HEIDENHAIN), .mpf (SINUMERIK).",
     ),
     Output((".ngc", ".nc", ".h", ".mpf")),
 ]
@@ -139,7 +140,7 @@ ProgramOption = Annotated[
     'twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv',
     "twin plan --judge thesis_plan.csv --json judged.json",
     "twin plan --instrument probe -o plan.csv --tool-length 120 --minutes 45",
-    "twin plan --drift spindle --instrument displacement --highest-rpm 12000 --minutes 300 -o spindle.csv",
+    "twin plan --drift spindle --instrument displacement --highest-rpm 12000 --minutes 300 -o spindle.csv --program spindle.mpf",
     'twin plan --instrument probe --sequence turns -o plan.csv --tool-length 120 --spheres "150,0,60" --program probe.ngc',
 )
 def plan(
@@ -178,8 +179,8 @@ def plan(
     if (output is None) is (judged is None):
         raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
     _check_combination(after, causes, reduce, instrument)
-    test = DriftRequest(drift, highest_rpm, spectrum, axis, feed, seed)
-    if test.wanted(bool(causes or reduce or judged or sequence or program_file or radius)):
+    test = DriftRequest(drift, highest_rpm, spectrum, axis, feed, seed, program_file)
+    if test.wanted(bool(causes or reduce or judged or sequence or radius)):
         own_sizes = InstrumentSizes(tool_length, **_sizes(sphere_diameter, ball_diameter, clearance, None, None))
         return test.planned(loaded, own, instrument, spheres, minutes, own_sizes, output)
     sizes = _sizes(sphere_diameter, ball_diameter, clearance, radius, feed)

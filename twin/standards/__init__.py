@@ -52,8 +52,9 @@ in each direction of the station's frame, and neither the names nor the quantity
     twin evaluate record.csv --iso230-3 --sensors d1=X1 d2=X2 d3=Y1 d4=Y2 d5=Z X1-X2=76 Y1-Y2=76 t5=ambient --html drift.html
     twin evaluate measured.csv --iso230-3 --tolerance d_Z_t=20 ETVE_Z=10
 
-The file is a record of displacement sensors (`time_s`, `<name>_um`; optional `spindle_rpm`, `T_<sensor>_degC`, axis positions, `round`)
-or a measurement table with `time_s` of a probe, an R-test or a tracker. In a table, the nominal motion between the positions is
+The file is a record of sensors (`time_s`, `<name>_um`, `<name>_urad` of a level or an autocollimator; optional `spindle_rpm`,
+`T_<sensor>_degC`, axis positions, `round`) or a measurement table with `time_s` of a probe, an R-test or a tracker. An angle keeps the
+name of its column (`ETVE_angle_<name>`). In a table, the nominal motion between the positions is
 subtracted, and the displacement is that of the tool relative to the work; a tracker needs a target on each side for that. Directions
 of sensors are given by `--sensors` or a comment `# sensors: d1=X1 …`, and never guessed: without them each sensor has values
 of its own. X1 and Y1 are near the end of the mandrel, X2 and Y2 near the spindle nose; `d1=-X1` turns a sign. With the distances
@@ -64,7 +65,10 @@ of its own. X1 and Y1 are near the end of the mandrel, X2 and Y2 near the spindl
 - Spindle ran: `d_X_end` displacement at the end of running, `d_X_60` range in the first 60 min, `d_X_t` range over the running period.
   All count from the last reading before the spindle ran. A rest of more than 60 min begins a new test (`spindle1`, `spindle2`).
 - One linear axis at two target positions: `e_X_1`, `e_X_2` range at each, `e_X_1_end` … displacement at the end, `e_X_21` change of
-  their distance. Several axes are separate rounds. The test of rotary axes is not evaluated.
+  their distance. Several axes are separate rounds. For Z the places may lie beside each other.
+- One rotary axis at three positions or more, cycle after cycle, in a table of a probe or an R-test: changes of location, orientation
+  and zero of the axis (`E_X0C_end`, `E_A0C_end`, `zero_C_end`), of the shift along it and of the radial expansion (`axial_C_end`,
+  `radial_C_end`) by least squares; with `_t` their ranges. They count from the first cycle, at the level of the sphere along the axis.
 
 The kinds of test and the name ETVE come from the public scope of ISO 230-3:2020. Its text was not available: figures, symbols and
 the signs of the tilts are not verified against it. `twin plan --drift` makes the schedule.

@@ -113,7 +113,7 @@ class StandardTest:
     Attributes:
         kind: ``positioning``, ``straightness``, ``squareness``, ``angular error``, ``circular``,
             ``rotary error motion``, ``kinematic``; ``environmental temperature variation``,
-            ``rotating spindle`` or ``moving linear axis``.
+            ``rotating spindle``, ``moving linear axis`` or ``moving rotary axis``.
         name: axis (``X``), axes (``XY``) or error (``E_YX``); tolerances select tests by it.
         standard: standard and clause.
         axes: names of the axes that moved.

@@ -41,7 +41,8 @@ def levels(findings: Sequence[WatchedError], checks: Sequence[Check]) -> tuple[n
             found[i, j] = float(np.mean(common)) if common else 0.0
         own = float(np.mean(one.series.u**2))
         between = max(one.repeatability**2 - own, 0.0) if np.isfinite(one.repeatability) else 0.0
-        found[i, i] += between * float(np.sum(one.weights**2))
+        apart = np.abs(np.subtract.outer(np.arange(len(one.weights)), np.arange(len(one.weights))))
+        found[i, i] += between * float(one.weights @ one.series.correlation**apart @ one.weights)
     return value, _positive(found)
 
 

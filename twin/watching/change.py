@@ -14,7 +14,7 @@ B. E. Hansen: Sample splitting and threshold estimation, Econometrica 68 (2000) 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, final
 
@@ -23,7 +23,7 @@ from scipy.stats import t as student
 
 from twin._common.arrays import read_only
 from twin.display.numbers import COVERAGE
-from twin.watching.evidence import change_shapes, log_evidence, remover
+from twin.watching.evidence import change_shapes, log_evidence, remover, whitening
 
 Verdict = Literal["steady", "changed", "follows temperature", "undecided"]
 DATE_LIMIT: Final = 7.35
@@ -38,6 +38,12 @@ LEAST_NOISE: Final = 0.1
 """Least standard deviation between checks, relative to the instrument's stated noise: equal readings do not mean that there is none."""
 FIRST_CHECKS: Final = 6
 """Number of checks from which the repeatability is estimated where their instruments' noise differs."""
+FEWEST_CHECKS: Final = 8
+"""Number of checks from which a correlation from check to check is estimated."""
+LAG_BIAS: Final = 2.5
+LAG_SCALE: Final = 1.3
+"""Constants of the bias of a lag-1 correlation about the most likely change: (LAG_BIAS/n + r) LAG_SCALE."""
+MOST_CORRELATION: Final = 0.6
 
 
 @final
@@ -54,6 +60,7 @@ class ErrorSeries:
         u: (n,) standard uncertainties from the instrument's noise.
         kind: (n,) instruments of the check; each kind has its own level.
         temperature_degC: by sensor, (n,); NaN where not given.
+        correlation: of the deviations from one check to the next, which is allowed for.
     """
 
     name: str
@@ -64,6 +71,12 @@ class ErrorSeries:
     u: np.ndarray
     kind: np.ndarray
     temperature_degC: Mapping[str, np.ndarray]
+    correlation: float = 0.0
+
+    @property
+    def root(self) -> np.ndarray:
+        """(n, n) matrix that makes the deviations independent, of unit variance."""
+        return np.asarray(whitening(len(self.days), self.correlation) / self.sd)
 
     @property
     def levels(self) -> np.ndarray:
@@ -196,31 +209,31 @@ def examine(series: ErrorSeries, limit: float) -> WatchedError:
         series: the deviations of one error.
         limit: logarithm of the evidence from which it is an alarm, for each of the two tests.
     """
-    sd, sensors, levels = series.sd, series.sensors, series.levels
+    sd, sensors, levels, correlation = series.sd, series.sensors, series.levels, series.correlation
     least = float(np.min((LEAST_NOISE * series.u / sd) ** 2))
-    plain = log_evidence(series.value, series.days, levels, sd, least)
+    plain = log_evidence(series.value, series.days, levels, sd, least, correlation)
     apart = np.full(len(plain), np.nan)
     if sensors:
         every = [
-            log_evidence(series.value, series.days, np.column_stack([levels, sensor]), sd, least)
+            log_evidence(series.value, series.days, np.column_stack([levels, sensor]), sd, least, correlation)
             for sensor in sensors.values()
         ]
         apart = np.min(every, axis=0)
     decisive = apart if sensors else plain
     passed, moved = decisive >= limit, (decisive >= limit) | (plain >= limit)
     alarm = int(np.argmax(moved)) if moved.any() else None
-    change = None if alarm is None else _change(series, sd, least, levels)
+    change = None if alarm is None else _change(series, least, levels)
     temperatures: tuple[TemperatureEffect, ...] = ()
     verdict: Verdict = "steady"
     if passed.any():
         verdict = "changed"
         if sensors:
-            change = _change(series, sd, least, _with_best_sensor(series, sd, levels, sensors))
+            change = _change(series, least, _with_best_sensor(series, levels, sensors))
     elif moved.any():
-        temperatures = _temperatures(series, sd, least)
+        temperatures = _temperatures(series, least)
         verdict = "follows temperature" if temperatures[0].log_ratio >= np.log(RATIO) else "undecided"
     columns = _model(series, verdict, change, temperatures)
-    fit = _fit(series.value, sd, columns)
+    fit = _fit(series.value, series.root, columns)
     variance = max(fit.rss / fit.dof, least) if fit.dof > 0 else np.nan
     return WatchedError(
         series,
@@ -254,42 +267,46 @@ def _shape(series: ErrorSeries, shape: str, after: int) -> np.ndarray:
     return np.asarray((step if shape == "step" else drift)[:, after])
 
 
-def _fit(value: np.ndarray, sd: np.ndarray, columns: np.ndarray) -> _Fit:
+def _fit(value: np.ndarray, root: np.ndarray, columns: np.ndarray) -> _Fit:
     """Fit columns to a series; the last column is the one of interest."""
-    x = columns / sd[:, None]
+    x = root @ columns
     inverse = np.linalg.pinv(x, rcond=1e-9)
-    found = inverse @ (value / sd)
-    residual = value / sd - x @ found
+    found = inverse @ root @ value
+    residual = root @ value - x @ found
     dof = len(value) - int(np.linalg.matrix_rank(x, tol=1e-9 * np.abs(x).max()))
     return _Fit(
-        found, inverse @ inverse.T, float(residual @ residual), dof, columns[-1] @ inverse / sd, columns @ found
+        found,
+        inverse @ inverse.T,
+        float(residual @ residual),
+        dof,
+        columns[-1] @ inverse @ root,
+        columns @ found,
     )
 
 
-def _with_best_sensor(
-    series: ErrorSeries, sd: np.ndarray, levels: np.ndarray, sensors: Mapping[str, np.ndarray]
-) -> np.ndarray:
+def _with_best_sensor(series: ErrorSeries, levels: np.ndarray, sensors: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return the levels, with the sensor whose influence beside a change is significant at 1 %, if one is."""
-    plain = min(_profile(series, sd, levels)[shape].min() for shape in ("step", "drift"))
-    dof = len(sd) - levels.shape[1] - 3
+    plain = min(_profile(series, levels)[shape].min() for shape in ("step", "drift"))
+    dof = len(levels) - levels.shape[1] - 3
     if dof < 2:
         return levels
     both = {name: np.column_stack([levels, values]) for name, values in sensors.items()}
-    rss = {name: min(p.min() for p in _profile(series, sd, columns).values()) for name, columns in both.items()}
+    rss = {name: min(p.min() for p in _profile(series, columns).values()) for name, columns in both.items()}
     best = min(rss, key=rss.__getitem__)
     needed = float(student.ppf(1.0 - 0.005 / len(sensors), dof)) ** 2
     significant = (plain - rss[best]) * dof > needed * max(rss[best], 1e-300)
     return both[best] if significant else levels
 
 
-def _profile(series: ErrorSeries, sd: np.ndarray, nuisance: np.ndarray) -> dict[str, np.ndarray]:
+def _profile(series: ErrorSeries, nuisance: np.ndarray) -> dict[str, np.ndarray]:
     """Return the residual sums of squares for a step and for a drift after each check but the last."""
-    basis, _ = remover(nuisance / sd[:, None])
-    y = series.value / sd
+    root = series.root
+    basis, _ = remover(root @ nuisance)
+    y = root @ series.value
     y = y - basis @ (basis.T @ y)
     found = {}
     for name, shape in zip(("step", "drift"), change_shapes(series.days), strict=True):
-        z = shape / sd[:, None]
+        z = root @ shape
         z = z - basis @ (basis.T @ z)
         strength = np.sum(z**2, axis=0)
         along = np.divide((z.T @ y) ** 2, strength, out=np.zeros_like(strength), where=strength > 1e-12)
@@ -297,13 +314,13 @@ def _profile(series: ErrorSeries, sd: np.ndarray, nuisance: np.ndarray) -> dict[
     return found
 
 
-def _change(series: ErrorSeries, sd: np.ndarray, least: float, nuisance: np.ndarray) -> Change:
+def _change(series: ErrorSeries, least: float, nuisance: np.ndarray) -> Change:
     """Return the most likely change, with its interval, beside the nuisance columns."""
-    profile = {name: rss + least for name, rss in _profile(series, sd, nuisance).items()}
+    profile = {name: rss + least for name, rss in _profile(series, nuisance).items()}
     shape: Literal["step", "drift"] = "step" if profile["step"].min() <= profile["drift"].min() else "drift"
     own, other = profile[shape], profile["drift" if shape == "step" else "step"]
     after = int(np.argmin(own))
-    fit = _fit(series.value, sd, np.column_stack([nuisance, _shape(series, shape, after)]))
+    fit = _fit(series.value, series.root, np.column_stack([nuisance, _shape(series, shape, after)]))
     dof = max(fit.dof - 1, 1)  # the date is estimated too
     inside = np.flatnonzero(dof * (own - own[after]) / own[after] <= DATE_LIMIT)
     days, last = series.days, len(series.days) - 1
@@ -324,13 +341,13 @@ def _change(series: ErrorSeries, sd: np.ndarray, least: float, nuisance: np.ndar
     )
 
 
-def _temperatures(series: ErrorSeries, sd: np.ndarray, least: float) -> tuple[TemperatureEffect, ...]:
+def _temperatures(series: ErrorSeries, least: float) -> tuple[TemperatureEffect, ...]:
     """Return the sensors by likelihood, without those that are less likely than the first by `RATIO`."""
-    profile = _profile(series, sd, series.levels)
+    profile = _profile(series, series.levels)
     change = min(float(rss.min()) for rss in profile.values()) + least
     found = []
     for name, values in series.sensors.items():
-        fit = _fit(series.value, sd, np.column_stack([series.levels, values]))
+        fit = _fit(series.value, series.root, np.column_stack([series.levels, values]))
         dof = max(fit.dof, 1)
         u = np.sqrt(max(fit.rss / dof, least) * fit.cofactor[-1, -1])
         found.append(
@@ -343,3 +360,32 @@ def _temperatures(series: ErrorSeries, sd: np.ndarray, least: float) -> tuple[Te
         )
     found.sort(key=lambda one: -one.log_ratio)
     return tuple(one for one in found if one.log_ratio >= found[0].log_ratio - np.log(RATIO))
+
+
+def lag_correlation(every: Sequence[ErrorSeries]) -> float:
+    """Return the correlation of the deviations from one check to the next, estimated from the series of all errors together.
+
+    It is the mean lag-1 correlation of the residuals about the most likely change beside levels and temperatures, corrected for its
+    bias, and not less than zero. Constants of the correction were fitted to drawn series.
+
+    Args:
+        every: the series; those of fewer than `FEWEST_CHECKS` do not count.
+    """
+    found = []
+    for series in every:
+        count = len(series.days)
+        columns = np.column_stack([series.levels, *series.sensors.values()])
+        if count < FEWEST_CHECKS + columns.shape[1] - 1:
+            columns = series.levels
+        if count < FEWEST_CHECKS + columns.shape[1] - 1:
+            continue
+        profile = _profile(series, columns)
+        shape = min(profile, key=lambda name: float(profile[name].min()))
+        changed = _shape(series, shape, int(np.argmin(profile[shape])))
+        fit = _fit(series.value, series.root, np.column_stack([columns, changed]))
+        residual = series.root @ (series.value - fit.fitted)
+        whole = float(residual @ residual)
+        if whole > 0.0:
+            bias = (LAG_BIAS + columns.shape[1] - 1) / count
+            found.append(LAG_SCALE * (float(residual[1:] @ residual[:-1]) / whole + bias))
+    return float(np.clip(np.mean(found), 0.0, MOST_CORRELATION)) if found else 0.0

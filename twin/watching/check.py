@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, final
@@ -13,18 +13,22 @@ from typing import Any, Final, final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from twin._common.arrays import read_only
 from twin._common.csv_tables import read_table
 from twin._common.errors import InputError, closest_name
 from twin._common.files import read_bytes
+from twin._common.units import MM
 from twin.identification.constant_errors import NEGLIGIBLE, constant_errors, constant_unknowns, scale_unit
 from twin.identification.inputs import prepare
 from twin.identification.network import Network
-from twin.identification.solve import solve
+from twin.identification.setup import SetUp
+from twin.identification.solve import FitSolution, solve
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.effects import unit_of
 from twin.machine.machine import Machine
 from twin.measurement.checks import grouped_notes
+from twin.measurement.observation import observation_of
 from twin.measurement.table import Measurements
 
 SUFFIX: Final = ".csv"
@@ -189,7 +193,7 @@ def read_check(
         if not len(unknowns):
             raise data.error("no axis moved", expected="two or more positions of an axis", row=0)
         network = Network(machine, data, placed.instruments, unknowns, calibration)
-        solution = solve(network, np.zeros(len(unknowns)), placed.setup, np.ones(len(data)))
+        solution = _solved(network, placed.setup, calibration)
         constants = constant_errors(machine, data, placed.instruments, solution.setup)
     if not solution.converged:
         raise data.error("the estimate of the deviations did not converge", expected="more or other positions", row=0)
@@ -220,6 +224,34 @@ def read_check(
         notices=(*data.notices, *(f"set aside, {text}" for text in grouped_notes(data.set_aside))),
         read_at=read_at.isoformat(timespec="seconds"),
     )
+
+
+def _solved(network: Network, setup: SetUp, calibration: Calibration) -> FitSolution:
+    """Return the estimate; stations on the tool or the work start parallel to their carrier, and anew if that does not converge.
+
+    An R-test follows the ball, so that its readings hardly show the orientation of its frame: an initial value from them may be
+    anything. Its frame is nearly parallel to the table, because its sensors are aligned with the axes.
+    """
+    zero, weights = np.zeros(len(network.unknowns)), np.ones(len(network.data))
+    free = ~setup.station_known & np.array([one.reads == "point" for one in setup.reads])
+    if free.any() and not np.any(network.data.station_carrier == "base"):
+        found = solve(network, zero, _parallel(network, setup, calibration, np.flatnonzero(free)), weights)
+        if found.converged:
+            return found
+    return solve(network, zero, setup, weights)
+
+
+def _parallel(network: Network, setup: SetUp, calibration: Calibration, free: np.ndarray) -> SetUp:
+    """Return the set-up with some stations parallel to their carriers."""
+    data, targets, stations = network.data, list(setup.targets), np.array(setup.stations)
+    target = np.array([targets.index(str(name)) for name in data.target])
+    points = observation_of(network.machine).points_mm(calibration, data, setup.place[target] / MM)
+    origin, rotation = np.array(setup.origin), np.array(setup.rotation)
+    for k in free:
+        own = data.station.astype(str) == stations[k]
+        origin[k] = np.nanmean(points[own] - data.point_mm[own], axis=0) * MM
+        rotation[k] = np.eye(3)
+    return replace(setup, origin=read_only(origin), rotation=read_only(rotation))
 
 
 def to_units(unknowns: Unknowns) -> np.ndarray:

@@ -13,6 +13,11 @@ variance (Pérez-Ortiz et al. 2024; Lai 1976). Further nuisance columns are elim
 check, and a temperature with an unknown coefficient. The change is a step, or a drift from its date on; its size in standard
 deviations has normal priors of several widths (Robbins 1970).
 
+Two departures from independent, normal deviations are allowed for. The unchanged machine may have one check far off: the likelihood
+of no change is at least `OUTLIER_WEIGHT` times that with an inflated variance of any one check. A single check is then hardly
+evidence, the second one of a step is. And the deviations may be correlated from check to check (first-order autoregression); they
+are then whitened. The first only makes the ratio smaller. With the second, the bound is as good as the estimate of the correlation.
+
 The floor of the variance (`least`) is a small part of the instrument's. It only makes the ratio smaller, so the bound is kept.
 
 K. K. G. Lan, D. L. DeMets: Discrete sequential boundaries for clinical trials, Biometrika 70 (1983) 659-663.
@@ -34,6 +39,9 @@ DATES: Final = 20.0
 """Number of possible dates of a change over which half of the alarm rate is spent."""
 MONTH_DAYS: Final = 30.0
 """Time over which a drift is measured, days."""
+OUTLIER_VARIANCES: Final = (10.0, 100.0)
+"""Additional variances of one check that is far off, in squares of the standard deviation of one check."""
+OUTLIER_WEIGHT: Final = 0.1
 RANK_TOLERANCE: Final = 1e-9
 """Relative size of singular values that count as zero."""
 
@@ -67,8 +75,26 @@ def remover(nuisance: np.ndarray) -> tuple[np.ndarray, int]:
     return left[:, :rank], rank
 
 
+def whitening(count: int, correlation: float) -> np.ndarray:
+    """Return the matrix (n, n) that makes a first-order autoregression of unit variance independent.
+
+    Args:
+        count: number of checks.
+        correlation: from one check to the next, below 1.
+    """
+    scale = np.sqrt(1.0 - correlation**2)
+    found = (np.eye(count) - correlation * np.eye(count, k=-1)) / scale
+    found[:1, :1] = 1.0
+    return np.asarray(found)
+
+
 def log_evidence(
-    values: np.ndarray, days: np.ndarray, nuisance: np.ndarray, sd: np.ndarray | None = None, least: float = 0.0
+    values: np.ndarray,
+    days: np.ndarray,
+    nuisance: np.ndarray,
+    sd: np.ndarray | None = None,
+    least: float = 0.0,
+    correlation: float = 0.0,
 ) -> np.ndarray:
     """Return the logarithm of the e-process after each check.
 
@@ -78,44 +104,65 @@ def log_evidence(
         nuisance: (n, p) columns with unknown coefficients, whose influence is eliminated; one of them is the level.
         sd: (n,) relative standard deviations of the checks; equal if None.
         least: floor of the variance, in units of ``sd`` squared.
+        correlation: of the deviations from one check to the next.
 
     Returns:
         (n,) or (n, series) logarithms; 0 means that nothing is known.
     """
     sd = np.ones(len(days)) if sd is None else sd
-    y = (values.T / sd).T.reshape(len(days), -1)
-    x = nuisance / sd[:, None]
+    white = whitening(len(days), correlation)
+    y = white @ (values.T / sd).T.reshape(len(days), -1)
+    x = white @ (nuisance / sd[:, None])
     # Relative to the first check, so that the priors of the size are in standard deviations whatever the unit of ``sd``.
-    shapes = [shape * (sd[0] / sd)[:, None] for shape in change_shapes(days)]
+    shapes = [white @ (shape * (sd[0] / sd)[:, None]) for shape in change_shapes(days)]
     found = np.zeros_like(y)
     for n in range(3, len(days) + 1):
-        found[n - 1] = _log_ratio(y[:n], x[:n], [shape[:n, : n - 1] for shape in shapes], least)
+        found[n - 1] = _log_ratio(y[:n], x[:n], [shape[:n, : n - 1] for shape in shapes], white[:n, :n], least)
     return found.reshape(np.shape(values))
 
 
-def _log_ratio(y: np.ndarray, x: np.ndarray, shapes: list[np.ndarray], least: float) -> np.ndarray:
-    """Return (series,) the logarithm of the averaged likelihood ratio of the checks so far."""
+def _log_ratio(
+    y: np.ndarray, x: np.ndarray, shapes: list[np.ndarray], outliers: np.ndarray, least: float
+) -> np.ndarray:
+    """Return (series,) the logarithm of the averaged likelihood ratio of the checks so far.
+
+    Args:
+        y: (n, series) white deviations.
+        x: (n, p) white nuisance columns.
+        shapes: white regressors of steps and drifts.
+        outliers: (n, n) white regressors of a single check.
+        least: floor of the variance.
+    """
     count = len(y)
     basis, rank = remover(x)
     dof = count - rank
     y = y - basis @ (basis.T @ y)
-    rss = np.sum(y**2, axis=0) + least
     if dof < 2:
         return np.zeros(y.shape[1])
+    logs = np.concatenate([_log_ratios(y, basis, dof, shape, PRIOR_VARIANCES, least) for shape in shapes])
+    each = logs - np.log(len(logs))
     dates = np.arange(1.0, count)
     weight = DATES / ((DATES + dates - 1.0) * (DATES + dates))
-    logs = []
-    for shape in shapes:
-        z = shape - basis @ (basis.T @ shape)
-        strength = np.sum(z**2, axis=0)[:, None]
-        along = (z.T @ y) ** 2
-        for variance in PRIOR_VARIANCES:
-            gain = 1.0 + variance * strength
-            explained = np.divide(variance * along / gain, rss, out=np.zeros_like(along), where=rss > 0.0)
-            share = np.clip(explained, 0.0, 1.0 - 1e-12)
-            logs.append(-0.5 * np.log(gain) - 0.5 * dof * np.log1p(-share))
-    each = np.stack(logs) - np.log(len(logs))
     top = np.maximum(each.max(axis=(0, 1)), 0.0)
     inside = np.einsum("c,kcs->s", weight, np.exp(each - top))
     later = DATES / (DATES + count - 1.0)
-    return np.asarray(top + np.log(inside + later * np.exp(-top)))
+    changed = top + np.log(inside + later * np.exp(-top))
+    far_off = _log_ratios(y, basis, dof, outliers, OUTLIER_VARIANCES, least).max(axis=(0, 1))
+    return np.asarray(changed - np.maximum(far_off + np.log(OUTLIER_WEIGHT), 0.0))
+
+
+def _log_ratios(
+    y: np.ndarray, basis: np.ndarray, dof: int, shape: np.ndarray, variances: tuple[float, ...], least: float
+) -> np.ndarray:
+    """Return (variances, columns, series) the logarithms of the likelihood ratios of a random multiple of each column to none."""
+    rss = np.sum(y**2, axis=0) + least
+    z = shape - basis @ (basis.T @ shape)
+    strength = np.sum(z**2, axis=0)[:, None]
+    along = (z.T @ y) ** 2
+    logs = []
+    for variance in variances:
+        gain = 1.0 + variance * strength
+        explained = np.divide(variance * along / gain, rss, out=np.zeros_like(along), where=rss > 0.0)
+        share = np.clip(explained, 0.0, 1.0 - 1e-12)
+        logs.append(-0.5 * np.log(gain) - 0.5 * dof * np.log1p(-share))
+    return np.stack(logs)

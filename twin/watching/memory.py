@@ -1,6 +1,7 @@
 """The memory of a watch: one SQLite file beside the folder, with the checks that were read and the statements that were made.
 
-The file is read whole, changed in memory and replaced atomically, so that a run that is stopped leaves the old file.
+The file is read whole, changed in memory and replaced atomically, so that a run that is stopped leaves the old file. Where SQLite was
+built without `sqlite3_serialize`, its backup to a temporary file gives the same bytes.
 
     watches     one row a calibration, machine and alarm rate: a watch; each has its own alarm rate
     checks      the checks of a watch, in the order in which they were read: name, SHA-256, date, estimates (JSON)
@@ -12,18 +13,20 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin._common.files import check_writable, write_atomic
+from twin._common.files import check_writable, scratch_folder, write_atomic
 from twin.watching.check import Check, from_json, to_json
 
 APPLICATION_ID: Final = 0x74776174
 """Identifier of the file format in SQLite's header."""
 VERSION: Final = 1
+SERIALIZES: Final = hasattr(sqlite3.Connection, "serialize")
+"""Whether this SQLite turns a database in memory into bytes by itself."""
 MAGIC: Final = b"SQLite format 3\0"
 """First bytes of every SQLite file."""
 TABLES: Final = """
@@ -135,8 +138,31 @@ def remember(path: Path, key: WatchKey, new: Sequence[Check], said: WatchStateme
             (key.id, said.said_at, said.checks, said.spent, said.verdict, said.text),
         )
         memory.commit()
-        content = memory.serialize()
+        content = _content(memory, path.parent)
     write_atomic(path, content)
+
+
+def _load(memory: sqlite3.Connection, content: bytes, folder: Path) -> None:
+    """Fill a database in memory with the content of a file."""
+    if SERIALIZES:
+        memory.deserialize(content)
+        return
+    with scratch_folder(folder) as scratch:
+        copy = scratch / "copy.sqlite"
+        copy.write_bytes(content)
+        with closing(sqlite3.connect(copy)) as source:
+            source.backup(memory)
+
+
+def _content(memory: sqlite3.Connection, folder: Path) -> bytes:
+    """Return the content of the file of a database in memory."""
+    if SERIALIZES:
+        return memory.serialize()
+    with scratch_folder(folder) as scratch:
+        copy = scratch / "copy.sqlite"
+        with closing(sqlite3.connect(copy)) as target:
+            memory.backup(target)
+        return copy.read_bytes()
 
 
 @contextmanager
@@ -153,7 +179,7 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
                 content = path.read_bytes()
                 if not content.startswith(MAGIC):
                     raise _not_a_memory(path, "another kind of file")
-                memory.deserialize(content)
+                _load(memory, content, path.parent)
                 (identifier,), (version,) = (
                     memory.execute(f"PRAGMA {name}").fetchone() for name in ("application_id", "user_version")
                 )

@@ -77,6 +77,11 @@ class Watch:
         return "changed" if "changed" in verdicts else "undecided" if "undecided" in verdicts else "steady"
 
     @property
+    def correlation(self) -> float:
+        """Estimated correlation of the deviations from one check to the next, which is allowed for."""
+        return self.errors[0].series.correlation if self.errors else 0.0
+
+    @property
     def good(self) -> bool | None:
         """Whether the calibration is still good for the tolerance (ISO 14253-1); None if undecided or not asked."""
         if self.remaining is None or self.tolerance_mm is None:
@@ -146,6 +151,7 @@ class Watch:
                 "log_evidence_limit": self.limit,
                 "dates_of_half": DATES,
                 "prior_variances": list(PRIOR_VARIANCES),
+                "correlation": self.correlation,
             },
             "errors": [_finding(one, self.checks) for one in self.errors],
             "not_determined": list(self.not_determined),

@@ -20,7 +20,7 @@ from twin.display import count_with_noun
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.watching.at_tool import remaining_error
-from twin.watching.change import ErrorSeries, WatchedError, examine
+from twin.watching.change import ErrorSeries, WatchedError, examine, lag_correlation
 from twin.watching.check import (
     Check,
     CheckFile,
@@ -202,7 +202,9 @@ def _new_checks(
 def _watched_errors(checks: Sequence[Check], limit: float) -> tuple[WatchedError, ...]:
     """Return the result for every error, in the order in which the checks name them."""
     names = list(dict.fromkeys(name for check in checks for name in check.errors))
-    return tuple(examine(series_of(name, checks), limit) for name in names)
+    every = [series_of(name, checks) for name in names]
+    correlation = lag_correlation(every)
+    return tuple(examine(replace(one, correlation=correlation), limit) for one in every)
 
 
 def series_of(name: str, checks: Sequence[Check]) -> ErrorSeries:

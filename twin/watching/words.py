@@ -19,6 +19,7 @@ WIDTH: Final = 110
 FEW_CHECKS: Final = 5
 """Number of checks below which the repeatability is hardly known, so that only large changes are found."""
 MOST_NOTICES: Final = 8
+SHOWN_CORRELATION: Final = 0.05
 
 
 def error_in_words(name: str) -> str:
@@ -190,6 +191,11 @@ def rate_sentences(watch: Watch) -> list[str]:
         f"{count_with_noun(watch.errors_watched, 'error')} and two tests, one of them with temperatures as a possible cause.",
         "The repeatability is the standard deviation between checks, set-up included, estimated from the checks.",
     ]
+    if watch.correlation >= SHOWN_CORRELATION:
+        found.append(
+            f"The deviations are correlated from check to check by {watch.correlation:.1f} (estimated from all errors). This is "
+            "allowed for: slow variations are less evidence of a change."
+        )
     if watch.remaining is not None:
         found.append("The error at the tool contains the deviations of the errors watched, and no other errors.")
     return found

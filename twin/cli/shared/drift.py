@@ -15,6 +15,7 @@ from twin.cli.shared.words import three_numbers
 from twin.machine.machine import Machine
 from twin.planning import InstrumentSizes, Kit
 from twin.planning.drift import DRIFTS, INSTRUMENTS, drift_plan
+from twin.planning.programs import drift_steps, format_of, write_program
 
 DriftOption = Annotated[
     str | None,
@@ -34,14 +35,14 @@ SpectrumOption = Annotated[
     typer.Option("--spectrum", help="Change the speed at random every 10 min, with --drift spindle; default: steps."),
 ]
 AxisOption = Annotated[
-    str | None, typer.Option("--axis", help="Linear axis that moves, with --drift axes; default: the first.")
+    str | None, typer.Option("--axis", help="Linear or rotary axis that moves, with --drift axes; default: the first.")
 ]
 
 
 @final
 @dataclass(frozen=True)
 class DriftRequest:
-    """Options of a drift test: name, highest speed, spectrum, axis, feed, seed."""
+    """Options of a drift test: name, highest speed, spectrum, axis, feed, seed, program."""
 
     name: str | None
     highest_rpm: float | None
@@ -49,6 +50,7 @@ class DriftRequest:
     axis: str | None
     feed_mm_min: float | None
     seed: int
+    program: Path | None = None
 
     def wanted(self, others: bool) -> bool:
         """Return whether a drift test is wanted.
@@ -91,6 +93,13 @@ class DriftRequest:
             sizes=sizes,
             options=options,
         )
+        text, report = made.to_text(), made.to_dict()
+        if self.program is not None:
+            language = format_of(self.program)
+            steps = drift_steps(made)
+            write_program(steps, self.program)
+            report["program"] = {"file": str(self.program), "control": language.title}
+            text += f"note: program for {language.title}, NOT RUN ON A MACHINE. {language.unverified if steps.probing else ''}\n"
         if output is not None:
             made.save(output)
-        return CommandResult(made.to_text(), made.to_dict)
+        return CommandResult(text, lambda: report)

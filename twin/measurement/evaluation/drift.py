@@ -20,7 +20,7 @@ from twin.measurement.evaluation.inputs import check_same_length, finite_array
 
 FIRST_S: Final = 3600.0
 """Length of the first part of a spindle test, s."""
-DriftKind = Literal["environment", "spindle", "axes"]
+DriftKind = Literal["environment", "spindle", "axes", "rotary axis"]
 
 
 @final
@@ -29,7 +29,7 @@ class DriftSeries:
     """Displacements of one test over time; n readings.
 
     Attributes:
-        kind: ``environment``, ``spindle`` or ``axes``.
+        kind: ``environment``, ``spindle``, ``axes`` or ``rotary axis``.
         time_s: (n,) increasing.
         displacement: (n,) by name, µm or µrad, from the reference reading; NaN where it was not read.
         units: ``um`` or ``urad`` by name.

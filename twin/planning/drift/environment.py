@@ -18,7 +18,9 @@ def _schedule(task: DriftTask) -> DriftSchedule:
         notices.append("probing moves the axes: they warm a little at every reading, which sensors avoid")
     if task.base.minutes < DAY_MINUTES:
         notices.append("less than 24 h: the daily change of the environment is not complete")
-    return DriftSchedule(time, np.zeros(len(time)), np.zeros(len(time), dtype=int), tuple(notices))
+    return DriftSchedule(
+        time, np.zeros(len(time)), np.zeros(len(time), dtype=int), np.zeros(len(time), dtype=bool), tuple(notices)
+    )
 
 
 ENVIRONMENT: Final = DriftSequence(

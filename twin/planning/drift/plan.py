@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, final
@@ -13,7 +14,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
-from twin.display import card, count_with_noun, note, pairs
+from twin.display import card, count_with_noun, note, pairs, readable
 from twin.machine.machine import Machine
 from twin.measurement.columns import comment_lines, csv_text, number_cells
 from twin.measurement.instruments import instrument_named
@@ -36,10 +37,19 @@ from twin.planning.sequences import (
     reach,
     sequence_table,
 )
+from twin.standards.drift.axis_design import design_of
 
 SCHEMA: Final = "twin.plan/1"
 MOST_MINUTES: Final = 7.0 * 24.0 * 60.0
 FEED_MM_MIN: Final = 5000.0
+CANDIDATES: Final = 13
+"""Angles of a rotary axis with ends that are tried for readings."""
+MOST_ANGLES: Final = 5
+FEWEST_ANGLES: Final = 3
+RISERS_MM: Final = tuple(range(300, 40, -10))
+"""Heights of the riser of the upper part that are tried for an axis along the spindle."""
+ASIDE: Final = (0.5, 0.65, 0.8)
+"""Distances of the upper part from the lower one that are tried, as shares of the height of the riser."""
 FASTEST_RPM: Final = 1e6
 SENSORS: Final = ("X1", "X2", "Y1", "Y2", "Z")
 
@@ -73,6 +83,7 @@ class DriftPlan:
         found = [
             f"parts on the table (work frame, mm): {parts}; the {words.tip} is {-self.task.base.tip_mm[2]:g} mm below the spindle nose",
             *self.schedule.notices,
+            *self._uncertainties(),
             self.sequence.limits,
             UNVERIFIED,
         ]
@@ -86,6 +97,25 @@ class DriftPlan:
                 "Y1-Y2=… in mm; the sensors count as the mandrel moves along + of the axis, else write X1=-X1"
             )
         return found
+
+    def _uncertainties(self) -> list[str]:
+        """Return what the readings at a rotary axis determine, in words."""
+        count = len(self.task.angles_deg)
+        if not count:
+            return []
+        design = design_of(
+            self.task.moved,
+            np.asarray(self.table.positions[:count]),
+            ["tool"] * count,
+            ["work"] * count,
+            self.task.base.machine,
+        )
+        factor = np.sqrt(2.0) * np.linalg.norm(np.linalg.pinv(design.matrix.reshape(3 * count, -1)), axis=1)
+        listed = [
+            f"{name} {value:.2g} {readable(unit)}"
+            for name, value, unit in zip(design.names, factor, design.units, strict=True)
+        ]
+        return [f"1 µm standard uncertainty of each reading gives the changes of one cycle one of: {', '.join(listed)}"]
 
     def save(self, path: str | Path) -> None:
         """Write the plan atomically: a measurement table, or the record of displacement sensors to fill in."""
@@ -183,16 +213,15 @@ def make_drift_plan(
         machine, sequence, instrument, kit, places_mm, minutes, sizes or InstrumentSizes(), dict(options or {})
     )
     schedule = sequence.make(task)
-    n, names = len(schedule.time_s), list(task.base.places_mm)
-    rest = np.tile(task.base.rest(), (len(names), 1))
-    reached = reach(task.base, SequencePoints.at_places(rest, names, np.ones(len(names), dtype=int)))
-    if len(reached.points) < len(names):
+    n = len(schedule.time_s)
+    reached = reach(task.base, _poses(task))
+    if reached.dropped:
         why = ", ".join(f"{name}: {count}" for name, count in reached.dropped.items())
         raise InputError(
             f"a pose of the drift test is out of reach ({why})",
             expected="other places on the table, or another tool length",
         )
-    points = reached.points.select(schedule.place)
+    points = reached.points.select(schedule.pose)
     table = replace(
         sequence_table(task.base, points),
         time_s=read_only(np.round(schedule.time_s, 1)),
@@ -223,9 +252,46 @@ def _task(
             "no such instrument for a drift test", expected=f"one of {', '.join(INSTRUMENTS)}", value=instrument
         )
     sizes.check()
+    axis = _axis(machine, options.get("axis"))
+    moved, own = machine.axes[axis], Kit.default(machine) if kit is None else kit
     duration = sequence.minutes if minutes is None else minutes
-    feed = options.get("feed_mm_min") or FEED_MM_MIN
+    fastest = 60.0 * float(own.speeds[axis])
+    feed = options.get("feed_mm_min") or (FEED_MM_MIN if moved.linear else fastest)
     highest = options.get("highest_rpm")
+    _check_numbers(duration, feed, highest)
+    reader = instrument_named("r-test" if instrument == "displacement" else instrument)
+    tip = (0.0, 0.0, -(sizes.tool_length_mm or machine.tool_length_mm or 100.0))
+    names = SET_UPS[reader.name]
+    part = names.target if instrument == "probe" else names.station
+    turning = sequence.targets > 1 and not moved.linear
+    if turning and instrument == "displacement":
+        raise InputError(
+            "fixed sensors do not follow a rotary axis", expected="a touch probe or an R-test", value=instrument
+        )
+    parts = 1 if turning else sequence.targets
+    x, y, z = default_place(machine, tip, central=False)
+    default = {f"{part} 1": (x, y, z)}
+    base = SequenceTask(
+        machine,
+        reader,
+        own,
+        tip,
+        MappingProxyType(dict(places_mm or default)),
+        duration,
+        sizes,
+        int(options.get("seed", 0)),
+    )
+    task = DriftTask(base, instrument, highest, bool(options.get("spectrum")), axis, feed)
+    if parts == 2 and not places_mm:
+        task = replace(task, base=replace(base, places_mm=MappingProxyType(_two_places(task, part))))
+    found = task.base.places_mm
+    if len(found) != parts or not np.isfinite(list(found.values())).all():
+        raise InputError("wrong places on the table", expected=f"{parts} in the work frame, mm", value=dict(found))
+    return replace(task, angles_deg=_angles(task)) if turning else task
+
+
+def _check_numbers(duration: float, feed: float, highest: float | None) -> None:
+    """Raise `InputError` for a duration, feed or speed that is impossible."""
     for what, value, most in (
         ("duration", duration, MOST_MINUTES),
         ("feed", feed, 1e6),
@@ -233,45 +299,67 @@ def _task(
     ):
         if not 0.0 < value <= most:
             raise InputError(f"impossible {what}", expected=f"above 0, up to {most:g}", value=value)
-    axis = _axis(machine, options.get("axis"))
-    reader = instrument_named("r-test" if instrument == "displacement" else instrument)
-    tip = (0.0, 0.0, -(sizes.tool_length_mm or machine.tool_length_mm or 100.0))
-    names = SET_UPS[reader.name]
-    part = names.target if instrument == "probe" else names.station
-    places = places_mm or _default_places(machine, sequence, part, tip, axis)
-    if len(places) != sequence.targets or not np.isfinite(list(places.values())).all():
+
+
+def _poses(task: DriftTask) -> SequencePoints:
+    """Return the poses of the readings: the places on the table, or the angles of the rotary axis; linear axes still open."""
+    names = list(task.base.places_mm) * max(len(task.angles_deg), 1)
+    rest = np.tile(task.base.rest(), (len(names), 1))
+    if task.angles_deg:
+        rest[:, task.axis] = task.angles_deg
+    return SequencePoints.at_places(rest, names, np.ones(len(names), dtype=int))
+
+
+def _angles(task: DriftTask) -> tuple[float, ...]:
+    """Return the angles of the rotary axis for the readings: a turn in quarters, or spread over those within reach.
+
+    Raises:
+        InputError: fewer than three are within reach.
+    """
+    if task.moved.lower is None:
+        return (0.0, 90.0, 180.0, 270.0)
+    low, high = task.base.kit.ranges[task.axis]
+    tried = [float(angle) for angle in np.round(np.linspace(low, high, CANDIDATES), 1)]
+    found = [one for one in tried if not reach(task.base, _poses(replace(task, angles_deg=(one,)))).dropped]
+    if len(found) < FEWEST_ANGLES:
         raise InputError(
-            "wrong places on the table", expected=f"{sequence.targets} in the work frame, mm", value=dict(places)
+            f"{len(found)} angles of {task.moved.name} are within reach",
+            expected=f"at least {FEWEST_ANGLES}: another place on the table, or another tool length",
         )
-    own = Kit.default(machine) if kit is None else kit
-    base = SequenceTask(
-        machine, reader, own, tip, MappingProxyType(dict(places)), duration, sizes, int(options.get("seed", 0))
-    )
-    return DriftTask(base, instrument, highest, bool(options.get("spectrum")), axis, feed)
+    spread = np.round(np.linspace(0, len(found) - 1, min(MOST_ANGLES, len(found)))).astype(int)
+    return tuple(found[k] for k in spread)
 
 
 def _axis(machine: Machine, name: str | None) -> int:
-    """Return the index of a linear axis; the first if not named."""
-    linear = {machine.axes[i].name: i for i in machine.linear}
-    if len(linear) != 3 or (name is not None and name not in linear):
-        expected = f"one of {', '.join(linear)}" if len(linear) == 3 else "a machine with three linear axes"
-        raise InputError("no such linear axis", expected=expected, value=name)
-    return linear[name] if name is not None else machine.linear[0]
+    """Return the index of an axis; the first linear one if not named."""
+    if len(machine.linear) != 3 or (name is not None and name not in machine.names):
+        three = len(machine.linear) == 3
+        expected = f"one of {', '.join(machine.names)}" if three else "a machine with three linear axes"
+        raise InputError("no such axis", expected=expected, value=name)
+    return machine.linear[0] if name is None else machine.names.index(name)
 
 
-def _default_places(
-    machine: Machine, sequence: DriftSequence, part: str, tip: tuple[float, float, float], axis: int
-) -> dict[str, tuple[float, float, float]]:
-    """Return places on the table: one near its rim, or two in line with an axis (rotary axes at rest)."""
-    x, y, z = default_place(machine, tip, central=False)
-    if sequence.targets == 1:
-        return {f"{part} 1": (x, y, z)}
-    along = np.abs(np.round(np.asarray(machine.axes[axis].machine_direction), 3))
-    if along[2] > 0.5:
-        raise InputError(
-            f"no default places for {machine.axes[axis].name}, which is perpendicular to the table",
-            expected="two places at different heights on the table, with room for the spindle beside the higher one",
-        )
-    half = np.hypot(x, y) * along
-    first, second = (tuple(float(v) for v in np.array([0.0, 0.0, z]) + way * half) for way in (-1.0, 1.0))
-    return {f"{part} 1": first, f"{part} 2": second}  # type: ignore[dict-item]
+def _two_places(task: DriftTask, part: str) -> dict[str, tuple[float, float, float]]:
+    """Return two places in line with a linear axis; for one along the spindle at two levels, beside each other (rotary axes at rest).
+
+    Raises:
+        InputError: the upper place is out of reach at every level.
+    """
+    x, y, z = next(iter(task.base.places_mm.values()))
+    along = np.abs(np.round(np.asarray(task.moved.machine_direction), 3))
+    if along[2] <= 0.5:
+        half = np.hypot(x, y) * along
+        first, second = (tuple(float(v) for v in np.array([0.0, 0.0, z]) + way * half) for way in (-1.0, 1.0))
+        return {f"{part} 1": first, f"{part} 2": second}  # type: ignore[dict-item]
+    for riser, share in product(RISERS_MM, ASIDE):
+        aside = round(share * riser)
+        for dx, dy in ((-aside, 0.0), (0.0, aside), (0.0, -aside)):
+            found = {f"{part} 1": (x, y, z), f"{part} 2": (x + dx, y + dy, z + riser)}
+            above = found | {f"{part} 2": (x + dx, y + dy, z + riser + task.base.sizes.around_mm)}  # room to retract
+            tried = [replace(task.base, places_mm=MappingProxyType(places)) for places in (found, above)]
+            if not any(reach(base, _poses(replace(task, base=base))).dropped for base in tried):
+                return found
+    raise InputError(
+        f"no default places for {task.moved.name}: its target positions are at two levels",
+        expected="two places at different levels on the table, with room for the spindle beside the higher one",
+    )

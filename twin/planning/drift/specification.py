@@ -9,6 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin.machine.machine import Axis
 from twin.planning.sequences import SequenceTask
 
 INSTRUMENTS: Final = ("probe", "r-test", "displacement")
@@ -33,8 +34,9 @@ class DriftTask:
         instrument: one of `INSTRUMENTS`.
         highest_rpm: highest spindle speed; None if not given.
         spectrum: whether the speeds change at random instead of in steps.
-        axis: index of the linear axis that moves.
-        feed_mm_min: feed of that axis.
+        axis: index of the axis that moves.
+        feed: feed of that axis, mm/min or degrees/min.
+        angles_deg: positions of a rotary axis at which readings are taken; empty for a linear axis.
     """
 
     base: SequenceTask
@@ -42,12 +44,18 @@ class DriftTask:
     highest_rpm: float | None
     spectrum: bool
     axis: int
-    feed_mm_min: float
+    feed: float
+    angles_deg: tuple[float, ...] = ()
 
     @property
     def seconds(self) -> float:
         """Duration of the test, without setting up."""
         return 60.0 * self.base.minutes
+
+    @property
+    def moved(self) -> Axis:
+        """The axis that moves."""
+        return self.base.machine.axes[self.axis]
 
     def reading_times(self, every_s: float) -> np.ndarray:
         """Return (n,) times of readings from 0 to the end.
@@ -70,13 +78,15 @@ class DriftSchedule:
     Attributes:
         time_s: (n,) increasing.
         speed_rpm: (n,) spindle speed between the reading before and this one.
-        place: (n,) number of the part on the table, from 0.
+        pose: (n,) number of the pose, from 0: a part on the table, or a position of the rotary axis.
+        exercised: (n,) whether the axis moves to and fro after this reading.
         notices: what to do between the readings, and what the test cannot show, in words.
     """
 
     time_s: np.ndarray
     speed_rpm: np.ndarray
-    place: np.ndarray
+    pose: np.ndarray
+    exercised: np.ndarray
     notices: tuple[str, ...]
 
 
@@ -89,7 +99,7 @@ class DriftSequence:
         name: the name that selects it.
         title: what it is.
         minutes: default duration.
-        targets: number of parts on the table.
+        targets: number of parts on the table; one if a rotary axis moves.
         limits: what it does not show, in words.
         make: function that returns its schedule; it raises `InputError` where that is not possible.
     """

@@ -50,7 +50,7 @@ def _schedule(task: DriftTask) -> DriftSchedule:
         )
     else:
         notices.append("run-out and expansion of the mandrel are in the readings: average over whole turns")
-    return DriftSchedule(time, speed, np.zeros(len(time), dtype=int), tuple(notices))
+    return DriftSchedule(time, speed, np.zeros(len(time), dtype=int), np.zeros(len(time), dtype=bool), tuple(notices))
 
 
 SPINDLE: Final = DriftSequence(

@@ -1,4 +1,4 @@
-"""Measuring programs for controls: a touch probe finds the spheres of a plan.
+"""Programs for controls: a touch probe finds the spheres of a plan, or a drift test runs by its schedule.
 
 A new control is one file with a `ProgramFormat` and one entry in `PROGRAMS`.
 """
@@ -11,6 +11,7 @@ from typing import Final
 
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
+from twin.planning.programs.drift_steps import drift_steps
 from twin.planning.programs.heidenhain import HEIDENHAIN
 from twin.planning.programs.linuxcnc import LINUXCNC
 from twin.planning.programs.siemens import SIEMENS
@@ -52,6 +53,7 @@ __all__ = [
     "ProgramFormat",
     "ProgramStep",
     "ProgramSteps",
+    "drift_steps",
     "format_of",
     "program_steps",
     "write_program",

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 from twin.planning.programs.specification import (
-    APPROACH_FEED,
     PROBING_FEED,
     AxisWordsWriter,
     ProgramFormat,
+    ProgramStep,
     ProgramSteps,
 )
 
@@ -26,19 +26,23 @@ def _text(program: ProgramSteps, name: str) -> str:
         f"WRITE adds one line per contact to {log}: a table of contacts in the machine system. Copy it as {log}.csv.",
         program.convert(f"{log}.csv", "contacts"),
     )
-    lines = [f"; {line}" for line in program.comments(*more)]
-    lines += ["DEF INT _ERR", "G71 G90 G94 G40 G17", "G500", "TRAFOOF", "D0"]
-    lines.append(f'WRITE(_ERR,"{log}","{",".join(columns)}")')
+    lines = [f"; {line}" for line in program.comments(*(more if program.probing else ()))]
+    lines += ["DEF INT _ERR"] if program.probing else []
+    lines += ["G71 G90 G94 G40 G17", "G500", "TRAFOOF", "D0"]
+    lines += [f'WRITE(_ERR,"{log}","{",".join(columns)}")'] if program.probing else []
     words, pose = AxisWordsWriter(machine, lambda axis, value: f"{axis}={value}"), 0
     for step in program.steps:
         if step.pose != pose:
             pose = step.pose
             lines.append(f"; pose {pose}")
+        if not step.moves:
+            lines += _without_motion(step)
+            continue
         found = words.words(step.position, remember=step.kind != "probe")
         if not found:
             continue
         if step.kind != "probe":
-            feed = "G0" if step.kind == "rapid" else f"G1 F{APPROACH_FEED:g}"
+            feed = "G0" if step.kind == "rapid" else f"G1 F{step.feed:g}"
             lines.append(f"{feed} SUPA {' '.join(found)}")
             continue
         fields = [f"$AA_MM[{axis}]" for axis in program.linear_names] + [f"$AA_IM[{axis}]" for axis in rotary]
@@ -56,6 +60,14 @@ def _text(program: ProgramSteps, name: str) -> str:
         words.forget()
     lines.append("M30")
     return "\n".join(lines) + "\n"
+
+
+def _without_motion(step: ProgramStep) -> list[str]:
+    if step.kind == "dwell":
+        return [f"G4 F{step.seconds:g}"]
+    if step.kind == "spindle":
+        return [f"S{step.rpm:g} M3"] if step.rpm > 0.0 else ["M5"]
+    return [f"; {step.text}", *([f'MSG("{step.text}")', "M0"] if step.kind == "stop" else [])]
 
 
 SIEMENS: Final = ProgramFormat(

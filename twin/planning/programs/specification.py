@@ -25,20 +25,34 @@ class ProgramStep:
     """One step of a measuring program.
 
     Attributes:
-        kind: ``rapid``, ``feed`` (next to the sphere) or ``probe`` (towards the sphere until contact).
+        kind: ``rapid``, ``feed``, ``probe`` (towards the sphere until contact); or without motion ``dwell``, ``spindle``, ``read`` (a
+            reading is due) and ``stop`` (until the operator continues).
         position: (axes,) end position, mm and degrees; of a probing move the end of the search.
         pose: number of the pose, from 1.
         contact: number of the contact, from 1; 0 for other steps.
         direction: (3,) unit vector of a probing move along the linear axes in command order; zero for others.
         distance_mm: length of a probing move along it; 0 for others.
+        feed: of a feed move, mm/min or degrees/min.
+        seconds: of a dwell.
+        rpm: new spindle speed; 0 stops it.
+        text: what the operator must know at a reading or a stop.
     """
 
-    kind: Literal["rapid", "feed", "probe"]
+    kind: Literal["rapid", "feed", "probe", "dwell", "spindle", "read", "stop"]
     position: np.ndarray
     pose: int
     contact: int = 0
     direction: tuple[float, float, float] = (0.0, 0.0, 0.0)
     distance_mm: float = 0.0
+    feed: float = APPROACH_FEED
+    seconds: float = 0.0
+    rpm: float = 0.0
+    text: str = ""
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is a motion."""
+        return self.kind in ("rapid", "feed", "probe")
 
 
 @final
@@ -54,6 +68,7 @@ class ProgramSteps:
         header: comments, in words.
         spheres: names of the spheres, for the poses of the plan in order.
         radii_mm: radius of the sphere and of the stylus ball.
+        probing: whether there are contacts, which are logged.
     """
 
     machine: Machine
@@ -63,6 +78,7 @@ class ProgramSteps:
     header: tuple[str, ...]
     spheres: tuple[str, ...]
     radii_mm: tuple[float, float]
+    probing: bool = True
 
     @property
     def linear_names(self) -> tuple[str, ...]:

@@ -36,7 +36,7 @@ def program_steps(plan: SequencePlan) -> ProgramSteps:
         raise InputError(
             "a measuring program is for a touch probe", expected="a plan for a probe", value=plan.task.instrument.name
         )
-    builder = _Builder(plan.task)
+    builder = PoseBuilder(plan.task)
     places = np.array([plan.task.places_mm[str(name)] for name in plan.table.target])
     for number, pose in enumerate(contact_poses(plan.task, plan.table.positions, places), start=1):
         builder.visit(number, pose)
@@ -55,8 +55,12 @@ def program_steps(plan: SequencePlan) -> ProgramSteps:
     )
 
 
-class _Builder:
-    """Builds the steps pose by pose."""
+class PoseBuilder:
+    """Builds the steps pose by pose.
+
+    Args:
+        task: machine, instrument and parts on the table.
+    """
 
     def __init__(self, task: SequenceTask) -> None:
         self.task = task
@@ -178,7 +182,7 @@ class _Builder:
         return all(checked.is_move_clear(a, b) for a, b in pairwise(positions))
 
 
-def _header(plan: SequencePlan, builder: _Builder) -> list[str]:
+def _header(plan: SequencePlan, builder: PoseBuilder) -> list[str]:
     """Return the comments of the program."""
     size, task = plan.task.sizes, plan.task
     places = ", ".join(f"{name} at x {x:g} y {y:g} z {z:g}" for name, (x, y, z) in task.places_mm.items())

@@ -16,12 +16,14 @@ from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.measurement.checks import RowNote
 from twin.measurement.columns import simulated_comments
+from twin.standards.drift.axis_design import AxisDesign
 from twin.standards.drift.sensors import SensorMap
 
 TIME: Final = "time_s"
 SPEED: Final = "spindle_rpm"
 ROUND: Final = "round"
 SUFFIX: Final = "_um"
+ANGLE: Final = "_urad"
 Readings = Mapping[str, np.ndarray]
 
 
@@ -46,6 +48,7 @@ class DriftRecord:
         notices: what was read but not used.
         set_aside: rows that are not used.
         simulated: whether the readings were simulated.
+        design: how the errors of the rotary axis that moves act on the displacements; None if there is none.
     """
 
     source: str
@@ -63,22 +66,23 @@ class DriftRecord:
     notices: tuple[str, ...] = ()
     set_aside: tuple[RowNote, ...] = ()
     simulated: bool = False
+    design: AxisDesign | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
 
 
 def is_displacement_record(path: str | Path) -> bool:
-    """Return whether a file has columns ``<name>_um`` and none of targets: it is not a measurement table."""
+    """Return whether a file has columns ``<name>_um`` or ``<name>_urad`` and none of targets: it is not a measurement table."""
     header, _, _ = read_table(Path(path))
-    return any(map(_is_displacement, header)) and "target" not in header
+    return any(_is_reading(name, suffix) for name in header for suffix in (SUFFIX, ANGLE)) and "target" not in header
 
 
 def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -> DriftRecord:
     """Read a record of displacement sensors.
 
-    Columns: ``time_s``, ``<name>_um``; optionally ``spindle_rpm``, ``T_<sensor>_degC``, ``round`` and the axes' positions. A comment
-    ``# sensors: d1=X1 …`` gives the directions.
+    Columns: ``time_s``, ``<name>_um``, ``<name>_urad`` of levels and autocollimators, which keep their names; optionally
+    ``spindle_rpm``, ``T_<sensor>_degC``, ``round`` and the axes' positions. A comment ``# sensors: d1=X1 …`` gives the directions.
 
     Args:
         path: the file.
@@ -96,22 +100,26 @@ def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -
         raise InputError(f"{len(rows)} rows", expected="at least 2 rows below the header", file=file)
     cells = Cells(file, {name: i for i, name in enumerate(header)}, rows)
     axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
-    names = [name for name in header if _is_displacement(name)]
+    names = [name for name in header if _is_reading(name, SUFFIX)]
+    angular = [name for name in header if _is_reading(name, ANGLE)]
     temperatures = [name for name in header if name.startswith("T_") and name.endswith("_degC")]
-    numbers = {name: _numbers(cells, name) for name in [TIME, SPEED, *axes, *names, *temperatures] if name in header}
+    numbers = {
+        name: _numbers(cells, name) for name in [TIME, SPEED, *axes, *names, *angular, *temperatures] if name in header
+    }
     for name in [name for name in (TIME, SPEED, *axes) if name in numbers]:
         cells.refuse(np.isnan(numbers[name]), numbers[name], name, "a number in every row")
     cells.refuse(np.r_[False, np.diff(numbers[TIME]) <= 0.0], numbers[TIME], TIME, "a later time in every row")
     if SPEED in numbers:
         cells.refuse(numbers[SPEED] < 0.0, numbers[SPEED], SPEED, "0 or above")
     found = {name[: -len(SUFFIX)]: numbers[name] for name in names if np.isfinite(numbers[name]).any()}
-    if not found:
-        raise InputError("no displacement was read", expected="numbers in a column <name>_um", file=file)
+    angles = {f"angle_{name[: -len(ANGLE)]}": numbers[name] for name in angular if np.isfinite(numbers[name]).any()}
+    if not (found or angles):
+        raise InputError("no displacement was read", expected="numbers in a column <name>_um or <name>_urad", file=file)
     measured = {name[2:-5]: numbers[name] for name in temperatures}
     directions = sensors or SensorMap.of_comments(comments)
     directions.check([name[: -len(SUFFIX)] for name in names], list(measured))
     displacement, units, remarks = directions.applied(found)
-    known = {TIME, SPEED, ROUND, *axes, *names, *temperatures}
+    known = {TIME, SPEED, ROUND, *axes, *names, *angular, *temperatures}
     none = np.zeros(len(rows))
     return DriftRecord(
         source=str(path),
@@ -119,8 +127,8 @@ def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -
         part=cells.words(ROUND, "1"),
         spot=read_only(np.full(len(rows), "", dtype=object)),
         positions=read_only(np.stack([numbers.get(name, none) for name in axes], axis=1)),
-        displacement=MappingProxyType(displacement),
-        units=MappingProxyType(units),
+        displacement=MappingProxyType(displacement | angles),
+        units=MappingProxyType(units | dict.fromkeys(angles, "urad")),
         temperature_degC=MappingProxyType(measured),
         ambient=directions.ambient_of(measured),
         speed_rpm=numbers.get(SPEED),
@@ -130,8 +138,8 @@ def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -
     )
 
 
-def _is_displacement(name: str) -> bool:
-    return name.endswith(SUFFIX) and len(name) > len(SUFFIX)
+def _is_reading(name: str, suffix: str) -> bool:
+    return name.endswith(suffix) and len(name) > len(suffix)
 
 
 def _numbers(cells: Cells, name: str) -> np.ndarray:

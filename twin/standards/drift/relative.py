@@ -16,6 +16,7 @@ from twin.measurement.instruments import Instrument
 from twin.measurement.observation import Observation
 from twin.measurement.state import of_angles
 from twin.measurement.table import Measurements
+from twin.standards.drift.axis_design import axis_design
 from twin.standards.drift.record import SPEED, DriftRecord
 from twin.standards.readings import SAME_AS_MACHINE, reading_uncertainty_mm
 
@@ -78,6 +79,7 @@ def relative_displacements(
         notices=data.notices,
         set_aside=data.set_aside,
         simulated=data.simulated,
+        design=axis_design(data, machine),
     )
 
 

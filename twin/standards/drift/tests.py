@@ -11,6 +11,7 @@ from scipy.stats import norm
 from twin.machine.machine import Machine
 from twin.measurement.evaluation.drift import FIRST_S, DriftSeries, drift_series, spread
 from twin.standards.drift.record import DriftRecord
+from twin.standards.drift.rotary import rotary_test
 from twin.standards.readings import NotPossible
 from twin.standards.result import StandardTest, StandardValue
 
@@ -21,6 +22,8 @@ LEAST_TRAVEL: Final = 5.0
 """Travel in mm or degrees above which an axis counts as moved between target positions."""
 SIDEWAYS: Final = 0.3
 """Share of the travel up to which the other axes may move with it, because targets are not exactly in line."""
+BESIDE: Final = 0.9
+"""The same share where all readings are at two poses: those along the spindle cannot be in line."""
 NOT_VERIFIED: Final = (
     "the kinds of test and the name ETVE are those of the public scope of ISO 230-3:2020; figures and symbols were not checked "
     "against its text"
@@ -37,12 +40,12 @@ SHORT: Final = "the spindle ran for less than 60 min: no value of the first 60 m
 
 
 def drift_tests(record: DriftRecord, machine: Machine) -> Iterator[StandardTest]:
-    """Yield the tests of a record: environment, spindle or linear axes.
+    """Yield the tests of a record: environment, spindle, linear axes or rotary axes.
 
     Parts of the record (rounds) are separate tests if several axes move.
 
     Raises:
-        NotPossible: several axes move in one part, or a rotary axis.
+        NotPossible: several axes move in one part, or a rotary axis whose errors the record does not show.
     """
     whole = np.arange(len(record))
     try:
@@ -57,6 +60,8 @@ def drift_tests(record: DriftRecord, machine: Machine) -> Iterator[StandardTest]
 
 def _tests(record: DriftRecord, rows: np.ndarray, machine: Machine) -> list[StandardTest]:
     axis = _moving_axis(record.positions[rows], machine)
+    if axis is not None and not machine.axes[axis].linear:
+        return [rotary_test(record, rows, STANDARD)]
     if axis is not None:
         return [_axes_test(record, rows, machine, axis)]
     found = []
@@ -72,20 +77,23 @@ def _tests(record: DriftRecord, rows: np.ndarray, machine: Machine) -> list[Stan
 
 
 def _moving_axis(positions: np.ndarray, machine: Machine) -> int | None:
-    """Return the axis that moves between target positions; None if the pose stays.
+    """Return the axis that moves between target positions; None if the pose stays. The linear axes may follow a rotary one.
 
     Raises:
-        NotPossible: several axes, or a rotary one.
+        NotPossible: several axes move.
     """
     travel = np.ptp(positions, axis=0)
     if travel.max() <= LEAST_TRAVEL:
         return None
+    turned = [i for i in machine.rotary if travel[i] > LEAST_TRAVEL]
+    if len(turned) == 1:
+        return turned[0]
     axis = int(np.argmax(travel))
     others = np.delete(travel, axis)
-    if others.size and others.max() > max(SIDEWAYS * travel[axis], SAME_POSE):
+    two = _target_positions(positions[:, axis])[1]
+    still = all(np.ptp(positions[two == k], axis=0).max() <= SAME_POSE for k in (1, 2)) if two.max() == 2 else False
+    if others.size and others.max() > max((BESIDE if still else SIDEWAYS) * travel[axis], SAME_POSE):
         raise NotPossible("several axes move: measure one axis after the other, each in its own round")
-    if not machine.axes[axis].linear:
-        raise NotPossible("a rotary axis moves: the test for rotary motion of components is not evaluated")
     return axis
 
 
@@ -164,6 +172,12 @@ def _axes_test(record: DriftRecord, rows: np.ndarray, machine: Machine, axis: in
         words = f"change of the distance of {targets[1] - targets[0]:g} mm between the target positions"
         values.append(_value(record, f"e({name})2−1", f"e_{name}_21", growth, found.units[along], words, 2.0**0.5))
     remarks = [NOT_VERIFIED, *record.remarks, "displacements count from the first reading at each target position"]
+    beside = {one.name: float(np.ptp(record.positions[rows, i])) for i, one in enumerate(machine.axes) if i != axis}
+    remarks += [
+        f"{other} is {away:g} mm apart between the target positions: its drift is in the values"
+        for other, away in beside.items()
+        if away > SIDEWAYS * np.ptp(where)
+    ]
     if len(targets) != 2:
         remarks.append(f"not a full test: {len(targets)} target positions instead of 2")
     return StandardTest(
