@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin._common.errors import InputError
-    from twin._common.machine_log import MachineLog
     from twin.comparison import compare
     from twin.compensation import Compensator, Options, compensate, compensate_file
     from twin.compensation.execute import execute_file
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from twin.machine.effects.entries import effect_named
     from twin.machine.iso16907 import Scope
     from twin.machine.machine import Machine
+    from twin.machine.machine_log import MachineLog
     from twin.machine.motion_curve import Curve
     from twin.measurement import instruments
     from twin.measurement.formats import convert
@@ -143,7 +143,7 @@ _HOMES = {
     "Kinematics": ("twin.kinematics.forward", "Kinematics"),
     "Kit": ("twin.planning", "Kit"),
     "Machine": ("twin.machine.machine", "Machine"),
-    "MachineLog": ("twin._common.machine_log", "MachineLog"),
+    "MachineLog": ("twin.machine.machine_log", "MachineLog"),
     "Measurements": ("twin.measurement.table", "Measurements"),
     "Options": ("twin.compensation", "Options"),
     "Placement": ("twin.measurement.simulate", "Placement"),

@@ -10,12 +10,12 @@ import pytest
 from tests.compensation.test_compensate_effects import HEAD, ROUNDING_UM, WornMachine, extended
 from twin import compensate
 from twin._common.errors import InputError
-from twin._common.machine_log import MachineLog
 from twin.compensation import Compensation, Options
 from twin.compensation.execute import execute_file
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
+from twin.machine.machine_log import MachineLog
 
 LENGTH = 120.0
 HIGHEST, AMPLITUDE, TAU = 12000.0, 25.0, 600.0

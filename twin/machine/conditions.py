@@ -15,11 +15,11 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.errors import InputError, closest_name
-from twin._common.machine_log import MachineLog
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
 from twin.machine.effects.payload import HEAVIEST_KG, LOAD
 from twin.machine.machine import Machine
+from twin.machine.machine_log import MachineLog
 
 TIME: Final = "time_s"
 SPEED: Final = "spindle_rpm"

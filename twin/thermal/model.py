@@ -10,7 +10,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
-from twin._common.machine_log import SPEED
+from twin._common.records import SPEED
 from twin.thermal.candidates import Inputs, TermCandidate, drivers, features, lagged
 from twin.thermal.record import ThermalRecord
 

@@ -12,7 +12,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.csv_tables import Cells
 from twin._common.errors import InputError
-from twin._common.machine_log import SPEED, TIME, is_temperature, read_log, sensor_of
+from twin._common.records import SPEED, TIME, is_temperature, read_log, sensor_of
 
 MAX_GAP: Final = 5.0
 """Longest interval between two rows, in median intervals: a lag cannot be followed over a longer one."""

@@ -11,7 +11,6 @@ from typing import Annotated
 import typer
 
 from twin._common.errors import InputError, closest_name
-from twin._common.machine_log import MachineLog
 from twin.cli.shared import complete
 from twin.cli.shared.command import POSITIVE
 from twin.cli.shared.terminal import echo
@@ -22,6 +21,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.iso16907 import NAMES
 from twin.machine.machine import Machine
+from twin.machine.machine_log import MachineLog
 from twin.nc import find_program
 from twin.samples import PLANS
 

@@ -1,12 +1,11 @@
-"""A record of a machine over time: temperatures and spindle speed in rows of a CSV file."""
+"""Records over time: temperatures and spindle speed in rows of a CSV file."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -74,34 +73,3 @@ def read_log(path: str | Path, also: Callable[[str], bool] = lambda name: False)
         cells.refuse(numbers[SPEED] < 0.0, numbers[SPEED], SPEED, "0 or above")
     unused = tuple(unused_column_note(name, sorted(known)) for name in header if name not in known)
     return LogColumns(cells, MappingProxyType(numbers), unused)
-
-
-@final
-@dataclass(frozen=True)
-class MachineLog:
-    """A record of a machine.
-
-    Attributes:
-        path: the file.
-        time_s: (n,), strictly increasing.
-        temperature_degC: (n,) by sensor or axis.
-        speed_rpm: (n,) spindle speed of the time up to each row; None if it was not recorded.
-        notices: what was read but not used.
-    """
-
-    path: Path
-    time_s: np.ndarray
-    temperature_degC: Mapping[str, np.ndarray]
-    speed_rpm: np.ndarray | None
-    notices: tuple[str, ...] = ()
-
-    @staticmethod
-    def load(path: str | Path) -> MachineLog:
-        """Read a record with the columns ``time_s``, ``T_<sensor>_degC`` and ``spindle_rpm``.
-
-        Raises:
-            InputError: as for `read_log`.
-        """
-        cells, numbers, notices = read_log(path)
-        found = {sensor_of(name): values for name, values in numbers.items() if is_temperature(name)}
-        return MachineLog(cells.path, numbers[TIME], MappingProxyType(found), numbers.get(SPEED), notices)
