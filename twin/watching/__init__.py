@@ -27,8 +27,8 @@ Two departures are allowed for. One check far off is no evidence by itself: its 
 change. The correlation of the deviations from one check to the next (slow variations that no temperature column follows) is estimated
 from all errors together, and the deviations are whitened with it; the bound is then as good as that estimate. False alarms in drawn
 watches of 14 errors with 30 looks, at a rate of 5 % (500 of each): independent normal deviations below 1 %; Student's t with 4 degrees
-of freedom 0.4 % (without the allowance 23 %); correlation 0.3: 1.2 % (7 %); 0.5: 3 % (54 %); 0.3 with heavy tails 1 % (30 %). The
-price: a step of four times the repeatability is found within eight checks in 80 %, of six within five in 95 %, of eight within three
+of freedom 0.4 % (without the allowance up to 23 %, by single series); correlation 0.3: 1.2 % (7 %); 0.5: 3 % (54 %); 0.3 with heavy
+tails 1 % (30 %). The price: a step of four times the repeatability is found within eight checks in 80 %, of six within five in 95 %, of eight within three
 in 93 % of the watches; with correlation 0.3 in 57 %, 77 % and 87 %.
 
 **Since when.** The date is the most likely one, with a 95 % interval from the profile likelihood (Hansen 2000); the size is given

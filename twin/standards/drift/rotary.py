@@ -29,7 +29,7 @@ WORDS: Final = {
     "radial": "radial expansion of the side carried by {axis}",
 }
 REMARKS: Final = (
-    "the public scope of ISO 230-3:2020 names this test; positions, figures and signs are choices of twin after published R-tests of "
+    "the public scope of ISO 230-3:2020 names this test; positions, figures and signs are choices of twin, as is usual in R-tests of "
     "thermal errors: the standard's text was not read",
     "locations are those at the level of the sphere along the axis",
     "locations and shifts contain drifts of the spindle and the linear axes; the zero contains a tangential shift of the sphere",
