@@ -28,8 +28,8 @@ change. The correlation of the deviations from one check to the next (slow varia
 from all errors together, and the deviations are whitened with it; the bound is then as good as that estimate. False alarms in drawn
 watches of 14 errors with 30 looks, at a rate of 5 % (500 of each): independent normal deviations below 1 %; Student's t with 4 degrees
 of freedom 0.4 % (without the allowance up to 23 %, by single series); correlation 0.3: 1.2 % (7 %); 0.5: 3 % (54 %); 0.3 with heavy
-tails 1 % (30 %). The price: a step of four times the repeatability is found within eight checks in 80 %, of six within five in 95 %, of eight within three
-in 93 % of the watches; with correlation 0.3 in 57 %, 77 % and 87 %.
+tails 1 % (30 %). The price: a step of four times the repeatability is found within eight checks in 80 %, of six within five in 95 %, of
+eight within three in 93 % of the watches; with correlation 0.3 in 57 %, 77 % and 87 %.
 
 **Since when.** The date is the most likely one, with a 95 % interval from the profile likelihood (Hansen 2000); the size is given
 with U (95 %, Student). A step and a drift are both tried, and the report states if they are about equally likely. One change of each
