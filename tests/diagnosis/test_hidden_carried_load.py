@@ -94,7 +94,7 @@ def test_a_calibration_without_load_and_few_loaded_poses(tmp_path: Path, column:
     cause = by_name(found)[effect, "tool"]
     check(cause, name, value)
     for letter, size in zip("xyz", CENTRE, strict=True):
-        check(cause, f"centre_{letter}_mm", size, 4.0)
+        check(cause, f"centre_{letter}_mm", size)
     if column:
         after, before = remaining(found.extended, 2.5)
         assert before > 0.5 and after < 0.01 * before

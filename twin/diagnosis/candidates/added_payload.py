@@ -79,8 +79,14 @@ def _candidate(
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[AddedLoad, ...]:
         weights = np.concatenate([values, np.zeros(LOADS - len(values))])
-        return tuple(AddedLoad(one, loads_along(one.axis.name), side, weights, carried=carried) for one in compliant)
+        return tuple(
+            AddedLoad(one, loads_along(one.axis.name), side, weights, carried=carried, u=doubt.get(one.name, 0.0))
+            for one in compliant
+        )
 
+    known = inputs.calibration.covariance
+    deviations = dict(zip(known.names, np.sqrt(np.diag(known.matrix)), strict=True))
+    doubt = {one.name: float(deviations.get(one.parameters[0].name, 0.0)) for one in compliant}
     columns = tuple(column(k) for k in range(LOADS))
     units = ("1" if carried else "kg", "mm", "mm", "mm")
     return Candidate(

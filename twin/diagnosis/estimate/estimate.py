@@ -18,6 +18,7 @@ from twin.diagnosis.problem.forms import Form, pseudo_inverse
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.result import Quantity
 from twin.machine.effects import Effect
+from twin.machine.effects.gravity_compliance import AddedLoad
 from twin.measurement.state import machine_state
 from twin.numerics.covariance import Covariance
 
@@ -143,6 +144,7 @@ def estimate(
         inverse = wide * np.outer(scales, scales)
     if by_patterns is not None:
         inverse = upper_bound(inverse, by_patterns)
+    inverse = inverse + _by_known_compliances(problem, parts, state)
     return _reported(problem, parts, inverse, signature, explained, groups)
 
 
@@ -258,6 +260,22 @@ def _with_patterns(
         signature = problem.signature([column for column, _ in some]) * [deviation for _, deviation in some]
         gain[:, start : start + BLOCK_COLUMNS] = own @ problem.along(scaled, problem.project(signature))
     return inverse * random_effects.variance_factor + (gain @ gain.T) * np.outer(sizes, sizes)
+
+
+def _by_known_compliances(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any]) -> np.ndarray:
+    """Return the (w, w) share of the covariance of all parameters that known compliances cause, by which added loads act (GUM 5.1.2).
+
+    Their uncertainties are taken as independent.
+    """
+    scales = np.concatenate([part.scales for part in parts])
+    loads = [one for part in parts for one in part.effects if isinstance(one, AddedLoad) and one.relative_u > 0.0]
+    if not loads:
+        return np.zeros((len(scales), len(scales)))
+    scaled = np.concatenate([part.columns for part in parts], axis=1) * scales
+    moved = np.stack([one.relative_u * _signature_of(problem, state, (one,)) for one in loads], axis=1)
+    own, _ = pseudo_inverse(problem.inner(scaled))
+    gain = own @ problem.along(scaled, problem.project(moved))
+    return np.asarray((gain @ gain.T) * np.outer(scales, scales))
 
 
 def _wald(values: np.ndarray, covariance: np.ndarray, groups: float) -> tuple[float, int, float]:

@@ -92,6 +92,10 @@ class AddedLoad(AlongAxis):
         side: ``tool`` or ``work``.
         weights: (4,) mass, kg, and first moments, kg·m; both per kg of a carried load.
         carried: whether it is a carried load.
+        u: standard uncertainty of the compliance.
+
+    Attributes:
+        relative_u: the same as a fraction of the compliance.
     """
 
     def __init__(
@@ -102,12 +106,14 @@ class AddedLoad(AlongAxis):
         weights: np.ndarray,
         *,
         carried: bool = False,
+        u: float = 0.0,
     ) -> None:
         super().__init__("payload", compliant.axis)
         self.name = f"{CARRIED_LOAD.name if carried else PAYLOAD.name}:{side}"
         self.side: Side = side
         self.weights = weights
         self.carried = carried
+        self.relative_u = u / abs(compliant.compliance) if compliant.compliance else 0.0
         self._compliance = compliant.compliance
         self._load = load
 
