@@ -47,6 +47,7 @@ def test_the_slow_run_draws_new_examples_and_prints_their_seed(tmp_path: Path) -
     folder.mkdir()
     (folder / "__init__.py").touch()
     shutil.copy(ROOT / "tests" / "conftest.py", folder)
+    (folder / "slow.txt").touch()
     (folder / "test_drawn.py").write_text(DRAWN)
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = slow\naddopts = -q -n 2 --dist loadfile")
 

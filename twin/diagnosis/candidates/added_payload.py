@@ -14,8 +14,16 @@ import numpy as np
 from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Missing, Variant
 from twin.diagnosis.candidates.signatures import Column, component_column, first_component
 from twin.machine.effects.base import along, channel
-from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, AddedLoad, GravityCompliance, loads_of
+from twin.machine.effects.gravity_compliance import (
+    CARRIED_LOAD,
+    PAYLOAD,
+    AddedLoad,
+    GravityCompliance,
+    gravity_compliance,
+    loads_of,
+)
 from twin.machine.effects.payload import LOAD, LOAD_NUMBERS, NUMBERS, SIDES, Side, is_carrying, side_of
+from twin.machine.machine import Machine
 from twin.numerics.functions import tabulated
 
 LOADS: Final = 4
@@ -79,13 +87,26 @@ def _candidate(
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[AddedLoad, ...]:
         weights = np.concatenate([values, np.zeros(LOADS - len(values))])
+        loads = [
+            AddedLoad(one, loads_along(one.axis.name), side, weights, carried=carried, u=u)
+            for one, u in ((one, abs(one.compliance)) for one in rigid)
+        ]
         return tuple(
-            AddedLoad(one, loads_along(one.axis.name), side, weights, carried=carried, u=doubt.get(one.name, 0.0))
+            AddedLoad(
+                one,
+                loads_along(one.axis.name),
+                side,
+                weights,
+                carried=carried,
+                u=doubt[one.name],
+                beside=loads if one is compliant[0] else (),
+            )
             for one in compliant
         )
 
     known = inputs.calibration.covariance
     deviations = dict(zip(known.names, np.sqrt(np.diag(known.matrix)), strict=True))
+    rigid = _rigid(inputs.machine, side, compliant)
     doubt = {one.name: float(deviations.get(one.parameters[0].name, 0.0)) for one in compliant}
     columns = tuple(column(k) for k in range(LOADS))
     units = ("1" if carried else "kg", "mm", "mm", "mm")
@@ -99,6 +120,20 @@ def _candidate(
         build,
         reported=_mass_and_centre,
     )
+
+
+def _rigid(machine: Machine, side: Side, compliant: Sequence[GravityCompliance]) -> list[GravityCompliance]:
+    """Return the axes of a side without a known compliance, as if they gave way as much as the known ones do (RMS, same kind of axis).
+
+    The calibration says nothing of them: readings without the load may not have loaded them.
+    """
+    known = {one.axis.name for one in compliant}
+    found = []
+    for axis in machine.axes:
+        like = [one.compliance for one in compliant if one.axis.linear == axis.linear]
+        if like and axis.name not in known and side_of(axis) == side:
+            found.append(gravity_compliance(machine, axis.name, float(np.sqrt(np.mean(np.square(like))))))
+    return found
 
 
 def _mass_and_centre(values: np.ndarray) -> np.ndarray:

@@ -144,8 +144,8 @@ def estimate(
         inverse = wide * np.outer(scales, scales)
     if by_patterns is not None:
         inverse = upper_bound(inverse, by_patterns)
-    inverse = inverse + _by_known_compliances(problem, parts, state)
-    return _reported(problem, parts, inverse, signature, explained, groups)
+    wide = inverse + _by_compliances(problem, parts, state)
+    return _reported(problem, parts, inverse, wide, signature, explained, groups)
 
 
 def _initial_parts(problem: Problem, forms: Sequence[Form]) -> list[_Part]:
@@ -209,18 +209,23 @@ def _reported(
     problem: Problem,
     parts: Sequence[_Part],
     inverse: np.ndarray,
+    wide: np.ndarray,
     signature: np.ndarray,
     explained: float,
     groups: float,
 ) -> Estimate:
-    """Return the parameters with their covariance, as they are reported and as they stand in a calibration."""
+    """Return the parameters with their covariance, as they are reported and as they stand in a calibration.
+
+    ``inverse`` is the covariance by the readings alone, for the test whether a cause is there; ``wide`` that of the sizes.
+    """
     forms = [part.form for part in parts]
     wald, quantities, transforms, drift_moments, names, at = [], [], [], [], [], 0
     for part in parts:
         width = part.columns.shape[1]
         own_rows = slice(at, at + width)
-        block = inverse[own_rows, own_rows]
-        wald.append(_wald(part.values / part.scales, block / np.outer(part.scales, part.scales), groups))
+        test = inverse[own_rows, own_rows] / np.outer(part.scales, part.scales)
+        wald.append(_wald(part.values / part.scales, test, groups))
+        block = wide[own_rows, own_rows]
         matrix = np.eye(width) if part.nonlinear else _matrix(part.form, part.fixed, width)
         own = matrix @ block @ matrix.T if part.moments is None else part.moments
         direct = part.form.candidate.space is not None or part.nonlinear or part.moments is not None
@@ -235,7 +240,7 @@ def _reported(
             names += list(_parameters(part.effects))
         at += width
     transform = np.concatenate(transforms) if transforms else np.zeros((0, len(inverse)))
-    spread = transform @ inverse @ transform.T
+    spread = transform @ wide @ transform.T
     if any(part.moments is not None for part in parts):
         spread += block_diag(*drift_moments)
     covariance = Covariance(tuple(names), read_only((spread + spread.T) / 2.0))
@@ -262,13 +267,14 @@ def _with_patterns(
     return inverse * random_effects.variance_factor + (gain @ gain.T) * np.outer(sizes, sizes)
 
 
-def _by_known_compliances(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any]) -> np.ndarray:
-    """Return the (w, w) share of the covariance of all parameters that known compliances cause, by which added loads act (GUM 5.1.2).
+def _by_compliances(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any]) -> np.ndarray:
+    """Return the (w, w) share of the covariance of all parameters due to the compliances by which added loads act (GUM 5.1.2).
 
-    Their uncertainties are taken as independent.
+    Their uncertainties are taken as independent. A compliance that is not known counts with a plausible size (`AddedLoad.beside`).
     """
     scales = np.concatenate([part.scales for part in parts])
-    loads = [one for part in parts for one in part.effects if isinstance(one, AddedLoad) and one.relative_u > 0.0]
+    added = [one for part in parts for one in part.effects if isinstance(one, AddedLoad)]
+    loads = [one for load in added for one in (load, *load.beside) if one.relative_u > 0.0]
     if not loads:
         return np.zeros((len(scales), len(scales)))
     scaled = np.concatenate([part.columns for part in parts], axis=1) * scales

@@ -93,9 +93,11 @@ class AddedLoad(AlongAxis):
         weights: (4,) mass, kg, and first moments, kg·m; both per kg of a carried load.
         carried: whether it is a carried load.
         u: standard uncertainty of the compliance.
+        beside: the deflections of joints that carry the load too and whose compliance is not known; they are part of the doubt only.
 
     Attributes:
-        relative_u: the same as a fraction of the compliance.
+        relative_u: standard uncertainty as a fraction of the compliance.
+        beside: as given.
     """
 
     def __init__(
@@ -107,6 +109,7 @@ class AddedLoad(AlongAxis):
         *,
         carried: bool = False,
         u: float = 0.0,
+        beside: Sequence[AddedLoad] = (),
     ) -> None:
         super().__init__("payload", compliant.axis)
         self.name = f"{CARRIED_LOAD.name if carried else PAYLOAD.name}:{side}"
@@ -114,6 +117,7 @@ class AddedLoad(AlongAxis):
         self.weights = weights
         self.carried = carried
         self.relative_u = u / abs(compliant.compliance) if compliant.compliance else 0.0
+        self.beside = tuple(beside)
         self._compliance = compliant.compliance
         self._load = load
 
