@@ -13,6 +13,7 @@ import numpy as np
 
 from twin.diagnosis.candidates.candidate import Candidate, CandidateInputs, CandidateSource, Catalogue, Missing, Variant
 from twin.diagnosis.candidates.signatures import Column, component_column, first_component
+from twin.machine.calibration import Calibration
 from twin.machine.effects.base import along, channel
 from twin.machine.effects.gravity_compliance import (
     CARRIED_LOAD,
@@ -85,29 +86,20 @@ def _candidate(
 
         return along_axis
 
+    rigid = _rigid(inputs.machine, side, compliant)
+    doubt = _standard_uncertainties(inputs.calibration, compliant)
+
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[AddedLoad, ...]:
         weights = np.concatenate([values, np.zeros(LOADS - len(values))])
-        loads = [
-            AddedLoad(one, loads_along(one.axis.name), side, weights, carried=carried, u=u)
-            for one, u in ((one, abs(one.compliance)) for one in rigid)
-        ]
+
+        def load(one: GravityCompliance, u: float, beside: Sequence[AddedLoad] = ()) -> AddedLoad:
+            return AddedLoad(one, loads_along(one.axis.name), side, weights, carried=carried, u=u, beside=beside)
+
+        others = [load(one, abs(one.compliance)) for one in rigid]
         return tuple(
-            AddedLoad(
-                one,
-                loads_along(one.axis.name),
-                side,
-                weights,
-                carried=carried,
-                u=doubt[one.name],
-                beside=loads if one is compliant[0] else (),
-            )
-            for one in compliant
+            load(one, u, others if k == 0 else ()) for k, (one, u) in enumerate(zip(compliant, doubt, strict=True))
         )
 
-    known = inputs.calibration.covariance
-    deviations = dict(zip(known.names, np.sqrt(np.diag(known.matrix)), strict=True))
-    rigid = _rigid(inputs.machine, side, compliant)
-    doubt = {one.name: float(deviations.get(one.parameters[0].name, 0.0)) for one in compliant}
     columns = tuple(column(k) for k in range(LOADS))
     units = ("1" if carried else "kg", "mm", "mm", "mm")
     return Candidate(
@@ -120,6 +112,13 @@ def _candidate(
         build,
         reported=_mass_and_centre,
     )
+
+
+def _standard_uncertainties(calibration: Calibration, compliant: Sequence[GravityCompliance]) -> list[float]:
+    """Return the standard uncertainty of each compliance in the calibration; 0 where it gives none."""
+    known = calibration.covariance
+    deviations = dict(zip(known.names, np.sqrt(np.diag(known.matrix)), strict=True))
+    return [float(deviations.get(one.parameters[0].name, 0.0)) for one in compliant]
 
 
 def _rigid(machine: Machine, side: Side, compliant: Sequence[GravityCompliance]) -> list[GravityCompliance]:
