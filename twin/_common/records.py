@@ -41,6 +41,28 @@ def sensor_of(name: str) -> str:
     return name[len("T_") : -len("_degC")]
 
 
+def read_record(path: str | Path) -> tuple[Cells, tuple[str, ...]]:
+    """Return the cells of a record over time, and its comments.
+
+    Raises:
+        InputError: no column of times, or fewer than two rows.
+    """
+    file = Path(path)
+    header, rows, comments = read_table(file)
+    if TIME not in header:
+        raise InputError("no column of times", expected=f"a column {TIME}", file=file, line=1, value=",".join(header))
+    if len(rows) < 2:
+        raise InputError(f"{len(rows)} rows", expected="at least 2 rows below the header", file=file)
+    return Cells(file, {name: i for i, name in enumerate(header)}, rows), tuple(comments)
+
+
+def check_course(cells: Cells, numbers: Mapping[str, np.ndarray]) -> None:
+    """Raise `InputError` unless times increase from row to row and no speed is negative."""
+    cells.refuse(np.r_[False, np.diff(numbers[TIME]) <= 0.0], numbers[TIME], TIME, "a later time in every row")
+    if SPEED in numbers:
+        cells.refuse(numbers[SPEED] < 0.0, numbers[SPEED], SPEED, "0 or above")
+
+
 def read_log(path: str | Path, also: Callable[[str], bool] = lambda name: False) -> LogColumns:
     """Read the columns ``time_s``, ``T_<sensor>_degC`` and ``spindle_rpm`` of a record, and others.
 
@@ -52,24 +74,17 @@ def read_log(path: str | Path, also: Callable[[str], bool] = lambda name: False)
         InputError: with line and value: no times, neither temperature nor speed, a cell that is empty or no number, a time that does
             not increase, a negative speed, too few or too many rows.
     """
-    file = Path(path)
-    header, rows, _ = read_table(file)
-    if TIME not in header:
-        raise InputError("no column of times", expected=f"a column {TIME}", file=file, line=1, value=",".join(header))
+    cells, _ = read_record(path)
+    header, rows, file = list(cells.columns), cells.rows, cells.path
     if SPEED not in header and not any(map(is_temperature, header)):
         expected = f"columns T_<sensor>_degC, {SPEED} or both"
         raise InputError("no temperature and no speed", expected=expected, file=file, line=1, value=",".join(header))
-    if len(rows) < 2:
-        raise InputError(f"{len(rows)} rows", expected="at least 2 rows below the header", file=file)
     if len(rows) * len(header) > MAX_CELLS:
         raise InputError(f"{len(rows)} rows", expected=f"at most {MAX_CELLS} cells", file=file)
-    cells = Cells(file, {name: i for i, name in enumerate(header)}, rows)
     known = [name for name in header if name in (TIME, SPEED) or is_temperature(name) or also(name)]
     numbers = {name: cells.numbers(name) for name in known}
     for name, values in numbers.items():
         cells.refuse(~np.isfinite(values), values, name, "a number in every row")
-    cells.refuse(np.r_[False, np.diff(numbers[TIME]) <= 0.0], numbers[TIME], TIME, "a later time in every row")
-    if SPEED in numbers:
-        cells.refuse(numbers[SPEED] < 0.0, numbers[SPEED], SPEED, "0 or above")
+    check_course(cells, numbers)
     unused = tuple(unused_column_note(name, sorted(known)) for name in header if name not in known)
     return LogColumns(cells, MappingProxyType(numbers), unused)

@@ -8,7 +8,7 @@ the machine supplies temperatures during the program, and temperatures and speed
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, final
 
@@ -16,9 +16,10 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.records import SPEED, TIME, is_temperature, sensor_of
 from twin.compensation.toolpath import MotionColumns, ToolPath, WordSpace
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import SPEED, TIME, Conditions, needed, temperature_channel
+from twin.machine.conditions import Conditions, needed, temperature_channel
 from twin.machine.effects.tool_side import HistoryShift
 from twin.machine.machine import Machine
 from twin.nc.blocks import Program
@@ -140,7 +141,7 @@ def block_conditions(
         read_only(lengths),
         read_only(course.time_s),
         read_only(values),
-        course.in_words(),
+        course.in_words(state),
     )
 
 
@@ -223,7 +224,7 @@ class _Course:
     ) -> None:
         self._source, self._said, self._columns, self._times = source, said, columns, times
         self._conditions, self._needs_speed = conditions, SPEED in required
-        self._sensors = [name[2:-5] for name in required if name.startswith("T_")]
+        self._sensors = [sensor_of(name) for name in required if is_temperature(name)]
         self._log = conditions.log
         before = np.zeros(0) if self._log is None else self._log.time_s[self._log.time_s < times.end[-1]]
         between = np.arange(times.begin[0], times.end[-1], STEP_S)
@@ -289,7 +290,7 @@ class _Course:
                 setting="time",
             )
 
-    def in_words(self) -> str:
+    def in_words(self, state: Mapping[str, np.ndarray]) -> str:
         """Return time, speeds and temperatures over the program in words."""
         begin, end = self._times.begin[0], self._times.end[-1]
         inside = (self.time_s >= begin) & (self.time_s <= end)
@@ -297,7 +298,6 @@ class _Course:
             f"the program takes {(end - begin) / 60.0:.1f} min by feed and path (without accelerations and overrides), from "
             f"{begin:g} s on"
         ]
-        state = self.state()
         if SPEED in state and self._conditions.spindle_rpm is None:
             logged = self._log is not None and self._log.speed_rpm is not None and self._log.time_s[-1] >= end
             parts.append(f"spindle {_span(state[SPEED][inside], 0)} 1/min ({'log' if logged else 'S words'})")

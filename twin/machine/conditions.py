@@ -15,14 +15,13 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.errors import InputError, closest_name
+from twin._common.records import SPEED, TIME, is_temperature, sensor_of
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
 from twin.machine.effects.payload import HEAVIEST_KG, LOAD
 from twin.machine.machine import Machine
 from twin.machine.machine_log import MachineLog
 
-TIME: Final = "time_s"
-SPEED: Final = "spindle_rpm"
 WORDS: Final = MappingProxyType({TIME: "the time", SPEED: "the spindle speed", LOAD: "the load"})
 """Channels that are given by a single value, in words."""
 UNITS: Final = MappingProxyType(
@@ -77,17 +76,16 @@ class Conditions:
         return own_speed or (self.log is not None and bool(required))
 
     @property
-    def _by_time(self) -> set[str]:
-        """Channels that a log or the program gives."""
-        found = {SPEED} if self.speed_of_program else set()
-        if self.log is not None:
-            found |= {temperature_channel(name) for name in self.log.temperature_degC}
-            found |= {SPEED} if self.log.speed_rpm is not None else set()
-        return found
+    def _logged(self) -> set[str]:
+        """Channels that the log gives."""
+        if self.log is None:
+            return set()
+        speed = set() if self.log.speed_rpm is None else {SPEED}
+        return speed | {temperature_channel(name) for name in self.log.temperature_degC}
 
     def check(self, calibration: Calibration) -> None:
         """Raise `InputError` unless every temperature is of an axis or sensor of the calibration and every value is plausible."""
-        sensors = [channel[2:-5] for channel in needed(calibration) if channel.startswith("T_")]
+        sensors = [sensor_of(channel) for channel in needed(calibration) if is_temperature(channel)]
         known = list(dict.fromkeys((*calibration.machine.names, *sensors)))
         low, high = PLAUSIBLE_DEGC
         for name, value in self.temperature_degC.items():
@@ -115,7 +113,7 @@ class Conditions:
 
     def missing(self, calibration: Calibration) -> dict[str, tuple[str, ...]]:
         """Return the channels, other than directions of approach, that a calibration needs and that are not given, with the effects."""
-        given = self.channels.keys() | self._by_time
+        given = self.channels.keys() | self._logged | ({SPEED} if self.speed_of_program else set())
         return {name: by for name, by in needed(calibration).items() if name not in given}
 
     def used(self, calibration: Calibration) -> dict[str, float]:
@@ -135,7 +133,7 @@ class Conditions:
         missing = self.missing(calibration)
         if missing:
             settings = [
-                *(["temperature"] if any(name.startswith("T_") for name in missing) else []),
+                *(["temperature"] if any(map(is_temperature, missing)) else []),
                 *(setting for name, setting in SETTINGS.items() if name in missing),
             ]
             raise InputError(
@@ -148,7 +146,7 @@ class Conditions:
     def _check_log(self) -> None:
         if self.log is None:
             return
-        twice = self.channels.keys() & (self._by_time - ({SPEED} if self.log.speed_rpm is None else set()))
+        twice = self.channels.keys() & self._logged
         if twice:
             raise InputError(
                 f"{', '.join(sorted(twice))} is given and in the log",
@@ -218,7 +216,7 @@ class RecordingState(dict[str, Any]):
 def values_in_words(channels: Mapping[str, float]) -> str:
     """Return values by channel in words: "X 25 °C, time 3600 s of the measured table"."""
     return ", ".join(
-        f"{name[2:-5]} {value:g} °C" if name.startswith("T_") else UNITS[name].format(value)
+        f"{sensor_of(name)} {value:g} °C" if is_temperature(name) else UNITS[name].format(value)
         for name, value in channels.items()
     )
 
@@ -226,15 +224,11 @@ def values_in_words(channels: Mapping[str, float]) -> str:
 def needed_values(channels: Iterable[str]) -> str:
     """Return the values that supply the channels, in words: "the temperature of bed and X, the time"."""
     names = list(channels)
-    temperatures = [name[2:-5] for name in names if name.startswith("T_")]
+    temperatures = [sensor_of(name) for name in names if is_temperature(name)]
     return ", ".join(
         [
             *([f"the temperature of {' and '.join(temperatures)}"] if temperatures else []),
             *(words for name, words in WORDS.items() if name in names),
-            *(
-                f"{name}, which cannot be given yet"
-                for name in names
-                if not name.startswith("T_") and name not in WORDS
-            ),
+            *(f"{name}, which cannot be given yet" for name in names if not is_temperature(name) and name not in WORDS),
         ]
     )

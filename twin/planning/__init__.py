@@ -64,11 +64,12 @@ displacement sensors it is the record to fill in, with the comment that gives th
 - `environment`: machine at rest, a reading every 5 min for 24 h.
 - `spindle`: 25, 50, 75 and 100 % of `--highest-rpm` for equal times, then rest for a fifth of the time. `--spectrum` changes the
   speed at random every 10 min instead, which separates speed from time.
-- `axes`: two target positions; between pairs of readings the axis traverses at `--feed`. Two `--spheres` give the places. An axis
-  perpendicular to the table has no default for them.
+- `axes`: two target positions of a linear axis, or several angles of a rotary one; between the readings the axis moves at `--feed`. Two
+  `--spheres` give the places; for an axis perpendicular to the table the second place is on a riser beside the first.
 
 A touch probe needs the spindle stopped. The plan says for how long (assumed), and what does not show because of it. Duration, steps and
-intervals are choices of twin, not those of the standard. No measuring program is written for these tests.
+intervals are choices of twin, not those of the standard. `--program` writes the
+program of the test (not run on a machine).
 
 `--program` writes the measuring program for a touch probe: `.ngc` or `.nc` (LinuxCNC), `.h` (HEIDENHAIN), `.mpf` (SINUMERIK). The
 tool retracts, the rotary axes turn, and the tip touches the sphere five times: from the spindle and at four points of the equator

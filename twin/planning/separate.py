@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, closest_name
 from twin._common.progress import Progress, silent
+from twin._common.records import TIME, is_temperature, sensor_of
 from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
 from twin.diagnosis.problem.problem import RANK_TOLERANCE, Problem
@@ -29,7 +30,6 @@ from twin.identification.network import Network
 from twin.identification.setup import SetUp
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import TIME
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, Reads, StationInstruments, default_instrument
 from twin.measurement.simulate import simulate
@@ -251,7 +251,7 @@ def _sessions(causes: Sequence[NamedCause]) -> tuple[Session, ...]:
     drifts = False
     for one in causes:
         needed = () if one.effect not in SPECIFICATIONS else SPECIFICATIONS[one.effect].channels(one.where)
-        sensors += [name[2:-5] for name in needed if name.startswith("T_")]
+        sensors += [sensor_of(name) for name in needed if is_temperature(name)]
         drifts = drifts or TIME in needed
     if not sensors and not drifts:
         return ANY_STATE

@@ -7,10 +7,11 @@ from typing import Final
 
 import numpy as np
 
+from twin._common.records import TIME
 from twin.compensation.account.report import LineNote, ReversalNote
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving import Corrected
-from twin.machine.conditions import TIME, RecordingState
+from twin.machine.conditions import RecordingState
 
 WARM_UP_S: Final = 600.0
 """Time over which the further change of a thermal effect is reported, s."""

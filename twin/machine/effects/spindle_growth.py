@@ -8,6 +8,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.records import SPEED, TIME
 from twin.machine.effects.base import Parameter, channel
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
@@ -16,8 +17,6 @@ from twin.machine.effects.tool_side import HistoryShift, ToolSide, directions, t
 from twin.machine.machine import Machine
 from twin.numerics.first_order_lag import lagged
 
-SPEED: Final = "spindle_rpm"
-TIME: Final = "time_s"
 EXPONENTS: Final = (1.0, 1.5, 2.0)
 """Exponents tried: the friction of a greased bearing grows with the speed, churning losses with its square."""
 LEAST_EXPONENT: Final = 0.5

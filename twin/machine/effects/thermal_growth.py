@@ -7,6 +7,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.records import is_temperature, sensor_of
 from twin.machine.effects.base import Parameter, channel
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.places import single_parameter_form
@@ -57,7 +58,7 @@ def direction_and_sensor(machine: Machine, where: str, specification: Specificat
 
 def sensors_of(state: State) -> list[str]:
     """Return the names of the temperature sensors of a table, and of the axes whose scales have one."""
-    return [name[2:-5] for name in state if name.startswith("T_")]
+    return [sensor_of(name) for name in state if is_temperature(name)]
 
 
 def varying_sensors(state: State) -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.records import TIME
 from twin.machine.effects.base import Parameter, channel
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
@@ -17,7 +18,6 @@ from twin.machine.effects.tool_side import HistoryShift, ToolSide, directions
 from twin.machine.machine import Machine
 from twin.numerics.first_order_lag import lagged
 
-TIME: Final = "time_s"
 TIME_CONSTANT_STRIDE: Final = 7
 """Every n-th of the time constants of a drift is tried."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Sequence
 from typing import Final, final
@@ -10,19 +9,18 @@ from typing import Final, final
 import numpy as np
 
 from twin.nc.apt.reader import AptReader
-from twin.nc.apt.statements import Statement, statement_at, statements
+from twin.nc.apt.statements import statement_at, statements
 from twin.nc.apt.technology import line_words
 from twin.nc.apt.writer import VECTOR_DECIMALS, AptWriter
 from twin.nc.blocks import AxisWords, Interpretation, Kind, Program, Rewrite
 from twin.nc.dialect import Dialect
 from twin.nc.emit import rewrites_by_line
 from twin.nc.header import first_lines, insert_comments
-from twin.nc.technology import LineWords
-from twin.nc.text import MM_PER_INCH, Style, format_number, newline_of, number
+from twin.nc.technology import FeedUnit, LineWords
+from twin.nc.text import MM_PER_INCH, Style, format_number, newline_of
 
 _REMARK: Final = re.compile(r"[ \t]*+(?:\$\$[^\r\n]*+)?+[\r\n]*+", re.ASCII)
 _LOCATION: Final = re.compile(r"[ \t]*+GOTO[ \t]*+/[ \t\d.,+-]++[\r\n]*+", re.ASCII | re.IGNORECASE)
-_NOT_PER_MINUTE: Final = frozenset({"MMPR", "IPR", "PERREV", "INVERS"})
 
 
 @final
@@ -113,8 +111,9 @@ class Apt(Dialect):
             elif statement.word == "UNITS":
                 unit = MM_PER_INCH if statement.arguments and statement.texts[0].upper().startswith("INCH") else 1.0
             elif statement.word == "FEDRAT":
-                writer.feed = _feed(statement, unit, writer.feed)
-                if _words(statement) & _NOT_PER_MINUTE:
+                words = line_words(f"FEDRAT/{statement.arguments}")
+                writer.feed = _feed(words, unit, writer.feed)
+                if words.unit is not FeedUnit.MINUTE:
                     writer.comment(" ".join(statement.raw.split()))
             elif statement.word and statement.word not in ("RAPID", "FROM", "GOTO", "?"):
                 writer.comment(" ".join(statement.raw.split()))
@@ -122,19 +121,11 @@ class Apt(Dialect):
         return "".join(writer.out)
 
 
-def _words(statement: Statement) -> set[str]:
-    return {text.upper() for text in statement.texts}
-
-
-def _feed(statement: Statement, unit: float, last: float) -> float:
-    """Return the feed of a ``FEDRAT`` in mm/min; the last feed if it is not per minute."""
-    values = [v for v in (number(text) for text in statement.texts) if math.isfinite(v) and v > 0]
-    words = _words(statement)
-    if not values or words & _NOT_PER_MINUTE:
+def _feed(words: LineWords, unit: float, last: float) -> float:
+    """Return the feed of a ``FEDRAT`` in mm/min; the last feed if it is not per minute, or no positive number."""
+    if words.unit is not FeedUnit.MINUTE or words.feed is None or not words.feed > 0.0:
         return last
-    if "IPM" in words:
-        return values[0] * MM_PER_INCH
-    return values[0] * (1.0 if "MMPM" in words else unit)
+    return words.feed * (1.0 if words.metric else unit)
 
 
 def _comment(line: str) -> str | None:

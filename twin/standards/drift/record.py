@@ -13,14 +13,13 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError
+from twin._common.records import SPEED, TIME, check_course, is_temperature, read_record, sensor_of
 from twin.machine.machine import Machine
 from twin.measurement.checks import RowNote
 from twin.measurement.columns import simulated_comments
 from twin.standards.drift.axis_design import AxisDesign
 from twin.standards.drift.sensors import SensorMap
 
-TIME: Final = "time_s"
-SPEED: Final = "spindle_rpm"
 ROUND: Final = "round"
 SUFFIX: Final = "_um"
 ANGLE: Final = "_urad"
@@ -92,30 +91,23 @@ def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -
     Raises:
         InputError: no times, fewer than two rows, a cell that is not a number, times that do not increase, a sensor that is not there.
     """
-    file = Path(path)
-    header, rows, comments = read_table(file)
-    if TIME not in header:
-        raise InputError("no column of times", expected=f"a column {TIME}", file=file, line=1, value=",".join(header))
-    if len(rows) < 2:
-        raise InputError(f"{len(rows)} rows", expected="at least 2 rows below the header", file=file)
-    cells = Cells(file, {name: i for i, name in enumerate(header)}, rows)
+    cells, comments = read_record(path)
+    header, rows, file = list(cells.columns), cells.rows, cells.path
     axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
     names = [name for name in header if _is_reading(name, SUFFIX)]
     angular = [name for name in header if _is_reading(name, ANGLE)]
-    temperatures = [name for name in header if name.startswith("T_") and name.endswith("_degC")]
+    temperatures = [name for name in header if is_temperature(name)]
     numbers = {
         name: _numbers(cells, name) for name in [TIME, SPEED, *axes, *names, *angular, *temperatures] if name in header
     }
     for name in [name for name in (TIME, SPEED, *axes) if name in numbers]:
         cells.refuse(np.isnan(numbers[name]), numbers[name], name, "a number in every row")
-    cells.refuse(np.r_[False, np.diff(numbers[TIME]) <= 0.0], numbers[TIME], TIME, "a later time in every row")
-    if SPEED in numbers:
-        cells.refuse(numbers[SPEED] < 0.0, numbers[SPEED], SPEED, "0 or above")
+    check_course(cells, numbers)
     found = {name[: -len(SUFFIX)]: numbers[name] for name in names if np.isfinite(numbers[name]).any()}
     angles = {f"angle_{name[: -len(ANGLE)]}": numbers[name] for name in angular if np.isfinite(numbers[name]).any()}
     if not (found or angles):
         raise InputError("no displacement was read", expected="numbers in a column <name>_um or <name>_urad", file=file)
-    measured = {name[2:-5]: numbers[name] for name in temperatures}
+    measured = {sensor_of(name): numbers[name] for name in temperatures}
     directions = sensors or SensorMap.of_comments(comments)
     directions.check([name[: -len(SUFFIX)] for name in names], list(measured))
     displacement, units, remarks = directions.applied(found)

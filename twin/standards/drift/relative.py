@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from twin._common.arrays import read_only
+from twin._common.records import SPEED
 from twin._common.units import DEG, MM, UM
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -17,7 +18,7 @@ from twin.measurement.observation import Observation
 from twin.measurement.state import of_angles
 from twin.measurement.table import Measurements
 from twin.standards.drift.axis_design import axis_design
-from twin.standards.drift.record import SPEED, DriftRecord
+from twin.standards.drift.record import DriftRecord
 from twin.standards.readings import SAME_AS_MACHINE, reading_uncertainty_mm
 
 PARALLEL: Final = f"directions {SAME_AS_MACHINE}"
