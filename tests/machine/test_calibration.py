@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -154,6 +158,59 @@ def test_joint_covariance_reads_back(dmu50: Machine, tmp_path: Path) -> None:
     part = again.where(lambda name: name == "E_AY").covariance
     assert part.names == tuple(name for name in names if name.startswith("E_AY"))
     assert drawn.without_uncertainty == ("E_XX", "E_AY", "E_C0Y", "E_X0C")
+
+
+def _large(dmu50: Machine) -> Calibration:
+    """Return a calibration with more parameters than are written as readable rows."""
+    rng = np.random.default_rng(33)
+    drawn = random_calibration(dmu50, rng).where(lambda name: name in ("E_XX", "E_YY", "E_ZZ", "E_AY", "E_XC", "E_C0Y"))
+    names = tuple(p.name for effect in drawn.effects for p in effect.parameters)
+    root = rng.normal(size=(len(names), len(names))) * np.exp(rng.normal(size=len(names)))[:, None]
+    return replace(drawn, joint=Covariance(names, root @ root.T))
+
+
+def test_a_large_joint_covariance_is_compressed_at_the_end(dmu50: Machine, tmp_path: Path) -> None:
+    large = _large(dmu50)
+    path = tmp_path / "large.yaml"
+    large.save(path)
+    text = path.read_text()
+    assert "compressed: |" in text and "lower" not in text
+    assert text.index("covariance:") > max(text.index("squareness:"), text.index("location:"))
+    assert max(map(len, text[text.index("compressed: |") :].splitlines())) < 130
+    again = Calibration.load(path, dmu50)
+    assert again.covariance.names == large.covariance.names
+    assert np.array_equal(again.covariance.matrix, large.covariance.matrix)
+    assert again.to_yaml() == text
+    # The format as the documentation states it, read without twin.
+    entry = yaml.safe_load(text)["covariance"]
+    grouped = zlib.decompress(base64.b64decode(entry["compressed"]))
+    count = len(entry["parameters"])
+    numbers = np.frombuffer(grouped, np.uint8).reshape(8, -1).T.copy().view("<f8").ravel()
+    assert hashlib.sha256(numbers.tobytes()).hexdigest() == entry["sha256"]
+    matrix = np.zeros((count, count))
+    matrix[np.tril_indices(count)] = numbers
+    assert np.array_equal(np.tril(large.covariance.matrix), matrix)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("compressed: |\n    ", "compressed: |\n    AAAA", "damaged|does not hold|SHA-256"),
+        ("compressed: |\n    e", "compressed: |\n    é", "damaged"),
+        ("sha256: ", "sha256: 0", "SHA-256"),
+        ("parameters: [", "parameters: [E_A0Z, ", "not in this file"),
+        ("  compressed: |", "  lower: '1'\n  compressed: |", "one of lower and compressed"),
+    ],
+)
+def test_a_damaged_compressed_covariance_is_refused(
+    dmu50: Machine, tmp_path: Path, old: str, new: str, words: str
+) -> None:
+    text = _large(dmu50).to_yaml()
+    assert old in text
+    path = tmp_path / "bad.yaml"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=words):
+        Calibration.load(path, dmu50)
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,10 @@ default is 1000 µm and 1000 µrad.
     location: {E_X0C: 4.0, E_A0C: -12.0}   # µm, µrad
 
 `identify` adds a joint section `covariance:` with `parameters` (`E_XX[0]`, `E_XX[1]`, …, `E_C0Y`, `E_X0C`, in the units above) and
-`lower`, the lower triangle, one row per line. It replaces the covariances of the curves. `settled: false` means that the estimate did
-not converge: no program and no compensation table can be made from such a file. `simulated: true` means that some of the readings
+its lower triangle: `lower`, one row per line, for up to 20 parameters, otherwise `compressed` with `sha256`, at the end of the file
+(base64 of a zlib stream of float64 numbers, little-endian, row by row, their bytes grouped by position; the hash is that of the
+ungrouped bytes). It replaces the covariances of the curves. `settled: false` means that the estimate did not converge: no program and
+no compensation table can be made from such a file. `simulated: true` means that some of the readings
 were simulated; `identify`, `axis-run` and `diagnose --extended` write it, even if only one of several tables was simulated.
 `illustrative`, `simulated`, `settled: false` and errors without a covariance are warnings. Programs, control tables, reports and JSON
 (`warnings`: a list of `name` and `text`) made from the file repeat them.

@@ -26,7 +26,15 @@ from twin._common.provenance import (
 )
 from twin._common.yaml_files import MAX_VALUE, EntryPath, line_of, load_yaml
 from twin.display import card, note
-from twin.machine.calibration_file import CalibrationFile, ControlEntry, CovarianceEntry, CurveEntry, effects_of
+from twin.machine.calibration_file import (
+    CalibrationFile,
+    ControlEntry,
+    CovarianceEntry,
+    CurveEntry,
+    covariance_of,
+    covariance_text,
+    effects_of,
+)
 from twin.machine.control import ControlSection, TableEntry, read_tables
 from twin.machine.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
 from twin.machine.display import about_html, errors_html
@@ -179,11 +187,7 @@ class Calibration:
             data["control"] = self.control.to_entry(folder)
         text = yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
         if self.joint is not None and self.joint.names:
-            names = (
-                yaml.dump(list(self.joint.names), default_flow_style=True, width=120).replace("\n", "\n    ").rstrip()
-            )
-            rows = "".join(f"    {row}\n" for row in self.joint.to_text().splitlines())
-            text += f"covariance:\n  parameters: {names}\n  lower: |\n{rows}"
+            text += covariance_text(self.joint)
         return text
 
     @cached_property
@@ -549,13 +553,12 @@ class _Check:
             if entry.parameters.count(name) > 1:
                 raise self.fail(("covariance",), "duplicate parameter", "each parameter once", name)
         try:
-            found = Covariance.from_text(entry.parameters, entry.lower)
+            found = covariance_of(entry)
         except ValueError as error:
-            raise self.fail(
-                ("covariance", "lower"), "not a covariance", "the lower triangle, one row per line", error
-            ) from None
+            expected = "the lower triangle, one row per line (lower), or as twin writes it (compressed, sha256)"
+            raise self.fail(("covariance",), "not a covariance", expected, error) from None
         if np.any(np.abs(found.matrix) > MAX_VALUE):
-            raise self.fail(("covariance", "lower"), "too large a number", f"at most {MAX_VALUE:g}", "")
+            raise self.fail(("covariance",), "too large a number", f"at most {MAX_VALUE:g}", "")
         for curve in calibration.curves.values():
             names = [f"{curve.name}[{k}]" for k in range(len(curve.coefficients))]
             whole = set(names) <= set(entry.parameters)

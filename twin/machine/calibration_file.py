@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
+import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
 from twin._common.errors import InputError
@@ -16,6 +18,10 @@ from twin.machine.effects.table_load import TableLoad
 from twin.machine.empirical_entry import NAME as EMPIRICAL
 from twin.machine.empirical_entry import ColumnSpec, empirical_named
 from twin.machine.machine import Machine
+from twin.numerics.covariance import Covariance
+
+READABLE: Final = 20
+"""Largest number of parameters whose joint covariance is written as readable rows."""
 
 
 class CurveEntry(BaseModel):
@@ -56,11 +62,13 @@ class EffectEntry(BaseModel):
 
 
 class CovarianceEntry(BaseModel):
-    """Joint covariance of all parameters."""
+    """Joint covariance of all parameters: its lower triangle in rows, or compressed with its SHA-256 (`Covariance.to_compressed`)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     parameters: tuple[str, ...]
-    lower: str
+    lower: str | None = None
+    compressed: str | None = None
+    sha256: str = ""
 
 
 class TableFileEntry(BaseModel):
@@ -150,3 +158,29 @@ def _effect(entry: EffectEntry, machine: Machine, payloads: Sequence[Payload]) -
         )
     columns = [ColumnSpec(column.column, column.functions, column.order, column.range) for column in entry.columns]
     return empirical_named(entry.where, entry.along, columns, entry.parameters, machine)
+
+
+def covariance_text(covariance: Covariance) -> str:
+    """Return the entry of a joint covariance, the last of a calibration file: readable rows if it is small, compressed otherwise."""
+    names = yaml.dump(list(covariance.names), default_flow_style=True, width=120).replace("\n", "\n    ").rstrip()
+    if len(covariance.names) <= READABLE:
+        form, lines = "lower", covariance.to_text().splitlines()
+        head = ""
+    else:
+        text, sha256 = covariance.to_compressed()
+        form, lines = "compressed", textwrap.wrap(text, 120)
+        head = f"  sha256: {sha256}\n"
+    return f"covariance:\n  parameters: {names}\n{head}  {form}: |\n" + "".join(f"    {line}\n" for line in lines)
+
+
+def covariance_of(entry: CovarianceEntry) -> Covariance:
+    """Return the joint covariance of an entry.
+
+    Raises:
+        ValueError: neither or both forms, or numbers that are not a covariance.
+    """
+    if (entry.lower is None) == (entry.compressed is None):
+        raise ValueError("needs one of lower and compressed")
+    if entry.lower is not None:
+        return Covariance.from_text(entry.parameters, entry.lower)
+    return Covariance.from_compressed(entry.parameters, entry.compressed or "", entry.sha256)

@@ -1,7 +1,10 @@
-"""Joint covariance of named parameters, with a text form: the lower triangle, one row on each line."""
+"""Joint covariance of named parameters, with two text forms of its lower triangle: numbers in rows, and compressed."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final
@@ -110,9 +113,45 @@ class Covariance:
                 matrix[i, : i + 1] = [float(cell) for cell in row]
             except ValueError:
                 raise ValueError(f"row {i + 1} has an entry that is not a number") from None
-        if not np.all(np.isfinite(matrix)):
+        return cls._of_triangle(names, matrix)
+
+    def to_compressed(self) -> tuple[str, str]:
+        """Return the lower triangle compressed, and its SHA-256.
+
+        The text is the base64 of a zlib stream of the numbers, row by row, as little-endian float64. Their bytes are grouped by
+        position (all first bytes, then all second bytes, …), which compresses better. The SHA-256 is that of the numbers' bytes.
+        """
+        raw = self.matrix[np.tril_indices(len(self.names))].astype("<f8").tobytes()
+        grouped = np.frombuffer(raw, np.uint8).reshape(-1, 8).T.tobytes()
+        return base64.b64encode(zlib.compress(grouped, 9)).decode("ascii"), hashlib.sha256(raw).hexdigest()
+
+    @classmethod
+    def from_compressed(cls, names: Sequence[str], text: str, sha256: str) -> Covariance:
+        """Parse the text of `to_compressed`; white space in it is ignored.
+
+        Raises:
+            ValueError: a damaged text, the wrong number of entries, or entries that `from_text` would refuse.
+        """
+        size = 4 * len(names) * (len(names) + 1)
+        try:
+            grouped = zlib.decompressobj().decompress(base64.b64decode("".join(text.split()), validate=True), size + 8)
+        except (ValueError, zlib.error):
+            raise ValueError("the compressed text is damaged") from None
+        if len(grouped) != size:
+            raise ValueError(f"the compressed text does not hold the {size // 8} numbers of {len(names)} parameters")
+        raw = np.frombuffer(grouped, np.uint8).reshape(8, -1).T.tobytes()
+        if hashlib.sha256(raw).hexdigest() != sha256:
+            raise ValueError("the numbers differ from those that the SHA-256 belongs to")
+        matrix = np.zeros((len(names), len(names)))
+        matrix[np.tril_indices(len(names))] = np.frombuffer(raw, "<f8")
+        return cls._of_triangle(names, matrix)
+
+    @classmethod
+    def _of_triangle(cls, names: Sequence[str], lower: np.ndarray) -> Covariance:
+        """Return the covariance of a lower triangle; raise ValueError if it is not one."""
+        if not np.all(np.isfinite(lower)):
             raise ValueError("an entry is not finite")
-        matrix = matrix + np.tril(matrix, -1).T
+        matrix = lower + np.tril(lower, -1).T
         defect = not_a_covariance(matrix)
         if defect is not None:
             raise ValueError(defect)
