@@ -8,10 +8,12 @@ from typing import Annotated, Final
 
 import typer
 from rich.console import Console
-from rich.markdown import Markdown
+from rich.table import Table
+from rich.text import Text
 
 from twin._common.errors import InputError, closest_name
 from twin.cli.shared.command import CommandResult, JsonOption, command
+from twin.cli.shared.manual import ManualPage
 
 PAGES: Final = {
     "programs": "twin.compensation",
@@ -60,10 +62,12 @@ def doc(
     def show() -> None:
         console = Console()
         if page is not None:
-            console.print(Markdown(pages[page]))
+            console.print(ManualPage(pages[page]))
             return
+        table = Table.grid(padding=(0, 2))
         for name, text in pages.items():
-            console.print(f"twin doc {name:<15} {text.splitlines()[0]}", markup=False, highlight=False)
+            table.add_row(Text(f"twin doc {name}", no_wrap=True), Text(text.splitlines()[0]))
+        console.print(table)
 
     return CommandResult("", lambda: {"schema": "twin.doc/1", "pages": pages}, written="", show=show)
 
