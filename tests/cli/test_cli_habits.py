@@ -235,7 +235,7 @@ def test_nearest_ignores_case_and_may_find_nothing() -> None:
 )
 def test_usage_error_is_one_line(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str) -> None:
     line = refused(capsys, *arguments)
-    assert said in line and f"`twin {arguments[0]} --help`" in line
+    assert said in line and f"twin {arguments[0]} --help" in line
 
 
 def test_help_without_arguments(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, control_character, did_you_mean
+from twin._common.file_kinds import other_kind
 from twin._common.files import read_lines
 
 MAX_COLUMNS: Final = 1000
@@ -38,6 +39,9 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
             raise InputError("control character", expected="printable text", file=path, line=number, value=text)
     lines = [(number, text) for number, text in whole if not text.lstrip().startswith("#")]
     comments = [text.strip().lstrip("# ") for _, text in whole if text.lstrip().startswith("#")]
+    kind = other_kind("\n".join(text for _, text in whole[:100]), "a measurement table", "a plan")
+    if kind is not None:
+        raise InputError(f"{kind}, not a table", expected="a CSV table with a header (twin doc files)", file=path)
     if not lines:
         raise InputError("no header row", expected="a CSV table with a header", file=path)
     _check_separator(lines[0][1], path, lines[0][0])

@@ -166,6 +166,8 @@ def read_text(path: Path, *, most_bytes: int = MAX_TEXT_BYTES) -> str:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if data.startswith(b"PK"):
+            raise InputError("a spreadsheet or zip file, not a text file", expected="UTF-8 text", file=path) from error
         line = data.count(b"\n", 0, error.start) + 1
         raise InputError("not a text file", expected="UTF-8 text", file=path, line=line, value=error.reason) from error
     if "\0" in text:
@@ -342,7 +344,8 @@ def _target(path: Path) -> Path:
     if mode is not None and not (mode & 0o222 and os.access(file, os.W_OK)):
         raise InputError("cannot be written", expected="a file that is not read-only", file=path)
     if not file.parent.is_dir():
-        raise InputError("cannot be written", expected=f"an existing folder {file.parent}", file=path)
+        expected = f"an existing folder: create {path.parent} first"
+        raise InputError("cannot be written: its folder does not exist", expected=expected, file=path)
     return file
 
 

@@ -15,6 +15,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from twin._common.errors import InputError, closest_name, control_character
+from twin._common.file_kinds import other_kind
 from twin._common.files import read_text
 
 Schema = TypeVar("Schema", bound=BaseModel)
@@ -55,6 +56,13 @@ _EXPECTED_WORDS: Final = {
 """Expected value in words, by pydantic's error type."""
 
 
+def _refuse_other_kind(path: Path, name: str) -> None:
+    """Raise `InputError` if a file is recognised as something other than YAML."""
+    kind = other_kind(read_text(path), "a calibration", "a machine file", "another file of twin")
+    if kind is not None:
+        raise InputError(f"{kind}, not a YAML file", expected=f"a file with `schema: {name}`", file=path)
+
+
 def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapping[EntryPath, int]]:
     """Read a YAML file, validate it against a pydantic model, and return it with the line of every entry by its path in the file.
 
@@ -66,7 +74,13 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
     Raises:
         InputError: with the line, on anything that does not match, and on a duplicate key.
     """
-    data, lines = read_yaml(path)
+    try:
+        data, lines = read_yaml(path)
+    except InputError:
+        _refuse_other_kind(path, name)
+        raise
+    if not isinstance(data, dict) or "schema" not in data:
+        _refuse_other_kind(path, name)
     if not isinstance(data, dict):
         raise InputError("no entries", expected=f"a file with `schema: {name}`", file=path, line=lines.get(()))
     if data.get("schema") != name:

@@ -161,7 +161,8 @@ def outputs(programs: Sequence[Path], folder: Path) -> dict[Path, Path]:
     if not folder.is_dir() and (folder.exists() or folder.suffix.lower() in program_suffixes):
         raise InputError("several programs cannot be written to one file", expected="a folder", file=folder)
     if not folder.is_dir() and not folder.parent.is_dir():
-        raise InputError("cannot be written", expected=f"an existing folder {folder.parent}", file=folder)
+        expected = f"an existing folder: create {folder.parent} first"
+        raise InputError("cannot be written: its folder does not exist", expected=expected, file=folder)
     found: dict[Path, Path] = {}
     for program in programs:
         if folder.resolve() == program.resolve().parent:

@@ -493,6 +493,9 @@ def _copies(table: Measurements, rows: np.ndarray, unknown_cells: Sequence[str])
 def _check_header(header: Sequence[str], needed: Sequence[str], path: Path, line: int) -> None:
     """Raise `InputError` if a column is missing; it names the column whose name is probably misspelt."""
     refuse_contacts(header, needed, path, line)
+    if set(needed) - set(header) == set(POINT_COLUMNS):
+        expected = "a measurement table: measure the plan first, or simulate its measurement (twin simulate)"
+        raise InputError("a plan, without readings", expected=expected, file=path, line=line)
     for name in needed:
         if name not in header:
             nearest = closest_name(name, [one for one in header if one not in needed])

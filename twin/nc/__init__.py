@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from twin._common.errors import InputError, closest_name
+from twin._common.file_kinds import other_kind
 from twin._common.files import read_bytes, register_input
 from twin.nc.apt.dialect import Apt
 from twin.nc.blocks import Program
@@ -34,6 +35,10 @@ def dialect_for(path: Path, data: bytes | None = None) -> Dialect:
         if suffix in dialect.suffixes:
             return dialect
     known = " ".join(suffix for dialect in DIALECTS for suffix in dialect.suffixes)
+    kind = None if data is None else other_kind(data.decode("latin-1"), "an NC program")
+    if kind is not None:
+        expected = f"a program, whose name ends in one of {known}"
+        raise InputError(f"{kind}, not an NC program", expected=expected, file=path)
     raise InputError(
         "unknown NC program type", expected=f"a file name ending in one of {known}", file=path, value=suffix
     )
@@ -78,7 +83,7 @@ def dialect_of(path: Path) -> Dialect:
     register_input(path)
     try:
         with path.open("rb") as stream:
-            return dialect_for(path, stream.read(200))
+            return dialect_for(path, stream.read(4000))
     except OSError as error:
         raise InputError("cannot be read", expected="a readable file", file=path, value=error.strerror) from error
 

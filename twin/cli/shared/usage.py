@@ -21,6 +21,9 @@ def usage_message(error: Any) -> str:
     """
     context = getattr(error, "ctx", None)
     path = "twin" if context is None else str(context.command_path)
+    example = _example(context) if type(error).__name__ == "MissingParameter" else None
+    if example is not None:
+        return f"{_message(error, context)}; expected, for example, `{example}` (all options: {path} --help)"
     return f"{_message(error, context)}; expected what `{path} --help` lists"
 
 
@@ -29,6 +32,14 @@ def help_text(error: Any) -> str | None:
     if type(error).__name__ != "NoArgsIsHelpError":
         return None
     return str(error.ctx.get_help())
+
+
+def _example(context: Any) -> str | None:
+    """Return the first example of a command's help; None if it has none."""
+    examples = [
+        line for line in (getattr(context.command, "epilog", None) or "").splitlines() if line.startswith("twin ")
+    ]
+    return examples[0] if examples else None
 
 
 def _message(error: Any, context: Any) -> str:
