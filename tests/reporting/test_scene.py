@@ -16,11 +16,13 @@ import numpy as np
 import pytest
 import umsgpack
 
+import twin
 from tests.browser import run_chromium
 from tests.machine.errors import random_calibration
 from tests.truth.png import read_png
 from twin._common.errors import InputError
 from twin._common.provenance import ILLUSTRATIVE
+from twin.compensation.execute import execute_file
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -386,3 +388,16 @@ def test_pixel_count_detects_an_empty_scene(real: Kinematics, tmp_path: Path) ->
     assert close_to(closeup, VIRIDIS[0.5], 20) == close_to(closeup, VIRIDIS[1.0], 20) == 0
     assert any("spoilt" in line for line in console)
     assert any("Content Security Policy" in line for line in console)
+
+
+@pytest.mark.parametrize("program", ["cone_frustum.nc", "cone_frustum.h"])
+def test_scene_and_account_name_the_same_worst_line(dmu50: Machine, program: str) -> None:
+    """The largest error of the program as written, its line, and the RMS are those of the account."""
+    account = twin.compensate(program, dmu50, options=twin.Options(tool_length_mm=120.0)).report.before
+    run = execute_file(program, dmu50, Calibration.default(dmu50), tool_length_mm=120.0)
+    path = ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines)
+    assert path.lines[path.worst] == account.worst_line
+    assert path.max_um == pytest.approx(account.max_um, rel=1e-6)
+    drawn = path.drawn()
+    assert len(drawn.lines) < len(path.lines) / 2 and set(drawn.lines) == set(path.lines)
+    assert drawn.max_um == path.max_um and drawn.lines[drawn.worst] == path.lines[path.worst]

@@ -10,7 +10,17 @@ import numpy as np
 
 from twin.compensation.backlash import Backlash
 from twin.compensation.block_conditions import CONSTANT, BlockConditions, block_conditions
-from twin.compensation.toolpath import PathMotion, Setup, ToolPath, WordSpace, check_domains, follow, outside_range
+from twin.compensation.toolpath import (
+    SAMPLES_A_PIECE,
+    PathMotion,
+    Setup,
+    ToolPath,
+    WordSpace,
+    check_domains,
+    follow,
+    outside_range,
+    spacings,
+)
 from twin.display import card, count_with_noun, histogram, note, pairs
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
@@ -19,8 +29,6 @@ from twin.machine.machine import Machine
 from twin.nc import read_program
 from twin.nc.blocks import Program
 
-SPACING: Final = (5.0, 2.0)
-"""Largest step between two points: mm of linear, degrees of rotary motion."""
 CHORD_MM: Final = 0.01
 """Chord tolerance on arcs."""
 
@@ -146,9 +154,12 @@ def execute(
 
 
 def _fractions(motion: PathMotion) -> np.ndarray:
-    """Return fractions of a motion at which to evaluate it; only its end point if its start is unknown."""
+    """Return fractions of a motion at which to evaluate it; only its end point if its start is unknown.
+
+    They are those of the account of a compensation (`twin.compensation.account`): both find the same largest error in the same line.
+    """
     if not np.isfinite(motion.start).all():
         return np.array([1.0])
-    size = np.abs(motion.end - motion.start)
-    steps = max(size[:3].max() / SPACING[0], size[3:].max(initial=0.0) / SPACING[1], motion.chords(CHORD_MM), 1.0)
-    return np.arange(1, int(np.ceil(steps)) + 1) / np.ceil(steps)
+    long = spacings(motion.start[None], motion.end[None])[0]
+    count = int(np.ceil(max(SAMPLES_A_PIECE, long, motion.chords(CHORD_MM))))
+    return np.append((np.arange(count) + 0.5) / count, 1.0)

@@ -10,10 +10,9 @@ import numpy as np
 from twin._common.arrays import rows_all_true
 from twin.compensation.comparison import Commands
 from twin.compensation.solving.pieces import Pieces
-from twin.compensation.solving.rows import SAME, Rows, Ways, even_cuts, repeat_with_index, spacings
+from twin.compensation.solving.rows import SAME, Rows, Ways, even_cuts, repeat_with_index
+from twin.compensation.toolpath import SAMPLES_A_PIECE, spacings
 
-SAMPLES_A_PIECE: Final = 5
-"""Least number of interior points at which a piece is simulated; long pieces have more."""
 POSES: Final = 100_000
 """Points checked at once, to bound the memory."""
 

@@ -10,8 +10,6 @@ import numpy as np
 
 from twin.kinematics.forward import Poses
 
-SAMPLE_SPACING: Final = (10.0, 3.0)
-"""Largest distance between two samples: mm of linear and degrees of rotary motion."""
 SAME: Final = 1e-9
 """Words closer than this are printed alike."""
 
@@ -107,12 +105,6 @@ class Ways(NamedTuple):
 def repeat_with_index(things: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Repeat each of (n,) items by its count, and number the repetitions 0, 1, 2 … within each."""
     return np.repeat(things, count), np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-
-
-def spacings(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return (n,) the distance between (n, axes) words and others, in units of `SAMPLE_SPACING`."""
-    limits = np.repeat(SAMPLE_SPACING, [3, start.shape[1] - 3])
-    return np.maximum.reduce([np.abs(b - a) / limit for a, b, limit in zip(start.T, end.T, limits, strict=True)])
 
 
 def even_cuts(sizes: np.ndarray, most: float) -> list[int]:

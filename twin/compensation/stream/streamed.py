@@ -23,11 +23,10 @@ from twin.compensation.account import CompensationAccount, Report
 from twin.compensation.checked import motionless
 from twin.compensation.prepared import PreparedMachine
 from twin.compensation.solving import Corrected, Pieces, correct, new_positions
-from twin.compensation.solving.path_errors import SAMPLES_A_PIECE
-from twin.compensation.solving.rows import even_cuts, spacings
+from twin.compensation.solving.rows import even_cuts
 from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
-from twin.compensation.toolpath import ToolPath
+from twin.compensation.toolpath import SAMPLES_A_PIECE, ToolPath, spacings
 from twin.nc.iso.bulk import NewPositions
 
 POSES: Final = 12 * PART_LINES

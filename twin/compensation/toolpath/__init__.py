@@ -2,9 +2,11 @@
 
 from twin.compensation.toolpath.follow import Follower, follow
 from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ToolPath
+from twin.compensation.toolpath.samples import SAMPLES_A_PIECE, spacings
 from twin.compensation.toolpath.words import Setup, WordSpace, axis_words, check_domains, outside_range, turns_tool
 
 __all__ = [
+    "SAMPLES_A_PIECE",
     "Follower",
     "MotionColumns",
     "Passage",
@@ -16,5 +18,6 @@ __all__ = [
     "check_domains",
     "follow",
     "outside_range",
+    "spacings",
     "turns_tool",
 ]

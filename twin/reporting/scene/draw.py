@@ -100,6 +100,7 @@ def scene_html(
     path.check(len(machine.axes))
     if exaggeration is not None and not (math.isfinite(exaggeration) and exaggeration > 0):
         raise InputError("exaggeration must be positive", expected="a number above 0", value=exaggeration)
+    whole, path = path, path.drawn()
     factor = chosen_exaggeration(path) if exaggeration is None else exaggeration
     top_um = scale_top_um(path.max_um)
     frames = keyframes(path, machine.linear, machine.rotary)
@@ -128,7 +129,7 @@ def scene_html(
         title=title,
         machine=machine.name,
         factor=factor,
-        path=path,
+        path=whole,
         notices=warning_texts(warnings),
         still="" if len(frames.share) > 1 else "still",
     )

@@ -15,6 +15,10 @@ from twin._common.errors import InputError
 MAX_KEYFRAMES = 600
 MAX_POINTS = 4000
 """Largest number of points of the drawn path, for smooth rotation in a browser and a small file."""
+STEP = 5.0
+"""Largest travel of an axis between two points of the drawn path, mm or degrees."""
+CHORD_MM = 0.01
+"""Largest distance of a point that is not drawn from the line between its neighbours."""
 RAPID_SPEED = 3.0
 """Speed of a rapid move in the animation, relative to a cutting move."""
 SHOWN_SHARE = 0.08
@@ -90,6 +94,25 @@ class ScenePath:
     def extent_mm(self) -> float:
         """Diagonal of the bounding box of the counted nominal points, mm."""
         return float(np.linalg.norm(np.ptp(self.nominal_mm[self.counted], axis=0)))
+
+    def drawn(self) -> ScenePath:
+        """Return the points needed to draw the path: ends of lines, points every `STEP` or off the chord, the worst point."""
+        last = np.append(np.flatnonzero(np.diff(self.lines)), len(self.lines) - 1)
+        of = np.searchsorted(last, np.arange(len(self.lines)))
+        begin, end = self.nominal_mm[np.append(0, last[:-1])[of]], self.nominal_mm[last[of]]
+        chord, way = end - begin, self.nominal_mm - begin
+        share = np.einsum("ij,ij->i", way, chord) / np.maximum(np.einsum("ij,ij->i", chord, chord), 1e-12)
+        off = np.linalg.norm(way - share[:, None] * chord, axis=1)
+        far = np.abs(np.diff(self.positions, axis=0, prepend=self.positions[:1])).max(axis=1)
+        keep = (off > CHORD_MM) | (np.diff(np.floor(np.cumsum(far) / STEP), prepend=-1.0) > 0)
+        keep[last] = keep[self.worst] = keep[0] = True
+        return ScenePath(
+            self.positions[keep],
+            self.nominal_mm[keep],
+            self.actual_mm[keep],
+            self.cutting[keep],
+            self.lines[keep],
+        )
 
     def shown_mm(self, exaggeration: float) -> np.ndarray:
         """Return (n, 3) nominal points plus the exaggerated deviation, mm."""
