@@ -12,6 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError, control_character, did_you_mean
 from twin._common.file_kinds import other_kind
 from twin._common.files import read_lines
@@ -48,7 +49,9 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
     cells = _cells(lines, path)
     header = [name.strip() for name in cells[0]]
     if len(header) > MAX_COLUMNS:
-        raise InputError(f"{len(header)} columns", expected=f"at most {MAX_COLUMNS}", file=path, line=lines[0][0])
+        raise InputError(
+            count_with_noun(len(header), "column"), expected=f"at most {MAX_COLUMNS}", file=path, line=lines[0][0]
+        )
     twice = next((name for name, count in Counter(header).items() if count > 1), None)
     if twice is not None:
         raise InputError("duplicate column", expected="each column once", file=path, line=lines[0][0], value=twice)
@@ -56,8 +59,8 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
     for (number, text), row in zip(lines[1:], cells[1:], strict=True):
         if len(row) != len(header):
             raise InputError(
-                f"{len(row)} cells",
-                expected=f"{len(header)} cells, as in the header",
+                count_with_noun(len(row), "cell"),
+                expected=f"{count_with_noun(len(header), 'cell')}, as in the header",
                 file=path,
                 line=number,
                 value=",".join(row),

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from twin._common.counts import count_with_noun
 from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError
 
@@ -52,7 +53,7 @@ def read_record(path: str | Path) -> tuple[Cells, tuple[str, ...]]:
     if TIME not in header:
         raise InputError("no column of times", expected=f"a column {TIME}", file=file, line=1, value=",".join(header))
     if len(rows) < 2:
-        raise InputError(f"{len(rows)} rows", expected="at least 2 rows below the header", file=file)
+        raise InputError(count_with_noun(len(rows), "row"), expected="at least 2 rows below the header", file=file)
     return Cells(file, {name: i for i, name in enumerate(header)}, rows), tuple(comments)
 
 
@@ -80,7 +81,7 @@ def read_log(path: str | Path, also: Callable[[str], bool] = lambda name: False)
         expected = f"columns T_<sensor>_degC, {SPEED} or both"
         raise InputError("no temperature and no speed", expected=expected, file=file, line=1, value=",".join(header))
     if len(rows) * len(header) > MAX_CELLS:
-        raise InputError(f"{len(rows)} rows", expected=f"at most {MAX_CELLS} cells", file=file)
+        raise InputError(count_with_noun(len(rows), "row"), expected=f"at most {MAX_CELLS} cells", file=file)
     known = [name for name in header if name in (TIME, SPEED) or is_temperature(name) or also(name)]
     numbers = {name: cells.numbers(name) for name in known}
     for name, values in numbers.items():

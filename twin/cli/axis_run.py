@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
 from twin.cli.shared import complete, options
@@ -73,7 +74,9 @@ def axis_run(
     data = load_readings(readings, axis_layout)
     motions = error_motions(axis_layout, data, spread=noise_source.value)
     curves = axis_curves(
-        motions, loaded, source=f"measured by {axis_layout.name} and twin from {data.source}: {len(data)} rows"
+        motions,
+        loaded,
+        source=f"measured by {axis_layout.name} and twin from {data.source}: {count_with_noun(len(data), 'row')}",
     )
     curves.calibration.save(output)
     found = (axis_layout, data, motions, curves)
@@ -141,7 +144,7 @@ def simulate_axis_run(
         "rows": len(table),
         "stands_off": dict(zip(axis_layout.beams.installation, (float(v) for v in stands), strict=True)),
     }
-    return CommandResult("", lambda: report, written=f"written: {{}}, {len(table)} rows")
+    return CommandResult("", lambda: report, written=f"written: {{}}, {count_with_noun(len(table), 'row')}")
 
 
 def _layout_file(path: Path) -> Path:

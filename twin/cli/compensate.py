@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin._common.provenance import warning_texts
@@ -186,15 +187,17 @@ def _summary(
     count = Counter(outcome.verdict for outcome in outcomes_done)
     lines = [*warnings, *(f"{outcome.program!s:<{wide}}  {outcome.line}" for outcome in outcomes_done)]
     lines.append(
-        f"\n{len(programs)} programs: {count['done']} done, {count['not met']} done in part, {count['failed']} failed"
-        + (f", {len(programs) - len(outcomes_done)} not finished" if interrupted else "")
+        f"\n{count_with_noun(len(programs), 'program')}: {count['done']} done, {count['not met']} done in part, "
+        f"{count['failed']} failed" + (f", {len(programs) - len(outcomes_done)} not finished" if interrupted else "")
     )
     failed = [outcome for outcome in outcomes_done if outcome.error is not None]
     errors = [f"twin: {outcome.error}" for outcome in failed]
     status = 0
     if interrupted:
         status = INTERRUPTED
-        errors.append(f"twin: {len(outcomes_done) - len(failed)} of {len(programs)} programs written")
+        errors.append(
+            f"twin: {len(outcomes_done) - len(failed)} of {count_with_noun(len(programs), 'program')} written"
+        )
     elif any(isinstance(outcome.error, InputError) for outcome in failed):
         status = BAD_INPUT
     elif failed or count["not met"]:

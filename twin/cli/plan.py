@@ -9,6 +9,7 @@ from typing import Annotated, final
 
 import typer
 
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
@@ -330,7 +331,7 @@ def _judged_sequence(plan: Path, machine: Machine, kit: Kit, table: Measurements
     expected = judge_sequence(table, machine)
     minutes = minutes_of(machine, kit, table)
     lines = [
-        f"{plan}: {len(table)} poses with {table.instrument[0]}, {minutes:.0f} minutes\n",
+        f"{plan}: {count_with_noun(len(table), 'pose')} with {table.instrument[0]}, {minutes:.0f} minutes\n",
         *expected.lines(),
         *(f"  set aside, {text}" for text in grouped_notes(table.set_aside)),
     ]
@@ -359,7 +360,7 @@ def _judged(
         )
     minutes = duration(machine, kit, table) / 60.0
     lines = [
-        f"{plan}: {len(table)} readings with {instrument}, {minutes:.0f} minutes according to the kit\n",
+        f"{plan}: {count_with_noun(len(table), 'reading')} with {instrument}, {minutes:.0f} minutes according to the kit\n",
         *(f"expected errors: {text}" for text in warning_texts(errors.warnings)),
         forecast.to_text() + "".join(f"  set aside, {text}\n" for text in grouped_notes(table.set_aside)),
     ]

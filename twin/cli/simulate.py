@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
 from twin.cli.shared import complete, options
@@ -108,7 +109,7 @@ def simulate(
         "",
         lambda: report,
         met=not planned.set_aside,
-        written=f"written: {{}}, {len(measured)} points",
+        written=f"written: {{}}, {count_with_noun(len(measured), 'point')}",
         after=[f"  {note}" for note in notes],
     )
 

@@ -8,6 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.counts import count_with_noun
 from twin.compensation.backlash import Backlash
 from twin.compensation.block_conditions import CONSTANT, BlockConditions, block_conditions
 from twin.compensation.toolpath import (
@@ -21,7 +22,7 @@ from twin.compensation.toolpath import (
     outside_range,
     spacings,
 )
-from twin.display import card, count_with_noun, histogram, note, pairs
+from twin.display import card, histogram, note, pairs
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions

@@ -24,7 +24,6 @@ from twin.display.markup import (
 from twin.display.numbers import (
     UNKNOWN,
     compact,
-    count_with_noun,
     expanded,
     figure,
     finite_or_none,
@@ -48,7 +47,6 @@ __all__ = [
     "chain",
     "chips",
     "compact",
-    "count_with_noun",
     "expanded",
     "figure",
     "finite_or_none",

@@ -110,11 +110,6 @@ def readable(unit: str) -> str:
     return "°" if plain == "deg" else plain
 
 
-def count_with_noun(count: int, one: str) -> str:
-    """Return a count with its noun: ``1 row``, ``1,234 rows``."""
-    return f"{count:,} {one}{'' if count == 1 else 's'}"
-
-
 def ticks(low: float, high: float, most: int = 5) -> Sequence[float]:
     """Return between two and ``most`` tick positions between two ends, in steps of 1, 2 or 5 · 10ⁿ."""
     span = high - low

@@ -12,7 +12,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.display import count_with_noun
+from twin._common.counts import count_with_noun
 from twin.identification.network import Network
 from twin.identification.setup import SetUp
 from twin.identification.unknowns import Unknowns

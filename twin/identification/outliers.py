@@ -17,6 +17,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.distributions import chi2_isf
 from twin._common.units import MM
 from twin.identification.network import Network
@@ -171,7 +172,7 @@ def outlier_notes(
         text += f" ({sigmas:.1f} standard deviations)"
         if len(repeats_of_row):
             others = float(np.median(np.linalg.norm(difference[repeats_of_row], axis=1))) / MM
-            text += f"; median residual of its {len(repeats_of_row)} repeats: {others * 1e3:.1f} µm"
+            text += f"; median residual of its {count_with_noun(len(repeats_of_row), 'repeat')}: {others * 1e3:.1f} µm"
         notes.append(RowNote(int(data.lines[row]), f"outlier, not used: {text}", OUTLIER, sigmas))
     return tuple(notes)
 

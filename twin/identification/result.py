@@ -10,10 +10,11 @@ from typing import Any, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.json_form import json_form
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin._common.units import MM
-from twin.display import card, count_with_noun, note, pairs, table
+from twin.display import card, note, pairs, table
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification.constant_errors import ConstantErrors
 from twin.identification.network import Network

@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from twin.display import count_with_noun
+from twin._common.counts import count_with_noun
 from twin.identification.constant_errors import ConstantErrors, constant_errors
 from twin.identification.network import Network
 from twin.identification.setup import SetUp

@@ -16,10 +16,11 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM
 from twin.compute.native import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, InverseProblem, Solver
-from twin.display import card, count_with_noun, first_rows, fixed, note, pairs, table
+from twin.display import card, first_rows, fixed, note, pairs, table
 from twin.kinematics.forward import Kinematics, Poses
 from twin.kinematics.newton import Steps
 

@@ -11,13 +11,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from twin._common.counts import count_with_noun
 from twin.display import (
     UNKNOWN,
     Cell,
     Html,
     card,
     chips,
-    count_with_noun,
     graph,
     joined,
     measured,

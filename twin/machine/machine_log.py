@@ -10,8 +10,9 @@ from typing import final
 
 import numpy as np
 
+from twin._common.counts import count_with_noun
 from twin._common.records import SPEED, TIME, is_temperature, read_log, sensor_of
-from twin.display import card, count_with_noun, pairs
+from twin.display import card, pairs
 
 
 @final

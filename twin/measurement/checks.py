@@ -13,6 +13,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin.machine.machine import Axis
 
@@ -96,7 +97,7 @@ def _group_text(kind: str, group: Sequence[RowNote]) -> str:
         return f"line {group[0].line}: {group[0].text}"
     lines = ", ".join(str(note.line) for note in group[:FIRST_LINES])
     more = f" and {len(group) - FIRST_LINES:,} more" if len(group) > FIRST_LINES else ""
-    text = f"{len(group):,} rows (lines {lines}{more}): {kind}"
+    text = f"{count_with_noun(len(group), 'row')} (lines {lines}{more}): {kind}"
     sized = [note for note in group if note.size is not None]
     if not sized:
         return text
@@ -302,7 +303,9 @@ def missing_rounds(target: np.ndarray, names: np.ndarray, positions: np.ndarray)
         for name, found in of.items():
             missing = len(everything) - len(found)
             if missing and all(len(found & other) > len(everything) // 2 for other in of.values()):
-                notices.append(f"target {reflector}: round {name} lacks {missing} of {len(everything)} positions")
+                notices.append(
+                    f"target {reflector}: round {name} lacks {missing} of {count_with_noun(len(everything), 'position')}"
+                )
     for name in dict.fromkeys(names):
         absent = [reflector for reflector in dict.fromkeys(target) if (reflector, name) not in points]
         if absent and len(dict.fromkeys(names)) > 1:

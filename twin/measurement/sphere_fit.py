@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 
 FEWEST: Final = 4
@@ -92,7 +93,7 @@ def fit_sphere_algebraic(
     points = np.asarray(points_mm, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < FEWEST:
         raise InputError(
-            f"{len(points)} contacts on a sphere",
+            f"{count_with_noun(len(points), 'contact')} on a sphere",
             expected=f"at least {FEWEST} contacts of three coordinates, not all in one plane",
             file=file,
             line=line,

@@ -16,10 +16,11 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError, closest_name
 from twin._common.files import write_atomic
-from twin.display import Cell, card, count_with_noun, note, pairs, spans
+from twin.display import Cell, card, note, pairs, spans
 from twin.machine.effects.payload import LOAD
 from twin.machine.machine import Machine
 from twin.measurement.bar_length import length_comment, stated_length_mm, with_length

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.files import read_lines
 from twin.machine.machine import Machine
@@ -59,7 +60,7 @@ def load_export(
     wanted = len(commands) * len(targets)
     if len(points) != wanted:
         raise InputError(
-            f"{len(points)} points",
+            count_with_noun(len(points), "point"),
             expected=f"{wanted}: {len(targets)} targets at {len(commands)} positions",
             file=path,
         )

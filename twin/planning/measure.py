@@ -11,8 +11,9 @@ from typing import Any, Final, final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
-from twin.display import card, count_with_noun, note, pairs, table
+from twin.display import card, note, pairs, table
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, instrument_named
 from twin.measurement.table import Measurements

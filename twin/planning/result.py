@@ -8,9 +8,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, final
 
+from twin._common.counts import count_with_noun
 from twin._common.json_form import json_form
 from twin._common.provenance import SourceWarning, warning_texts
-from twin.display import bar, card, count_with_noun, note, pairs, table
+from twin.display import bar, card, note, pairs, table
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
@@ -208,8 +209,8 @@ class Plan:
     def comment(self) -> str:
         """Return the comment lines of the file."""
         lines = [
-            f"plan by twin: {self.machine.name}, {len(self.table)} readings with {self.instrument.name}, {self.minutes:.0f} minutes, "
-            f"aim: {self.aim}, seed {self.seed}",
+            f"plan by twin: {self.machine.name}, {count_with_noun(len(self.table), 'reading')} with {self.instrument.name}, "
+            f"{self.minutes:.0f} minutes, aim: {self.aim}, seed {self.seed}",
             f"kit: {self.kit.source}",
             ", ".join(f"{words} {self.route.spent[key] / 60:.0f} min" for key, words in SPENT.items()),
             *self.notices(),
@@ -249,8 +250,8 @@ class Plan:
     def to_text(self) -> str:
         """Return the text report."""
         lines = [
-            f"{self.machine.name}: {len(self.table)} readings with {self.instrument.name} from {', '.join(self.stations)}, "
-            f"{self.minutes:.0f} minutes",
+            f"{self.machine.name}: {count_with_noun(len(self.table), 'reading')} with {self.instrument.name} "
+            f"from {', '.join(self.stations)}, {self.minutes:.0f} minutes",
             *self.comment().splitlines()[1:3],
             *(f"expected errors: {text}" for text in warning_texts(self.warnings)),
             "",

@@ -10,6 +10,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
 from twin._common.progress import Progress, silent
@@ -175,7 +176,11 @@ class MachineReport:
             )
         return (
             *found,
-            *(f"{Path(one.source).name}: {len(one.rows)} rows excluded" for one in self.comparisons if one.rows),
+            *(
+                f"{Path(one.source).name}: {count_with_noun(len(one.rows), 'row')} excluded"
+                for one in self.comparisons
+                if one.rows
+            ),
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -9,8 +9,9 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 
+from twin._common.counts import count_with_noun
 from twin._common.provenance import warning_texts
-from twin.display import Html, count_with_noun, figure, readable, render
+from twin.display import Html, figure, readable, render
 from twin.display.figures import BACKWARD, FORWARD, THIRD, embedded, new_figure, style_axes
 from twin.measurement.checks import grouped_notes
 from twin.measurement.evaluation import (

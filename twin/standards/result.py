@@ -9,10 +9,11 @@ from typing import Any, Final, Literal, Protocol, final
 
 import numpy as np
 
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
 from twin._common.provenance import SourceWarning, warning_texts, warnings_to_json
-from twin.display import card, count_with_noun, figure, note, readable, table
+from twin.display import card, figure, note, readable, table
 from twin.display.numbers import COVERAGE_FACTOR, with_joined_units
 from twin.measurement.checks import RowNote, grouped_notes
 from twin.measurement.evaluation import (

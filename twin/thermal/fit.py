@@ -9,6 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.progress import silent
 from twin.thermal.candidates import (
@@ -109,7 +110,9 @@ def _problem(record: ThermalRecord) -> AveragedRecord:
     if not record.displacements:
         raise InputError("no displacement", expected="columns <name>_um", file=record.path)
     if len(record) < LEAST_ROWS:
-        raise InputError(f"{len(record)} rows", expected=f"at least {LEAST_ROWS} rows to fit", file=record.path)
+        raise InputError(
+            count_with_noun(len(record), "row"), expected=f"at least {LEAST_ROWS} rows to fit", file=record.path
+        )
     for k, name in enumerate(record.displacements):
         if np.ptp(record.displacement_um[:, k]) == 0.0:
             expected = "readings that vary; a constant reading suggests that the sensor does not work"

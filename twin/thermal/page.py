@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from twin.display import Html, count_with_noun, measured, render
+from twin._common.counts import count_with_noun
+from twin.display import Html, measured, render
 from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, SHADE, embedded, new_figure, style_axes
 from twin.thermal.fit import FORWARD as SHARES
 from twin.thermal.model import ThermalModel, ThermalPrediction

@@ -24,8 +24,9 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError, closest_name
-from twin.display import UNKNOWN, Html, card, count_with_noun, histogram, note, pairs
+from twin.display import UNKNOWN, Html, card, histogram, note, pairs
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.numerics.covariance import Covariance

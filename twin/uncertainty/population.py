@@ -21,6 +21,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
 from twin._common.progress import Progress, silent
@@ -28,7 +29,7 @@ from twin._common.provenance import SourceWarning, warnings_to_json
 from twin._common.units import MM, UM
 from twin.compute.batch import BatchFunction
 from twin.compute.parallel import Workers, map_in_order
-from twin.display import card, count_with_noun, histogram, note, pairs, table
+from twin.display import card, histogram, note, pairs, table
 from twin.display.numbers import COVERAGE, COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration

@@ -13,10 +13,10 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError, require_type
 from twin._common.progress import Progress, silent
 from twin._common.provenance import SIMULATED, merge_warnings
-from twin.display import count_with_noun
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.watching.at_tool import remaining_error

@@ -8,8 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from twin._common.counts import count_with_noun
 from twin._common.provenance import warning_texts
-from twin.display import count_with_noun, figure, place, readable, with_half
+from twin.display import figure, place, readable, with_half
 from twin.machine.effects import split_name
 from twin.machine.effects.names import motion_in_words
 from twin.watching.change import RATIO, TemperatureEffect, WatchedError

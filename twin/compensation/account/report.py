@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, final
 
+from twin._common.counts import count_with_noun
 from twin._common.json_form import json_form
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts
 from twin.compensation.account.shortfalls import SHOWN, Shortfall, line_numbers
 from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections
-from twin.display import bar, card, count_with_noun, note, pairs, readable, table
+from twin.display import bar, card, note, pairs, readable, table
 from twin.machine.conditions import values_in_words
 from twin.uncertainty.at_tool import DEFINITION
 

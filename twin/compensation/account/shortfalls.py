@@ -8,7 +8,8 @@ from typing import Any, Final, Literal, NamedTuple, final
 
 import numpy as np
 
-from twin.display import count_with_noun, readable
+from twin._common.counts import count_with_noun
+from twin.display import readable
 
 SHOWN: Final = 8
 """Line numbers printed before the rest is counted; the JSON report has all."""

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from twin._common.counts import count_with_noun
 from twin._common.csv_tables import split_cells
 from twin._common.errors import InputError
 from twin._common.files import read_lines
@@ -90,7 +91,7 @@ def _table(path: Path, axes: AxisWords) -> tuple[tuple[str, ...], list[int], np.
             continue
         if len(cells) != len(header):
             raise InputError(
-                f"row with {len(cells)} values",
+                f"row with {count_with_noun(len(cells), 'value')}",
                 expected=f"{len(header)} values: {','.join(header)}",
                 file=path,
                 line=number,
@@ -101,7 +102,7 @@ def _table(path: Path, axes: AxisWords) -> tuple[tuple[str, ...], list[int], np.
     if header is None:
         raise InputError("no header row", expected=expected, file=path)
     if len(rows) < 2:
-        raise InputError(f"only {len(rows)} points", expected="two or more", file=path)
+        raise InputError(f"only {count_with_noun(len(rows), 'point')}", expected="two or more", file=path)
     return header, lines, np.array(rows)
 
 

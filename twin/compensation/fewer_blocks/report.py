@@ -13,10 +13,11 @@ from math import sqrt
 from pathlib import Path
 from typing import Any, Final, final
 
+from twin._common.counts import count_with_noun
 from twin._common.json_form import json_form
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts
 from twin.compensation.account import NO_ERRORS, LineNote, Report, grouped
-from twin.display import UNKNOWN, bar, card, count_with_noun, note, pairs, table
+from twin.display import UNKNOWN, bar, card, note, pairs, table
 
 SCHEMA = "twin.path/1"
 SHOWN = 8
@@ -252,9 +253,10 @@ class PathReport:
         out = [
             f"{self.program} on {self.machine}{headline}",
             *calibration,
-            f"  blocks        {self.blocks} in {len(self.runs)} runs, now {self.blocks_out}{more}",
+            f"  blocks        {self.blocks} in {count_with_noun(len(self.runs), 'run')}, now {self.blocks_out}{more}",
             f"  curves        {sum(run.control_points for run in fitted)} control points for "
-            f"{sum(run.blocks for run in fitted)} blocks in {len(fitted)} runs, {sum(run.corners for run in self.runs)} corners kept",
+            f"{count_with_noun(sum(run.blocks for run in fitted), 'block')} in {count_with_noun(len(fitted), 'run')}, "
+            f"{count_with_noun(sum(run.corners for run in self.runs), 'corner')} kept",
             f"  rotary words  {self.angle_deg:.4f}°: the tolerance at {self.lever_mm:g} mm from the tip",
             "",
             f"  of {shares.tolerance:g} µm                                  share     used",

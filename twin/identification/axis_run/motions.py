@@ -13,6 +13,7 @@ from typing import Final, Literal, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.distributions import chi2_sf
 from twin._common.errors import InputError
 from twin._common.units import UM, URAD
@@ -242,7 +243,9 @@ def axis_curves(
     distinct = np.unique(motions.position_mm)
     if len(distinct) < FEWEST:
         raise InputError(
-            f"too few positions of {motions.axis}", expected=f"{FEWEST} or more", value=f"{len(distinct)} positions"
+            f"too few positions of {motions.axis}",
+            expected=f"{FEWEST} or more",
+            value=count_with_noun(len(distinct), "position"),
         )
     bases = dict.fromkeys(machine.names, POWER)
     spaces, _ = spaces_for(machine, positions, bases=bases, most=MOST, wanted=wanted)

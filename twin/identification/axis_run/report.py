@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from twin._common.counts import count_with_noun
 from twin._common.json_form import json_form
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.identification.axis_run.layout import AxisLayout
@@ -83,7 +84,8 @@ def to_dict(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves
 def to_text(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves: AxisCurves) -> str:
     """Return the report as text."""
     lines = [
-        f"{layout.name}: {motions.axis}, {len(readings)} rows, {len(np.unique(motions.position_mm))} positions, "
+        f"{layout.name}: {motions.axis}, {count_with_noun(len(readings), 'row')}, "
+        f"{count_with_noun(len(np.unique(motions.position_mm)), 'position')}, "
         f"counters zeroed at {layout.reference_mm:g} mm",
         *warning_texts(curves.calibration.warnings),
         f"misfit: chi² {motions.chi2:.0f} for {motions.dof} degrees of freedom (p = {motions.p_value:.2g})",

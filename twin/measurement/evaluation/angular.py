@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin.measurement.evaluation.inputs import check_same_length, finite_array
 
@@ -79,7 +80,7 @@ def angular_error(position_mm: ArrayLike, angle_urad: ArrayLike, approach: Array
     ranges = [float(np.nanmax(one) - np.nanmin(one)) if np.isfinite(one).sum() > 1 else None for one in both]
     shortfalls = []
     if len(targets) < FEWEST_POSITIONS:
-        shortfalls.append(f"{len(targets)} positions, fewer than {FEWEST_POSITIONS}")
+        shortfalls.append(f"{count_with_noun(len(targets), 'position')}, fewer than {FEWEST_POSITIONS}")
     if None in ranges:
         shortfalls.append("one direction of motion only")
     difference = (both[0] - both[1])[np.isfinite(both).all(axis=0)]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM, URAD
 from twin.measurement.evaluation.inputs import check_same_length, finite_array
@@ -124,7 +125,7 @@ class Positioning:
         kind = "linear" if self.target_unit == "mm" else "rotary"
         low, high = float(self.target.min()), float(self.target.max())
         space = " " if target_unit == "mm" else ""
-        count = f"{len(self.target)} targets from {low:g} to {high:g}{space}{target_unit}, {self.cycles} cycles"
+        count = f"{count_with_noun(len(self.target), 'target')} from {low:g} to {high:g}{space}{target_unit}, {self.cycles} cycles"
         lines = [f"{name} ({kind}), positioning by ISO 230-2:2014", f"{count}, deviations in {unit}"]
         lines += [f"Not by the standard (4.3): {shortfall}" for shortfall in self.shortfalls]
         columns = {
@@ -360,7 +361,9 @@ def _shortfalls(target_unit: str, target: np.ndarray, cycles: int) -> tuple[str,
         if travel > ROTARY_TARGETS[-1][0]:
             found.append(f"travel of {travel:g}°; the standard's test covers up to 360° (4.3.4)")
     if len(target) < required:
-        found.append(f"{len(target)} targets, at least {required} required over {travel:g} {_SIGNS[target_unit]}")
+        found.append(
+            f"{count_with_noun(len(target), 'target')}, at least {required} required over {travel:g} {_SIGNS[target_unit]}"
+        )
     if cycles < CYCLES:
         found.append(f"{cycles} cycles, {CYCLES} required")
     return tuple(found)

@@ -11,10 +11,10 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError, closest_name
 from twin._common.files import read_bytes
 from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, warnings_to_json
-from twin.display import count_with_noun
 from twin.machine.machine import Machine
 from twin.measurement.checks import check_ranges
 from twin.measurement.contacts import SphereCentre

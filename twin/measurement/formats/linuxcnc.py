@@ -11,6 +11,7 @@ import re
 from pathlib import Path
 from typing import Final, final
 
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.measurement.formats.base import ContactRow, Conversion, FormatSpecification, Given, MeasuredFormat, reduced
@@ -49,7 +50,11 @@ class LinuxCncProbeLog(MeasuredFormat):
             words = text.split()
             if len(words) != len(AXES):
                 raise InputError(
-                    f"{len(words)} numbers", expected="nine: X Y Z A B C U V W", file=path, line=number, value=text
+                    count_with_noun(len(words), "number"),
+                    expected="nine: X Y Z A B C U V W",
+                    file=path,
+                    line=number,
+                    value=text,
                 )
             values = dict(zip(AXES, numbers_in(words, "a coordinate", path, number), strict=True))
             for name, value in values.items():

@@ -18,6 +18,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.measurement.contacts import linear_columns, numbered_rounds, probe_table
@@ -120,7 +121,7 @@ def _converted(records: list[_Record], rounds: np.ndarray, path: Path, machine: 
                 u_mm=np.full((len(centres), 3), np.nan),
             )
         )
-        notes.append(f"{len(centres)} centres as the file states them, without uncertainty")
+        notes.append(f"{count_with_noun(len(centres), 'centre')} as the file states them, without uncertainty")
     joined = Measurements.join(tables)
     table = joined.select(np.argsort(joined.lines, kind="stable"))
     return Conversion(table, (*notes, "assumed: one sphere in all poses"), found.centres if found is not None else ())
@@ -162,7 +163,10 @@ def _records(path: Path) -> Iterator[_Record]:
             yield _record(parameters, known, contacts, path, line)
     if stated is not None and stated != count:
         raise InputError(
-            f"{count} records", expected=f"{stated}, the number of poses in SysCalibFitInit", file=path, line=last
+            count_with_noun(count, "record"),
+            expected=f"{stated}, the number of poses in SysCalibFitInit",
+            file=path,
+            line=last,
         )
 
 

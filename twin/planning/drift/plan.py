@@ -12,9 +12,10 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
-from twin.display import card, count_with_noun, note, pairs, readable
+from twin.display import card, note, pairs, readable
 from twin.machine.machine import Machine
 from twin.measurement.columns import comment_lines, csv_text, number_cells
 from twin.measurement.instruments import instrument_named

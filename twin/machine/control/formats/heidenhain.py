@@ -25,6 +25,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, final
 
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.units import TURN
 from twin.machine.control.curve import BOTH, DOWN, UP, ControlCurve, ControlTerm, TableSum, period_of
@@ -228,7 +229,9 @@ class _Rows:
         for line in lines[2:-1]:
             cells = line.text.split()
             if len(cells) != len(self.head):
-                raise line.error(f"{len(cells)} cells", f"{len(self.head)}: {' '.join(self.head)}", line.text)
+                raise line.error(
+                    count_with_noun(len(cells), "cell"), f"{len(self.head)}: {' '.join(self.head)}", line.text
+                )
             self.rows.append((line, dict(zip(self.head, cells, strict=True))))
 
     def column(self, name: str) -> tuple[float, ...]:

@@ -31,6 +31,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin.machine.control.curve import ControlCurve, period_of
 from twin.machine.control.format import TableFormat
@@ -222,7 +223,9 @@ def _blocks(lines: Sequence[TableLine]) -> Iterator[_Block]:
             block = _Block(line, tuple(cells))
         elif text and block is not None:
             if len(cells) != len(block.names):
-                raise line.error(f"{len(cells)} cells", f"{len(block.names)}: {' '.join(block.names)}", text)
+                raise line.error(
+                    count_with_noun(len(cells), "cell"), f"{len(block.names)}: {' '.join(block.names)}", text
+                )
             numbers = tuple(line.decimal(name, cell) for cell, name in zip(cells, block.names, strict=True))
             block.rows.append((line, numbers))
 
