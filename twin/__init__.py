@@ -5,7 +5,7 @@
 - machine and model: `Machine`, `Calibration`, `Curve`, `Conditions`, `MachineLog`, `effect_named`, `Kinematics`, `Inverse`;
 - measurements: `Measurements`, `convert`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`, `duration`,
   `measuring_sequence`, `InstrumentSizes`, `thesis_plan`;
-- identification: `identify`, `ToolUncertainty`, `compare`, `draw_machines`, `identify_as_thesis`;
+- identification: `identify`, `ToolUncertainty`, `compare`, `calibrated_urdf`, `draw_machines`, `identify_as_thesis`;
 - checks over time: `watch`, `WatchSettings`, `watch_html`;
 - standard tests (ISO 230, ISO 10791-6): `evaluate`, `evaluate_drift`, `evaluation_html`;
 - thermal models: `ThermalRecord`, `fit_thermal`;
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from twin.identification.thesis.identify import identify_as_thesis
     from twin.kinematics.forward import Kinematics
     from twin.kinematics.inverse import Inverse, Status
+    from twin.machine.calibrated_urdf import calibrated_urdf
     from twin.machine.calibration import Calibration
     from twin.machine.conditions import Conditions
     from twin.machine.effects.entries import effect_named
@@ -89,6 +90,7 @@ __all__ = [
     "WatchSettings",
     "Workers",
     "__version__",
+    "calibrated_urdf",
     "compare",
     "compensate",
     "compensate_file",
@@ -156,6 +158,7 @@ _HOMES = {
     "ToolUncertainty": ("twin.uncertainty.at_tool", "ToolUncertainty"),
     "WatchSettings": ("twin.watching", "WatchSettings"),
     "Workers": ("twin.compute.parallel", "Workers"),
+    "calibrated_urdf": ("twin.machine.calibrated_urdf", "calibrated_urdf"),
     "compare": ("twin.comparison", "compare"),
     "compensate": ("twin.compensation", "compensate"),
     "compensate_file": ("twin.compensation", "compensate_file"),

@@ -18,9 +18,10 @@ from twin._common.errors import InputError, printable
 from twin._common.json_form import json_form
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import options
-from twin.cli.shared.command import CALIBRATION, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.command import CALIBRATION, URDF, CommandResult, JsonOption, command, progress_bar
 from twin.compute.native import solver_description
 from twin.kinematics.forward import Kinematics
+from twin.machine.calibrated_urdf import calibrated_urdf
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import needed_values
 from twin.machine.datum import EXPLANATION
@@ -43,6 +44,7 @@ class DatumChoice(StrEnum):
     "twin info --machine trunnion_ac",
     "twin info --calibration mine.yaml --tool-length 120 --json budget.json",
     "twin info --calibration other.yaml --datum 'mean lines' -o mine.yaml",
+    "twin info --calibration mine.yaml --urdf calibrated.urdf",
 )
 def info(
     machine: options.MachineOption = DEFAULT,
@@ -59,9 +61,14 @@ def info(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Write the converted calibration, with --datum."), CALIBRATION
     ] = None,
+    urdf: Annotated[
+        Path | None,
+        typer.Option("--urdf", help="Write the machine's URDF with squareness, axis locations and zero offsets."),
+        URDF,
+    ] = None,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """Show axes, ranges, frames and error budget of a machine, and convert its calibration to another datum."""
+    """Show axes, ranges, frames and error budget of a machine; convert its calibration to another datum, or calibrate its URDF."""
     loaded = Machine.load(machine)
     if output is not None and datum is None:
         raise InputError("--output needs --datum", expected="--datum with --output", file=output)
@@ -79,8 +86,13 @@ def info(
         over = uncertainty.over_volume() if uncertainty.parameters else None
     if output is not None:
         errors.save(output)
+    after = []
+    if urdf is not None:
+        calibrated = calibrated_urdf(errors)
+        calibrated.save(urdf)
+        after.append(calibrated.summary)
     found = _Info(given, errors, kinematics, missing, rows, classes, over, list(uncertainty.without_uncertainty))
-    return CommandResult("", found.to_dict, show=found.show)
+    return CommandResult("", found.to_dict, show=found.show, after=after)
 
 
 @final

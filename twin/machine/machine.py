@@ -136,6 +136,7 @@ class Machine:
         default_calibration: path of the calibration that is used if none is given, or None.
         tool_length_mm: tool length that is used if none is given.
         tcp_on, tcp_off: program words that switch tool centre point control on and off on this machine.
+        origin_mm: axis coordinates at which the URDF's linear joints are zero, by axis; 0 for those that are not named.
     """
 
     def __init__(self, path: Path) -> None:
@@ -162,6 +163,8 @@ class Machine:
         # A fixed joint may have the name of a link.
         self.tool_frame = int(self.model.getFrameId(entries.frames.tool, pin.FrameType.BODY))
         self.work_frame = int(self.model.getFrameId(entries.frames.work, pin.FrameType.BODY))
+        self.origin_mm: Mapping[str, float] = MappingProxyType(dict(entries.frames.origin))
+        self._error_frames = {entry.name: error_frame(entry) for entry in entries.axes}
         self._axis_joints = tuple(joint_of[entry.name] for entry in entries.axes)
         turns = turns_in_machine_frame(entries, source, path, lines)
         self.axes = tuple(self._axis(entry, source, turns[entry.name]) for entry in entries.axes)
@@ -176,6 +179,10 @@ class Machine:
             InputError: there is no such file, or it is invalid; the error names the line.
         """
         return cls(find_bundled(machine, ".yaml", "a machine file"))
+
+    def error_frame(self, axis: str) -> pin.SE3:
+        """Return the placement of an axis's error frame in its joint's frame."""
+        return pin.SE3(self._error_frames[axis])
 
     @property
     def axis_joints(self) -> tuple[int, ...]:

@@ -49,6 +49,7 @@ class Output:
 HTML: Final = Output((".html", ".htm"))
 CALIBRATION: Final = Output((".yaml", ".yml"))
 TABLE: Final = Output((".csv",))
+URDF: Final = Output((".urdf", ".xml"))
 ANY: Final = Output()
 POSITIVE: Final = "positive"
 """Marker of a number that must be positive."""
