@@ -28,6 +28,7 @@ from twin._common.yaml_files import MAX_VALUE, EntryPath, line_of, load_yaml
 from twin.display import card, note
 from twin.machine.calibration_file import CalibrationFile, ControlEntry, CovarianceEntry, CurveEntry, effects_of
 from twin.machine.control import ControlSection, TableEntry, read_tables
+from twin.machine.control.kinematics import KinematicCorrection, kinematics_named
 from twin.machine.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
 from twin.machine.display import about_html, errors_html
 from twin.machine.effects import (
@@ -70,6 +71,7 @@ class Calibration:
         path: the file it was read from, or None.
         control: correction tables active in the machine's control; None if there are none.
         corrections: corrections that the control applies to these errors; empty if the errors were measured with the tables active.
+        transformation: corrections by the kinematics of the control; they act in tool centre point mode only (`with_transformation`).
         settled: whether the estimation converged; if not, no program is corrected and no table is made with it.
         simulated: whether it was identified from simulated readings.
     """
@@ -84,6 +86,7 @@ class Calibration:
     path: Path | None = None
     control: ControlSection | None = None
     corrections: tuple[ControlCorrection, ...] = ()
+    transformation: tuple[ControlCorrection, ...] = ()
     settled: bool = True
     simulated: bool = False
 
@@ -252,7 +255,21 @@ class Calibration:
             classes = tuple(dict.fromkeys(name for entry in entries for name in entry.classes))
             table = read_tables(kind, [entry.file for entry in entries], self.machine)
             corrections += [ControlCorrection(self.machine.by_name[axis], table, kind, classes) for axis in table.axes]
-        return replace(self, control=control, corrections=tuple(corrections))
+        transformation: list[ControlCorrection] = []
+        for entry in control.kinematics if control is not None else ():
+            entry.check()
+            geometry = kinematics_named(entry.format).read(entry.file, self.machine)
+            held = KinematicCorrection(self.machine, geometry, self.machine.tool_length_mm)
+            transformation += [
+                ControlCorrection(self.machine.by_name[axis], held, entry.format, entry.classes) for axis in held.axes
+            ]
+        return replace(self, control=control, corrections=tuple(corrections), transformation=tuple(transformation))
+
+    def with_transformation(self) -> Calibration:
+        """Return the same errors in tool centre point mode, where the kinematics of the control act too."""
+        if not self.transformation:
+            return self
+        return replace(self, corrections=(*self.corrections, *self.transformation), transformation=())
 
     def check_settled(self) -> None:
         """Raise `InputError` unless the estimation converged, so that the calibration may be used on a machine."""
@@ -535,10 +552,11 @@ class _Check:
 
     def control(self, entry: ControlEntry) -> ControlSection:
         folder = self.path.parent
-        return ControlSection(
-            entry.errors_are,
-            tuple(TableEntry(folder / table.file, table.format, table.classes, table.sha256) for table in entry.tables),
+        tables, kinematics = (
+            tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in listed)
+            for listed in (entry.tables, entry.kinematics)
         )
+        return ControlSection(entry.errors_are, tables, kinematics)
 
     def joint(self, entry: CovarianceEntry, calibration: Calibration) -> Covariance:
         known = [parameter.name for effect in calibration.effects for parameter in effect.parameters]
