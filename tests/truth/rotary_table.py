@@ -1,4 +1,4 @@
-"""A control with a table of two rotary axes, in plain numpy: what it makes of tool-tip coordinates. It shares no code with `twin`.
+"""A control with a table of two rotary axes, in plain numpy: the commands for tool-tip coordinates. It shares no code with `twin`.
 
 `trt_joints` states the kinematics xyzac-trt and xyzbc-trt of LinuxCNC as two rotations about two points, instead of the written-out
 products of its source. `chain_commands` follows a chain of lines.

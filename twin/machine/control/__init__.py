@@ -42,24 +42,25 @@ errors are `uncorrected`, new tables replace the old ones.
 model includes and programs are corrected for. The control of `isg` uses the length of the active tool, and so does the model. Errors
 measured with its tables active are valid for the tool that was active then; every report on them states this.
 
-**Kinematics of the transformation** (`--kinematics`, with or without `--to`). In tool centre point mode a control calculates the linear
-axes from the lines of its rotary axes. The location errors of the calibration (`E_X0C` …) give these lines and the place of the
-workpiece on the table:
+**Kinematics of the transformation** (`--kinematics`, with or without `--to`). In tool centre point mode a control calculates the
+linear axes from the lines of its rotary axes. The location errors of the calibration (`E_X0C` …) give these lines and the place of
+the workpiece on the table:
 
 | format | holds | does not hold |
 |---|---|---|
 KINEMATICS
 
-Machines need a table with two rotary axes; others are refused, and so are machines that a transformation cannot represent (`linuxcnc-trt`
-needs A about X or B about Y). A format that does not hold everything gets the values with the least sum of squares of the remaining
-displacement at the functional point, over the volume and with this tool; the account states what remains. Linear axes are written as
-square: squareness is left to the tables, which also act without a transformation. Tables of `isg` correct locations themselves and
-cannot be combined with kinematics.
+The machine needs a table with two rotary axes. Other machines are refused, and so are those that a transformation cannot represent
+(`linuxcnc-trt` needs A about X or B about Y). A format that does not hold everything gets the values with the least sum of squares of
+the remaining displacement of the functional point, over the volume and with this tool; the account states what remains. Linear axes
+are written as square: squareness is left to the tables, which also act without a transformation. Tables of `isg` correct locations
+themselves and cannot be combined with kinematics.
 
 The account gives the error of the point in tool centre point mode with nominal kinematics, with the kinematics, with the tables, and
-with a compensated program in least increments, each with U, from the files as read back. `calibration.yaml` records the file. A program is
-compensated for the kinematics only with `--mode tcp`: in axis coordinates they do not act. A program that switches the mode is refused
-with such a calibration: split it. The shift of the workpiece zero is part of the kinematics; probing the workpiece afterwards replaces it.
+with a compensated program in least increments, each with U, from the files as read back. `calibration.yaml` records the file. A
+program is compensated for the kinematics only with `--mode tcp`: in axis coordinates they do not act. A program that switches the
+mode is refused with such a calibration: split it. The shift of the workpiece zero is part of the kinematics; probing the workpiece
+afterwards replaces it.
 
 **Unverified assumptions**, which were not checked against a public description of a control, are listed in the module of its format
 (`help(twin.machine.control.formats.siemens)`) and with every table that is written. One wrong sign doubles an error: the text
