@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Final
 
 from twin._common.errors import InputError
 from twin._common.files import scratch_folder
@@ -13,6 +13,8 @@ from twin.machine.control.kinematics.geometry import TableGeometry
 from twin.machine.control.lines import TableLine, table_lines
 from twin.machine.machine import Machine
 
+SHORTEST: Final = 1e-6
+"""Length below which a vector has no direction."""
 Values = Mapping[str, float]
 """Values of a control's parameters, by their own names."""
 

@@ -19,7 +19,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin.machine.control.kinematics.format import KinematicsFormat, Values, code_lines
+from twin.machine.control.kinematics.format import SHORTEST, KinematicsFormat, Values, code_lines
 from twin.machine.control.kinematics.geometry import TableGeometry, rotary_axes, table_geometry, work_origin
 from twin.machine.control.lines import TableLine, fixed_decimals
 from twin.machine.control.volumetric import check_linear
@@ -132,7 +132,7 @@ class SiemensChain(KinematicsFormat):
                 element["TYPE,"].text,
                 np.array([element[f"OFF_DIR,{i}"].decimal("OFF_DIR") for i in range(3)]),
             )
-            if kind != "OFFSET" and not vector.any():
+            if kind != "OFFSET" and np.linalg.norm(vector) < SHORTEST:
                 raise element["TYPE,"].error(f"{name} has no direction", "a vector other than zero", "0 0 0")
             if kind == "OFFSET":
                 place = place + vector

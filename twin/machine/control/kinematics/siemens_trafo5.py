@@ -16,7 +16,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin.machine.control.kinematics.format import KinematicsFormat, Values, assign, numbers_of
+from twin.machine.control.kinematics.format import SHORTEST, KinematicsFormat, Values, assign, numbers_of
 from twin.machine.control.kinematics.geometry import TableGeometry, table_geometry
 from twin.machine.control.lines import TableLine, fixed_decimals, table_lines
 from twin.machine.machine import Machine
@@ -105,7 +105,7 @@ class SiemensTrafo5(KinematicsFormat):
         values = numbers_of(path, found, [name for name in names if not name.startswith(TILT) or name in found])
         values |= {name: 0.0 for name in names if name not in values}
         for name in ("AXIS1", "AXIS2"):
-            if not any(values[f"{name}[{i}]"] for i in range(3)):
+            if np.linalg.norm([values[f"{name}[{i}]"] for i in range(3)]) < SHORTEST:
                 raise found[f"{name}[0]"].error(f"{name} has no direction", "a vector other than zero", "0 0 0")
         return self.geometry(values, machine)
 
