@@ -132,20 +132,12 @@ def control(
     around = conditions(temperature, time, rpm, load)
     around.check(errors)
     fixed = _positions(at)
-    if read:
-        if to is not None or kinematics is not None or output is not None or kind is None or not files:
-            expected = "FILES --format F, and neither --to nor -o"
-            raise InputError("invalid use of --read", expected=expected, value=" ".join(map(str, files or [])))
+    _check_use(read, files, kind, to, kinematics, output)
+    if read and kind is not None and files:
         _read(errors, kind.value, files, fixed, tool_length, around, json_file)
         return
-    if (to is None and kinematics is None) or output is None or files or kind is not None:
-        expected = f"--to {'|'.join(NAMES)} or --kinematics {'|'.join(KINEMATICS_NAMES)} with -o FOLDER, or --read FILES --format F"
-        raise InputError("no output chosen", expected=expected)
-    if step is not None:
-        positive("--step", step)
-    if tolerance is not None:
-        positive("--tolerance", tolerance)
-    notes = (f"twin: {loaded.name}, calibration {errors.path or 'none'}".encode("ascii", "replace").decode(),)
+    _check_positive(step, tolerance)
+    notes = _notes(loaded, errors)
     request = None
     if to is not None:
         request = Request(
@@ -161,11 +153,41 @@ def control(
             add=add,
             notes=notes,
         )
-    if kinematics is not None:
+    if kinematics is not None and output is not None:
         both = KinematicsRequest(kinematics.value, request, tool_length, around, notes)
         _write_kinematics(errors, both, output, json_file)
-    elif request is not None:
+    elif request is not None and output is not None:
         _write(loaded, errors, request, output, json_file)
+
+
+def _check_use(
+    read: bool,
+    files: list[Path] | None,
+    kind: ReadKind | None,
+    to: Kind | None,
+    kinematics: KinematicsKind | None,
+    output: Path | None,
+) -> None:
+    """Raise `InputError` unless the options are those of reading, or those of writing."""
+    if read and (to is not None or kinematics is not None or output is not None or kind is None or not files):
+        expected = "FILES --format F, and neither --to nor --kinematics nor -o"
+        raise InputError("invalid use of --read", expected=expected, value=" ".join(map(str, files or [])))
+    if not read and ((to is None and kinematics is None) or output is None or files or kind is not None):
+        formats = f"--to {'|'.join(NAMES)} or --kinematics {'|'.join(KINEMATICS_NAMES)}"
+        raise InputError("no output chosen", expected=f"{formats} with -o FOLDER, or --read FILES --format F")
+
+
+def _check_positive(step: float | None, tolerance: float | None) -> None:
+    """Raise `InputError` unless the numbers that are given are positive."""
+    for option, value in (("--step", step), ("--tolerance", tolerance)):
+        if value is not None:
+            positive(option, value)
+
+
+def _notes(machine: Machine, errors: Calibration) -> tuple[str, ...]:
+    """Return the comment at the head of every file."""
+    text = f"twin: {machine.name}, calibration {errors.path or 'none'}"
+    return (text.encode("ascii", "replace").decode(),)
 
 
 def _read(

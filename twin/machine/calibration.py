@@ -27,8 +27,7 @@ from twin._common.provenance import (
 from twin._common.yaml_files import MAX_VALUE, EntryPath, line_of, load_yaml
 from twin.display import card, note
 from twin.machine.calibration_file import CalibrationFile, ControlEntry, CovarianceEntry, CurveEntry, effects_of
-from twin.machine.control import ControlSection, TableEntry, read_tables
-from twin.machine.control.kinematics import KinematicCorrection, kinematics_named
+from twin.machine.control import ControlSection, TableEntry
 from twin.machine.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
 from twin.machine.display import about_html, errors_html
 from twin.machine.effects import (
@@ -40,6 +39,7 @@ from twin.machine.effects import (
     Squareness,
     split_name,
 )
+from twin.machine.effects.control import kinematics_of, tables_of
 from twin.machine.effects.empirical import channel_name, check_ranges
 from twin.machine.effects.entries import entry_of, payload_entries, payloads_on
 from twin.machine.effects.gravity_compliance import AddedLoad, carrying
@@ -247,23 +247,10 @@ class Calibration:
         Raises:
             InputError: a table cannot be read, differs from the recorded file, or moves an axis that the machine does not have.
         """
-        corrections: list[ControlCorrection] = []
-        for kind in control.formats if control is not None and control.errors_are == "uncorrected" else ():
-            entries = control.of(kind) if control is not None else ()
-            for entry in entries:
-                entry.check()
-            classes = tuple(dict.fromkeys(name for entry in entries for name in entry.classes))
-            table = read_tables(kind, [entry.file for entry in entries], self.machine)
-            corrections += [ControlCorrection(self.machine.by_name[axis], table, kind, classes) for axis in table.axes]
-        transformation: list[ControlCorrection] = []
-        for entry in control.kinematics if control is not None else ():
-            entry.check()
-            geometry = kinematics_named(entry.format).read(entry.file, self.machine)
-            held = KinematicCorrection(self.machine, geometry, self.machine.tool_length_mm)
-            transformation += [
-                ControlCorrection(self.machine.by_name[axis], held, entry.format, entry.classes) for axis in held.axes
-            ]
-        return replace(self, control=control, corrections=tuple(corrections), transformation=tuple(transformation))
+        corrections, transformation = (
+            () if control is None else of(control, self.machine) for of in (tables_of, kinematics_of)
+        )
+        return replace(self, control=control, corrections=corrections, transformation=transformation)
 
     def with_transformation(self) -> Calibration:
         """Return the same errors in tool centre point mode, where the kinematics of the control act too."""
