@@ -261,6 +261,24 @@ def test_the_account_of_all_stages(tmp_path: Path) -> None:
     assert [len(one.corrections) for one in (loaded, loaded.with_transformation())] == [1, 4]
 
 
+def test_tables_made_later_keep_the_kinematics(tmp_path: Path) -> None:
+    machine = MACHINES["dmu50"]
+    errors = replace(drawn(machine), squareness=MappingProxyType({"E_C0Y": 40.0}))
+    errors.save(tmp_path / "c.yaml")
+    held, tables = tmp_path / "k", tmp_path / "t"
+    assert main(["control", "--kinematics", "siemens-chain", "-o", str(held), "-c", str(tmp_path / "c.yaml")]) == 0
+    assert main(["control", "--to", "siemens", "-o", str(tables), "-c", str(held / "calibration.yaml")]) == 0
+    again = tmp_path / "again"
+    assert (
+        main(["control", "--kinematics", "siemens-trafo5", "-o", str(again), "-c", str(tables / "calibration.yaml")])
+        == 0
+    )
+    for folder, kinematics in ((tables, "siemens-chain"), (again, "siemens-trafo5")):
+        control = Calibration.load(folder / "calibration.yaml", machine).control
+        assert control is not None
+        assert [one.format for one in control.entries] == ["siemens", kinematics]
+
+
 def test_read_and_compare(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     machine = MACHINES["dmu50"]
     drawn(machine).save(tmp_path / "c.yaml")

@@ -22,7 +22,7 @@ def check_one_mode(calibration: Calibration, modes: np.ndarray, source: str, *, 
         raise InputError(
             "the kinematics of the control act in tool centre point mode only, and this program has motions in both modes, or in the "
             "other mode",
-            expected="one mode, from the start to the end: split the program where it switches the transformation",
+            expected="all motions in the mode that is chosen; split a program that switches the transformation between motions",
             file=source,
             setting="mode",
             value="tcp" if tcp else "axis",

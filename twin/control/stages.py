@@ -60,9 +60,7 @@ class Stages:
                 *lines,
                 "  U is unknown: the calibration gives no uncertainty. The error that really remains may have any size.",
             ]
-        lines.append(
-            f"  {DEFINITION} (k = 2 in one direction); it comes from the calibration, and no stage reduces it."
-        )
+        lines.append(f"  {DEFINITION}; it comes from the calibration, and no stage reduces it.")
         if u.without_uncertainty:
             lines.append(f"  U is a lower bound: no uncertainty is given for {' '.join(u.without_uncertainty)}.")
         return lines
