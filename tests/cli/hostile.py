@@ -28,6 +28,7 @@ from twin.identification.axis_run import (
     to_text,
 )
 from twin.machine.control import ControlCurve, ControlTerm, TableSum, format_named, read_tables
+from twin.machine.control.kinematics import KINEMATICS, kinematics_named, linear_shift
 from twin.machine.control.spatial import CorrectionGrid
 from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection
 from twin.machine.machine import bundled_folder
@@ -264,6 +265,27 @@ def _control(kind: str) -> Callable[[Path], None]:
     return use
 
 
+def _kinematics(kind: str) -> Callable[[Path], None]:
+    def use(path: Path) -> None:
+        used = _machine_of(kind)
+        found = linear_shift(used, kinematics_named(kind).read(path, used), np.full((1, 5), 20.0), 100.0)
+        assert np.isfinite(found).all()
+
+    return use
+
+
+def _machine_of(kind: str) -> twin.Machine:
+    return twin.Machine.load(bundled_folder() / "trunnion_ac.yaml") if kind == "linuxcnc-trt" else machine()
+
+
+def _nominal_kinematics(kind: str) -> Callable[[], str]:
+    def text() -> str:
+        form, used = kinematics_named(kind), _machine_of(kind)
+        return form.write(form.nominal(used), used)
+
+    return text
+
+
 def _measured(name: str) -> Callable[[Path], None]:
     case = MEASURED[name]
 
@@ -299,6 +321,7 @@ KINDS: Mapping[str, Kind] = {
     "plain language": Kind("a.h", NC, _program),
     "apt": Kind("a.cls", NC, _program),
     "urdf": Kind("a.urdf", XML, _urdf, 4),
+    **{form.name: Kind(form.file, [], _kinematics(form.name)) for form in KINEMATICS},
     **{f"measured by {name}": Kind(case.FILE, [], _measured(name), 2) for name, case in MEASURED.items()},
 }
 
@@ -412,6 +435,7 @@ _SAMPLES: Mapping[str, Callable[[], str]] = {
     ),
     "apt": lambda: "UNITS/MM\nFEDRAT/MMPM,500\nGOTO/1,2,3,0,0,1\nGOTO/2,2,3,0,0.6,0.8\nRAPID\nGOTO/5,5,5,0,0,1\nFINI\n",
     "urdf": lambda: (bundled_folder() / "dmu50.urdf").read_text(),
+    **{form.name: _nominal_kinematics(form.name) for form in KINEMATICS},
     **{f"measured by {name}": (lambda case=case: case.GOOD) for name, case in MEASURED.items()},
 }
 

@@ -87,6 +87,10 @@ COMMANDS = {
     "diagnose, extended over the calibration": ("diagnose plan.csv -c c.yaml --extended c.yaml", "c.yaml"),
     "compare, json over one": ("compare c.yaml dmu50.calibration.yaml --json c.yaml", "c.yaml"),
     "compare, json over the machine": ("compare c.yaml c.yaml -m dmu50.yaml --json dmu50.yaml", "dmu50.yaml"),
+    "control, json over the calibration beside kinematics": (
+        "control --kinematics siemens-chain -o new -c c.yaml --json c.yaml",
+        "c.yaml",
+    ),
     "control, json over the calibration": ("control --to siemens -o new -c c.yaml --json c.yaml", "c.yaml"),
     "control, json over a table it reads": (
         "control --read tables/cec.mpf --format siemens --json tables/cec.mpf",

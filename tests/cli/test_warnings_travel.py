@@ -144,6 +144,11 @@ def files(folder: Path, *, cut: bool, drawn: bool) -> Files:
             found[f"{kind} calibration.yaml"] = {one.name for one in written.warnings}
             rest = [path for path in tables.iterdir() if path.name != "calibration.yaml"]
             found |= {f"{kind} {path.name}": said(path.read_text()) for path in rest}
+        held = folder / "kinematics"
+        assert run("control", "--kinematics", "siemens-chain", "-o", held, *given) == 0
+        found["kinematics.json"] = named(out)
+        for path in (held / "kinchain.mpf", held / "README.txt"):
+            found[path.name] = said(path.read_text())
         assert run("control", "--read", folder / "siemens" / "cec.mpf", "--format", "siemens", *given) == 0
         found["control --read"] = named(out)
     assert run("report", "-o", folder / "report.html", *given) == 0

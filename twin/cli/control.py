@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -27,16 +28,37 @@ from twin.cli.shared.options import (
 )
 from twin.cli.shared.terminal import echo
 from twin.cli.shared.words import number, pairs, positive
-from twin.control import Account, Existing, Request, compare_tables, make, outputs_of, write_folder, written_by
+from twin.control import (
+    Account,
+    Existing,
+    KinematicsAccount,
+    KinematicsRequest,
+    ReadKinematics,
+    Request,
+    compare_kinematics,
+    compare_tables,
+    kinematics_outputs,
+    kinematics_written,
+    make,
+    make_both,
+    outputs_of,
+    write_folder,
+    write_kinematics,
+    written_by,
+)
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.control import FORMATS, format_named
+from twin.machine.control.kinematics import KINEMATICS
 from twin.machine.iso16907 import BASIC, Scope
 from twin.machine.machine import DEFAULT, Machine
 from twin.uncertainty.budget import without_missing_channels
 
 NAMES = [form.name for form in FORMATS]
 Kind = StrEnum("Kind", {name: name for name in NAMES})  # type: ignore[misc]
+KINEMATICS_NAMES = [form.name for form in KINEMATICS]
+KinematicsKind = StrEnum("KinematicsKind", {name: name for name in KINEMATICS_NAMES})  # type: ignore[misc]
+ReadKind = StrEnum("ReadKind", {name: name for name in (*NAMES, *KINEMATICS_NAMES)})  # type: ignore[misc]
 TOLERANCE_UM = 1.0
 OTHER_TOLERANCES = "".join(
     f", {form.name} {form.tolerance_um * 1e-3:g}" for form in FORMATS if form.tolerance_um != TOLERANCE_UM
@@ -51,7 +73,9 @@ OutputFolder = Annotated[
     Path | None, typer.Option("--output", "-o", help="Folder for the tables."), Output(folder=True)
 ]
 Read = Annotated[bool, typer.Option("--read", help="Read existing tables and compare them with the calibration.")]
-FormatRead = Annotated[Kind | None, typer.Option("--format", help="Format of the files, with --read.")]
+KINEMATICS_HELP = "Format of the control's kinematics to write: position and direction of the rotary axes."
+ToKinematics = Annotated[KinematicsKind | None, typer.Option("--kinematics", help=KINEMATICS_HELP)]
+FormatRead = Annotated[ReadKind | None, typer.Option("--format", help="Format of the files, with --read.")]
 AT_HELP = (
     "Position of the other axes while one moves, mm and degrees: X=250 Y=225 Z=-200 B=0 C=0; default: middle of the linear ranges, "
     "zero of the rotary axes."
@@ -71,11 +95,13 @@ Add = Annotated[bool, typer.Option("--add", help=ADD_HELP)]
 @command(
     "twin control --to siemens -o tables/ --tool-length 120",
     "twin control --to linuxcnc -o tables/ -c mine.yaml --at Y=225 Z=-200 --tolerance 0.0005 --json tables.json",
+    "twin control --kinematics siemens-chain --to siemens -o control/ --tool-length 120",
     "twin control --read X.comp Y.comp joints.ini --format linuxcnc -c mine.yaml",
 )
 def control(
     files: Files = None,
     to: To = None,
+    kinematics: ToKinematics = None,
     output: OutputFolder = None,
     read: Read = False,
     kind: FormatRead = None,
@@ -95,7 +121,7 @@ def control(
     load: LoadOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Write compensation tables for the machine's control from a calibration, or check existing ones.
+    """Write compensation tables and kinematics for the machine's control from a calibration, or check existing ones.
 
     The folder contains the control's files, README.txt (how to load them, and the remaining errors) and calibration.yaml, which also
     lists what the control now corrects. Every file is read back and compared with the model before it is written.
@@ -106,43 +132,87 @@ def control(
     around = conditions(temperature, time, rpm, load)
     around.check(errors)
     fixed = _positions(at)
-    if read:
-        if to is not None or output is not None or kind is None or not files:
-            expected = "FILES --format F, and neither --to nor -o"
-            raise InputError("invalid use of --read", expected=expected, value=" ".join(map(str, files or [])))
-        known, _ = without_missing_channels(around, errors)
-        _print(compare_tables(loaded, known, kind.value, files, fixed, tool_length, around), errors, around, json_file)
+    _check_use(read, files, kind, to, kinematics, output)
+    if read and kind is not None and files:
+        _read(errors, kind.value, files, fixed, tool_length, around, json_file)
         return
-    if to is None or output is None or files or kind is not None:
-        raise InputError("no output chosen", expected=f"--to {'|'.join(NAMES)} -o FOLDER, or --read FILES --format F")
-    if step is not None:
-        positive("--step", step)
-    if tolerance is not None:
-        positive("--tolerance", tolerance)
-    request = Request(
-        kind=to.value,
-        at=fixed,
-        tool_length_mm=tool_length,
-        classes=_classes(scope),
-        tolerance_um=format_named(to.value).tolerance_um if tolerance is None else 1e3 * tolerance,
-        step=step,
-        most=tables,
-        products=products,
-        conditions=around,
-        add=add,
-        notes=(f"twin: {loaded.name}, calibration {errors.path or 'none'}".encode("ascii", "replace").decode(),),
-    )
-    _write(loaded, errors, request, output, json_file)
+    _check_positive(step, tolerance)
+    notes = _notes(loaded, errors)
+    request = None
+    if to is not None:
+        request = Request(
+            kind=to.value,
+            at=fixed,
+            tool_length_mm=tool_length,
+            classes=_classes(scope),
+            tolerance_um=format_named(to.value).tolerance_um if tolerance is None else 1e3 * tolerance,
+            step=step,
+            most=tables,
+            products=products,
+            conditions=around,
+            add=add,
+            notes=notes,
+        )
+    if kinematics is not None and output is not None:
+        both = KinematicsRequest(kinematics.value, request, tool_length, around, notes)
+        _write_kinematics(errors, both, output, json_file)
+    elif request is not None and output is not None:
+        _write(loaded, errors, request, output, json_file)
+
+
+def _check_use(
+    read: bool,
+    files: list[Path] | None,
+    kind: ReadKind | None,
+    to: Kind | None,
+    kinematics: KinematicsKind | None,
+    output: Path | None,
+) -> None:
+    """Raise `InputError` unless the options are those of reading, or those of writing."""
+    if read and (to is not None or kinematics is not None or output is not None or kind is None or not files):
+        expected = "FILES --format F, and neither --to nor --kinematics nor -o"
+        raise InputError("invalid use of --read", expected=expected, value=" ".join(map(str, files or [])))
+    if not read and ((to is None and kinematics is None) or output is None or files or kind is not None):
+        formats = f"--to {'|'.join(NAMES)} or --kinematics {'|'.join(KINEMATICS_NAMES)}"
+        raise InputError("no output chosen", expected=f"{formats} with -o FOLDER, or --read FILES --format F")
+
+
+def _check_positive(step: float | None, tolerance: float | None) -> None:
+    """Raise `InputError` unless the numbers that are given are positive."""
+    for option, value in (("--step", step), ("--tolerance", tolerance)):
+        if value is not None:
+            positive(option, value)
+
+
+def _notes(machine: Machine, errors: Calibration) -> tuple[str, ...]:
+    """Return the comment at the head of every file."""
+    text = f"twin: {machine.name}, calibration {errors.path or 'none'}"
+    return (text.encode("ascii", "replace").decode(),)
+
+
+def _read(
+    errors: Calibration,
+    kind: str,
+    files: list[Path],
+    fixed: dict[str, float],
+    tool_length: float | None,
+    around: Conditions,
+    json_file: Path | None,
+) -> None:
+    """Compare existing tables or kinematics with the calibration and print the result."""
+    if kind in NAMES:
+        known, _ = without_missing_channels(around, errors)
+        compared = compare_tables(errors.machine, known, kind, files, fixed, tool_length, around)
+        _print(compared, errors, around, json_file)
+        return
+    if len(files) != 1:
+        raise InputError("kinematics are a single file", expected="one file", value=" ".join(map(str, files)))
+    _print(compare_kinematics(errors, kind, files[0], tool_length), errors, around, json_file)
 
 
 def _write(machine: Machine, errors: Calibration, request: Request, output: Path, json_file: Path | None) -> None:
     """Make the tables, write the folder and print the result."""
-    existing = next(path for path in (output.absolute(), *output.absolute().parents) if path.exists())
-    if not existing.is_dir():
-        raise InputError("cannot be written", expected="a folder", file=existing)
-    check_folder(existing, output)
-    if output.is_dir():
-        check_writable(outputs_of(output, request.kind, machine))
+    _check_folder(output, outputs_of(output, request.kind, machine))
     known, missing = without_missing_channels(request.conditions, errors)
     with progress_bar() as bar:
         bar("tables", 0.0)
@@ -150,7 +220,36 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
         bar("what remains", 0.6)
         account = write_folder(made, errors, known, missing, output)
     _print(account, errors, request.conditions, json_file)
-    own = written_by(made)
+    _finish(account, output, written_by(made), json_file)
+
+
+def _write_kinematics(errors: Calibration, request: KinematicsRequest, output: Path, json_file: Path | None) -> None:
+    """Make kinematics and tables, write the folder and print the result."""
+    # Kinematics hold mean lines; tables made beside them must refer to the same ones.
+    errors = replace(errors.in_datum("mean lines"), path=errors.path)
+    known, missing = without_missing_channels(request.conditions, errors)
+    with progress_bar() as bar:
+        bar("kinematics and tables", 0.0)
+        made = make_both(errors, known, request)
+        _check_folder(output, kinematics_outputs(output, request, made[0]))
+        bar("what remains", 0.6)
+        account = write_kinematics(made, errors, known, missing, request, output)
+    _print(account, errors, request.conditions, json_file)
+    _finish(account, output, kinematics_written(made), json_file)
+
+
+def _check_folder(output: Path, outputs: list[Path]) -> None:
+    """Raise `InputError` unless the outputs can be written into the folder."""
+    existing = next(path for path in (output.absolute(), *output.absolute().parents) if path.exists())
+    if not existing.is_dir():
+        raise InputError("cannot be written", expected="a folder", file=existing)
+    check_folder(existing, output)
+    if output.is_dir():
+        check_writable(outputs)
+
+
+def _finish(account: Account | KinematicsAccount, output: Path, own: tuple[str, ...], json_file: Path | None) -> None:
+    """Print the files in the folder; exit with `NOT_ALL_MET` if a requirement is not met."""
     echo(f"\nwritten: {output}/ {' '.join(own)}")
     others = {path.name for path in output.iterdir()} - {*own, "" if json_file is None else json_file.name}
     if others:
@@ -159,7 +258,12 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
         raise typer.Exit(NOT_ALL_MET)
 
 
-def _print(found: Account | Existing, errors: Calibration, around: Conditions, json_file: Path | None) -> None:
+def _print(
+    found: Account | Existing | KinematicsAccount | ReadKinematics,
+    errors: Calibration,
+    around: Conditions,
+    json_file: Path | None,
+) -> None:
     """Write the result as JSON and print it."""
     if json_file is not None:
         write_json(json_file, found.to_dict())

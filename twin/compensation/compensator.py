@@ -199,7 +199,7 @@ class Compensator:
     def _inputs(self, program: Path) -> Iterator[Path]:
         """Yield the input files of this compensation."""
         calibration, machine = self.prepared.calibration, self.prepared.machine
-        tables = () if calibration.control is None else calibration.control.tables
+        tables = () if calibration.control is None else calibration.control.entries
         log = self.prepared.options.conditions.log
         paths = (program, machine.path, machine.urdf, calibration.path, None if log is None else log.path)
         files = (*paths, *(table.file for table in tables))

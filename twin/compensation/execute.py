@@ -11,6 +11,7 @@ import numpy as np
 from twin._common.counts import count_with_noun
 from twin.compensation.backlash import Backlash
 from twin.compensation.block_conditions import CONSTANT, BlockConditions, block_conditions
+from twin.compensation.one_mode import check_one_mode
 from twin.compensation.toolpath import (
     SAMPLES_A_PIECE,
     PathMotion,
@@ -105,11 +106,13 @@ def execute_file(
         InputError: as for `execute`; the program cannot be read; an effect needs a temperature or time that is not given.
     """
     errors = Calibration.default(machine) if calibration is None else calibration
+    errors = errors.with_transformation() if tcp else errors
     at = Conditions() if conditions is None else conditions
     at.require(errors)
     read, dialect = read_program(program)
     space = WordSpace(machine, Setup() if setup is None else setup, tool_length_mm)
     path = follow(read, dialect.moves(read, space.axes, tcp=tcp), space)
+    check_one_mode(errors, path.columns.tcp, read.source, tcp=tcp)
     by_block = block_conditions(read, dialect, path, space, errors, at)
     real = Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=at, by_pose=by_block.names)
     return execute(read, path, space, real, by_block)

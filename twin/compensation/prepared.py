@@ -102,9 +102,9 @@ class PreparedMachine:
 
     def __init__(self, machine: Machine, calibration: Calibration, options: Options) -> None:
         self.machine = machine
-        self.calibration = calibration
         self.options = options
         calibration.check_settled()
+        self.calibration = calibration = calibration.with_transformation() if options.tcp else calibration
         options.conditions.require(calibration)
         self.by_block = channels_by_block(calibration, options.conditions)
         self.space = WordSpace(machine, options.setup, options.tool_length_mm)

@@ -88,7 +88,10 @@ def write_folder(
         paths = _write(made.increment, folder / ADDED, made.request.form)
     write_atomic(folder / README, account.to_text())
     marked = replace(errors, source=f"{errors.source}; the control has compensation tables ({made.request.kind})")
-    marked.with_control(_section(made, paths)).save(folder / CALIBRATION)
+    section = _section(made, paths)
+    # Kinematics that the control holds already stay as they are.
+    held = () if errors.control is None else errors.control.kinematics
+    marked.with_control(replace(section, kinematics=held)).save(folder / CALIBRATION)
     return account
 
 

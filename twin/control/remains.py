@@ -141,11 +141,12 @@ class RemainingErrors:
 
 def _row(name: str, error: VolumeError, u: PointUncertainty) -> str:
     about_x, about_y = error.tilt_rms_urad
-    numbers = f"{error.rms_um:>12.2f}  {_or_unknown(u.rms_um):>11}  {_or_unknown(error.expected_rms_um):>9}  {error.max_um:>9.2f}"
+    numbers = f"{error.rms_um:>12.2f}  {or_unknown(u.rms_um):>11}  {or_unknown(error.expected_rms_um):>9}  {error.max_um:>9.2f}"
     return f"  {name:<50}{numbers}   {about_x:.1f} / {about_y:.1f}"
 
 
-def _or_unknown(value: float) -> str:
+def or_unknown(value: float) -> str:
+    """Return a number with two decimals, or the word for an unknown one."""
     return f"{value:.2f}" if np.isfinite(value) else UNKNOWN
 
 
@@ -164,8 +165,8 @@ def remaining_errors(required: RequiredCorrections, calibration: Calibration) ->
     program, limited = None, 0
     if required.machine.runs_programs:
         reached, limited = _with_program(required, with_tables, q, sides, goal)
-        program = _volume_error(reached, goal, uncertainty)
-    before, tables = (_volume_error(one.forward(q, sides), goal, uncertainty) for one in (real, with_tables))
+        program = volume_error(reached, goal, uncertainty)
+    before, tables = (volume_error(one.forward(q, sides), goal, uncertainty) for one in (real, with_tables))
     return RemainingErrors(len(q), before, tables, program, uncertainty, limited)
 
 
@@ -183,7 +184,8 @@ def _with_program(
     return with_tables.forward(commands, sides), int(limited.sum())
 
 
-def _volume_error(reached: Poses, goal: Poses, uncertainty: PointUncertainty) -> VolumeError:
+def volume_error(reached: Poses, goal: Poses, uncertainty: PointUncertainty) -> VolumeError:
+    """Return the error of poses against the nominal ones."""
     off = np.linalg.norm(reached.point_mm - goal.point_mm, axis=1) * 1e3
     tilt, _ = rms_and_max(reached.tilt_urad(goal))
     rms = float(np.sqrt(np.mean(off**2)))

@@ -35,7 +35,7 @@ from twin.machine.calibration_file import (
     covariance_text,
     effects_of,
 )
-from twin.machine.control import ControlSection, TableEntry, read_tables
+from twin.machine.control import ControlSection, TableEntry
 from twin.machine.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
 from twin.machine.display import about_html, errors_html
 from twin.machine.effects import (
@@ -47,6 +47,7 @@ from twin.machine.effects import (
     Squareness,
     split_name,
 )
+from twin.machine.effects.control import kinematics_of, tables_of
 from twin.machine.effects.empirical import channel_name, check_ranges
 from twin.machine.effects.entries import entry_of, payload_entries, payloads_on
 from twin.machine.effects.gravity_compliance import AddedLoad, carrying
@@ -78,6 +79,7 @@ class Calibration:
         path: the file it was read from, or None.
         control: correction tables active in the machine's control; None if there are none.
         corrections: corrections that the control applies to these errors; empty if the errors were measured with the tables active.
+        transformation: corrections by the kinematics of the control; they act in tool centre point mode only (`with_transformation`).
         settled: whether the estimation converged; if not, no program is corrected and no table is made with it.
         simulated: whether it was identified from simulated readings.
     """
@@ -92,6 +94,7 @@ class Calibration:
     path: Path | None = None
     control: ControlSection | None = None
     corrections: tuple[ControlCorrection, ...] = ()
+    transformation: tuple[ControlCorrection, ...] = ()
     settled: bool = True
     simulated: bool = False
 
@@ -248,15 +251,16 @@ class Calibration:
         Raises:
             InputError: a table cannot be read, differs from the recorded file, or moves an axis that the machine does not have.
         """
-        corrections: list[ControlCorrection] = []
-        for kind in control.formats if control is not None and control.errors_are == "uncorrected" else ():
-            entries = control.of(kind) if control is not None else ()
-            for entry in entries:
-                entry.check()
-            classes = tuple(dict.fromkeys(name for entry in entries for name in entry.classes))
-            table = read_tables(kind, [entry.file for entry in entries], self.machine)
-            corrections += [ControlCorrection(self.machine.by_name[axis], table, kind, classes) for axis in table.axes]
-        return replace(self, control=control, corrections=tuple(corrections))
+        corrections, transformation = (
+            () if control is None else of(control, self.machine) for of in (tables_of, kinematics_of)
+        )
+        return replace(self, control=control, corrections=corrections, transformation=transformation)
+
+    def with_transformation(self) -> Calibration:
+        """Return the same errors in tool centre point mode, where the kinematics of the control act too."""
+        if not self.transformation:
+            return self
+        return replace(self, corrections=(*self.corrections, *self.transformation), transformation=())
 
     def check_settled(self) -> None:
         """Raise `InputError` unless the estimation converged, so that the calibration may be used on a machine."""
@@ -539,10 +543,11 @@ class _Check:
 
     def control(self, entry: ControlEntry) -> ControlSection:
         folder = self.path.parent
-        return ControlSection(
-            entry.errors_are,
-            tuple(TableEntry(folder / table.file, table.format, table.classes, table.sha256) for table in entry.tables),
+        tables, kinematics = (
+            tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in listed)
+            for listed in (entry.tables, entry.kinematics)
         )
+        return ControlSection(entry.errors_are, tables, kinematics)
 
     def joint(self, entry: CovarianceEntry, calibration: Calibration) -> Covariance:
         known = [parameter.name for effect in calibration.effects for parameter in effect.parameters]

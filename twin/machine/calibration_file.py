@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Final, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from twin._common.errors import InputError
 from twin.machine.control import BasicClass
@@ -82,11 +82,18 @@ class TableFileEntry(BaseModel):
 
 
 class ControlEntry(BaseModel):
-    """Correction tables active in the control."""
+    """Correction tables and kinematics active in the control."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     errors_are: Literal["uncorrected", "remaining"]
-    tables: Annotated[tuple[TableFileEntry, ...], Field(min_length=1)]
+    tables: tuple[TableFileEntry, ...] = ()
+    kinematics: Annotated[tuple[TableFileEntry, ...], Field(max_length=1)] = ()
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> ControlEntry:
+        if not self.tables and not self.kinematics:
+            raise ValueError("tables or kinematics are required")
+        return self
 
 
 class CalibrationFile(BaseModel):

@@ -116,7 +116,10 @@ def about_html(
     rows = [("source", source), ("file", "" if path is None else str(path))]
     if control is not None:
         tables = ", ".join(f"{table.file.name} ({table.format})" for table in control.tables)
-        rows.append(("control", f"these errors are {control.errors_are} by its tables {tables}"))
+        if tables:
+            rows.append(("control", f"these errors are {control.errors_are} by its tables {tables}"))
+        held = ", ".join(f"{one.file.name} ({one.format})" for one in control.kinematics)
+        rows.append(("kinematics of the control, in tool centre point mode", held))
     rows.append((f"{DRAWN} illustrative, not measured", ", ".join(drawn)))
     rows.append((f"uncertainty {UNKNOWN} of", ", ".join(unknown)))
     return pairs(rows)

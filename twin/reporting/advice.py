@@ -207,7 +207,7 @@ def _misfit(points: Sequence[PointComparison], calibration: Calibration) -> Iter
 
 def _control(calibration: Calibration, outcome: CompensationForecast) -> Iterator[Step]:
     control, without_tables = calibration.control, outcome.without_tables
-    if control is None:
+    if control is None or not control.tables:
         return
     alike: dict[tuple[str, ...], list[str]] = {}
     for one in control.tables:

@@ -82,7 +82,7 @@ def sources(
         files.append(("identification", identified))
     files += [("measured", path) for path in measured]
     # The control's tables as listed in the calibration: they are not read, so the files may be absent.
-    tables = () if calibration.control is None else calibration.control.tables
+    tables = () if calibration.control is None else calibration.control.entries
     return Sources(
         files=(
             *(Source(role, str(path), file_sha256(path)) for role, path in files),

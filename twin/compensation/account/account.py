@@ -267,9 +267,10 @@ class CompensationAccount:
     def _control_note(self) -> ControlNote | None:
         """Return the share that the control's own tables correct, at the sampled poses; None if the calibration has no tables."""
         section, alone = self._prepared.calibration.control, self._prepared.control_alone
-        if section is None:
+        if section is None or (alone is None and section.errors_are == "uncorrected"):
             return None
-        files = tuple(entry.file.name for entry in section.tables)
+        active = section.entries if self._prepared.options.tcp else section.tables
+        files = tuple(entry.file.name for entry in active)
         if alone is None:
             return ControlNote(section.errors_are, files, (), None, None, section.caution)
         before, before_from, _, _ = self._sample.poses()

@@ -14,6 +14,7 @@ import numpy as np
 
 from twin._common.arrays import rows_all_true
 from twin.compensation.block_conditions import CONSTANT, BlockConditions
+from twin.compensation.one_mode import check_one_mode
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving.legs import Legs, turning_points
 from twin.compensation.solving.rows import Rows
@@ -72,6 +73,7 @@ class Pieces:
         columns = path.columns
         self.tcp, self.start, self.end = columns.tcp, columns.start, columns.end
         self.tcp_out = self.tcp & (not posted)
+        check_one_mode(prepared.calibration, self.tcp_out, source, tcp=prepared.options.tcp)
         self.straight = np.ones(len(columns), dtype=bool)
         self.straight[[i for i, move in columns.special.items() if move.arc is not None]] = False
         self.by_vector = np.zeros(len(columns), dtype=bool)

@@ -2,6 +2,7 @@
 
     twin control --to siemens -o tables/ --tool-length 120
     twin control --to linuxcnc -o tables/ -c mine.yaml --at Y=225 Z=-200 --tolerance 0.0005 --json tables.json
+    twin control --kinematics siemens-chain --to siemens -o control/ --tool-length 120
     twin control --read X.comp Y.comp joints.ini --format linuxcnc -c mine.yaml
 
 The folder receives the files for the control, `README.txt` (how to load and activate them, and the remaining errors) and
@@ -41,6 +42,26 @@ errors are `uncorrected`, new tables replace the old ones.
 model includes and programs are corrected for. The control of `isg` uses the length of the active tool, and so does the model. Errors
 measured with its tables active are valid for the tool that was active then; every report on them states this.
 
+**Kinematics of the transformation** (`--kinematics`, with or without `--to`). In tool centre point mode a control calculates the
+linear axes from the lines of its rotary axes. The location errors of the calibration (`E_X0C` …) give these lines and the place of
+the workpiece on the table:
+
+| format | holds | does not hold |
+|---|---|---|
+KINEMATICS
+
+The machine needs a table with two rotary axes. Other machines are refused, and so are those that a transformation cannot represent
+(`linuxcnc-trt` needs A about X or B about Y). A format that does not hold everything gets the values with the least sum of squares of
+the remaining displacement of the functional point, over the volume and with this tool; the account states what remains. Linear axes
+are written as square: squareness is left to the tables, which also act without a transformation. Tables of `isg` correct locations
+themselves and cannot be combined with kinematics.
+
+The account gives the error of the point in tool centre point mode with nominal kinematics, with the kinematics, with the tables, and
+with a compensated program in least increments, each with U, from the files as read back. `calibration.yaml` records the file. A
+program is compensated for the kinematics only with `--mode tcp`: in axis coordinates they do not act. A program that switches the
+mode is refused with such a calibration: split it. The shift of the workpiece zero is part of the kinematics; probing the workpiece
+afterwards replaces it.
+
 **Unverified assumptions**, which were not checked against a public description of a control, are listed in the module of its format
 (`help(twin.machine.control.formats.siemens)`) and with every table that is written. One wrong sign doubles an error: the text
 explains how to test a table before machining.
@@ -63,10 +84,12 @@ from twin.machine.control.correction import BasicClass, Correction, TableSummary
 from twin.machine.control.curve import ControlCurve, ControlTerm, TableSum
 from twin.machine.control.format import TableFormat
 from twin.machine.control.formats import FORMATS, format_named, read_tables
+from twin.machine.control.kinematics import KINEMATICS, kinematics_named
 from twin.machine.control.section import ControlSection, TableEntry
 
 __all__ = [
     "FORMATS",
+    "KINEMATICS",
     "BasicClass",
     "ControlCurve",
     "ControlSection",
@@ -77,8 +100,12 @@ __all__ = [
     "TableSum",
     "TableSummary",
     "format_named",
+    "kinematics_named",
     "read_tables",
 ]
 
+_KINEMATICS = "\n".join(
+    f"| `{form.name}` {form.title}: {form.what} | {form.carries} | {form.leaves} |" for form in KINEMATICS
+)
 _ROWS = "\n".join(f"| `{form.name}` {form.what} | {form.carries} | {form.leaves} |" for form in FORMATS)
-__doc__ = (__doc__ or "").replace("FORMATS\n", f"{_ROWS}\n", 1)
+__doc__ = (__doc__ or "").replace("FORMATS\n", f"{_ROWS}\n", 1).replace("KINEMATICS\n", f"{_KINEMATICS}\n", 1)

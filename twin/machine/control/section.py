@@ -4,10 +4,15 @@
       errors_are: uncorrected
       tables:
         - {file: cec.mpf, format: siemens, classes: [L-POS, L-STR], sha256: 5f…}
+      kinematics:
+        - {file: kinchain.mpf, format: siemens-chain, classes: [R-POR], sha256: 90…}
 
 ``uncorrected``: the errors of the file are those of the machine without tables, and the control corrects part of them. A program is
 corrected only for the remainder. ``remaining``: the errors were measured with the tables active and remain with them. A program is
 corrected for all of them; a new table must be added to the old one and cannot replace it.
+
+``kinematics``: the control's transformation has the locations of the rotary axes in this file (`twin.machine.control.kinematics`). It
+acts in tool centre point mode only, and new kinematics always replace the old ones: errors are measured without a transformation.
 """
 
 from __future__ import annotations
@@ -33,7 +38,7 @@ class TableEntry:
 
     Attributes:
         file: its path.
-        format: name of its format, one of `twin.machine.control.FORMATS`.
+        format: name of its format, one of `twin.machine.control.FORMATS` or, for kinematics, of `KINEMATICS`.
         classes: classes of ISO/TR 16907 whose errors it corrects, completely or in part.
         sha256: SHA-256 of the file when it was recorded.
     """
@@ -70,11 +75,18 @@ class ControlSection:
 
     Attributes:
         errors_are: ``uncorrected`` or ``remaining``.
-        tables: the tables active in the control, at least one.
+        tables: the tables active in the control.
+        kinematics: the file of the transformation's kinematics, if they were written from a calibration; at most one.
     """
 
     errors_are: ErrorsAre
     tables: tuple[TableEntry, ...]
+    kinematics: tuple[TableEntry, ...] = ()
+
+    @property
+    def entries(self) -> tuple[TableEntry, ...]:
+        """All its files."""
+        return (*self.tables, *self.kinematics)
 
     @property
     def formats(self) -> tuple[str, ...]:
@@ -98,18 +110,19 @@ class ControlSection:
         def shown(file: Path) -> str:
             return str(file.resolve() if folder is None else os.path.relpath(file.resolve(), folder.resolve()))
 
-        return {
-            "errors_are": self.errors_are,
-            "tables": [
+        def listed(entries: Sequence[TableEntry]) -> list[dict[str, Any]]:
+            return [
                 {
                     "file": shown(entry.file),
                     "format": entry.format,
                     "classes": list(entry.classes),
                     "sha256": entry.sha256,
                 }
-                for entry in self.tables
-            ],
-        }
+                for entry in entries
+            ]
+
+        found: dict[str, Any] = {"errors_are": self.errors_are, "tables": listed(self.tables)}
+        return found | ({"kinematics": listed(self.kinematics)} if self.kinematics else {})
 
     def of(self, kind: str) -> tuple[TableEntry, ...]:
         """Return the tables of one format."""

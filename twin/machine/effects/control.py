@@ -7,9 +7,10 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin.machine.control import Correction
+from twin.machine.control import ControlSection, Correction, read_tables
+from twin.machine.control.kinematics import KinematicCorrection, kinematics_named
 from twin.machine.effects.base import Effect, Frame, Parameter, along
-from twin.machine.machine import Axis
+from twin.machine.machine import Axis, Machine
 
 PREFIX: Final = "control:"
 SAMPLES: Final = 401
@@ -68,3 +69,35 @@ class ControlCorrection(Effect):
         sides = [state | {f"approach_{name}": np.full(SAMPLES, side) for name in ranges} for side in (1.0, -1.0)]
         up, down = (np.broadcast_to(self.correction.shift(self.axis.name, side), SAMPLES) for side in sides)
         return float(np.min(up - down)), float(np.max(up - down))
+
+
+def tables_of(control: ControlSection, machine: Machine) -> tuple[ControlCorrection, ...]:
+    """Return the corrections by the tables of a control; none if the errors were measured with the tables active.
+
+    Raises:
+        InputError: a table cannot be read, differs from the recorded file, or moves an axis that the machine does not have.
+    """
+    found: list[ControlCorrection] = []
+    for kind in control.formats if control.errors_are == "uncorrected" else ():
+        entries = control.of(kind)
+        for entry in entries:
+            entry.check()
+        classes = tuple(dict.fromkeys(name for entry in entries for name in entry.classes))
+        table = read_tables(kind, [entry.file for entry in entries], machine)
+        found += [ControlCorrection(machine.by_name[axis], table, kind, classes) for axis in table.axes]
+    return tuple(found)
+
+
+def kinematics_of(control: ControlSection, machine: Machine) -> tuple[ControlCorrection, ...]:
+    """Return the corrections by the kinematics of a control, which act in tool centre point mode only.
+
+    Raises:
+        InputError: the file cannot be read, or differs from the recorded one.
+    """
+    found: list[ControlCorrection] = []
+    for entry in control.kinematics:
+        entry.check()
+        geometry = kinematics_named(entry.format).read(entry.file, machine)
+        held = KinematicCorrection(machine, geometry, machine.tool_length_mm)
+        found += [ControlCorrection(machine.by_name[axis], held, entry.format, entry.classes) for axis in held.axes]
+    return tuple(found)
