@@ -361,7 +361,7 @@ def test_points_with_rotary_axes_and_vectors(dmu50: Machine, tmp_path: Path) -> 
         ("x_mm,y_mm,z_mm\n1,2,3\n1,2\n", ":3:", "2 values"),
         ("# c\nx_mm,y_mm,z_mm\n1,2,3\n1,two,3\n", ":4:", "y_mm"),
         ("x_mm,y_mm,z_mm\n1,2,nan\n1,2,3\n", ":2:", "z_mm"),
-        ("x_mm,y_mm,z_mm\n1,2,3\n", "", "1 points"),
+        ("x_mm,y_mm,z_mm\n1,2,3\n", "", "1 point"),
         ("", "", "no header"),
         ("x_mm,y_mm,z_mm,i,j,k\n1,2,3,0,0,1\n1,2,3,0,0,2\n", ":3:", "tool vector"),
     ],
@@ -387,7 +387,7 @@ def test_the_command(tmp_path: Path) -> None:
     source.write_text(program_of(circle()))
     code, said = invoke("path", source, "-o", output, "--tolerance", "0.02", "--tool-length", "120", "--json", report)
     assert code == 0, said
-    assert "480 in 1 runs" in said and "ILLUSTRATIVE" in said
+    assert "480 in 1 run" in said and "ILLUSTRATIVE" in said
     data = json.loads(report.read_text())
     assert data["schema"] == "twin.path/1" and data["complete"]
     shares, used = data["shares_um"], data["used_um"]
