@@ -20,7 +20,7 @@ Verdict = Literal["pass", "fail", "undecided"]
 TOOL: Final = ("tool", "tool_after")
 """Names of the error of the tool point before compensation, and as expected after it."""
 FINDINGS: Final = 3
-ROWS: Final = 23
+ROWS: Final = 17
 """Largest number of items on the first page, so that it stays one page."""
 _URGENCY: Final = {"fail": 0, "undecided": 1, "pass": 2, None: 3}
 
