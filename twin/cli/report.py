@@ -21,6 +21,40 @@ from twin.reporting.job import load_job, logo_uri
 from twin.reporting.language import Language
 from twin.reporting.pdf import find_browser, page_to_pdf
 
+JobOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--job",
+        help="YAML file (schema: twin.job/1) of the first page: machine, serial_number, operator, customer, place, date, "
+        "instrument, instrument_serial, certificate, temperature; all optional text.",
+    ),
+]
+FrontToleranceOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--tolerance",
+        help="Largest permitted absolute value, µm or µrad, of the tool point (tool, tool_after) or an error: tool=50 E_XX=8.",
+    ),
+]
+LangOption = Annotated[
+    Language, typer.Option("--lang", help="Language of the first page; the appendix is mostly in English.")
+]
+PdfOption = Annotated[
+    Path | None,
+    typer.Option("--pdf", help="Also print to this PDF file, through Chromium, Chrome or Edge (or TWIN_BROWSER)."),
+    Output((".pdf",)),
+]
+LogoOption = Annotated[
+    Path | None, typer.Option("--logo", help="PNG or SVG picture for the first page, up to 512 KiB.")
+]
+IdentifiedOption = Annotated[
+    Path | None, typer.Option("--identified", help="JSON file of `twin identify --json` for this calibration.")
+]
+ComparedOption = Annotated[
+    list[Path] | None,
+    typer.Option("--measured", help="Measurement table to compare with the calibration; repeatable."),
+]
+
 
 @command(
     "twin report -o machine.html --calibration mine.yaml --tool-length 120",
@@ -33,43 +67,17 @@ def report(
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,
     tool_length: options.ToolOption = None,
-    identified: Annotated[
-        Path | None, typer.Option("--identified", help="JSON file of `twin identify --json` for this calibration.")
-    ] = None,
-    measured: Annotated[
-        list[Path] | None,
-        typer.Option("--measured", help="Measurement table to compare with the calibration; repeatable."),
-    ] = None,
+    identified: IdentifiedOption = None,
+    measured: ComparedOption = None,
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     rpm: options.RpmOption = None,
     load: options.LoadOption = None,
-    job: Annotated[
-        Path | None,
-        typer.Option(
-            "--job",
-            help="YAML file (schema: twin.job/1) of the first page: machine, serial_number, operator, customer, place, date, "
-            "instrument, instrument_serial, certificate, temperature; all optional text.",
-        ),
-    ] = None,
-    logo: Annotated[
-        Path | None, typer.Option("--logo", help="PNG or SVG picture for the first page, up to 512 KiB.")
-    ] = None,
-    tolerance: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--tolerance",
-            help="Largest permitted absolute value, µm or µrad, of the tool point (tool, tool_after) or an error: tool=50 E_XX=8.",
-        ),
-    ] = None,
-    lang: Annotated[
-        Language, typer.Option("--lang", help="Language of the first page; the appendix is mostly in English.")
-    ] = Language.en,
-    pdf_file: Annotated[
-        Path | None,
-        typer.Option("--pdf", help="Also print to this PDF file, through Chromium, Chrome or Edge (or TWIN_BROWSER)."),
-        Output((".pdf",)),
-    ] = None,
+    job: JobOption = None,
+    logo: LogoOption = None,
+    tolerance: FrontToleranceOption = None,
+    lang: LangOption = Language.en,
+    pdf_file: PdfOption = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Random seed of the Monte Carlo draws.")] = 0,
     json_file: JsonOption = None,
 ) -> CommandResult:

@@ -27,7 +27,7 @@ _URGENCY: Final = {"fail": 0, "undecided": 1, "pass": 2, None: 3}
 
 @final
 @dataclass(frozen=True)
-class Item:
+class FrontItem:
     """One item of the first page.
 
     Attributes:
@@ -68,12 +68,12 @@ class FrontPage:
     """
 
     job: Job
-    items: tuple[Item, ...]
+    items: tuple[FrontItem, ...]
     findings: tuple[Contribution, ...]
     logo: str = field(default="", repr=False)
 
     @property
-    def judged(self) -> tuple[Item, ...]:
+    def judged(self) -> tuple[FrontItem, ...]:
         """Items with a tolerance."""
         return tuple(item for item in self.items if item.tolerance is not None)
 
@@ -83,13 +83,13 @@ class FrontPage:
         return min((item.verdict for item in self.judged), key=_URGENCY.__getitem__, default=None)
 
     @property
-    def shown(self) -> tuple[Item, ...]:
+    def shown(self) -> tuple[FrontItem, ...]:
         """Items on the first page: the tool point, then failed, undecided and passed items, then those of largest effect."""
         rest = sorted(self.items[len(TOOL) :], key=lambda item: _URGENCY[item.verdict])
         return (*self.items[: len(TOOL)], *rest)[:ROWS]
 
     @property
-    def hidden(self) -> tuple[Item, ...]:
+    def hidden(self) -> tuple[FrontItem, ...]:
         """Items that only the appendix lists."""
         shown = {item.name for item in self.shown}
         return tuple(item for item in self.items if item.name not in shown)
@@ -130,7 +130,7 @@ def front_page(
     to = {one.name: one.to for one in report.constants}
     items = [*_tool_items(report, given), *(_item(one, given.get(one.name), to.get(one.name, "")) for one in found)]
     missing = [name for name in given if name not in names and name not in TOOL]
-    items += [Item(name, unit_of(name), nan, nan, given[name], "undecided", "unknown") for name in missing]
+    items += [FrontItem(name, unit_of(name), nan, nan, given[name], "undecided", "unknown") for name in missing]
     if any(one.name == UNSETTLED_ESTIMATE.name for one in report.warnings):
         items = [replace(item, verdict="undecided", reason="unsettled") if item.verdict else item for item in items]
     return FrontPage(Job() if job is None else job, tuple(items), tuple(found[:FINDINGS]), logo)
@@ -162,24 +162,28 @@ def decide(value: float, half: float, tolerance: float) -> Verdict:
     return "fail" if value - half > tolerance else "undecided"
 
 
-def _item(one: Contribution, tolerance: float | None, to: str) -> Item:
+def _item(one: Contribution, tolerance: float | None, to: str) -> FrontItem:
     return _judged(
-        Item(one.name, one.unit, one.peak, one.peak_half, tolerance, None, "", to), one.u_complete, one.illustrative
+        FrontItem(one.name, one.unit, one.peak, one.peak_half, tolerance, None, "", to),
+        one.u_complete,
+        one.illustrative,
     )
 
 
-def _tool_items(report: MachineReport, given: Mapping[str, float]) -> list[Item]:
+def _tool_items(report: MachineReport, given: Mapping[str, float]) -> list[FrontItem]:
     """Return the items of the tool point; the largest U over the volume is added to the largest error, which is conservative."""
     total, after = report.budget.total, report.compensation.exact
     half = total.u_max_um
     # Errors that are absent from the calibration count as zero in the total, so its U is a lower bound.
     complete = total.u_complete and not report.gaps.absent and not report.gaps.left_out
     values = (total.max_um if report.budget.errors else nan, nan if after is None else after.max_um)
-    rows = [Item(name, "um", value, half, given.get(name), None, "") for name, value in zip(TOOL, values, strict=True)]
+    rows = [
+        FrontItem(name, "um", value, half, given.get(name), None, "") for name, value in zip(TOOL, values, strict=True)
+    ]
     return [_judged(item, complete, bool(report.illustrative)) for item in rows]
 
 
-def _judged(item: Item, complete: bool, assumed: bool) -> Item:
+def _judged(item: FrontItem, complete: bool, assumed: bool) -> FrontItem:
     """Return an item with its verdict; without a decision if it is assumed, or if value or U are unknown or incomplete."""
     if item.tolerance is None:
         return item
