@@ -7,7 +7,7 @@ import string
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from itertools import pairwise
-from math import nan
+from math import isnan, nan
 from pathlib import Path
 
 import pytest
@@ -114,6 +114,14 @@ def test_accessible(pages: dict[str, str]) -> None:
     assert problems == []
     assert levels[0] == 1 and all(b <= a + 1 for a, b in pairwise(levels))
     assert "A &lt;b&gt;" in pages["de"]
+
+
+def test_an_empty_calibration_is_unknown() -> None:
+    """Without errors the error of the tool point is unknown, before and after compensation, and nothing passes."""
+    trunnion = Machine.load("trunnion_ac.yaml")
+    report = machine_report(trunnion, Calibration.default(trunnion), made=datetime(2026, 1, 2, tzinfo=UTC))
+    front = front_page(report, tolerances={"tool": 1e6, "tool_after": 1e6})
+    assert [(isnan(item.value), item.verdict) for item in front.items] == [(True, "undecided")] * 2
 
 
 @pytest.mark.parametrize("pair", COLOURS)

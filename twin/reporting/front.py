@@ -176,7 +176,7 @@ def _tool_items(report: MachineReport, given: Mapping[str, float]) -> list[Front
     half = total.u_max_um
     # Errors that are absent from the calibration count as zero in the total, so its U is a lower bound.
     complete = total.u_complete and not report.gaps.absent and not report.gaps.left_out
-    values = (total.max_um if report.budget.errors else nan, nan if after is None else after.max_um)
+    values = (total.max_um, nan if after is None else after.max_um) if report.budget.errors else (nan, nan)
     rows = [
         FrontItem(name, "um", value, half, given.get(name), None, "") for name, value in zip(TOOL, values, strict=True)
     ]
