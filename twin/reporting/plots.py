@@ -43,7 +43,7 @@ from twin.reporting.scene.path import scale_top_um, viridis
 
 WIDTH: Final = 4.4
 """Width of a figure in inches, so that text keeps its size on a phone."""
-LEAN: Final = 0.45
+LEAN: Final = 0.34
 """Drawn angle of the largest squareness, rad."""
 LETTERS: Final = 9.5
 BARS: Final = 18
