@@ -145,7 +145,17 @@ def test_an_input_is_never_an_output(
 
 def test_every_path_of_every_command_is_known() -> None:
     """A path that a command writes is marked; every other path is an input and must not be an output."""
-    written = {"json_file", "output", "urdf", "report_file", "html_file", "extended", "program_file", "predicted"}
+    written = {
+        "json_file",
+        "output",
+        "urdf",
+        "report_file",
+        "html_file",
+        "pdf_file",
+        "extended",
+        "program_file",
+        "predicted",
+    }
     for command in map(commands.load, commands.COMMANDS):
         function: Callable[..., Any] = command.callback.__wrapped__
         marked = {name for name, mark in path_parameters(function).items() if mark is not None}

@@ -256,7 +256,8 @@ def test_every_header_has_the_unit_of_its_numbers(page: str) -> None:
     with_units = [[cell for cell in head.split("|") if "[" in cell] for head in heads if "[" in head]
     at_tool = ["at the tool, RMS [µm]", "largest [µm]", "U [µm]"]
     tables = ["RMS by the model [µm]", "RMS with uncertainty [µm]", "largest by the model [µm]"]
-    assert with_units == [at_tool, at_tool, at_tool[:1], at_tool[:1], ["RMS [µm]"], tables]
+    log = ["before, RMS [µm]", "before, largest [µm]", "after: U [µm]"]
+    assert with_units == [log, at_tool, at_tool, at_tool[:1], at_tool[:1], ["RMS [µm]"], tables]
 
 
 def test_identification_of_another_calibration_and_lack_of_fit(contents: dict[str, Any]) -> None:
@@ -391,7 +392,7 @@ def test_omitted_effect_gives_exit_status_3(
     """Without a temperature the effect is omitted and listed, and the exit status is 3."""
     page, json_path = folder / "cold.html", folder / "cold.json"
     # Rendering is slow and tested elsewhere.
-    monkeypatch.setattr("twin.reporting.page.machine_html", lambda found: found.advice.headline)
+    monkeypatch.setattr("twin.reporting.page.machine_html", lambda found, *_: found.advice.headline)
     assert run("report", "-o", page, "-c", folder / "mine.yaml", "--json", json_path) == 3
     assert "not met: thermal_expansion:Z omitted" in capsys.readouterr().out
     written = json.loads(json_path.read_text())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +11,7 @@ from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command
-from twin.cli.shared.words import number, pairs
+from twin.cli.shared.words import tolerances
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.instruments import instrument_named
 from twin.measurement.table import Measurements
@@ -97,17 +96,3 @@ def evaluate(
 
         write_atomic(html_file, evaluation_html(found))
     return CommandResult(found.to_text(), found.to_dict, met=found.met and bool(found.tests))
-
-
-def tolerances(entries: Sequence[str]) -> dict[str, float]:
-    """Return the tolerances, each given as ``SYMBOL=NUMBER``.
-
-    Raises:
-        InputError: text that is not SYMBOL=NUMBER, a negative number, or a symbol given twice.
-    """
-    found: dict[str, float] = {}
-    for name, text, entry in pairs("--tolerance", entries, "symbol and µm or µrad: A=10"):
-        found[name] = number("--tolerance", text, entry)
-        if found[name] < 0.0:
-            raise InputError("--tolerance must not be negative", expected="µm or µrad, 0 or above", value=entry)
-    return found

@@ -11,15 +11,55 @@ import typer
 from twin._common.files import write_atomic
 from twin._common.provenance import warning_texts
 from twin.cli.shared import options
-from twin.cli.shared.command import HTML, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.command import HTML, CommandResult, JsonOption, Output, command, progress_bar
+from twin.cli.shared.words import tolerances
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.table import Measurements
 from twin.reporting import MachineReport, machine_report
+from twin.reporting.front import check_tolerances, front_page
+from twin.reporting.job import load_job, logo_uri
+from twin.reporting.language import Language
+from twin.reporting.pdf import find_browser, page_to_pdf
+
+JobOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--job",
+        help="YAML file (schema: twin.job/1) of the first page: machine, serial_number, operator, customer, place, date, "
+        "instrument, instrument_serial, certificate, temperature; all optional text.",
+    ),
+]
+FrontToleranceOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--tolerance",
+        help="Largest permitted absolute value, µm or µrad, of the tool point (tool, tool_after) or an error: tool=50 E_XX=8.",
+    ),
+]
+LangOption = Annotated[
+    Language, typer.Option("--lang", help="Language of the first page; the appendix is mostly in English.")
+]
+PdfOption = Annotated[
+    Path | None,
+    typer.Option("--pdf", help="Also print to this PDF file, through Chromium, Chrome or Edge (or TWIN_BROWSER)."),
+    Output((".pdf",)),
+]
+LogoOption = Annotated[
+    Path | None, typer.Option("--logo", help="PNG or SVG picture for the first page, up to 512 KiB.")
+]
+IdentifiedOption = Annotated[
+    Path | None, typer.Option("--identified", help="JSON file of `twin identify --json` for this calibration.")
+]
+ComparedOption = Annotated[
+    list[Path] | None,
+    typer.Option("--measured", help="Measurement table to compare with the calibration; repeatable."),
+]
 
 
 @command(
     "twin report -o machine.html --calibration mine.yaml --tool-length 120",
     "twin report -o machine.html -c mine.yaml --identified identified.json --measured measured.csv --json machine.json",
+    "twin report -o signed.html -c mine.yaml --job job.yaml --logo shop.png --tolerance tool=50 E_XX=8 --lang de --pdf signed.pdf",
     "twin report -o warm.html -c better.yaml --temperature X=23.1 bed=21 --time 7200",
 )
 def report(
@@ -27,23 +67,27 @@ def report(
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,
     tool_length: options.ToolOption = None,
-    identified: Annotated[
-        Path | None, typer.Option("--identified", help="JSON file of `twin identify --json` for this calibration.")
-    ] = None,
-    measured: Annotated[
-        list[Path] | None,
-        typer.Option("--measured", help="Measurement table to compare with the calibration; repeatable."),
-    ] = None,
+    identified: IdentifiedOption = None,
+    measured: ComparedOption = None,
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
     rpm: options.RpmOption = None,
     load: options.LoadOption = None,
+    job: JobOption = None,
+    logo: LogoOption = None,
+    tolerance: FrontToleranceOption = None,
+    lang: LangOption = Language.en,
+    pdf_file: PdfOption = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Random seed of the Monte Carlo draws.")] = 0,
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Write a report of a machine: largest errors, their effect at the tool, recommended actions, uncertainty and sources."""
     options.need_pictures("the report")
     loaded = Machine.load(machine)
+    limits = tolerances(tolerance or [])
+    check_tolerances(loaded, limits)
+    facts, picture = None if job is None else load_job(job), "" if logo is None else logo_uri(logo)
+    browser = None if pdf_file is None else find_browser()
     errors = options.calibration_of(calibration, loaded)
     at = options.conditions(temperature, time, rpm, load)
     with progress_bar() as bar:
@@ -64,10 +108,19 @@ def report(
         )  # imports matplotlib and meshcat, which are slow and needed only here
 
         bar("drawing", 0.5)
-        page = machine_html(found)
+        front = front_page(found, facts, limits, picture)
+        page = machine_html(found, front, lang)
+        printed = None if browser is None else page_to_pdf(page, browser)
     write_atomic(output, page)
+    if pdf_file is not None and printed is not None:
+        write_atomic(pdf_file, printed)
     text = "\n".join([*_first_screen(found), *options.unused(at, errors), ""])
-    return CommandResult(text, found.to_dict, met=not found.unmet, after=[f"not met: {text}" for text in found.unmet])
+    return CommandResult(
+        text,
+        lambda: found.to_dict() | {"first_page": front.to_dict()},
+        met=not found.unmet,
+        after=[f"not met: {text}" for text in found.unmet],
+    )
 
 
 def _first_screen(found: MachineReport) -> list[str]:

@@ -20,6 +20,8 @@ from twin.machine.display import uncertainty_of
 from twin.machine.effects import Effect
 from twin.numerics.curves import Basis, basis_named
 from twin.reporting import plots
+from twin.reporting.front import FrontPage, front_page
+from twin.reporting.language import Language, wording
 from twin.reporting.motions import Motion
 from twin.reporting.readings import PositionEstimates
 from twin.reporting.result import MachineReport
@@ -30,6 +32,7 @@ from twin.uncertainty.at_tool import DEFINITION
 
 COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de"}
 MARKS: Final = {"do": "✔ Do", "measure": "◎ Measure", "never": "✘ Do not", "unknown": "? Not known"}
+SYMBOLS: Final = {"pass": "✔", "fail": "✘", "undecided": "?"}
 ROWS: Final = 40
 """Largest number of excluded rows that are listed."""
 VIEWER: Final = "<!-- the field in 3D -->"
@@ -48,11 +51,13 @@ SECTIONS: Final = (
 """Heading and template of every section below the summary."""
 
 
-def machine_html(report: MachineReport) -> str:
+def machine_html(report: MachineReport, front: FrontPage | None = None, language: Language = Language.en) -> str:
     """Return the page as self-contained HTML; needs matplotlib (extra ``plots``).
 
     Args:
         report: result of `twin.reporting.machine_report`.
+        front: content of the first page; None for one without tolerances and facts of the test.
+        language: language of the first page and of the tables that follow it; the other sections are in English.
     """
 
     def stops_of(name: str) -> tuple[PositionEstimates, ...]:
@@ -62,6 +67,11 @@ def machine_html(report: MachineReport) -> str:
         "reporting/templates/report.html.j2",
         title=f"{report.machine.name}: report of the machine",
         report=report,
+        front=front_page(report) if front is None else front,
+        lang=language.value,
+        t=wording(language),
+        symbols=SYMBOLS,
+        to_of={one.name: one.to for one in report.constants},
         over=_over(report),
         sections=SECTIONS,
         colours=COLOURS,
@@ -111,14 +121,15 @@ def _coded(text: str) -> Html:
 
 
 def _degree(report: MachineReport, motion: Motion) -> str:
-    """Return the degree of a motion's curve, from the identification if it belongs to this calibration, and added effects."""
-    order = "–" if motion.order is None else str(motion.order)
+    """Return the terms of a motion's curve, in its basis, those above the noise if identified, and added effects."""
+    order = motion.order
     identified = report.identified
-    if identified is not None and not identified.others:
-        order = str(identified.orders.get(motion.name, order))
+    chosen = None if identified is None or identified.others else identified.orders.get(motion.name)
     noun = basis_named(motion.basis).order_noun if motion.basis else Basis.order_noun
-    kind = "" if noun == Basis.order_noun else f"{noun} "
-    return " + ".join([f"{kind}{order}", *([", ".join(motion.added)] if motion.added else [])])
+    text = "–" if order is None else f"{noun} {order}"
+    if chosen is not None and chosen != order:
+        text = f"{text}, {'nothing above the noise' if chosen == 0 else f'{noun} {chosen} above the noise'}"
+    return " + ".join([text, *([", ".join(motion.added)] if motion.added else [])])
 
 
 def _numbers(report: MachineReport, effect: Effect) -> str:

@@ -43,6 +43,8 @@ from twin.reporting.scene.path import scale_top_um, viridis
 
 WIDTH: Final = 4.4
 """Width of a figure in inches, so that text keeps its size on a phone."""
+LEAN: Final = 0.34
+"""Drawn angle of the largest squareness, rad."""
 LETTERS: Final = 9.5
 BARS: Final = 18
 """Largest number of errors drawn as bars; the table lists all."""
@@ -128,30 +130,42 @@ def plot_constants(found: Sequence[Constant]) -> Figure:
     return drawing
 
 
-def plot_squareness(one: Constant) -> Figure:
-    """Draw two axes with their nominal and their actual angle, which is exaggerated.
+def plot_squareness(one: Constant, largest_urad: float) -> Figure:
+    """Draw two axes with their nominal and their actual angle, exaggerated, and its 95 % interval as a wedge; faint if not significant.
 
     Args:
         one: a squareness error.
+        largest_urad: largest absolute value or end of an interval of all sketches, which have one scale.
     """
     drawing = new_figure(2.3, 2.3)
     plot = drawing.subplots()
     plot.set_axis_off()
     plot.set_aspect("equal")
-    # Only the sign is drawn; the text gives the value.
-    lean = 0.2 * float(np.sign(one.leans * one.value))
+    scale = LEAN * one.leans / max(largest_urad, 1e-9)
+    lean = scale * one.value
+    faint = one.known and abs(one.value) <= one.half
+    if one.known:
+        edge = scale * np.linspace(one.value - one.half, one.value + one.half, 20)
+        plot.fill([0.0, *np.sin(edge)], [0.0, *np.cos(edge)], color=BACKWARD, alpha=SHADE, linewidth=0.0)
     tip = float(np.sin(lean)), float(np.cos(lean))
     plot.annotate("", (1.06, 0.0), (0.0, 0.0), arrowprops={"arrowstyle": "->", "color": BOTH, "linewidth": 1.8})
     plot.plot([0.0, 0.0], [0.0, 1.0], color=RUN, linestyle="--", linewidth=1.3)
-    plot.annotate("", tip, (0.0, 0.0), arrowprops={"arrowstyle": "->", "color": BACKWARD, "linewidth": 2.2})
-    if lean:
-        arc = np.linspace(0.0, lean, 20)
-        plot.plot(0.75 * np.sin(arc), 0.75 * np.cos(arc), color=BACKWARD, linewidth=1.0)
+    plot.annotate(
+        "",
+        tip,
+        (0.0, 0.0),
+        arrowprops={
+            "arrowstyle": "->",
+            "color": BACKWARD,
+            "linewidth": 1.2 if faint else 2.2,
+            "alpha": 0.5 if faint else 1.0,
+        },
+    )
     middle: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": LETTERS}
     plot.text(1.0, -0.13, f"{one.to}+", **middle)
     plot.text(tip[0], 1.08, f"{one.axis}+", **middle, color=BACKWARD)
     size = with_half(one.value, one.half, "urad").replace(" ±", "\n±").replace(" (±", "\n(±")
-    plot.text(0.42, 0.52, size, fontsize=LETTERS)
+    plot.text(0.5, 0.4, size + ("\nnot significant" if faint else ""), fontsize=LETTERS)
     plot.set(xlim=(-0.35, 1.3), ylim=(-0.25, 1.2))
     return drawing
 

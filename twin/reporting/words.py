@@ -46,18 +46,41 @@ def named(name: str, machine: Machine) -> str:
     return cause_title(effect, where.partition("[")[0])
 
 
+def motion_kind(name: str, machine: Machine) -> str:
+    """Return the kind of an error of an axis.
+
+    ``positioning``, ``straightness``, ``pitch`` (any angle), ``square``, ``displaced``, ``tilted``, ``angular_positioning``, ``tilt``,
+    ``axial`` or ``radial``.
+
+    Args:
+        name: ISO 230-1 name.
+        machine: the machine it belongs to.
+    """
+    component, average, axis = split_name(name)
+    one = machine.by_name[axis]
+    if average:
+        return "square" if one.linear else "displaced" if component < 3 else "tilted"
+    along = max(range(3), key=lambda i: abs(one.direction[i]))
+    if one.linear:
+        return "pitch" if component >= 3 else "positioning" if component == along else "straightness"
+    if component >= 3:
+        return "angular_positioning" if component == along + 3 else "tilt"
+    return "axial" if component == along else "radial"
+
+
+_MOTIONS: Final = {
+    "positioning": "Positioning of {axis}",
+    "straightness": "Straightness of {axis} in {direction}",
+    "pitch": "Angular error motion of {axis} about {direction}",
+    "angular_positioning": "Angular positioning of {axis}",
+    "tilt": "Tilt error motion of {axis} about {direction}",
+    "axial": "Axial error motion of {axis} in {direction}",
+    "radial": "Radial error motion of {axis} in {direction}",
+}
+
+
 def _of_motion(name: str, machine: Machine) -> str:
     component, average, axis = split_name(name)
-    one, direction = machine.by_name[axis], "xyz"[component % 3]
     if average:
-        return cause_title("squareness", name) if one.linear else capital(motion_in_words(name))
-    along = max(range(3), key=lambda i: abs(one.direction[i]))
-    if one.linear and component < 3:
-        return f"Positioning of {axis}" if component == along else f"Straightness of {axis} in {direction}"
-    if one.linear:
-        return f"Angular error motion of {axis} about {direction}"
-    if component == along + 3:
-        return f"Angular positioning of {axis}"
-    if component >= 3:
-        return f"Tilt error motion of {axis} about {direction}"
-    return f"{'Axial' if component == along else 'Radial'} error motion of {axis} in {direction}"
+        return cause_title("squareness", name) if machine.by_name[axis].linear else capital(motion_in_words(name))
+    return _MOTIONS[motion_kind(name, machine)].format(axis=axis, direction="xyz"[component % 3])

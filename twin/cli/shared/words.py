@@ -27,6 +27,7 @@ MANY_WORDS_OF: Final[Mapping[str, Mapping[str, re.Pattern[str]]]] = {
         "--tolerance": re.compile(r"[A-Za-z][\w:()↑↓↺↻]*=.*"),
         "--sensors": re.compile(r"[A-Za-z][\w-]*=.*"),
     },
+    "report": {"--tolerance": re.compile(r"[A-Za-z]\w*=.*")},
 }
 """The same for options that take several words with one command only."""
 VARIABLE: Final = "_TWIN_COMPLETE"
@@ -185,3 +186,17 @@ def positive(option: str, value: float) -> None:
     """
     if not 0.0 < value < float("inf"):
         raise InputError(f"{option} must be positive", expected="a number above 0", value=value)
+
+
+def tolerances(entries: Sequence[str]) -> dict[str, float]:
+    """Return the tolerances, each given as ``SYMBOL=NUMBER``.
+
+    Raises:
+        InputError: text that is not SYMBOL=NUMBER, a negative number, or a symbol given twice.
+    """
+    found: dict[str, float] = {}
+    for name, text, entry in pairs("--tolerance", entries, "symbol and µm or µrad: A=10"):
+        found[name] = number("--tolerance", text, entry)
+        if found[name] < 0.0:
+            raise InputError("--tolerance must not be negative", expected="µm or µrad, 0 or above", value=entry)
+    return found

@@ -1,0 +1,171 @@
+"""Tests of the first page of a report: decision rule, wording, accessibility, length in print, PDF."""
+
+from __future__ import annotations
+
+import re
+import string
+from datetime import UTC, datetime
+from html.parser import HTMLParser
+from itertools import pairwise
+from math import isnan, nan
+from pathlib import Path
+
+import pytest
+
+from tests.browser import run_chromium
+from tests.cli.commands import refused
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.reporting import machine_report
+from twin.reporting.front import decide, front_page
+from twin.reporting.job import Job
+from twin.reporting.language import Language, wording
+from twin.reporting.page import machine_html
+
+MINE = """
+schema: twin.calibration/1
+machine: DMU 50 eVolution
+source: by hand
+curves:
+  E_XX: {unit: um, domain: [0, 500], basis: power, coefficients: [0.0, 12.5], covariance: [[1.0, 0], [0, 1.0]]}
+squareness: {E_C0Y: 60.0}
+
+"""
+TOLERANCES = {"E_XX": 5.0, "E_YY": 3.0, "tool": 1000.0}
+COLOURS = (
+    "#1b1b1b #e3f1fb",
+    "#1b1b1b #fbe4d4",
+    "#1b1b1b #f0f0f0",
+    "#ffffff #1b1b1b",
+    "#444444 #ffffff",
+    "#555555 #f0f0f0",
+)
+
+
+@pytest.fixture(scope="module")
+def pages(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    path = tmp_path_factory.mktemp("front") / "mine.yaml"
+    path.write_text(MINE)
+    report = machine_report(dmu50, Calibration.load(path, dmu50), made=datetime(2026, 1, 2, tzinfo=UTC))
+    front = front_page(report, Job(operator="A <b>"), dict.fromkeys(dmu50.motion_names, 4.0) | TOLERANCES)
+    verdicts = {item.name: item.verdict for item in front.judged}
+    assert [verdicts[name] for name in TOLERANCES] == ["fail", "undecided", "undecided"]
+    assert front.verdict == "fail"
+    return {language.value: machine_html(report, front, language) for language in Language}
+
+
+def first(page: str) -> str:
+    """Return the text of the first page and of the tables in its language."""
+    (body,) = re.findall(r"<section class=front.*(?=<div lang=en>)", page, re.S)
+    return re.sub(r"<[^>]+>", " ", body)
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "tolerance", "verdict"),
+    [
+        (8.0, 2.0, 10.0, "pass"),
+        (8.0, 2.1, 10.0, "undecided"),
+        (12.0, 2.0, 10.0, "undecided"),
+        (12.1, 2.0, 10.0, "fail"),
+        (1.0, nan, 10.0, "undecided"),
+        (nan, 1.0, 10.0, "undecided"),
+    ],
+)
+def test_decision_rule(value: float, half: float, tolerance: float, verdict: str) -> None:
+    """ISO 14253-1: conformance up to tolerance − U, non-conformance beyond tolerance + U."""
+    assert decide(value, half, tolerance) == verdict
+
+
+def test_both_languages_have_the_same_texts_and_values() -> None:
+    english, german = wording(Language.en).texts, wording(Language.de).texts
+    assert list(english) == list(german)
+    for key, text in english.items():
+        fields = [{name for _, name, _, _ in string.Formatter().parse(one) if name} for one in (text, german[key])]
+        assert fields[0] == fields[1], key
+        same = {"symbol", "version", "at_least", "date_format", "name"}
+        assert text != german[key] or key in same or not text, key
+
+
+def test_both_languages_have_the_same_numbers_and_no_foreign_words(pages: dict[str, str]) -> None:
+    english, german = first(pages["en"]), first(pages["de"])
+    dates = r"02 January 2026|02\.01\.2026"
+    numbers = [re.findall(r"\d+(?:[.,]\d+)?", re.sub(dates, "", text)) for text in (english, german)]
+    assert sorted(numbers[0]) == sorted(number.replace(",", ".") for number in numbers[1])
+    assert not re.search(r"\b(the|of|and|is|not|error|axis|with|unknown|before|after|pass|fail)\b", german)
+    assert "nicht bestanden" in german and "Rechtwinkligkeit Y zu X" in german
+
+
+def test_accessible(pages: dict[str, str]) -> None:
+    """Every figure has a text alternative, every header a scope, headings skip no level, and the language is named."""
+    problems: list[str] = []
+    levels: list[int] = []
+
+    class Reader(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            given = dict(attrs)
+            if (tag == "img" and not given.get("alt")) or (tag == "th" and not given.get("scope")):
+                problems.append(f"{tag} {str(given)[:80]}")
+            if tag == "html":
+                assert given["lang"] == "de"
+            if re.fullmatch(r"h\d", tag):
+                levels.append(int(tag[1]))
+
+    Reader().feed(pages["de"])
+    assert problems == []
+    assert levels[0] == 1 and all(b <= a + 1 for a, b in pairwise(levels))
+    assert "A &lt;b&gt;" in pages["de"]
+
+
+def test_an_empty_calibration_is_unknown() -> None:
+    """Without errors the error of the tool point is unknown, before and after compensation, and nothing passes."""
+    trunnion = Machine.load("trunnion_ac.yaml")
+    report = machine_report(trunnion, Calibration.default(trunnion), made=datetime(2026, 1, 2, tzinfo=UTC))
+    front = front_page(report, tolerances={"tool": 1e6, "tool_after": 1e6})
+    assert [(isnan(item.value), item.verdict) for item in front.items] == [(True, "undecided")] * 2
+
+
+@pytest.mark.parametrize("pair", COLOURS)
+def test_contrast(pair: str, pages: dict[str, str]) -> None:
+    """Contrast of text by WCAG 2.1, at least 4.5."""
+
+    def luminance(colour: str) -> float:
+        parts = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
+        linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    style = (
+        pages["de"]
+        .replace("#fff}", "#ffffff}")
+        .replace("#fff;", "#ffffff;")
+        .replace("#444}", "#444444}")
+        .replace("#555;", "#555555;")
+    )
+    assert all(colour in style for colour in pair.split()), "the page uses these colours"
+    dark, light = sorted(map(luminance, pair.split()))
+    assert (light + 0.05) / (dark + 0.05) >= 4.5
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_the_first_page_is_one_sheet(pages: dict[str, str], language: str, tmp_path: Path) -> None:
+    """Printed without the appendix, the first page is one page of A4."""
+    page = pages[language]
+    start, end = page.index("<h1 class=appendix"), page.index("</body>")
+    path, pdf = tmp_path / "front.html", tmp_path / "front.pdf"
+    path.write_text(page[:start].replace("break-after:page", "") + page[end:], encoding="utf-8")
+    run_chromium(path.as_uri(), f"--print-to-pdf={pdf}", "--no-pdf-header-footer")
+    assert len(re.findall(rb"/Type\s*/Page\b", pdf.read_bytes())) == 1
+
+
+def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    out, logo, job = tmp_path / "r.html", tmp_path / "logo.png", tmp_path / "job.yaml"
+    logo.write_text("no picture")
+    job.write_text("schema: twin.job/1\noperater: A\n")
+    assert "a PNG or an SVG picture" in refused(capsys, "report", "-o", out, "--logo", logo)
+    assert "operator" in refused(capsys, "report", "-o", out, "--job", job)
+    assert "unknown item" in refused(capsys, "report", "-o", out, "--tolerance", "E_QQ=3")
+    monkeypatch.setenv("TWIN_BROWSER", str(tmp_path / "absent"))
+    assert "TWIN_BROWSER" in refused(capsys, "report", "-o", out, "--pdf", tmp_path / "r.pdf")
+    monkeypatch.delenv("TWIN_BROWSER")
+    monkeypatch.setattr("twin.reporting.pdf.shutil.which", lambda name: None)
+    assert "Chromium" in refused(capsys, "report", "-o", out, "--pdf", tmp_path / "r.pdf")
+    assert not out.exists() and not (tmp_path / "r.pdf").exists()

@@ -1,0 +1,193 @@
+"""First page of a report: items with tolerance and verdict, the largest findings, and the facts of the test."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from math import isfinite, nan
+from typing import Any, Final, Literal, final
+
+from twin._common.errors import InputError, closest_name
+from twin._common.json_form import json_form
+from twin._common.provenance import UNSETTLED_ESTIMATE
+from twin.machine.effects import unit_of
+from twin.machine.machine import Machine
+from twin.reporting.contributions import Contribution
+from twin.reporting.job import Job
+from twin.reporting.result import MachineReport
+
+Verdict = Literal["pass", "fail", "undecided"]
+TOOL: Final = ("tool", "tool_after")
+"""Names of the error of the tool point before compensation, and as expected after it."""
+FINDINGS: Final = 3
+ROWS: Final = 17
+"""Largest number of items on the first page, so that it stays one page."""
+_URGENCY: Final = {"fail": 0, "undecided": 1, "pass": 2, None: 3}
+
+
+@final
+@dataclass(frozen=True)
+class FrontItem:
+    """One item of the first page.
+
+    Attributes:
+        name: ISO 230-1 name, or one of `TOOL`.
+        unit: ``um`` or ``urad``.
+        value: largest absolute value; NaN if unknown.
+        half: its expanded uncertainty U (95 %); NaN if unknown.
+        tolerance: largest permitted absolute value; None without a tolerance.
+        verdict: result; None without a tolerance.
+        reason: why there is no decision: ``unknown``, ``incomplete`` (U is a lower bound), ``assumed`` or ``unsettled``;
+            empty otherwise.
+        to: for a squareness, the reference axis; else empty.
+    """
+
+    name: str
+    unit: str
+    value: float
+    half: float
+    tolerance: float | None
+    verdict: Verdict | None
+    reason: str
+    to: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content for JSON."""
+        return json_form(self, rename={"half": "U_95"}, leave_out=("to",))
+
+
+@final
+@dataclass(frozen=True)
+class FrontPage:
+    """Content of the first page.
+
+    Attributes:
+        job: facts of the test.
+        items: all items: the tool point, then the errors of the machine in the order of their effect at the tool.
+        findings: the errors with the largest effect at the tool.
+    """
+
+    job: Job
+    items: tuple[FrontItem, ...]
+    findings: tuple[Contribution, ...]
+    logo: str = field(default="", repr=False)
+
+    @property
+    def judged(self) -> tuple[FrontItem, ...]:
+        """Items with a tolerance."""
+        return tuple(item for item in self.items if item.tolerance is not None)
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """``fail`` if any item fails, else ``undecided`` if any is; None without tolerances."""
+        return min((item.verdict for item in self.judged), key=_URGENCY.__getitem__, default=None)
+
+    @property
+    def shown(self) -> tuple[FrontItem, ...]:
+        """Items on the first page: the tool point, then failed, undecided and passed items, then those of largest effect."""
+        rest = sorted(self.items[len(TOOL) :], key=lambda item: _URGENCY[item.verdict])
+        return (*self.items[: len(TOOL)], *rest)[:ROWS]
+
+    @property
+    def hidden(self) -> tuple[FrontItem, ...]:
+        """Items that only the appendix lists."""
+        shown = {item.name for item in self.shown}
+        return tuple(item for item in self.items if item.name not in shown)
+
+    def count(self, verdict: Verdict) -> int:
+        """Return the number of items with a verdict."""
+        return sum(item.verdict == verdict for item in self.items)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content for JSON."""
+        return {
+            "job": {name: text for name, text in self.job.model_dump().items() if text and name != "schema_"},
+            "decision_rule": "ISO 14253-1, guard band U",
+            "verdict": self.verdict,
+            "items": [item.to_dict() for item in self.items],
+            "findings": [one.name for one in self.findings],
+        }
+
+
+def front_page(
+    report: MachineReport, job: Job | None = None, tolerances: Mapping[str, float] | None = None, logo: str = ""
+) -> FrontPage:
+    """Return the content of the first page.
+
+    Args:
+        report: result of `twin.reporting.machine_report`.
+        job: facts of the test.
+        tolerances: largest permitted absolute value, µm or µrad, by ISO 230-1 name, ``tool`` or ``tool_after``.
+        logo: data URI of `twin.reporting.job.logo_uri`; empty for none.
+
+    Raises:
+        InputError: a tolerance of an unknown name.
+    """
+    given = dict(tolerances or {})
+    check_tolerances(report.machine, given)
+    found = report.budget.errors
+    names = {one.name for one in found}
+    to = {one.name: one.to for one in report.constants}
+    items = [*_tool_items(report, given), *(_item(one, given.get(one.name), to.get(one.name, "")) for one in found)]
+    missing = [name for name in given if name not in names and name not in TOOL]
+    items += [FrontItem(name, unit_of(name), nan, nan, given[name], "undecided", "unknown") for name in missing]
+    if any(one.name == UNSETTLED_ESTIMATE.name for one in report.warnings):
+        items = [replace(item, verdict="undecided", reason="unsettled") if item.verdict else item for item in items]
+    return FrontPage(Job() if job is None else job, tuple(items), tuple(found[:FINDINGS]), logo)
+
+
+def check_tolerances(machine: Machine, tolerances: Mapping[str, float]) -> None:
+    """Raise `InputError` unless every tolerance names the tool point or an error of the machine."""
+    known = (*TOOL, *machine.motion_names, *machine.squareness_names, *machine.location_names)
+    for name in tolerances:
+        if name not in known:
+            raise InputError(
+                "tolerance of an unknown item",
+                expected="tool, tool_after, or an ISO 230-1 name such as E_XX or E_C0Y",
+                value=name,
+                nearest=closest_name(name, known),
+            )
+
+
+def decide(value: float, half: float, tolerance: float) -> Verdict:
+    """Return the verdict by ISO 14253-1 with the expanded uncertainty as guard band.
+
+    Args:
+        value: absolute value; NaN if unknown.
+        half: its expanded uncertainty; NaN if unknown.
+        tolerance: largest permitted absolute value.
+    """
+    if value + half <= tolerance:
+        return "pass"
+    return "fail" if value - half > tolerance else "undecided"
+
+
+def _item(one: Contribution, tolerance: float | None, to: str) -> FrontItem:
+    return _judged(
+        FrontItem(one.name, one.unit, one.peak, one.peak_half, tolerance, None, "", to),
+        one.u_complete,
+        one.illustrative,
+    )
+
+
+def _tool_items(report: MachineReport, given: Mapping[str, float]) -> list[FrontItem]:
+    """Return the items of the tool point; the largest U over the volume is added to the largest error, which is conservative."""
+    total, after = report.budget.total, report.compensation.exact
+    half = total.u_max_um
+    # Errors that are absent from the calibration count as zero in the total, so its U is a lower bound.
+    complete = total.u_complete and not report.gaps.absent and not report.gaps.left_out
+    values = (total.max_um, nan if after is None else after.max_um) if report.budget.errors else (nan, nan)
+    rows = [
+        FrontItem(name, "um", value, half, given.get(name), None, "") for name, value in zip(TOOL, values, strict=True)
+    ]
+    return [_judged(item, complete, bool(report.illustrative)) for item in rows]
+
+
+def _judged(item: FrontItem, complete: bool, assumed: bool) -> FrontItem:
+    """Return an item with its verdict; without a decision if it is assumed, or if value or U are unknown or incomplete."""
+    if item.tolerance is None:
+        return item
+    unknown = not (isfinite(item.value) and isfinite(item.half))
+    reason = "assumed" if assumed else "unknown" if unknown else "" if complete else "incomplete"
+    verdict: Verdict = "undecided" if reason else decide(item.value, item.half, item.tolerance)
+    return replace(item, verdict=verdict, reason=reason)
