@@ -23,6 +23,6 @@ BAD = [
     ("265,225,-200", "265,x,-200", 2, "contact_y_mm is not a number"),
     ("S1,-1,-0,-0", "S1,-1,-1,-0", 2, "not a unit vector"),
     ("265,225,-200", "265.05,225,-200", 2, "outlier"),
-    ("265,225,-200,0,0,S1", "265,225,-200,0,0,S2", 2, "1 contacts on a sphere"),
+    ("265,225,-200,0,0,S1", "265,225,-200,0,0,S2", 2, "1 contact on a sphere"),
     (GOOD.partition("\n")[2], "", None, "no contacts"),
 ]
