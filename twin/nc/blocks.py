@@ -30,6 +30,8 @@ class AxisWords:
         increment: least increment of each axis, mm or degrees.
         tcp_on, tcp_off: words in capitals that switch tool centre point control on and off on this machine (a remapped
             ``M428``, for example), in addition to those of the dialect.
+        offsets_known: whether the values of the machine's work offsets are known, so that a program may use several.
+        tools_known: whether the lengths of the machine's tools are known.
     """
 
     linear: tuple[str, ...]
@@ -37,6 +39,8 @@ class AxisWords:
     increment: Mapping[str, float]
     tcp_on: tuple[str, ...] = ()
     tcp_off: tuple[str, ...] = ()
+    offsets_known: bool = False
+    tools_known: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -145,12 +149,46 @@ class LostPositions(NamedTuple):
 
 @final
 @dataclass(frozen=True)
+class Frame:
+    """The coordinates in which a program's words are given, from a line on.
+
+    Attributes:
+        offset: name of the work offset in force (``G54``, ``G54.1 P3``, ``G505``, a preset's number); empty before the first.
+        tool: number or name of the tool in the spindle; empty before the first.
+        length: number or name of the tool whose length the control adds; empty if it adds none.
+        delta_mm: a further length stated by the program (``DL``).
+    """
+
+    offset: str = ""
+    tool: str = ""
+    length: str = ""
+    delta_mm: float = 0.0
+
+
+@final
+class FrameChange(NamedTuple):
+    """A line that changes the frame, for its own move and all later ones."""
+
+    line: int
+    frame: Frame
+
+
+@final
+@dataclass(frozen=True)
 class Interpretation:
-    """The result of interpreting a program: its moves in order, notices, and the lines after which axis positions are unknown."""
+    """The result of interpreting a program.
+
+    Attributes:
+        moves: its moves in order.
+        notices: remarks for the report.
+        lost_positions: the lines after which axis positions are unknown.
+        frames: the lines that change the frame; none if the values of offsets and tools are unknown (`AxisWords`).
+    """
 
     moves: tuple[Move, ...]
     notices: tuple[Notice, ...] = ()
     lost_positions: tuple[LostPositions, ...] = ()
+    frames: tuple[FrameChange, ...] = ()
 
 
 @final

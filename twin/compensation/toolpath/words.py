@@ -9,7 +9,7 @@ lines in words.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import final
 
@@ -26,6 +26,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.effects.empirical import check_ranges
 from twin.machine.machine import Machine
 from twin.nc.blocks import AxisWords, Move
+from twin.nc.tables import OffsetTable, ToolTable
 
 
 @final
@@ -37,11 +38,25 @@ class Setup:
         work_offset: added to axis words, by axis name, mm and degrees.
         work_origin_mm: the program's zero in the work frame, for tool-tip coordinates.
         start_deg: positions of rotary axes before the program names them, by axis name; 0 if missing.
+        offsets: the machine's work offsets, from which the program selects; they replace the two above.
+        tools: lengths of the tools that the program calls.
     """
 
     work_offset: Mapping[str, float] = field(default_factory=dict)
     work_origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     start_deg: Mapping[str, float] = field(default_factory=dict)
+    offsets: OffsetTable | None = None
+    tools: ToolTable | None = None
+
+    def __post_init__(self) -> None:
+        """Raise `InputError` if offsets are given twice."""
+        if self.offsets is not None and (any(self.work_offset.values()) or any(self.work_origin_mm)):
+            raise InputError(
+                "work offsets given twice",
+                expected="the table of work offsets, or one work offset and origin",
+                file=self.offsets.path,
+                setting="work offset",
+            )
 
     def _repr_html_(self) -> str:
         x, y, z = self.work_origin_mm
@@ -50,6 +65,8 @@ class Setup:
             ("work offset of axis words (mm, °)", offsets or "none"),
             ("program zero in the work frame", f"x {x:g}, y {y:g}, z {z:g} mm"),
             ("rotary axes start at", ", ".join(f"{name} {value:g}°" for name, value in self.start_deg.items()) or "0°"),
+            ("table of work offsets", "none" if self.offsets is None else str(self.offsets.path)),
+            ("table of tools", "none" if self.tools is None else str(self.tools.path)),
         ]
         return card("Setup", pairs(rows)).text
 
@@ -110,13 +127,16 @@ class WordSpace:
 
     Attributes:
         axes: the axis words.
+        setup, tool_length_mm: as given.
         nominal: the machine without errors.
         order: (axes,) column of the commands that belongs to each word.
     """
 
     def __init__(self, machine: Machine, setup: Setup, tool_length_mm: float | None) -> None:
-        self.machine = machine
-        self.axes = axis_words(machine)
+        self.machine, self.setup, self.tool_length_mm = machine, setup, tool_length_mm
+        self.axes = replace(
+            axis_words(machine), offsets_known=setup.offsets is not None, tools_known=setup.tools is not None
+        )
         self.nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm)
         self.inverse = Inverse(self.nominal)
         self.order = np.array([machine.names.index(name) for name in self.axes.names])

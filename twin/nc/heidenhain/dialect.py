@@ -39,7 +39,9 @@ class Heidenhain(Dialect):
         for index, text in enumerate(program.texts):
             if text not in BLANK or interpreter.continued:
                 moves += interpreter.moves(index, text)
-        return Interpretation(tuple(moves), tuple(interpreter.notices), tuple(interpreter.lost_positions))
+        return Interpretation(
+            tuple(moves), tuple(interpreter.notices), tuple(interpreter.lost_positions), tuple(interpreter.frames)
+        )
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, rewrites: Iterable[Rewrite]) -> str:
         """See `Dialect.rewrite`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Final, final
@@ -17,6 +18,7 @@ from twin.nc.modal import Interpreter
 from twin.nc.text import MM_PER_INCH, number
 
 _new = tuple.__new__
+_PRESET: Final = "Q339"
 _PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
 
 
@@ -34,7 +36,7 @@ class HeidenhainInterpreter(Interpreter):
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self.plane = _PLANES["Z"]
         self.centre: dict[int, float] = {}
-        self.continued = False
+        self.continued = self._selects_preset = False
         self._simple = vocabulary.simple_pattern(self.names)
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
@@ -75,6 +77,7 @@ class HeidenhainInterpreter(Interpreter):
             block.numbered = False
             self.continued = body.endswith("~")
             self._assignments(body)
+            self._preset(block)
         elif body and body[0] not in ";*%":
             self._body(block, body)
         return block
@@ -152,6 +155,7 @@ class HeidenhainInterpreter(Interpreter):
             self.continued = body.endswith("~")
             self._block_text = body
             self._statement(block, keyword, body)
+            self._preset(block)
 
     # ------------------------------------------------------------------ statements
 
@@ -177,9 +181,19 @@ class HeidenhainInterpreter(Interpreter):
         self.inch = unit.group(1).upper() == "INCH"
 
     def _tool(self, block: PathBlock, body: str, upper: str) -> None:
-        axis = vocabulary.TOOL_AXIS.match(body) if "CALL" in upper else None
+        if "CALL" not in upper:
+            return
+        axis = vocabulary.TOOL_AXIS.match(body)
         if axis is not None:
             self.plane = _PLANES[axis.group(1).upper()]
+        found = vocabulary.TOOL.match(body)
+        if found is not None and self.tools_known:
+            delta = vocabulary.TOOL_LENGTH.search(body.split(";")[0])
+            tool = found.group(1) if found.group(2) is None else found.group(2)
+            if tool[:1] in "qQ":
+                tool = f"{self._value('TOOL CALL', tool):g}"
+            length = 0.0 if delta is None else self._value("DL", delta.group(1))
+            self.select(block, tool=tool, length="" if tool == "0" else tool, delta_mm=length)
 
     def _call(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith(("CALL", "IF")):
@@ -207,7 +221,10 @@ class HeidenhainInterpreter(Interpreter):
         if cycle in vocabulary.RUN_AT_ONCE:
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
         if cycle == 247:
-            self.note("CYCL DEF 247 selects a preset: its offset must be given as work_offset")
+            if not self.offsets_known:
+                self.note("CYCL DEF 247 selects a preset: its offset must be given as work_offset")
+            self.assign(_PRESET, math.nan)
+            self._selects_preset = self.offsets_known
         elif cycle in vocabulary.TRANSFORM_CYCLES and (part is None or (part != "0" and not _cancels(cycle, rest))):
             what = f"coordinate transformation CYCL DEF {cycle} ({vocabulary.TRANSFORM_CYCLES[cycle]})"
             raise self.error(what, vocabulary.NO_TRANSFORMATION)
@@ -224,6 +241,15 @@ class HeidenhainInterpreter(Interpreter):
     def _assignments(self, body: str) -> None:
         for name, text in vocabulary.ASSIGNED.findall(body):
             self.assign(name, number(text.strip()))
+
+    def _preset(self, block: PathBlock) -> None:
+        """Select the preset of a cycle 247 that is complete."""
+        if self._selects_preset and not self.continued:
+            self._selects_preset = False
+            row = self.value_of(_PRESET)
+            if row != row or row != int(row):
+                raise self.error("preset without a number", "Q339=+1 with the row of the preset table")
+            self.select(block, offset=str(int(row)))
 
     def _function(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith("FUNCTION RESET TCPM"):

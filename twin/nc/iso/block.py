@@ -45,6 +45,7 @@ class IsoBlock(Block):
         codes: G words, named by their code.
         items: axis words, before their values are known.
         others: words that are not axis words.
+        m_words: M words.
         names: statements and their arguments.
         motion_word: the G word of the motion group, if the block has one.
         feed: the value of the F word.
@@ -59,6 +60,7 @@ class IsoBlock(Block):
     codes: list[Span] = field(default_factory=list)
     items: list[Item] = field(default_factory=list)
     others: list[Item] = field(default_factory=list)
+    m_words: list[str] = field(default_factory=list)
     names: list[Item] = field(default_factory=list)
     motion_word: Span | None = None
     feed: Span | None = None

@@ -50,7 +50,7 @@ class Iso(Dialect):
         found = MoveBuilder(axes.names)
         for chunk in chunks(program, axes.names):
             reader.read_into(found, chunk)
-        return Interpretation(found.objects(), tuple(reader.notices()), tuple(reader.lost_positions()))
+        return Interpretation(found.objects(), tuple(reader.notices()), tuple(reader.lost_positions()), reader.frames)
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, rewrites: Iterable[Rewrite]) -> str:
         """See `Dialect.rewrite`."""

@@ -111,6 +111,7 @@ class IsoInterpreter(IsoMotion):
         machine = self._names(block) if block.names else False
         centre = [item for item in block.others if self._is_of_motion(block, item)]
         self._state_to(block)
+        self.choose_tool(block, frozenset(block.m_words))
         if "still" in groups:
             return block
         if "reference" in groups:
@@ -249,6 +250,7 @@ class IsoInterpreter(IsoMotion):
             raise self.error("subprogram call", vocabulary.NO_CALLS, word)
         if len(word) < 2:
             raise self.missing_number("M", value)
+        block.m_words.append(word)
         if word in vocabulary.LAST_M:
             block.end_m_words.append(Span(start, end, word))
         self.switch_by(block, word)
@@ -271,7 +273,7 @@ class IsoInterpreter(IsoMotion):
             if group == "motion":
                 block.motion_word = span
             elif group == "offset":
-                self._offset(block, code)
+                self.choose_offset(block, code)
             elif group == "length" and self.tcp_word in ("G43.4", "G43.5") and code in ("43", "44"):
                 self.switch(block, False, f"G{code}")
             elif code == "5" and (block.items or not any(item.name == "P" for item in block.others)):
@@ -298,13 +300,6 @@ class IsoInterpreter(IsoMotion):
         """As `Interpreter.switch`; G49 ends a length offset only, not the effect of other words."""
         if on or word != "G49" or self.tcp_word in ("", "G43.4", "G43.5"):
             super().switch(block, on, word)
-
-    def _offset(self, block: IsoBlock, code: str) -> None:
-        if code in ("58", "59") and block.items and not any(span.name in "0123" for span in block.codes):
-            raise self.error(f"coordinate transformation G{code}", vocabulary.NO_TRANSFORMATION, f"G{code}")
-        if code == "54.1":
-            code += "".join(f" P{item.value}" for item in block.others if item.name == "P")
-        self.offset, self.offset_line = code, self._line
 
     def _names(self, block: IsoBlock) -> bool:
         """Apply statements by name and return whether one of them selects machine coordinates."""

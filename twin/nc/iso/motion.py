@@ -10,7 +10,7 @@ from twin.nc.block import AxisWord, Span
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import vocabulary
 from twin.nc.iso.block import Drilling, IsoBlock, Item
-from twin.nc.modal import Interpreter
+from twin.nc.iso.frame import IsoFrame
 from twin.nc.text import MM_PER_INCH, number
 
 CENTRE: Final = {"I": 0, "J": 1, "K": 2}
@@ -18,7 +18,7 @@ SPINDLE_VECTOR: Final = {"A3": 0, "B3": 1, "C3": 2}
 _KINDS: Final = (Kind.RAPID, Kind.LINEAR, Kind.ARC, Kind.ARC)
 
 
-class IsoMotion(Interpreter):
+class IsoMotion(IsoFrame):
     """The modal state that determines the meaning of axis words, and its changes by blocks."""
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
@@ -31,9 +31,6 @@ class IsoMotion(Interpreter):
         self.absolute_centre = False
         self.feed_mode = "94"
         self.length_vector = False
-        self.offset: str | None = None
-        self.offset_line = 0
-        self.used_offset: str | None = None
         self.cycle: Drilling | None = None
 
     @property
@@ -74,7 +71,7 @@ class IsoMotion(Interpreter):
             first = centre[0]
             shown = block.text[first.start : first.end]
             raise self.error(f"{first.name} outside a circular block", "arcs with G2 or G3", shown)
-        self._use_offset()
+        self.use_offset()
         if vector is not None:
             self.set_tool_vector(block.axis_bits, vector)
         elif block.axis_bits >> self.linear:
@@ -100,14 +97,6 @@ class IsoMotion(Interpreter):
                 if (word.form == "ACN" and turn > 0.0) or (word.form == "DC" and turn > 180.0):
                     turn -= 360.0
                 self.position[word.axis] = round(last + turn, 9)
-
-    def _use_offset(self) -> None:
-        if self.offset is None or self.offset == self.used_offset:
-            return
-        if self.used_offset is not None:
-            expected = f"one work offset per program (moves before use G{self.used_offset})"
-            raise self.error("second work offset", expected, f"G{self.offset}", self.offset_line + 1)
-        self.used_offset = self.offset
 
     # ------------------------------------------------------------------ words
 
