@@ -10,9 +10,10 @@ from typing import Any
 
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
+from twin.nc.arithmetic import evaluate
 from twin.nc.block import AxisWord, Block
 from twin.nc.blocks import Arc, AxisWords, Frame, FrameChange, LostPositions, Notice
-from twin.nc.text import number, unit_vector
+from twin.nc.text import LARGEST, number, unit_vector
 
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
 
@@ -36,6 +37,9 @@ class Interpreter:
         tcp: whether tool centre point control is on.
         tcp_word: the word that switched it last; empty: none yet.
     """
+
+    heidenhain = False
+    """Whether arithmetic is that of plain language."""
 
     def __init__(
         self, source: str, axes: AxisWords, *, tcp: bool, tcp_on: Iterable[str], tcp_off: Iterable[str]
@@ -86,13 +90,14 @@ class Interpreter:
     # ------------------------------------------------------------------ values
 
     def value_of(self, text: str) -> float:
-        """Return the value of a number or of a variable with a known value; NaN for anything else."""
+        """Return the value of a number, or of arithmetic with variables of known values; NaN for anything else."""
         value = number(text)
         if value == value:
             return value
         match = _REFERENCE.fullmatch(text)
         if match is None:
-            return math.nan
+            value = evaluate(text, self._variables, heidenhain=self.heidenhain)
+            return value if -LARGEST < value < LARGEST else math.nan
         value = self._variables.get(match.group(2).upper(), math.nan)
         return -value if match.group(1) == "-" else value
 

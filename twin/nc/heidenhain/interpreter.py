@@ -27,8 +27,11 @@ class HeidenhainInterpreter(Interpreter):
     """Interpreter of blocks in order, with their modal state.
 
     Attributes:
+        heidenhain: as in `Interpreter`.
         continued: whether the next line continues the current block (parameters of a cycle).
     """
+
+    heidenhain = True
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
         on = {"M128", *(word.upper() for word in axes.tcp_on)}
@@ -240,7 +243,7 @@ class HeidenhainInterpreter(Interpreter):
 
     def _assignments(self, body: str) -> None:
         for name, text in vocabulary.ASSIGNED.findall(body):
-            self.assign(name, number(text.strip()))
+            self.assign(name, self.value_of(text.strip()))
 
     def _preset(self, block: PathBlock) -> None:
         """Select the preset of a cycle 247 that is complete."""

@@ -64,11 +64,7 @@ class Iso(Dialect):
             style_in(program.texts, Style(point=True)),
             # If TCP control is switched before the first move, its initial state does not matter; else the first move has it.
             tcp=reading.moves[0].tcp,
-            # Expand a cycle if one of its strokes, or the block that executes it, is rewritten.
-            expand_cycles=any(
-                before.line == move.line in by_line
-                for before, move in zip(reading.moves, reading.moves[1:], strict=False)
-            ),
+            expand_cycles=True,
         )
         moves = MoveColumns.of(axes.names, reading.moves)
         entries = [by_line.get(move.line, {}).get(0) for move in reading.moves]

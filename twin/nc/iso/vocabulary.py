@@ -16,13 +16,16 @@ _HASH = r"\#(?:\d++|<[^>\r\n]*+>)"
 _NAME = rf"\$?[A-Za-z_]\w*+(?:{_BRACKET})?+(?:{_ARGS})?+"
 _OPERAND = rf"[+-]?+[ \t]*+(?:{_NUMBER}|{_STRING}|{_NAME}|{_HASH}|{_BRACKET})"
 _NOTES = r"((?:\([^()\r\n]*+\)[ \t]*+)++(?:;[^\r\n]*+)?+|;[^\r\n]*+)?+"
-_EXPRESSION = rf"{_OPERAND}(?:[ \t]*+[-+*/]{_OPERAND})*+"
+_OPERATOR = r"[ \t]*+(?:\*\*|[-+*/]|(?:[Mm][Oo][Dd]|[Dd][Ii][Vv])(?!\w))"
+_EXPRESSION = rf"{_OPERAND}(?:{_OPERATOR}{_OPERAND})*+"
+_GROUPED = rf"(?:[+-]?+[ \t]*+{_ARGS}|{_OPERAND})"
+_FORMULA = rf"{_GROUPED}(?:{_OPERATOR}[ \t]*+{_GROUPED})*+"
 
 TOKEN = re.compile(
     rf"""[ \t\f\x1a]*+(?:
       (?P<word>([A-Za-z])[ \t]*+([+-]?+[ \t]*+[\d.]++)(?![ \t]*+=))
     | (?P<note>\([^()\r\n]*+\)|;[^\r\n]*+|[\r\n]++)
-    | (?P<given>([A-Za-z]\d*+|\$?[A-Za-z_][A-Za-z_]\w*+)({_BRACKET})?+[ \t]*+=(?!=)[ \t]*+({_EXPRESSION}))
+    | (?P<given>([A-Za-z]\d*+|\$?[A-Za-z_][A-Za-z_]\w*+)({_BRACKET})?+[ \t]*+=(?!=)[ \t]*+({_FORMULA}))
     | (?P<name>(\$?(?:[A-Za-z][A-Za-z_]|_)\w*+)({_BRACKET})?+(?:[ \t]*+({_ARGS}))?+)
     | (?P<late>([A-Za-z])[ \t]*+([+-]?+[ \t]*+(?:{_HASH}|{_BRACKET})))
     | (?P<hash>({_HASH})[ \t]*+=[ \t]*+({_EXPRESSION}))
@@ -42,7 +45,7 @@ ASSIGNED = re.compile(r"([A-Za-z_]\w*+)[ \t]*+=[ \t]*+([+-]?[\d.]++)", re.ASCII)
 
 # G codes by modal group. Two of one group in a block contradict each other; "" means no group.
 GROUPS: dict[str, tuple[str, ...]] = {
-    "motion": ("0", "1", "2", "3"),
+    "motion": ("0", "1", "2", "3", "73", "74", "81", "82", "83", "84", "85", "89"),
     "plane": ("17", "18", "19"),
     "units": ("20", "21", "70", "71", "700", "710"),
     "distance": ("90", "91"),
@@ -73,11 +76,11 @@ NO_TRANSFORMATION = "a program without coordinate transformations (at most one w
 NO_CALLS = "one program without jumps or calls"
 
 
+OFFSET_VARIABLES = ((2001, 2999), (5161, 5400), (7001, 7960), (10001, 13999), (14001, 19988))
+"""System variables that hold work offsets and tool lengths (LinuxCNC: 5161 to 5400)."""
+
 REFUSED_CODES: dict[str, tuple[str, str]] = {
-    **{
-        code: (f"canned cycle G{code}", EXPANDED_CYCLE)
-        for code in ("73", "74", "76", "81", "82", "83", "84", "84.2", "84.3", "85", "86", "87", "88", "89")
-    },
+    **{code: (f"canned cycle G{code}", EXPANDED_CYCLE) for code in ("76", "84.2", "84.3", "86", "87", "88")},
     **{
         code: (f"thread or tapping G{code}", LINEAR)
         for code in ("33", "33.1", "34", "35", "63", "331", "332", "32", "92.5")
