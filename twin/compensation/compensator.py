@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import final
+from typing import BinaryIO, final
 
 import numpy as np
 
@@ -35,8 +35,9 @@ from twin.compensation.toolpath import (
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import dialect_for, dialect_of, find_program, read_program
-from twin.nc.blocks import Interpretation, Program, Rewrite
+from twin.nc.blocks import Interpretation, Notice, Program, Rewrite
 from twin.nc.dialect import Dialect
+from twin.nc.inline import errors_in_files
 
 
 @final
@@ -113,6 +114,17 @@ class Compensator:
             InputError: the program cannot be read, or contains something that must not pass uncompensated.
             OutputError: the output, read back, differs from the intended positions; nothing was written.
         """
+        with errors_in_files(program):
+            return self._compensate(program, dialect, progress, into, reading)
+
+    def _compensate(
+        self,
+        program: Program,
+        dialect: Dialect,
+        progress: Progress,
+        into: Dialect | None,
+        reading: Interpretation | None,
+    ) -> Compensation:
         progress("reading", 0.0)
         prepared, axes = self.prepared, self.prepared.space.axes
         if reading is None:
@@ -136,12 +148,17 @@ class Compensator:
             text = written.with_comments(text, prepared.comments)
         self._check(program, reading, found, text, written, posted=posted)
         progress("checking", 0.9)
+        numbers = program.numbers
         account = CompensationAccount(prepared, prepared.aim(turns=found[0].pieces.aim.turns), program.source)
         for one in found:
             account.add(one)
-        notices = [*reading.notices, *path.notices]
+        notices = [notice._replace(line=int(numbers[notice.line]) - 1) for notice in (*reading.notices, *path.notices)]
+        if program.origins:
+            notices.append(
+                Notice(0, "subprograms are written out in place of their calls: the output needs none of them")
+            )
         report = account.report(
-            lines=len(program.texts), moves=len(reading.moves), notices=notices, frames=frame_uses(parts)
+            lines=len(program.texts), moves=len(reading.moves), notices=notices, frames=frame_uses(parts, numbers)
         )
         progress("done", 1.0)
         columns = [np.concatenate(column) for column in zip(*map(_columns, found), strict=True)]
@@ -178,6 +195,7 @@ class Compensator:
                 within.aim(turns=turns),
                 dialect,
                 source=program.source,
+                numbers=program.numbers,
                 conditions=conditions.part(part.begin - part.context, part.end),
                 posted=posted,
             )
@@ -202,7 +220,7 @@ class Compensator:
             raise unreadable(program.source, error) from error
         new = new_positions(found, len(reading.moves), len(axes.names))
         got = np.array([move.position for move in read_back.moves]).reshape(-1, len(axes.names))
-        check(program.source, np.array([move.line + 1 for move in reading.moves]), new, got)
+        check(program.source, program.numbers[[move.line for move in reading.moves]], new, got)
 
     def compensate_file(
         self, program: Path, output: Path, progress: Progress = silent, *, into: Dialect | None = None
@@ -232,7 +250,7 @@ class Compensator:
             for path in self._inputs(program):
                 files.add_input(path)
             out = stack.enter_context(atomic_file(output))
-            report = Streamed(self.prepared, program, progress).run(out) if streams else None
+            report = self._streamed(program, out, progress) if streams else None
             if report is None:
                 out.seek(0)
                 out.truncate()
@@ -240,6 +258,17 @@ class Compensator:
                 out.write(result.text.encode("latin-1"))
                 report = result.report
         return report
+
+    def _streamed(self, program: Path, out: BinaryIO, progress: Progress) -> Report | None:
+        """Compensate a program in stretches; None if it must be held as a whole: it has drilling cycles or calls subprograms."""
+        try:
+            report = Streamed(self.prepared, program, progress).run(out)
+        except InputError:
+            if read_program(program)[0].origins:
+                return None
+            raise
+        unknown = report is not None and any("unknown word" in note.text for note in report.notes)
+        return None if unknown and read_program(program)[0].origins else report
 
     def _inputs(self, program: Path) -> Iterator[Path]:
         """Yield the input files of this compensation."""

@@ -34,6 +34,7 @@ from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.nc import read_program
 from twin.nc.blocks import Program
+from twin.nc.inline import errors_in_files
 
 CHORD_MM: Final = 0.01
 """Chord tolerance on arcs."""
@@ -115,18 +116,19 @@ def execute_file(
     at.require(errors)
     read, dialect = read_program(program)
     space = WordSpace(machine, Setup() if setup is None else setup, tool_length_mm)
-    reading = dialect.moves(read, space.axes, tcp=tcp)
-    found = sections(space, read.source, reading)
-    path = follow(read, reading, *spaces(found))
-    check_one_mode(errors, path.columns.tcp, read.source, tcp=tcp)
-    parts = motions_of(found, path)
-    by_block = block_conditions(read, dialect, path, [(part.begin, part.space) for part in parts], errors, at)
-    runs = []
-    for part in parts:
-        length = part.space.nominal.tool_length_mm
-        real = Kinematics(machine, errors, tool_length_mm=length, conditions=at, by_pose=by_block.names)
-        conditions_of = by_block.part(part.begin - part.context, part.end)
-        runs.append(execute(read, part.path, part.space, real, conditions_of, context=part.context))
+    with errors_in_files(read):
+        reading = dialect.moves(read, space.axes, tcp=tcp)
+        found = sections(space, read.source, reading)
+        path = follow(read, reading, *spaces(found))
+        check_one_mode(errors, path.columns.tcp, read.source, tcp=tcp)
+        parts = motions_of(found, path)
+        by_block = block_conditions(read, dialect, path, [(part.begin, part.space) for part in parts], errors, at)
+        runs = []
+        for part in parts:
+            length = part.space.nominal.tool_length_mm
+            real = Kinematics(machine, errors, tool_length_mm=length, conditions=at, by_pose=by_block.names)
+            conditions_of = by_block.part(part.begin - part.context, part.end)
+            runs.append(execute(read, part.path, part.space, real, conditions_of, context=part.context))
     return runs[0] if len(runs) == 1 else _joined(runs)
 
 
@@ -172,7 +174,7 @@ def execute(
         tilt_urad=reached.tilt_urad(nominal),
         cutting=~columns.rapid[of][keep],
         ends=ends[keep],
-        lines=lines[keep],
+        lines=program.numbers[lines[keep] - 1],
         left_out=int(np.count_nonzero(own & ~keep)),
     )
 

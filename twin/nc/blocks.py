@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from typing import NamedTuple, final
 
 import numpy as np
@@ -50,6 +51,22 @@ class AxisWords:
 
 @final
 @dataclass(frozen=True)
+class Origin:
+    """Where a line of a program with its subprograms written out is from.
+
+    Attributes:
+        file: its file.
+        line: its number there.
+        main: the number in the main program, of the line itself or of the call that leads to it.
+    """
+
+    file: str
+    line: int
+    main: int
+
+
+@final
+@dataclass(frozen=True)
 class Program:
     """A program as read: its lines hold every byte, decoded as latin-1 so that any byte is preserved.
 
@@ -57,11 +74,20 @@ class Program:
         source: file name for messages.
         dialect: the name of its language.
         texts: the lines, each with its own line ending.
+        origins: where each line is from; empty if all are those of the file, in order.
     """
 
     source: str
     dialect: str
     texts: tuple[str, ...]
+    origins: tuple[Origin, ...] = ()
+
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """(lines,) number of each line in the file."""
+        if not self.origins:
+            return np.arange(1, len(self.texts) + 1)
+        return np.array([origin.main for origin in self.origins])
 
     @property
     def text(self) -> str:

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
 
+import numpy as np
+
 from twin.compensation.toolpath import Section
 
 
@@ -48,11 +50,16 @@ def offset_name(section: Section) -> str:
     return section.frame.offset or section.assumed_offset
 
 
-def frame_uses(sections: Sequence[Section]) -> tuple[FrameUse, ...]:
-    """Return the work offsets and tools of a program's sections; empty if the program has no tables of them."""
+def frame_uses(sections: Sequence[Section], numbers: np.ndarray) -> tuple[FrameUse, ...]:
+    """Return the work offsets and tools of a program's sections; empty if the program has no tables of them.
+
+    Args:
+        sections: the sections.
+        numbers: (lines,) number of every line.
+    """
     return tuple(
         FrameUse(
-            section.line + 1,
+            int(numbers[section.line]),
             offset_name(section),
             not section.frame.offset,
             section.frame.length or section.frame.tool,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Final, final
 
 import numpy as np
@@ -15,6 +16,7 @@ from twin.nc.emit import rewrites_by_line
 from twin.nc.header import first_lines, insert_comments
 from twin.nc.iso import vocabulary
 from twin.nc.iso.bulk import NewPositions
+from twin.nc.iso.calls import IsoInliner
 from twin.nc.iso.stream import CHUNK_LINES, DELETED_LINE, IsoReader, IsoRewriter, chunks
 from twin.nc.iso.technology import line_words
 from twin.nc.technology import LineWords
@@ -80,6 +82,10 @@ class Iso(Dialect):
             )
         ]
         return b"".join(out).decode("latin-1").replace(DELETED_LINE, "")
+
+    def expanded(self, program: Program, folder: Path | None) -> Program:
+        """See `Dialect.expanded`."""
+        return IsoInliner(program, folder).expanded()
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.with_comments`: after tape mark and program number.
