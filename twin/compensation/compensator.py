@@ -192,7 +192,7 @@ class Compensator:
             pieces = Pieces(
                 within,
                 part.path,
-                within.aim(turns=turns),
+                within.aim(turns=turns and part.space.tilt is None),
                 dialect,
                 source=program.source,
                 numbers=program.numbers,

@@ -82,6 +82,7 @@ class PreparedMachine:
         machine: the machine.
         calibration: its errors.
         options: the options.
+        space: conversion between words and commands; that of the options if None.
 
     Attributes:
         by_block: names of the channels that differ from block to block.
@@ -100,7 +101,9 @@ class PreparedMachine:
             that the calibration needs is missing, or a temperature is given that it does not know.
     """
 
-    def __init__(self, machine: Machine, calibration: Calibration, options: Options) -> None:
+    def __init__(
+        self, machine: Machine, calibration: Calibration, options: Options, space: WordSpace | None = None
+    ) -> None:
         self.machine = machine
         self.options = options
         self._given = calibration
@@ -109,7 +112,7 @@ class PreparedMachine:
         self.calibration = calibration = calibration.with_transformation() if options.tcp else calibration
         options.conditions.require(calibration)
         self.by_block = channels_by_block(calibration, options.conditions)
-        self.space = WordSpace(machine, options.setup, options.tool_length_mm)
+        self.space = WordSpace(machine, options.setup, options.tool_length_mm) if space is None else space
         self.real = self._with(calibration)
         self.backlash = Backlash(calibration)
         self.comparison = PoseComparison(self.real, self.space.nominal)
@@ -135,7 +138,7 @@ class PreparedMachine:
             return self
         if space not in self._within:
             options = replace(self.options, setup=space.setup, tool_length_mm=space.tool_length_mm)
-            self._within[space] = PreparedMachine(self.machine, self._given, options)
+            self._within[space] = PreparedMachine(self.machine, self._given, options, space)
         return self._within[space]
 
     @property

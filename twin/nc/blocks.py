@@ -19,6 +19,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from twin.nc.planes import Plane
+
 
 @final
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class AxisWords:
 @final
 @dataclass(frozen=True)
 class Origin:
-    """Where a line of a program with its subprograms written out is from.
+    """Origin of a line of a program whose subprograms are written out.
 
     Attributes:
         file: its file.
@@ -183,12 +185,14 @@ class Frame:
         tool: number or name of the tool in the spindle; empty before the first.
         length: number or name of the tool whose length the control adds; empty if it adds none.
         delta_mm: a further length stated by the program (``DL``).
+        plane: the tilted plane in force, None for the coordinates of the work offset.
     """
 
     offset: str = ""
     tool: str = ""
     length: str = ""
     delta_mm: float = 0.0
+    plane: Plane | None = None
 
 
 @final

@@ -106,7 +106,7 @@ class Inliner(ABC):
         return replace(self.program, texts=tuple(text for text, _ in found), origins=origins)
 
     def _written(self, line: Line, depth: int) -> Iterator[Line]:
-        """Yield a line, or the lines of what it calls."""
+        """Yield a line, or the lines of the subprogram that it calls."""
         self._count += 1
         if self._count > MOST_LINES:
             raise refused("the program is too long with its subprograms", f"at most {MOST_LINES:,} lines", line)

@@ -145,7 +145,7 @@ class Interpreter:
         frame = replace(self.frame, **changes)
         if frame == self.frame:
             return
-        everything = frame.offset != self.frame.offset or self.tcp
+        everything = self.tcp or (frame.offset, frame.plane) != (self.frame.offset, self.frame.plane)
         self.frame = frame
         self.frames.append(FrameChange(self._line, frame))
         self.mark_unknown(block, range(len(self.names)) if everything else (self.linear - 1,), moved=None)

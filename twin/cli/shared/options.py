@@ -71,7 +71,7 @@ OffsetsOption = Annotated[
     typer.Option(
         "--offsets",
         help="Table of the machine's work offsets (G54 …), from which the program selects: CSV, LinuxCNC .var, SINUMERIK $P_UIFR, "
-        "Fanuc G10 L2, Heidenhain .pr.",
+        "Fanuc G10 L2, Heidenhain .pr. They are those of the spindle nose: the tool's length is added (--tools, else --tool-length).",
     ),
 ]
 ToolsOption = Annotated[
@@ -79,7 +79,7 @@ ToolsOption = Annotated[
     typer.Option(
         "--tools",
         help="Table of the tools' lengths, by which the program calls them: CSV, LinuxCNC .tbl, SINUMERIK $TC_DP3, Fanuc G10 L10, "
-        "Heidenhain .t. Work offsets are then those of the spindle nose.",
+        "Heidenhain .t. --work-offset is then that of the spindle nose.",
     ),
 ]
 ModeOption = Annotated[

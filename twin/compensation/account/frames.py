@@ -24,6 +24,7 @@ class FrameUse:
         tool_length_mm: its length.
         work_offset: what is added to the words of each axis, mm and degrees; the tool length is included where the control adds it.
         work_origin_mm: the program's zero in the work frame, for tool-tip coordinates.
+        tilted_deg: positions of the rotary axes in a tilted plane; empty if there is none.
     """
 
     line: int
@@ -33,6 +34,7 @@ class FrameUse:
     tool_length_mm: float
     work_offset: Mapping[str, float]
     work_origin_mm: tuple[float, float, float]
+    tilted_deg: Mapping[str, float]
 
     @property
     def sentence(self) -> str:
@@ -42,7 +44,9 @@ class FrameUse:
             f"{self.offset}{' (assumed: none selected yet)' if self.assumed else ''}" if self.offset else "work offset"
         )
         added = " ".join(f"{axis} {value:.6g}" for axis, value in self.work_offset.items())
-        return f"from line {self.line}: {tool}; {name} with tool length: {added or 'none'}"
+        at = " ".join(f"{axis} {value:.6g}°" for axis, value in self.tilted_deg.items())
+        tilted = f"; tilted plane, rotary axes as the control positions them ({at}), not corrected" if at else ""
+        return f"from line {self.line}: {tool}; {name} with tool length: {added or 'none'}{tilted}"
 
 
 def offset_name(section: Section) -> str:
@@ -66,6 +70,9 @@ def frame_uses(sections: Sequence[Section], numbers: np.ndarray) -> tuple[FrameU
             section.space.nominal.tool_length_mm,
             section.space.setup.work_offset,
             section.space.setup.work_origin_mm,
+            {}
+            if section.space.tilt is None
+            else dict(zip(section.space.axes.rotary, section.space.tilt.rotary_deg.tolist(), strict=True)),
         )
         for section in sections
         if section.from_tables

@@ -157,7 +157,7 @@ class Follower:
         if move.machine:
             self._pass(end, np.isfinite(end))
             self._words = np.where(self._named(move), end - self._space.offset, words)
-            if move.tcp:
+            if move.tcp or self._space.tilt is not None:
                 self._words[:3] = np.nan  # the position of the tip then depends on the control
             self.notices.append(Notice(move.line, "machine coordinates: passed through unchanged"))
             return None
@@ -181,14 +181,19 @@ class Follower:
 
     def _change_space(self, space: WordSpace) -> None:
         """Convert the axis positions to words of another conversion, in which the program goes on."""
-        words, tcp = self._words, bool(self._tcp)
-        if np.isfinite(words).all():
+        words, tcp, tilt = self._words, bool(self._tcp), space.tilt
+        known = np.isfinite(words).all()
+        self._words = words + self._space.offset - space.offset
+        if known and (tilt is None or tilt.stays):
             mode = np.array([tcp])
-            self._words = space.words(self._space.commands(words[None, :], mode), mode)[0]
-        else:
-            self._words = words + self._space.offset - space.offset
-            if tcp:
-                self._words[:3] = np.nan
+            commands = self._space.commands(words[None, :], mode)
+            if tilt is not None:
+                commands[:, space.order[3:]] = tilt.rotary_deg
+            self._words = space.words(commands, mode)[0]
+        elif tcp or tilt is not None or self._space.tilt is not None:
+            self._words[:3] = np.nan
+        if tilt is not None:
+            self._words[3:] = space.start
         self._space = space
 
     def _switched(self, tcp: bool) -> np.ndarray:
@@ -229,7 +234,7 @@ class Follower:
             )
         self.notices.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
         commands = end + space.offset
-        if move.tcp:
+        if move.tcp or space.tilt is not None:
             commands[:3] = np.nan
         self._pass(commands, self._named(move))
 

@@ -65,9 +65,10 @@ def sections(base: WordSpace, source: str, reading: Interpretation) -> list[Sect
         InputError: a work offset or a tool that is not in its table.
     """
     setup = base.setup
-    if setup.offsets is None and setup.tools is None:
+    if setup.offsets is None and setup.tools is None and not reading.frames:
         return [Section(0, Frame(), base)]
     frames = Frames(base)
+    standing = base.start + base.offset[3:]
     assumed = "" if setup.offsets is None else setup.offsets.assumed
     lines = np.array([move.line for move in reading.moves if not move.machine], dtype=int)
     starts = [(0, Frame()), *reading.frames]
@@ -76,10 +77,18 @@ def sections(base: WordSpace, source: str, reading: Interpretation) -> list[Sect
         end = starts[place + 1][0] if place + 1 < len(starts) else np.inf
         own = lines[(lines >= line) & (lines < end)]
         if own.size:
-            space = frames.of(frame, source, int(own[0]) + 1)
+            space = frames.of(frame, source, int(own[0]) + 1, _standing(reading, line, standing, base))
+            standing = standing if space.tilt is None else space.tilt.rotary_deg
             if not found or found[-1].space is not space:
                 found.append(Section(line if found else 0, frame, space, True, assumed))
     return found or [Section(0, Frame(), base)]
+
+
+def _standing(reading: Interpretation, line: int, before: np.ndarray, base: WordSpace) -> np.ndarray:
+    """Return (rotary axes,) the commands of the rotary axes before a line; ``before``: those at the beginning of its section."""
+    moves = [move for move in reading.moves if move.line < line and not move.machine]
+    words = np.array(moves[-1].position[3:]) + base.offset[3:] if moves else before
+    return np.where(np.isnan(words), before, words)
 
 
 def spaces(found: Sequence[Section]) -> tuple[WordSpace, list[tuple[int, WordSpace]]]:

@@ -117,6 +117,24 @@ def turns_tool(moves: Iterable[Move], axes: AxisWords) -> bool:
 
 
 @final
+@dataclass(frozen=True, eq=False)
+class Tilt:
+    """A tilted plane on one machine.
+
+    Attributes:
+        rotation: (3, 3) its axes in the work frame, as columns.
+        origin_mm: (3,) its zero in the work frame.
+        rotary_deg: (rotary axes,) commands at which the tool is perpendicular to it.
+        stays: whether the linear axes stay while the rotary axes turn there.
+    """
+
+    rotation: np.ndarray
+    origin_mm: np.ndarray
+    rotary_deg: np.ndarray
+    stays: bool
+
+
+@final
 class WordSpace:
     """Conversion between words and commands, for one machine, tool length and set-up.
 
@@ -124,15 +142,16 @@ class WordSpace:
         machine: the machine.
         setup: work offsets and origin.
         tool_length_mm: tool length; None for the machine file's own.
+        tilt: the tilted plane of the words; None if they are parallel to the linear axes.
 
     Attributes:
         axes: the axis words.
-        setup, tool_length_mm: as given.
+        setup, tool_length_mm, tilt: as given.
         nominal: the machine without errors.
         order: (axes,) column of the commands that belongs to each word.
     """
 
-    def __init__(self, machine: Machine, setup: Setup, tool_length_mm: float | None) -> None:
+    def __init__(self, machine: Machine, setup: Setup, tool_length_mm: float | None, tilt: Tilt | None = None) -> None:
         self.machine, self.setup, self.tool_length_mm = machine, setup, tool_length_mm
         self.axes = replace(
             axis_words(machine), offsets_known=setup.offsets is not None, tools_known=setup.tools is not None
@@ -143,6 +162,9 @@ class WordSpace:
         self.offset = np.array([setup.work_offset.get(name, 0.0) for name in self.axes.names])
         self.origin = np.array(setup.work_origin_mm)
         self.start = np.array([setup.start_deg.get(name, 0.0) for name in self.axes.rotary])
+        self.tilt = tilt
+        if tilt is not None:
+            self.origin, self.start = tilt.origin_mm, tilt.rotary_deg - self.offset[3:]
 
     @cached_property
     def branches(self) -> Branches:
@@ -152,12 +174,13 @@ class WordSpace:
     def commands(self, words: np.ndarray, tcp: np.ndarray) -> np.ndarray:
         """Return the (n, axes) commands that the control derives from (n, axes) words; ``tcp``: (n,) mode of each."""
         shifted = words + self.offset
-        if np.any(tcp):
-            rows = np.flatnonzero(tcp & np.isfinite(words).all(axis=1))
+        if np.any(tcp) or self.tilt is not None:
+            rows = np.flatnonzero((tcp | (self.tilt is not None)) & np.isfinite(words).all(axis=1))
             start = np.zeros((len(rows), len(self.order)))
             start[:, self.order[3:]] = shifted[rows, 3:]
             reached = self.nominal.forward(start)
-            target = Poses(words[rows, :3] + self.origin, reached.rotation)
+            points = words[rows, :3] if self.tilt is None else words[rows, :3] @ self.tilt.rotation.T
+            target = Poses(points + self.origin, reached.rotation)
             shifted[rows] = self.inverse.solve(target, start, rotary=False).positions[:, self.order]
         if np.all(self.order == np.arange(len(self.order))):
             return np.asarray(shifted)
@@ -173,9 +196,10 @@ class WordSpace:
     def words(self, commands: np.ndarray, tcp: np.ndarray) -> np.ndarray:
         """Return the (n, axes) words from which the control derives (n, axes) commands; ``tcp``: (n,) mode of each."""
         words = commands[:, self.order] - self.offset
-        rows = np.flatnonzero(tcp & np.isfinite(commands).all(axis=1))
+        rows = np.flatnonzero((tcp | (self.tilt is not None)) & np.isfinite(commands).all(axis=1))
         if rows.size:
-            words[rows, :3] = self.nominal.forward(commands[rows]).point_mm - self.origin
+            points = self.nominal.forward(commands[rows]).point_mm - self.origin
+            words[rows, :3] = points if self.tilt is None else points @ self.tilt.rotation
         return words
 
 

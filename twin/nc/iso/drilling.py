@@ -11,7 +11,7 @@ from twin.nc.blocks import Kind, Move
 from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.block import IsoBlock, Item
 from twin.nc.iso.cycles import Drilling, Stroke
-from twin.nc.iso.frame import IsoFrame
+from twin.nc.iso.tilt import IsoTilt
 from twin.nc.text import MM_PER_INCH
 
 CODES: Final = cycles.FANUC | cycles.FANUC_TAPPING
@@ -19,7 +19,7 @@ _MODAL: Final = frozenset("RQP")
 _REPEATS: Final = frozenset("LK")
 
 
-class IsoDrilling(IsoFrame):
+class IsoDrilling(IsoTilt):
     """Drilling cycles: those of Fanuc and LinuxCNC, and calls of SINUMERIK by ``MCALL``.
 
     Attributes:

@@ -109,6 +109,8 @@ class IsoInterpreter(IsoMotion):
 
     def _apply(self, block: IsoBlock) -> IsoBlock:
         groups = self._g_words(block) if block.codes else frozenset()
+        if "plane tilt" in groups:
+            self.tilt_words(block)
         drills = self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
         centre = [item for item in block.others if self._is_of_motion(block, item)]
@@ -121,6 +123,7 @@ class IsoInterpreter(IsoMotion):
                 "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
             )
             which = [self.index[item.name] for item in block.items]
+            self.check_plane(not which or max(which) >= self.linear)
             self.mark_unknown(block, which or range(len(self.names)), moved=True)
             return block
         machine = machine or "machine" in groups
@@ -325,6 +328,8 @@ class IsoInterpreter(IsoMotion):
             shown = block.text[start:end]
             if name == "SUPA" or name in self.tcp_on or name in self.tcp_off:
                 self.switch_by(block, name)
+            elif name == "CYCLE800":
+                self.swivel(block, arguments)
             elif name in vocabulary.TRANSFORMS:
                 if name not in vocabulary.CANCELLING or block.items or arguments.strip("() \t"):
                     rest = block.text[start:].split(";")[0].strip()

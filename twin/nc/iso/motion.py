@@ -45,6 +45,7 @@ class IsoMotion(IsoDrilling):
             InputError: a word contradicts another word or the modal state.
         """
         motion = self.motion
+        self.check_plane(block.axis_bits >> self.linear != 0)
         if machine:
             if centre or self.cycle is not None:
                 raise self.error("machine coordinates in an arc or a cycle", "a straight move")

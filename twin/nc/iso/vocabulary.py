@@ -60,11 +60,12 @@ GROUPS: dict[str, tuple[str, ...]] = {
         *(str(code) for code in range(505, 600)),
     ),
     "machine": ("53", "153"),
+    "plane tilt": ("68.2", "53.1", "69"),
     "still": ("4", "22", "23", "25", "26"),
     "reference": ("28", "30", "30.1", "75", "27", "31", "38", "38.2", "38.3", "38.4", "38.5"),
     "mode": ("61", "61.1", "62", "64", "60", "641", "642", "643", "644", "645"),
     "": (
-        *("5.1", "5", "8", "9", "13.1", "15", "50", "50.1", "67", "69", "69.1", "80", "113", "601", "602", "603"),
+        *("5.1", "5", "8", "9", "13.1", "15", "50", "50.1", "67", "69.1", "80", "113", "601", "602", "603"),
         *("450", "451", "460", "461", "462", "621", "340", "341"),
     ),
 }
@@ -72,6 +73,7 @@ GROUP_OF: dict[str, str] = {code: group for group, codes in GROUPS.items() for c
 
 EXPANDED_CYCLE = "a cycle expanded into G0 and G1 blocks by the postprocessor"
 LINEAR = "a path of G0, G1, G2 and G3 blocks from the postprocessor"
+KNOWN_VALUE = "a number, or a variable set to a number before"
 NO_TRANSFORMATION = "a program without coordinate transformations (at most one work offset, given as work_offset)"
 NO_CALLS = "one program without jumps or calls"
 
@@ -93,8 +95,8 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
     **{
         code: (f"coordinate transformation G{code}", NO_TRANSFORMATION)
         for code in (
-            *("7", "7.1", "10", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "52", "53.1", "54.2", "54.4"),
-            *("68", "68.1", "68.2", "68.3", "68.4", "92", "92.1", "92.2", "92.3", "107", "110", "111", "112"),
+            *("7", "7.1", "10", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "52", "54.2", "54.4"),
+            *("68", "68.1", "68.3", "68.4", "92", "92.1", "92.2", "92.3", "107", "110", "111", "112"),
         )
     },
     **{
