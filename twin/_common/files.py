@@ -167,7 +167,8 @@ def read_text(path: Path, *, most_bytes: int = MAX_TEXT_BYTES) -> str:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         if data.startswith(b"PK"):
-            raise InputError("a spreadsheet or zip file, not a text file", expected="UTF-8 text", file=path) from error
+            expected = "UTF-8 text (`twin import` reads spreadsheets)"
+            raise InputError("a spreadsheet or zip file, not a text file", expected=expected, file=path) from error
         line = data.count(b"\n", 0, error.start) + 1
         raise InputError("not a text file", expected="UTF-8 text", file=path, line=line, value=error.reason) from error
     if "\0" in text:

@@ -82,7 +82,7 @@ def _proposed(found: ImportedTable, path: Path, output: Path, others: list[objec
     words += [] if plan is None else ["--plan", str(plan)]
     words += [] if machine == DEFAULT else ["--machine", str(machine)]
     again = shlex.join(words)
-    count = count_with_noun(len(found.to_confirm), "assumption")
+    count = count_with_noun(len(found.to_confirm), "item")
     if path.exists():
         raise InputError(
             f"{count} to confirm, and a mapping exists",

@@ -150,7 +150,8 @@ def format_of(path: Path) -> MeasuredFormat:
     if len(chosen) != 1:
         names = ", ".join(form.name for form in fitting or FORMATS)
         what = "several formats fit" if fitting else "no known format of measured data"
-        raise InputError(what, expected=f"one of {names}", file=path, setting="format")
+        tables = "" if fitting else " (`twin import` reads tables with columns of any name)"
+        raise InputError(what, expected=f"one of {names}{tables}", file=path, setting="format")
     return chosen[0]
 
 

@@ -60,6 +60,20 @@ class Rows:
         return Rows(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
+class Finding(NamedTuple):
+    """A sign, order or unit of coordinates that seems to be wrong.
+
+    Attributes:
+        text: the finding with its numbers, one sentence.
+        columns: columns of the measurement table that it concerns.
+        advice: comment for the entries of these columns in a mapping file.
+    """
+
+    text: str
+    columns: tuple[str, ...]
+    advice: str
+
+
 class RigidFit(NamedTuple):
     """Fit of the readings of one station to the commanded points.
 
@@ -133,32 +147,38 @@ def is_far_better(other_mm: float, own_mm: float) -> bool:
     return own_mm > LEAST_RMS_MM and own_mm > RATIO * other_mm
 
 
-def findings(machine: Machine, rows: Rows) -> list[str]:
-    """Return one sentence for each sign, order or unit of coordinates that seems to be wrong; empty if the data show none."""
+def findings(machine: Machine, rows: Rows) -> list[Finding]:
+    """Return a finding for each sign, order or unit of coordinates that seems to be wrong; empty if the data show none."""
     by_range = {
         axis.name: text for axis, q in zip(machine.axes, rows.positions.T, strict=True) if (text := _mirrored(axis, q))
     }
-    found = list(by_range.values())
+    found = [Finding(text, (_command(machine.by_name[name]),), "sign: -1?") for name, text in by_range.items()]
     signs = np.array([-1.0 if axis.name in by_range else 1.0 for axis in machine.axes])
     rows = replace(rows.select(usable(rows)), positions=rows.positions[usable(rows)] * signs)
-    for station in dict.fromkeys(rows.station):
-        own = rows.select(rows.station == station)
-        fits = rigid_fits(machine, own)
-        if fits is None:
-            continue
-        where = f"station {station}: " if len(set(rows.station)) > 1 else ""
-        proper, improper = fits
-        mirrored = is_far_better(improper.rms_mm, proper.rms_mm)
-        best = improper if mirrored else proper
-        if mirrored:
-            found.append(where + _mirror_text(proper, improper))
-        unit = next((name for name, ratio in SCALES.items() if abs(best.scale / ratio - 1.0) < SCALE_TOLERANCE), None)
-        if unit is not None:
-            found.append(
-                f"{where}x, y, z look like {unit}: their distances are {best.scale:.4g} times the commanded ones in mm; unit {unit}?"
-            )
-        found += [where + text for text in _rotary_findings(machine, own, best)]
-    return list(dict.fromkeys(found))
+    stations = list(dict.fromkeys(rows.station))
+    for station in stations:
+        own = _station_findings(machine, rows.select(rows.station == station))
+        found += [one._replace(text=f"station {station}: {one.text}") if len(stations) > 1 else one for one in own]
+    return found
+
+
+def _command(axis: Axis) -> str:
+    return f"{axis.name}_{axis.unit}"
+
+
+def _station_findings(machine: Machine, rows: Rows) -> list[Finding]:
+    fits = rigid_fits(machine, rows)
+    if fits is None:
+        return []
+    proper, improper = fits
+    mirrored = is_far_better(improper.rms_mm, proper.rms_mm)
+    best = improper if mirrored else proper
+    found = [_mirror_finding(proper, improper)] if mirrored else []
+    unit = next((name for name, ratio in SCALES.items() if abs(best.scale / ratio - 1.0) < SCALE_TOLERANCE), None)
+    if unit is not None:
+        text = f"x, y, z look like {unit}: their distances are {best.scale:.4g} times the commanded ones in mm"
+        found.append(Finding(text, ("x_mm", "y_mm", "z_mm"), f"unit: {unit}?"))
+    return found + _rotary_findings(machine, rows, best)
 
 
 def _mirrored(axis: Axis, q: np.ndarray) -> str:
@@ -178,7 +198,7 @@ def _mirrored(axis: Axis, q: np.ndarray) -> str:
     )
 
 
-def _mirror_text(proper: RigidFit, improper: RigidFit) -> str:
+def _mirror_finding(proper: RigidFit, improper: RigidFit) -> Finding:
     better = np.count_nonzero(improper.residual_mm < proper.residual_mm)
     size = f"RMS residual {improper.rms_mm:.3g} mm instead of {proper.rms_mm:.3g} mm"
     of = f"{better} of {count_with_noun(len(proper.residual_mm), 'row')} fit better"
@@ -191,17 +211,21 @@ def _mirror_text(proper: RigidFit, improper: RigidFit) -> str:
         ]
         if not swapped and len(negative) == 1:
             (name,) = negative
-            return f"{name.upper()} seems to be mirrored: {of} with −{name}; {size}"
+            return Finding(f"{name} seems to be mirrored: {of} with −{name}; {size}", (f"{name}_mm",), "sign: -1?")
         if len(swapped) == 1 and not negative:
-            return f"{swapped[0]} seem to be exchanged: {of} with exchanged columns; {size}"
-    return (
-        f"the coordinates seem to be mirrored: {of} in a frame of the other hand; {size}. The data do not show which one: one of x, y, z "
-        "(or of the commanded linear axes) has the opposite sign, or two of them are exchanged"
+            pair = (f"{swapped[0][0]}_mm", f"{swapped[0][-1]}_mm")
+            return Finding(
+                f"{swapped[0]} seem to be exchanged: {of} with exchanged columns; {size}", pair, "exchanged?"
+            )
+    text = (
+        f"the coordinates seem to be mirrored: {of} in a frame of the other hand; {size}. "
+        "The data do not show which one: one of x, y, z (or of the commanded linear axes) has the opposite sign, or two are exchanged"
     )
+    return Finding(text, ("x_mm", "y_mm", "z_mm"), "sign: -1 on one of them?")
 
 
-def _rotary_findings(machine: Machine, rows: Rows, fit: RigidFit) -> list[str]:
-    """Return a sentence if the readings fit only with the opposite sign of one or two rotary axes."""
+def _rotary_findings(machine: Machine, rows: Rows, fit: RigidFit) -> list[Finding]:
+    """Return a finding if the readings fit only with the opposite sign of one or two rotary axes."""
     moving = [i for i in machine.rotary if np.ptp(rows.positions[:, i]) > 1.0]
     own = _placed_rms_mm(machine, rows, fit)
     if not moving or own < LEAST_RMS_MM:
@@ -217,10 +241,11 @@ def _rotary_findings(machine: Machine, rows: Rows, fit: RigidFit) -> list[str]:
     names = " and ".join(machine.names[i] for i in best)
     verb = "seems" if len(best) == 1 else "seem"
     signs = " and ".join(f"−{machine.names[i]}" for i in best)
-    return [
+    text = (
         f"{names} {verb} to be mirrored: {count_with_noun(len(rows.positions), 'row')} fit with {signs}; "
         f"RMS residual {tried[best]:.3g} mm instead of {own:.3g} mm"
-    ]
+    )
+    return [Finding(text, tuple(_command(machine.axes[i]) for i in best), "sign: -1?")]
 
 
 def _placed_rms_mm(machine: Machine, rows: Rows, fit: RigidFit) -> float:

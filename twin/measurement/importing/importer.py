@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from twin.measurement.columns import comment_lines, csv_text, table_columns
 from twin.measurement.formats import other_format
 from twin.measurement.importing.apply import Applied
 from twin.measurement.importing.cells import MAX_BYTES, read_cells
-from twin.measurement.importing.frames import Rows, findings
+from twin.measurement.importing.frames import Finding, Rows, findings
 from twin.measurement.importing.layout import Layout, layout_of
 from twin.measurement.importing.mapping import ColumnEntry, ColumnMapping
 from twin.measurement.importing.plan_rows import Plan
@@ -31,6 +32,8 @@ from twin.measurement.table import Measurements
 
 PREVIEW_ROWS: Final = 5
 MAX_COMMENTS: Final = 100
+SIMULATION: Final = re.compile(r"\bsimul(ated|iert)", re.IGNORECASE)
+"""Words of a comment or title which state that the readings were computed."""
 
 
 @final
@@ -91,7 +94,7 @@ class ImportedTable:
             InputError: the mapping has assumptions that were not confirmed.
         """
         if not self.confirmed:
-            count = count_with_noun(len(self.to_confirm), "assumption")
+            count = count_with_noun(len(self.to_confirm), "item")
             raise InputError(f"{count} to confirm", expected="a confirmed mapping (save_columns)", file=self.source)
         write_atomic(Path(path), self.text)
 
@@ -198,11 +201,20 @@ def import_table(
     """
     path = Path(path)
     given = None if columns is None else ColumnMapping.load(Path(columns), machine)
-    kind = other_format(path, most_bytes=MAX_BYTES)
-    if kind is not None:
-        raise InputError(
-            f"a file of its own format: {kind}", expected="a table; `twin convert` reads this file", file=path
-        )
+    try:
+        return _imported(path, machine, given, sheet=sheet, plan=None if plan is None else Path(plan))
+    except InputError:
+        kind = other_format(path, most_bytes=MAX_BYTES)
+        if kind is None or given is not None:
+            raise
+    what = f"a file of its own format: {kind}"
+    raise InputError(what, expected="a table with a header (`twin convert` reads this file)", file=path)
+
+
+def _imported(
+    path: Path, machine: Machine, given: ColumnMapping | None, *, sheet: str | None, plan: Path | None
+) -> ImportedTable:
+    """Return the imported table; arguments and errors as `import_table`."""
     entries = None if given is None else given.entries
     raw = read_cells(
         path,
@@ -211,7 +223,7 @@ def import_table(
         delimiter="" if entries is None else entries.delimiter,
     )
     layout = layout_of(raw)
-    rows = None if plan is None else Plan.load(Path(plan), machine)
+    rows = None if plan is None else Plan.load(plan, machine)
     if given is None:
         proposal = proposed(layout, machine, rows)
         return _finished(Applied(layout, proposal.mapping()), machine, rows, proposal)
@@ -240,7 +252,8 @@ def _finished(applied: Applied, machine: Machine, plan: Plan | None, proposal: P
     except InputError as error:
         if not assumptions and not found:
             raise
-        notes.append(f"not a valid measurement table yet: {error}")
+        if not found:
+            notes.append(f"not a valid measurement table yet: {error}")
     if measurements is not None:
         notes += [
             *measurements.notices,
@@ -258,13 +271,22 @@ def _finished(applied: Applied, machine: Machine, plan: Plan | None, proposal: P
         layout=", ".join(parts),
         mapping=mapping,
         assumptions=assumptions,
-        findings=tuple(found),
+        findings=tuple(one.text for one in found),
         notes=tuple(notes),
         columns=cells,
         measurements=measurements,
-        remarks={} if proposal is None else proposal.remarks,
+        remarks={} if proposal is None else _remarks(proposal, found),
         comments=tuple(comments),
     )
+
+
+def _remarks(proposal: Proposal, found: Sequence[Finding]) -> dict[str, str]:
+    """Return the comments for the entries of a mapping file: assumptions and findings."""
+    remarks = dict(proposal.remarks)
+    for one in found:
+        for name in one.columns:
+            remarks[name] = f"{remarks[name]}; {one.advice}" if name in remarks else one.advice
+    return remarks
 
 
 def _in_order(cells: dict[str, list[str]], machine: Machine) -> dict[str, list[str]]:
@@ -305,11 +327,18 @@ def _number(cell: str) -> float:
 def _comments(layout: Layout, mapping: ColumnMapping, cells: Mapping[str, Sequence[str]]) -> list[str]:
     """Return the comments of the measurement table: origin, mapping, and comments and titles of the file."""
     own = [*layout.raw.comments[:MAX_COMMENTS], *layout.titles[:MAX_COMMENTS]]
-    says = [text if text.lower().startswith(SIMULATED_WORD) else f"the file says: {text}" for text in own]
+    says = [_stated(text) for text in own]
     by = "a proposed mapping without assumptions" if mapping.path is None else f"the mapping {mapping.path.name}"
     origins = [f"{name}: {origin_text(mapping.entries.columns.get(name))}" for name in cells]
     lines = [f"imported from {layout.raw.origin}, with {by}", *origins, *says]
     return [printable(line, one_line=True) for line in lines]
+
+
+def _stated(text: str) -> str:
+    """Return a comment of the file as a comment of the table; one that states simulated readings keeps that meaning."""
+    if text.lower().startswith(SIMULATED_WORD):
+        return text
+    return f"{SIMULATED_WORD} readings, the file says: {text}" if SIMULATION.search(text) else f"the file says: {text}"
 
 
 def _read_back(

@@ -103,11 +103,14 @@ def add_times(found: Proposal, meanings: Mapping[str, Meaning]) -> None:
         fitting = [form for form in forms if texts and all(moment_in(text, form) is not None for text in texts)]
         if not fitting or (fitting[0] == "iso" and len(texts[0]) <= 10):
             continue
+        if any(form.endswith("%p") for form in fitting):  # clocks of twelve hours come with the month first
+            fitting.sort(key=lambda form: not form.startswith("%m"))
         source = sources[0] if len(sources) == 1 else tuple(sources)
         if found.add("time_s", entry_of(source, form=fitting[0])):
             found.notes.append(f"time_s counts from the first row, {texts[0]}")
             if {form[:2] for form in fitting} >= {"%d", "%m"}:
-                found.assume(f"dates are day first: {texts[0]}", "time_s", "or %m/%d")
+                order = "month" if fitting[0].startswith("%m") else "day"
+                found.assume(f"dates have the {order} first: {texts[0]}", "time_s", "order of day and month")
         return
     found.notes.append(
         f"no time: {quoted([name for names in kinds.values() for name in names])} cannot be read as dates"

@@ -15,6 +15,7 @@ from twin.measurement.importing.other_columns import add_directions, add_names, 
 from twin.measurement.importing.plan_rows import Plan
 from twin.measurement.importing.proposal import Proposal, axis_columns, quoted
 from twin.measurement.importing.sizes import unit_by_size
+from twin.measurement.importing.units import units_of
 
 
 def proposed(layout: Layout, machine: Machine, plan: Plan | None) -> Proposal:
@@ -151,7 +152,8 @@ def _add_numbers(found: Proposal, meanings: dict[str, Meaning]) -> None:
     units = unit_by_size(found, {column: (name, meaning.unit) for column, (name, meaning) in chosen.items()})
     for column, (name, meaning) in chosen.items():
         if meaning.kind == "exact":
-            found.add(column, entry_of(name))
+            unit = next((one.name for one in units_of(column)), None)
+            found.add(column, entry_of(name, unit=unit))
         else:
             found.add(column, entry_of(name, unit=units.get(column)))
 

@@ -58,6 +58,8 @@ def unit_by_size(found: Columns, sources: Mapping[str, tuple[str, str]]) -> dict
     for columns in _families(missing, found.machine):
         name, why = _likely(found, columns, missing, units)
         units |= dict.fromkeys(columns, name)
+        if not any(np.nan_to_num(found.values(missing[column])).any() for column in columns):
+            continue  # zero in any unit
         names = ", ".join(f"'{missing[column]}'" for column in columns)
         found.assume(f"no unit is given for {names}: {name}{why}", columns[0], "unit")
     return units

@@ -8,6 +8,8 @@ from decimal import Decimal
 from types import MappingProxyType
 from typing import Final, final
 
+MOST_DIGITS: Final = 12
+"""Number of digits from which a factor counts as rounded."""
 _DEG_PER_RAD: Final = Decimal("57.29577951308232087679815481410517")
 
 
@@ -31,8 +33,11 @@ class Unit:
     zero: Decimal = Decimal(0)
 
     def to_table(self, value: Decimal) -> Decimal:
-        """Return a value in table units; exact unless the unit is a multiple of a radian."""
-        return value if self.factor == 1 and not self.zero else value * self.factor + self.zero
+        """Return a value in table units: exact where the factor is a finite decimal, else to 15 digits."""
+        if self.factor == 1 and not self.zero:
+            return value
+        converted = value * self.factor + self.zero
+        return converted if len(self.factor.as_tuple().digits) < MOST_DIGITS else Decimal(f"{converted:.15g}")
 
 
 UNITS: Final = (
