@@ -170,7 +170,9 @@ def read_text(path: Path, *, most_bytes: int = MAX_TEXT_BYTES) -> str:
             expected = "UTF-8 text (`twin import` reads spreadsheets)"
             raise InputError("a spreadsheet or zip file, not a text file", expected=expected, file=path) from error
         line = data.count(b"\n", 0, error.start) + 1
-        raise InputError("not a text file", expected="UTF-8 text", file=path, line=line, value=error.reason) from error
+        is_table = path.suffix.lower() in (".csv", ".txt", ".tsv")
+        expected = "UTF-8 text" + (" (`twin import` reads tables in other encodings)" if is_table else "")
+        raise InputError("not a text file", expected=expected, file=path, line=line, value=error.reason) from error
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
         raise InputError("not a text file", expected="UTF-8 text without NUL", file=path, line=line)

@@ -17,6 +17,7 @@ from twin.cli.shared.installation import BAD_INPUT
 from twin.machine.machine import DEFAULT, Machine
 from twin.measurement.importing import ImportedTable
 from twin.measurement.importing import import_table as run_import
+from twin.samples import TABLES
 
 ColumnsOption = Annotated[
     Path | None,
@@ -40,9 +41,9 @@ PlanOption = Annotated[
 
 
 @command(
-    "twin import shop.csv -o measured.csv",
-    "twin import shop.csv -o measured.csv --columns shop.columns.yaml",
-    "twin import shop.xlsx -o measured.csv --sheet Messung --plan plan.csv --json imported.json",
+    "twin import shop_table.csv -o measured.csv",
+    "twin import export.csv -o measured.csv --columns export.columns.yaml",
+    "twin import export.xlsx -o measured.csv --sheet Messung --plan plan.csv --json imported.json",
     name="import",
 )
 def import_(
@@ -62,7 +63,8 @@ def import_(
     """
     loaded = Machine.load(machine)
     given = columns if columns is not None and columns.exists() else None
-    found = run_import(file, loaded, columns=given, sheet=sheet, plan=None if plan is None else options.plan_file(plan))
+    path = options.bundled_sample(file, "table", "table of measured points", [table.name for table in TABLES])
+    found = run_import(path, loaded, columns=given, sheet=sheet, plan=None if plan is None else options.plan_file(plan))
     if found.confirmed:
         found.save(output)
         return CommandResult(found.to_text(), found.to_dict)

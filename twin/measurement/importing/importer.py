@@ -13,7 +13,8 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.counts import count_with_noun
 from twin._common.errors import InputError, printable
-from twin._common.files import scratch_folder, write_atomic
+from twin._common.file_kinds import other_kind
+from twin._common.files import read_bytes, scratch_folder, write_atomic
 from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, warnings_to_json
 from twin.display import card, note, table
 from twin.machine.machine import Machine
@@ -32,6 +33,8 @@ from twin.measurement.table import Measurements
 
 PREVIEW_ROWS: Final = 5
 MAX_COMMENTS: Final = 100
+TABLES: Final = ("a measurement table", "a plan", "a spreadsheet or zip file")
+"""Kinds of files that are tables."""
 SIMULATION: Final = re.compile(r"\bsimul(ated|iert)", re.IGNORECASE)
 """Words of a comment or title which state that the readings were computed."""
 
@@ -204,9 +207,14 @@ def import_table(
     try:
         return _imported(path, machine, given, sheet=sheet, plan=None if plan is None else Path(plan))
     except InputError:
-        kind = other_format(path, most_bytes=MAX_BYTES)
-        if kind is None or given is not None:
+        if given is not None:
             raise
+        kind = other_format(path, most_bytes=MAX_BYTES)
+        other = None if kind else other_kind(read_bytes(path).decode("latin-1"), *TABLES)
+        if kind is None and other is None:
+            raise
+    if kind is None:
+        raise InputError(f"{other}, not a table", expected="a table of measured points", file=path)
     what = f"a file of its own format: {kind}"
     raise InputError(what, expected="a table with a header (`twin convert` reads this file)", file=path)
 
