@@ -334,19 +334,19 @@ def _number(cell: str) -> float:
 
 def _comments(layout: Layout, mapping: ColumnMapping, cells: Mapping[str, Sequence[str]]) -> list[str]:
     """Return the comments of the measurement table: origin, mapping, and comments and titles of the file."""
-    own = [*layout.raw.comments[:MAX_COMMENTS], *layout.titles[:MAX_COMMENTS]]
-    says = [_stated(text) for text in own]
+    says = [_stated(text, text) for text in layout.raw.comments[:MAX_COMMENTS]]
+    says += [_stated(text, f"the file says: {text}") for text in layout.titles[:MAX_COMMENTS]]
     by = "a proposed mapping without assumptions" if mapping.path is None else f"the mapping {mapping.path.name}"
     origins = [f"{name}: {origin_text(mapping.entries.columns.get(name))}" for name in cells]
     lines = [f"imported from {layout.raw.origin}, with {by}", *origins, *says]
     return [printable(line, one_line=True) for line in lines]
 
 
-def _stated(text: str) -> str:
+def _stated(text: str, otherwise: str) -> str:
     """Return a comment of the file as a comment of the table; one that states simulated readings keeps that meaning."""
-    if text.lower().startswith(SIMULATED_WORD):
-        return text
-    return f"{SIMULATED_WORD} readings, the file says: {text}" if SIMULATION.search(text) else f"the file says: {text}"
+    if text.lower().startswith(SIMULATED_WORD) or not SIMULATION.search(text):
+        return otherwise if not text.lower().startswith(SIMULATED_WORD) else text
+    return f"{SIMULATED_WORD} readings, the file says: {text}"
 
 
 def _read_back(
