@@ -14,7 +14,7 @@ import pytest
 import twin
 from tests.truth.machine import TruthMachine, carried, seen
 from twin.machine.machine import Machine
-from twin.measurement.importing.frames import Rows, findings
+from twin.measurement.importing.frames import FrameRows, findings
 
 LOW, HIGH = np.array([0.0, 0.0, -400.0, 0.0, 0.0]), np.array([500.0, 450.0, 0.0, 180.0, 360.0])
 DRAWS = {"tracker": 55, "cmm": 55, "lines": 55} | dict.fromkeys(
@@ -45,7 +45,7 @@ def drawn(truth: TruthMachine, rng: np.random.Generator) -> TruthMachine:
     return own
 
 
-def measured(truth: TruthMachine, seed: int, kind: str) -> Rows:
+def measured(truth: TruthMachine, seed: int, kind: str) -> FrameRows:
     """Return simulated rows of an instrument, with errors of the machine, noise, a shifted frame and one gross error."""
     rng = np.random.default_rng(seed)
     own = drawn(truth, rng)
@@ -82,7 +82,7 @@ def measured(truth: TruthMachine, seed: int, kind: str) -> Rows:
         point[:, 1:] = np.nan
     if kind == "probe":
         point[:] = 0.0
-    return Rows(
+    return FrameRows(
         q, point, carrier, station_carrier, np.full(n, "1", dtype=object), np.array(list("KPQ"), dtype=object)[of]
     )
 
@@ -93,7 +93,7 @@ def test_honest_data_give_no_finding(machine: Machine, truth: TruthMachine, kind
     assert found == {}
 
 
-def changed(rows: Rows, *, coordinate: int | None = None, axes: tuple[int, ...] = ()) -> Rows:
+def changed(rows: FrameRows, *, coordinate: int | None = None, axes: tuple[int, ...] = ()) -> FrameRows:
     point, positions = rows.point_mm.copy(), rows.positions.copy()
     if coordinate is not None:
         point[:, coordinate] *= -1.0

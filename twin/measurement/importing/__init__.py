@@ -57,7 +57,7 @@ one it is. No test is made with fewer than eight rows that can be compared, or w
 
     machine = twin.Machine.load("dmu50")
     found = twin.import_table("export.csv", machine)
-    print(found.to_text())
+    found.to_text()
     found.save_columns("columns.yaml")                # then: twin.import_table("export.csv", machine, columns="columns.yaml")
 
 The table begins with comments: name and SHA-256 of the file, the mapping, comments and titles of the file. A comment or title with

@@ -12,7 +12,7 @@ from twin._common.errors import InputError
 from twin.measurement.columns import CARRIERS
 from twin.measurement.importing.decimals import SIGNS, decimal_text, decimal_value
 from twin.measurement.importing.layout import Layout
-from twin.measurement.importing.mapping import ColumnEntry, ColumnMapping
+from twin.measurement.importing.mapping import ColumnMapping, OriginEntry
 from twin.measurement.importing.units import Unit, table_unit, unit_named, units_of
 from twin.measurement.importing.vocabulary import CARRIER_WORDS, direction_of, plain_words
 
@@ -41,7 +41,7 @@ class Applied:
         """
         return {name: self.column(name, entry) for name, entry in self.mapping.entries.columns.items()}
 
-    def column(self, name: str, entry: ColumnEntry) -> list[str]:
+    def column(self, name: str, entry: OriginEntry) -> list[str]:
         """Return the cells of one column.
 
         Raises:
@@ -75,7 +75,7 @@ class Applied:
         line = self.layout.rows[row][0]
         return InputError(what, expected=expected, file=self.layout.raw.path, line=line, value=value)
 
-    def _words(self, name: str, entry: ColumnEntry) -> list[str]:
+    def _words(self, name: str, entry: OriginEntry) -> list[str]:
         words = {plain_words(word): str(meaning) for word, meaning in (entry.words or {}).items()}
         cells = self.layout.column(entry.sources[0])
         if name in ("carrier", "station_carrier"):
@@ -86,7 +86,7 @@ class Applied:
                     raise self._error(f"{name} is not a side of the machine", row, cell, expected)
         return [words.get(plain_words(cell), cell) for cell in cells]
 
-    def _directions(self, name: str, entry: ColumnEntry) -> list[str]:
+    def _directions(self, name: str, entry: OriginEntry) -> list[str]:
         words = {plain_words(word): meaning for word, meaning in (entry.words or {}).items()}
         found = []
         for row, cell in enumerate(self.layout.column(entry.sources[0])):
@@ -97,7 +97,7 @@ class Applied:
             found.append(str(int(value) * entry.sign))
         return found
 
-    def _numbers(self, name: str, entry: ColumnEntry) -> list[str]:
+    def _numbers(self, name: str, entry: OriginEntry) -> list[str]:
         unit, sign = self._unit(name, entry), self.mapping.entries.sign
         offset = Decimal(repr(entry.offset))
         found = []
@@ -113,10 +113,10 @@ class Applied:
             found.append(decimal_text(value * entry.sign + offset if entry.sign < 0 or offset else value))
         return found
 
-    def _unit(self, name: str, entry: ColumnEntry) -> Unit | None:
+    def _unit(self, name: str, entry: OriginEntry) -> Unit | None:
         return unit_named(entry.unit) if entry.unit else next(iter(units_of(name)), None) if table_unit(name) else None
 
-    def _seconds(self, entry: ColumnEntry) -> list[str]:
+    def _seconds(self, entry: OriginEntry) -> list[str]:
         """Return times in seconds since the first row that has one."""
         columns = [self.layout.column(source) for source in entry.sources]
         texts = [" ".join(parts) for parts in zip(*columns, strict=True)]

@@ -39,7 +39,7 @@ ALIGNED: Final = 0.25
 
 @final
 @dataclass(frozen=True)
-class Rows:
+class FrameRows:
     """Commands and readings of a table, before it is checked.
 
     Attributes:
@@ -55,12 +55,12 @@ class Rows:
     station: np.ndarray
     target: np.ndarray
 
-    def select(self, rows: np.ndarray) -> Rows:
+    def select(self, rows: np.ndarray) -> FrameRows:
         """Return some of the rows (a mask or indices)."""
-        return Rows(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        return FrameRows(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
-class Finding(NamedTuple):
+class FrameFinding(NamedTuple):
     """A sign, order or unit of coordinates that seems to be wrong.
 
     Attributes:
@@ -93,7 +93,7 @@ class RigidFit(NamedTuple):
         return float(np.sqrt(np.mean(self.residual_mm**2)))
 
 
-def carrier_poses(machine: Machine, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+def carrier_poses(machine: Machine, rows: FrameRows) -> tuple[np.ndarray, np.ndarray]:
     """Return (n, 3, 3) orientations and (n, 3) positions, mm, of the targets' carriers in the frames on which the stations ride."""
     n = len(rows.positions)
     no_errors, origin = np.zeros((n, 6 * len(machine.frames))), np.zeros((n, 3))
@@ -103,13 +103,13 @@ def carrier_poses(machine: Machine, rows: Rows) -> tuple[np.ndarray, np.ndarray]
     return found.rotation, found.points / MM
 
 
-def usable(rows: Rows) -> np.ndarray:
+def usable(rows: FrameRows) -> np.ndarray:
     """Return (n,) whether a row has all commands, all three coordinates, and known sides."""
     sides = np.isin(rows.carrier, ("tool", "work")) & np.isin(rows.station_carrier, ("base", "tool", "work"))
     return np.isfinite(rows.positions).all(axis=1) & np.isfinite(rows.point_mm).all(axis=1) & sides
 
 
-def rigid_fits(machine: Machine, rows: Rows) -> tuple[RigidFit, RigidFit] | None:
+def rigid_fits(machine: Machine, rows: FrameRows) -> tuple[RigidFit, RigidFit] | None:
     """Return the proper and the improper fit of one station's rows; None if the commanded points do not span space.
 
     Args:
@@ -147,12 +147,12 @@ def is_far_better(other_mm: float, own_mm: float) -> bool:
     return own_mm > LEAST_RMS_MM and own_mm > RATIO * other_mm
 
 
-def findings(machine: Machine, rows: Rows) -> list[Finding]:
+def findings(machine: Machine, rows: FrameRows) -> list[FrameFinding]:
     """Return a finding for each sign, order or unit of coordinates that seems to be wrong; empty if the data show none."""
     by_range = {
         axis.name: text for axis, q in zip(machine.axes, rows.positions.T, strict=True) if (text := _mirrored(axis, q))
     }
-    found = [Finding(text, (_command(machine.by_name[name]),), "sign: -1?") for name, text in by_range.items()]
+    found = [FrameFinding(text, (_command(machine.by_name[name]),), "sign: -1?") for name, text in by_range.items()]
     signs = np.array([-1.0 if axis.name in by_range else 1.0 for axis in machine.axes])
     rows = replace(rows.select(usable(rows)), positions=rows.positions[usable(rows)] * signs)
     stations = list(dict.fromkeys(rows.station))
@@ -166,7 +166,7 @@ def _command(axis: Axis) -> str:
     return f"{axis.name}_{axis.unit}"
 
 
-def _station_findings(machine: Machine, rows: Rows) -> list[Finding]:
+def _station_findings(machine: Machine, rows: FrameRows) -> list[FrameFinding]:
     fits = rigid_fits(machine, rows)
     if fits is None:
         return []
@@ -177,7 +177,7 @@ def _station_findings(machine: Machine, rows: Rows) -> list[Finding]:
     unit = next((name for name, ratio in SCALES.items() if abs(best.scale / ratio - 1.0) < SCALE_TOLERANCE), None)
     if unit is not None:
         text = f"x, y, z look like {unit}: their distances are {best.scale:.4g} times the commanded ones in mm"
-        found.append(Finding(text, ("x_mm", "y_mm", "z_mm"), f"unit: {unit}?"))
+        found.append(FrameFinding(text, ("x_mm", "y_mm", "z_mm"), f"unit: {unit}?"))
     return found + _rotary_findings(machine, rows, best)
 
 
@@ -198,7 +198,7 @@ def _mirrored(axis: Axis, q: np.ndarray) -> str:
     )
 
 
-def _mirror_finding(proper: RigidFit, improper: RigidFit) -> Finding:
+def _mirror_finding(proper: RigidFit, improper: RigidFit) -> FrameFinding:
     better = np.count_nonzero(improper.residual_mm < proper.residual_mm)
     size = f"RMS residual {improper.rms_mm:.3g} mm instead of {proper.rms_mm:.3g} mm"
     of = f"{better} of {count_with_noun(len(proper.residual_mm), 'row')} fit better"
@@ -211,20 +211,20 @@ def _mirror_finding(proper: RigidFit, improper: RigidFit) -> Finding:
         ]
         if not swapped and len(negative) == 1:
             (name,) = negative
-            return Finding(f"{name} seems to be mirrored: {of} with −{name}; {size}", (f"{name}_mm",), "sign: -1?")
+            return FrameFinding(f"{name} seems to be mirrored: {of} with −{name}; {size}", (f"{name}_mm",), "sign: -1?")
         if len(swapped) == 1 and not negative:
             pair = (f"{swapped[0][0]}_mm", f"{swapped[0][-1]}_mm")
-            return Finding(
+            return FrameFinding(
                 f"{swapped[0]} seem to be exchanged: {of} with exchanged columns; {size}", pair, "exchanged?"
             )
     text = (
         f"the coordinates seem to be mirrored: {of} in a frame of the other hand; {size}. "
         "The data do not show which one: one of x, y, z (or of the commanded linear axes) has the opposite sign, or two are exchanged"
     )
-    return Finding(text, ("x_mm", "y_mm", "z_mm"), "sign: -1 on one of them?")
+    return FrameFinding(text, ("x_mm", "y_mm", "z_mm"), "sign: -1 on one of them?")
 
 
-def _rotary_findings(machine: Machine, rows: Rows, fit: RigidFit) -> list[Finding]:
+def _rotary_findings(machine: Machine, rows: FrameRows, fit: RigidFit) -> list[FrameFinding]:
     """Return a finding if the readings fit only with the opposite sign of one or two rotary axes."""
     moving = [i for i in machine.rotary if np.ptp(rows.positions[:, i]) > 1.0]
     own = _placed_rms_mm(machine, rows, fit)
@@ -245,10 +245,10 @@ def _rotary_findings(machine: Machine, rows: Rows, fit: RigidFit) -> list[Findin
         f"{names} {verb} to be mirrored: {count_with_noun(len(rows.positions), 'row')} fit with {signs}; "
         f"RMS residual {tried[best]:.3g} mm instead of {own:.3g} mm"
     )
-    return [Finding(text, tuple(_command(machine.axes[i]) for i in best), "sign: -1?")]
+    return [FrameFinding(text, tuple(_command(machine.axes[i]) for i in best), "sign: -1?")]
 
 
-def _placed_rms_mm(machine: Machine, rows: Rows, fit: RigidFit) -> float:
+def _placed_rms_mm(machine: Machine, rows: FrameRows, fit: RigidFit) -> float:
     """Return the RMS residual of readings with the station's orientation known, places of targets and of the station fitted."""
     rotation, translation = carrier_poses(machine, rows)
     wanted = rows.point_mm @ fit.matrix / fit.scale - translation

@@ -80,7 +80,9 @@ def meaning_of(header: str, machine: Machine) -> Meaning:
         if ROLES[role] & {*rest}
     ]
     if not roles:
-        return Meaning("", axis, unit)
+        # Few programs give anything but the position of a rotary axis; a linear axis has offsets, corrections and more.
+        is_rotary = axis in machine.by_name and not machine.by_name[axis].linear
+        return Meaning("bare" if is_rotary else "", axis, unit, certain=not is_rotary)
     role = roles[0]
     return Meaning(role, axis, unit, certain=len(roles) == 1 and all(word in ROLES[role] for word in rest))
 

@@ -23,10 +23,10 @@ from twin.measurement.columns import comment_lines, csv_text, table_columns
 from twin.measurement.formats import other_format
 from twin.measurement.importing.apply import Applied
 from twin.measurement.importing.cells import MAX_BYTES, read_cells
-from twin.measurement.importing.frames import Finding, Rows, findings
+from twin.measurement.importing.frames import FrameFinding, FrameRows, findings
 from twin.measurement.importing.layout import Layout, layout_of
-from twin.measurement.importing.mapping import ColumnEntry, ColumnMapping
-from twin.measurement.importing.plan_rows import Plan
+from twin.measurement.importing.mapping import ColumnMapping, OriginEntry
+from twin.measurement.importing.plan_rows import PlanPoints
 from twin.measurement.importing.proposal import Proposal
 from twin.measurement.importing.propose import proposed
 from twin.measurement.table import Measurements
@@ -168,7 +168,7 @@ class ImportedTable:
         return card(f"Imported table: {count}", table(names, rows), *notes, small=self.origin).text
 
 
-def origin_text(entry: ColumnEntry | None) -> str:
+def origin_text(entry: OriginEntry | None) -> str:
     """Return the origin of a column in words."""
     if entry is None:
         return "from the plan"
@@ -231,7 +231,7 @@ def _imported(
         delimiter="" if entries is None else entries.delimiter,
     )
     layout = layout_of(raw)
-    rows = None if plan is None else Plan.load(plan, machine)
+    rows = None if plan is None else PlanPoints.load(plan, machine)
     if given is None:
         proposal = proposed(layout, machine, rows)
         return _finished(Applied(layout, proposal.mapping()), machine, rows, proposal)
@@ -242,12 +242,12 @@ def _imported(
     return _finished(Applied(layout, given), machine, rows, None)
 
 
-def _finished(applied: Applied, machine: Machine, plan: Plan | None, proposal: Proposal | None) -> ImportedTable:
+def _finished(applied: Applied, machine: Machine, plan: PlanPoints | None, proposal: Proposal | None) -> ImportedTable:
     layout, mapping = applied.layout, applied.mapping
     cells = applied.columns()
     if plan is not None and mapping.entries.plan is not None:
         from_plan = plan.columns(plan.rows_for(layout, mapping.entries.plan), machine)
-        Plan.check_commands(cells, from_plan, layout, machine)
+        PlanPoints.check_commands(cells, from_plan, layout, machine)
         cells = from_plan | cells
     cells = _in_order(cells, machine)
     found = findings(machine, _rows(cells, machine))
@@ -288,7 +288,7 @@ def _finished(applied: Applied, machine: Machine, plan: Plan | None, proposal: P
     )
 
 
-def _remarks(proposal: Proposal, found: Sequence[Finding]) -> dict[str, str]:
+def _remarks(proposal: Proposal, found: Sequence[FrameFinding]) -> dict[str, str]:
     """Return the comments for the entries of a mapping file: assumptions and findings."""
     remarks = dict(proposal.remarks)
     for one in found:
@@ -303,7 +303,7 @@ def _in_order(cells: dict[str, list[str]], machine: Machine) -> dict[str, list[s
     return {name: cells[name] for name in (*order, *sorted(cells.keys() - {*order})) if name in cells}
 
 
-def _rows(cells: Mapping[str, Sequence[str]], machine: Machine) -> Rows:
+def _rows(cells: Mapping[str, Sequence[str]], machine: Machine) -> FrameRows:
     """Return commands and readings of a table as numbers, NaN where a cell holds none."""
     count = len(next(iter(cells.values())))
 
@@ -314,7 +314,7 @@ def _rows(cells: Mapping[str, Sequence[str]], machine: Machine) -> Rows:
     def words(name: str, default: str) -> np.ndarray:
         return np.array([cell or default for cell in cells.get(name, [""] * count)], dtype=object)
 
-    return Rows(
+    return FrameRows(
         numbers([f"{axis.name}_{axis.unit}" for axis in machine.axes]),
         numbers(("x_mm", "y_mm", "z_mm")),
         words("carrier", ""),

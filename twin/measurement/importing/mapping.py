@@ -24,7 +24,7 @@ _Number = Annotated[float, Field(ge=-1e9, le=1e9)]
 
 
 @final
-class ColumnEntry(BaseModel):
+class OriginEntry(BaseModel):
     """Origin of one column of the measurement table: columns of the file, or one value for all rows."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -48,9 +48,9 @@ def entry_of(
     value: str | float | None = None,
     unit: str | None = None,
     form: str | None = None,
-) -> ColumnEntry:
+) -> OriginEntry:
     """Return an entry from its parts."""
-    return ColumnEntry.model_validate({"from": source, "value": value, "unit": unit, "format": form})
+    return OriginEntry.model_validate({"from": source, "value": value, "unit": unit, "format": form})
 
 
 @final
@@ -73,7 +73,7 @@ class ColumnsFile(BaseModel):
     delimiter: Literal["", "tab", "semicolon", "bar", "comma", "space"] = ""
     decimal: Literal["point", "comma"] = "point"
     sheet: str = ""
-    columns: Annotated[dict[str, ColumnEntry], Field(min_length=1)]
+    columns: Annotated[dict[str, OriginEntry], Field(min_length=1)]
     plan: PlanEntry | None = None
 
     @property
@@ -119,7 +119,7 @@ class ColumnMapping:
             found.check_entry(name, entry, machine)
         return found
 
-    def check_entry(self, name: str, entry: ColumnEntry, machine: Machine) -> None:
+    def check_entry(self, name: str, entry: OriginEntry, machine: Machine) -> None:
         """Raise `InputError` unless an entry names a column of a measurement table and has one origin and a unit that fits."""
         place = ("columns", name)
         known = machine_columns(machine)
@@ -198,7 +198,7 @@ def _quoted_name(name: str) -> str:
     return name if name.replace("_", "").isalnum() and name.isascii() else _quoted(name)
 
 
-def _entry(entry: ColumnEntry) -> str:
+def _entry(entry: OriginEntry) -> str:
     """Return an entry in YAML's flow style, without the keys that have their default value."""
     data = entry.model_dump(by_alias=True, exclude_defaults=True)
     if "unit" in data:  # the keys that a user is most likely to change are always written

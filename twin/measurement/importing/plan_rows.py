@@ -25,7 +25,7 @@ FIELDS: Final = ("positions", "target", "carrier", "station", "station_carrier",
 
 @final
 @dataclass(frozen=True)
-class Plan:
+class PlanPoints:
     """A plan with the names of its points.
 
     Attributes:
@@ -37,7 +37,7 @@ class Plan:
     points: tuple[str, ...]
 
     @classmethod
-    def load(cls, path: Path, machine: Machine) -> Plan:
+    def load(cls, path: Path, machine: Machine) -> PlanPoints:
         """Read a plan.
 
         Raises:

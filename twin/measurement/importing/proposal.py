@@ -11,8 +11,8 @@ import numpy as np
 from twin.machine.machine import Axis, Machine
 from twin.measurement.importing.decimals import POINT, SIGNS, decimal_value
 from twin.measurement.importing.layout import Layout
-from twin.measurement.importing.mapping import ColumnEntry, ColumnMapping, ColumnsFile, PlanEntry
-from twin.measurement.importing.plan_rows import Plan
+from twin.measurement.importing.mapping import ColumnMapping, ColumnsFile, OriginEntry, PlanEntry
+from twin.measurement.importing.plan_rows import PlanPoints
 
 
 @final
@@ -32,8 +32,8 @@ class Proposal:
 
     layout: Layout
     machine: Machine
-    plan: Plan | None = None
-    entries: dict[str, ColumnEntry] = field(default_factory=dict)
+    plan: PlanPoints | None = None
+    entries: dict[str, OriginEntry] = field(default_factory=dict)
     assumptions: list[str] = field(default_factory=list)
     remarks: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -60,7 +60,7 @@ class Proposal:
         self.assumptions.append(text)
         self.remarks[column] = f"{self.remarks[column]}; {remark}" if column in self.remarks else remark
 
-    def add(self, column: str, entry: ColumnEntry) -> bool:
+    def add(self, column: str, entry: OriginEntry) -> bool:
         """Add an entry; return False, with a note, if the column has one already."""
         if column in self.entries:
             taken, other = self.entries[column].sources, entry.sources

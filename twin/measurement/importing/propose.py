@@ -12,13 +12,14 @@ from twin.measurement.importing.headers import Meaning, meaning_of
 from twin.measurement.importing.layout import Layout
 from twin.measurement.importing.mapping import PlanEntry, entry_of
 from twin.measurement.importing.other_columns import add_directions, add_names, add_times
-from twin.measurement.importing.plan_rows import Plan
+from twin.measurement.importing.plan_rows import PlanPoints
 from twin.measurement.importing.proposal import Proposal, axis_columns, quoted
 from twin.measurement.importing.sizes import unit_by_size
 from twin.measurement.importing.units import units_of
+from twin.measurement.importing.vocabulary import ROLES, plain_words
 
 
-def proposed(layout: Layout, machine: Machine, plan: Plan | None) -> Proposal:
+def proposed(layout: Layout, machine: Machine, plan: PlanPoints | None) -> Proposal:
     """Return the proposed mapping of a file.
 
     Raises:
@@ -191,6 +192,15 @@ def _check_commands(found: Proposal, meanings: dict[str, Meaning]) -> None:
     unclear = [name for name, one in meanings.items() if one.kind == "bare" and name not in found.used]
     if commands and measured:
         return
+    words = [{*plain_words(name).split()} for name in found.layout.names]
+    if all(any(own <= ROLES[role] for own in words) for role in ("command", "measured")):
+        raise InputError(
+            "one row for each axis or feature, not for each measured point",
+            expected="one row for each point, with the commands of all axes and x, y, z measured",
+            file=found.layout.raw.path,
+            line=found.layout.header_line,
+            value=" | ".join(found.layout.names),
+        )
     what = "no commanded positions" if not commands else "no measured coordinates"
     what += f": {quoted(unclear)} can be either" if unclear else ""
     raise InputError(

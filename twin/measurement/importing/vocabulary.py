@@ -39,7 +39,7 @@ ROLES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
 NOISE: Final = frozenset(
     "pos position positions achse axis axes koordinate koordinaten coordinate coordinates coord wert value values der die das the of "
     "des in for von und and linear rotary machine maschine maschinen tool tip drehtisch "
-    "rundtisch schwenkachse drehachse linearachse".split()
+    "tisch table rundtisch schwenkachse drehachse linearachse".split()
 )
 """Words without a meaning of their own in the name of a column."""
 
