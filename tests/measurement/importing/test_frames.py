@@ -56,7 +56,7 @@ def measured(truth: TruthMachine, seed: int, kind: str) -> FrameRows:
     if kind == "plane":
         q[:, 2] = -200.0
     if kind == "thin":
-        q[:, 1] = np.round(rng.uniform(200.0, 202.5, n), 3)
+        q[:, 1] = np.round(rng.uniform(200.0, 206.0, n), 3)
     if kind == "lines":  # one axis after the other, as in a measurement of straight lines
         at = q[0].copy()
         for axis in range(5):
@@ -76,7 +76,7 @@ def measured(truth: TruthMachine, seed: int, kind: str) -> FrameRows:
         station_carrier[:] = "work"
     point += rng.normal(0.0, 0.01, (n, 3))
     point[n // 2 :] += rng.normal(0.0, 0.1, 3)  # the frame was aligned again
-    if kind == "outlier":
+    if kind in ("outlier", "thin"):  # a single wrong row
         point[5] += rng.normal(0.0, 40.0, 3)
     if kind == "interferometer":
         point[:, 1:] = np.nan

@@ -15,12 +15,13 @@ MINUS: Final = str.maketrans({"−": "-", "–": "-", "\u00a0": " ", "\u202f": "
 _EXPONENT: Final = r"(?:[eE][-+]?\d{1,2})?"
 _NUMBER: Final = {
     sign: re.compile(
-        rf"[-+]?(?:\d+|\d{{1,3}}(?:['{other} ]\d{{3}})+)?(?:{re.escape(sign)}\d*)?{_EXPONENT}(?<=[\d{re.escape(sign)}])"
+        rf"[-+]?(?:\d+|\d{{1,3}}(?:['{other} ]\d{{3}})+)?(?:{re.escape(sign)}\d*)?{_EXPONENT}(?<=[\d{re.escape(sign)}])",
+        re.ASCII,
     )
     for sign, other in ((POINT, COMMA), (COMMA, POINT))
 }
-_EITHER: Final = re.compile(r"[-+]?[\d.,' ]*\d[\d.,' ]*(?:[eE][-+]?\d+)?")
-_GROUPED: Final = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")
+_EITHER: Final = re.compile(r"[-+]?[\d.,' ]*\d[\d.,' ]*(?:[eE][-+]?\d+)?", re.ASCII)
+_GROUPED: Final = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
 """A number whose only sign may be a decimal sign or a sign of thousands."""
 
 
@@ -50,7 +51,7 @@ def decimal_value(cell: str, sign: str) -> Decimal | None:
     Thousands may be separated by the other sign, an apostrophe or a blank.
     """
     text = cell.translate(MINUS)
-    if len(text) > 60 or not re.search(r"\d", text) or not _NUMBER[sign].fullmatch(text):
+    if len(text) > 60 or not re.search("[0-9]", text) or not _NUMBER[sign].fullmatch(text):
         return None
     other = COMMA if sign == POINT else POINT
     value = Decimal(text.replace(other, "").replace("'", "").replace(" ", "").replace(sign, POINT))
