@@ -53,6 +53,8 @@ Function 0 is the constant 1. One or two columns: axes, directions of approach, 
 
 **Thermal records** (`*.csv`) and **thermal models** (`schema: twin.thermal-model/1`): see `twin doc thermal`.
 
+**Columns of other tables** (`schema: twin.columns/1`): a mapping that `twin import` proposes and applies; see `twin doc import`.
+
 **Measurements** (`*.csv`): one row per measured point: `X_mm … C_deg` commanded, `target`, `carrier` (`tool` or `work`), `x_mm,
 y_mm, z_mm` in the station's frame (an empty field was not measured; an interferometer's length goes into `x_mm`), and optionally
 `station`, `round`, `time_s`, `approach_<axis>`, `readback_<axis>_…`, `T_<axis or sensor>_degC`, `spindle_rpm`, `load_kg` (the mass

@@ -20,7 +20,7 @@ import numpy as np
 from twin._common.counts import count_with_noun
 from twin._common.units import MM
 from twin.machine.machine import Axis, Machine
-from twin.measurement.checks import RANGE_SLACK
+from twin.measurement.checks import RANGE_SLACK, SYSTEMATIC_ROWS
 from twin.measurement.observation import observation_of
 
 RATIO: Final = 10.0
@@ -190,7 +190,7 @@ def _mirrored(axis: Axis, q: np.ndarray) -> str:
         (sign * own < axis.lower - RANGE_SLACK) | (sign * own > axis.upper + RANGE_SLACK) for sign in (1.0, -1.0)
     ]
     count = np.count_nonzero(outside[0])
-    if not len(own) or 2 * count < len(own) or np.any(outside[1]):
+    if len(own) < SYSTEMATIC_ROWS or 2 * count < len(own) or np.any(outside[1]):
         return ""
     return (
         f"{axis.name} seems to be mirrored: {count} of {count_with_noun(len(own), 'row')} are outside the range of {axis.name}, "

@@ -163,7 +163,9 @@ class ImportedTable:
 
     def _repr_html_(self) -> str:
         names, rows = self.preview()
-        notes = [note(text, loud=True) for text in self.to_confirm] + [note(text) for text in self.notes]
+        notes = [note(f"assumed: {text}", loud=True) for text in self.assumptions]
+        notes += [note(f"found, not applied: {text}", loud=True) for text in self.findings]
+        notes += [note(text) for text in (*warning_texts(self._warnings), *self.notes)]
         count = count_with_noun(len(next(iter(self.columns.values()), ())), "row")
         return card(f"Imported table: {count}", table(names, rows), *notes, small=self.origin).text
 
@@ -343,10 +345,10 @@ def _comments(layout: Layout, mapping: ColumnMapping, cells: Mapping[str, Sequen
 
 
 def _stated(text: str, otherwise: str) -> str:
-    """Return a comment of the file as a comment of the table; one that states simulated readings keeps that meaning."""
-    if text.lower().startswith(SIMULATED_WORD) or not SIMULATION.search(text):
-        return otherwise if not text.lower().startswith(SIMULATED_WORD) else text
-    return f"{SIMULATED_WORD} readings, the file says: {text}"
+    """Return a comment or title of the file as a comment of the table; one that states simulated readings keeps that meaning."""
+    if text.lower().startswith(SIMULATED_WORD):
+        return text
+    return f"{SIMULATED_WORD} readings: {text}" if SIMULATION.search(text) else otherwise
 
 
 def _read_back(

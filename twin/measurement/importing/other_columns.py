@@ -30,7 +30,10 @@ def add_names(found: Proposal, meanings: Mapping[str, Meaning]) -> None:
         elif meaning.kind in ("target", "station", "round"):
             found.add(meaning.kind, entry_of(name))
         elif meaning.kind == "carrier":
-            if all(plain_words(cell) in CARRIER_WORDS for cell in found.layout.column(name)):
+            wrong = [cell for cell in found.layout.column(name) if plain_words(cell) not in CARRIER_WORDS]
+            if wrong:
+                found.notes.append(f"'{name}' is not used: '{wrong[0]}' is not a side of the machine")
+            else:
                 found.add("carrier", entry_of(name))
     if found.plan is not None:
         return
