@@ -257,6 +257,7 @@ def test_a_workbook(machine: Machine, tmp_path: Path) -> None:
     assert table is not None and np.array_equal(table.positions[:, :3], q) and np.array_equal(table.point_mm, point)
     assert table.time_s.tolist() == [20.0 * i for i in range(24)] and table.u_mm[0, 2] == 0.0045
     assert table.temperature_degC["bett"][1] == 20.51 and table.target.tolist()[:4] == ["K", "P", "Q", "K"]
+    assert "# measured 2026-03-02 08:15\n" in again.text  # `twin watch` reads this date
     assert table.simulated is False and table.lines[0] == 6
 
 

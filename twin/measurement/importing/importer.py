@@ -21,7 +21,7 @@ from twin.machine.machine import Machine
 from twin.measurement.columns import SIMULATED as SIMULATED_WORD
 from twin.measurement.columns import comment_lines, csv_text, table_columns
 from twin.measurement.formats import other_format
-from twin.measurement.importing.apply import Applied
+from twin.measurement.importing.apply import TIME, Applied, moment_in
 from twin.measurement.importing.cells import MAX_BYTES, read_cells
 from twin.measurement.importing.frames import FrameFinding, FrameRows, findings
 from twin.measurement.importing.layout import Layout, layout_of
@@ -340,8 +340,17 @@ def _comments(layout: Layout, mapping: ColumnMapping, cells: Mapping[str, Sequen
     says += [_stated(text, f"the file says: {text}") for text in layout.titles[:MAX_COMMENTS]]
     by = "a proposed mapping without assumptions" if mapping.path is None else f"the mapping {mapping.path.name}"
     origins = [f"{name}: {origin_text(mapping.entries.columns.get(name))}" for name in cells]
-    lines = [f"imported from {layout.raw.origin}, with {by}", *origins, *says]
+    lines = [f"imported from {layout.raw.origin}, with {by}", *_date(layout, mapping), *origins, *says]
     return [printable(line, one_line=True) for line in lines]
+
+
+def _date(layout: Layout, mapping: ColumnMapping) -> list[str]:
+    """Return the comment with the date of the first row, if the file gives dates."""
+    entry = mapping.entries.columns.get(TIME)
+    if entry is None or entry.format is None or not (entry.format == "iso" or "%y" in entry.format.lower()):
+        return []
+    moment = moment_in(" ".join(layout.column(source)[0] for source in entry.sources), entry.format)
+    return [] if moment is None else [f"measured {moment:%Y-%m-%d %H:%M}"]
 
 
 def _stated(text: str, otherwise: str) -> str:
