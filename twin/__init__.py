@@ -3,8 +3,8 @@
 `import twin` gives every name that notebooks and scripts need; each is imported when it is first used (PEP 562):
 
 - machine and model: `Machine`, `Calibration`, `Curve`, `Conditions`, `MachineLog`, `effect_named`, `Kinematics`, `Inverse`;
-- measurements: `Measurements`, `convert`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`, `duration`,
-  `measuring_sequence`, `InstrumentSizes`, `thesis_plan`;
+- measurements: `Measurements`, `import_table`, `convert`, `instruments`, `simulate`, `Placement`, `Kit`, `plan`, `judge`, `separate`,
+  `duration`, `measuring_sequence`, `InstrumentSizes`, `thesis_plan`;
 - identification: `identify`, `ToolUncertainty`, `compare`, `calibrated_urdf`, `draw_machines`, `identify_as_thesis`;
 - checks over time: `watch`, `WatchSettings`, `watch_html`;
 - standard tests (ISO 230, ISO 10791-6): `evaluate`, `evaluate_drift`, `evaluation_html`;
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from twin.machine.motion_curve import Curve
     from twin.measurement import instruments
     from twin.measurement.formats import convert
+    from twin.measurement.importing import import_table
     from twin.measurement.simulate import Placement, simulate
     from twin.measurement.table import Measurements
     from twin.nc import find_program, read_program
@@ -112,6 +113,7 @@ __all__ = [
     "identification_plots",
     "identify",
     "identify_as_thesis",
+    "import_table",
     "instruments",
     "judge",
     "measuring_sequence",
@@ -178,6 +180,7 @@ _HOMES = {
     "fit_thermal": ("twin.thermal", "fit_thermal"),
     "identify": ("twin.identification", "identify"),
     "identify_as_thesis": ("twin.identification.thesis.identify", "identify_as_thesis"),
+    "import_table": ("twin.measurement.importing", "import_table"),
     "judge": ("twin.planning", "judge"),
     "measuring_sequence": ("twin.planning", "measuring_sequence"),
     "plan": ("twin.planning", "plan"),

@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 import twin
 from tests.control.cases import CASES
 from tests.measurement.formats.cases import CASES as MEASURED
+from tests.measurement.importing import shop_files
+from twin._common.files import scratch_folder
 from twin.compensation.fewer_blocks.points import points_program
 from twin.identification.axis_run import (
     AxisLayout,
@@ -33,6 +35,7 @@ from twin.machine.control.spatial import CorrectionGrid
 from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection
 from twin.machine.machine import bundled_folder
 from twin.measurement.formats import convert
+from twin.measurement.importing import ImportedTable
 from twin.measurement.table import Measurements
 from twin.measurement.thesis_export import load_export
 from twin.nc import DIALECTS, dialect_of
@@ -193,6 +196,21 @@ def _calibration(path: Path) -> None:
     assert np.isfinite(read.covariance.matrix).all()
 
 
+def _imported(path: Path) -> None:
+    _shown(twin.import_table(path, machine()))
+
+
+def _columns(path: Path) -> None:
+    _shown(twin.import_table(path.with_name("shop.csv"), machine(), columns=path))
+
+
+def _shown(found: ImportedTable) -> None:
+    found.to_text()
+    found.mapping.to_yaml(found.remarks, found.to_confirm)
+    found._repr_html_()
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
 def _table(path: Path) -> None:
     data = Measurements.load(path, machine())
     data.to_csv(machine())
@@ -306,6 +324,8 @@ KINDS: Mapping[str, Kind] = {
     "layout": Kind("a.yaml", YAML, _layout),
     "table": Kind("a.csv", [], _table),
     "plan": Kind("a.csv", [], _plan),
+    "import": Kind("a.csv", ["X-Soll", "[mm]", "[in]", "\u00b5m", "0,5", "1.234", "1.234,5", "24.11.2026"], _imported),
+    "columns": Kind("a.yaml", YAML, _columns),
     "readings": Kind("a.csv", [], _readings, 4),
     "export": Kind("a.csv", [], _export),
     "points": Kind("a.csv", [], _points),
@@ -350,6 +370,13 @@ def _small_calibration() -> str:
         "  - {effect: thermal_growth, where: Z by bed, parameters: {coefficient: 3}}\n"
         "covariance:\n  parameters: ['E_XX[0]', 'E_XX[1]']\n  lower: |\n    1\n    0 1\n"
     )
+
+
+def _small_columns() -> str:
+    with scratch_folder() as folder:
+        (folder / "shop.csv").write_bytes(shop_files.cmm_report())
+        twin.import_table(folder / "shop.csv", machine()).save_columns(folder / "columns.yaml")
+        return (folder / "columns.yaml").read_text()
 
 
 def _small_table() -> str:
@@ -416,6 +443,8 @@ _SAMPLES: Mapping[str, Callable[[], str]] = {
     "layout": lambda: (Path(twin.__file__).parent / "samples" / "nine_beams_x.yaml").read_text(),
     "table": _small_table,
     "plan": _small_plan,
+    "import": lambda: shop_files.cmm_report().decode("cp1252"),
+    "columns": _small_columns,
     "readings": _small_run,
     "export": lambda: (
         _csv("", np.empty((0, 0))).strip() + "".join(f"{t}{i}, {i}, 2, 3.5\n" for t in "KP" for i in range(3))
@@ -446,6 +475,8 @@ def beside(kind: str, folder: Path) -> None:
         files = _terms("linuxcnc")
     elif kind == "heidenhain":
         files = _terms("heidenhain")
+    elif kind == "columns":
+        files = {"shop.csv": sample("import")}
     else:
         return
     for name, text in files.items():

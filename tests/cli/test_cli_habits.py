@@ -91,7 +91,7 @@ def test_help_shows_examples_on_their_own_lines(capsys: pytest.CaptureFixture[st
 def test_examples_run(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the examples that are fast and need only bundled files."""
     monkeypatch.chdir(tmp_path)
-    fast = ("twin doctor --", "twin info --machine", "twin simulate-run", "twin axis-run")
+    fast = ("twin doctor --", "twin info --machine", "twin simulate-run", "twin axis-run", "twin import shop_table")
     ran = []
     for _, line in EXAMPLES:
         if line.startswith(fast) and "mine.yaml" not in line:

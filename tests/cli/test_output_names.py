@@ -30,6 +30,7 @@ from twin import cli
         (("plan", "-o", "out.csv", "--instrument", "probe", "--program", "out.txt"), ".ngc"),
         (("plan", "--drift", "environment", "-o", "out.nc"), ".csv"),
         (("evaluate", "measured.csv", "--iso230-3", "--html", "out.pdf"), ".html or .htm"),
+        (("import", "measured.csv", "-o", "out.xlsx"), ".csv"),
         (("convert", "measured.csv", "-o", "out.rtl"), ".csv"),
         (("compensate", "cone_frustum.nc", "-o", "out.png"), ".nc .ngc"),
         (("path", "cone_frustum.nc", "-o", "out.pdf"), ".nc .ngc"),

@@ -18,8 +18,10 @@ from typing import Any, get_type_hints
 
 import pytest
 
+import twin
 from tests.cli.commands import TWIN, refused
 from tests.measurement.formats.cases import CASES as MEASURED
+from tests.measurement.importing import shop_files
 from twin import cli
 from twin._common.errors import InputError
 from twin._common.files import TEMPORARY_PREFIX, atomic_file, read_bytes, tracked_files, write_atomic
@@ -44,6 +46,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "plan.csv").write_text("".join(plan.read_text().splitlines(keepends=True)[:40]))
     (folder / "drift.csv").write_text("time_s,a_um\n0,0\n60,1\n")
     (folder / "contacts.csv").write_text(MEASURED["contacts"].GOOD)
+    (folder / "shop.csv").write_bytes(shop_files.cmm_report())
+    twin.import_table(folder / "shop.csv", twin.Machine.load("dmu50")).save_columns(folder / "columns.yaml")
     with pytest.raises(SystemExit) as ended:
         cli.main(["control", "--to", "siemens", "-o", str(folder / "tables"), "--json", str(folder / "report.json")])
     assert ended.value.code == 0
@@ -103,6 +107,9 @@ COMMANDS = {
     "convert over the contacts": ("convert contacts.csv -o contacts.csv", "contacts.csv"),
     "convert, json over the contacts": ("convert contacts.csv -o o.csv --json contacts.csv", "contacts.csv"),
     "convert over the plan": ("convert contacts.csv -o plan.csv --plan plan.csv", "plan.csv"),
+    "import over the table": ("import shop.csv -o shop.csv", "shop.csv"),
+    "import over the plan": ("import shop.csv -o plan.csv --plan plan.csv", "plan.csv"),
+    "import over the mapping": ("import shop.csv -o o.csv --columns columns.yaml --json columns.yaml", "columns.yaml"),
     "plan, json over the machine": ("plan -o o.csv -m dmu50.yaml --json dmu50.yaml --minutes 60", "dmu50.yaml"),
     "plan over what was measured": (
         'plan -o plan.csv --separate "reversal X" "reversal Y" --after plan.csv',

@@ -11,7 +11,7 @@ from twin.identification.thesis.three_point import three_point
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.table import Measurements
-from twin.samples import thesis_plan
+from twin.samples import shop_table, thesis_plan
 
 FOLDER = cone_frustum.FOLDER
 
@@ -20,6 +20,10 @@ def test_the_files_equal_the_output_of_the_script() -> None:
     assert (FOLDER / "cone_frustum.cls").read_text() == cone_frustum.apt()
     assert (FOLDER / "cone_frustum.h").read_text() == cone_frustum.heidenhain()
     assert (FOLDER / "cone_frustum.nc").read_text() == cone_frustum.iso()
+
+
+def test_the_table_of_a_workshop_equals_the_output_of_its_script() -> None:
+    assert (FOLDER / "shop_table.csv").read_bytes() == shop_table.content()
 
 
 def test_it_is_a_cone_frustum_of_half_apex_15_inclined_10() -> None:

@@ -75,7 +75,7 @@ def _check_separator(header: str, path: Path, line: int) -> None:
         if header.count(separator) > header.count(","):
             raise InputError(
                 f"the columns are separated by {name}",
-                expected="commas between columns and decimal points: save the table as comma-separated CSV",
+                expected="commas between columns and decimal points (`twin import` reads other tables)",
                 file=path,
                 line=line,
                 value=header,

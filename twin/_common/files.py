@@ -53,6 +53,8 @@ Function 0 is the constant 1. One or two columns: axes, directions of approach, 
 
 **Thermal records** (`*.csv`) and **thermal models** (`schema: twin.thermal-model/1`): see `twin doc thermal`.
 
+**Columns of other tables** (`schema: twin.columns/1`): a mapping that `twin import` proposes and applies; see `twin doc import`.
+
 **Measurements** (`*.csv`): one row per measured point: `X_mm … C_deg` commanded, `target`, `carrier` (`tool` or `work`), `x_mm,
 y_mm, z_mm` in the station's frame (an empty field was not measured; an interferometer's length goes into `x_mm`), and optionally
 `station`, `round`, `time_s`, `approach_<axis>`, `readback_<axis>_…`, `T_<axis or sensor>_degC`, `spindle_rpm`, `load_kg` (the mass
@@ -167,9 +169,12 @@ def read_text(path: Path, *, most_bytes: int = MAX_TEXT_BYTES) -> str:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         if data.startswith(b"PK"):
-            raise InputError("a spreadsheet or zip file, not a text file", expected="UTF-8 text", file=path) from error
+            expected = "UTF-8 text (`twin import` reads spreadsheets)"
+            raise InputError("a spreadsheet or zip file, not a text file", expected=expected, file=path) from error
         line = data.count(b"\n", 0, error.start) + 1
-        raise InputError("not a text file", expected="UTF-8 text", file=path, line=line, value=error.reason) from error
+        is_table = path.suffix.lower() in (".csv", ".txt", ".tsv")
+        expected = "UTF-8 text" + (" (`twin import` reads tables in other encodings)" if is_table else "")
+        raise InputError("not a text file", expected=expected, file=path, line=line, value=error.reason) from error
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
         raise InputError("not a text file", expected="UTF-8 text without NUL", file=path, line=line)

@@ -37,6 +37,7 @@ COMMANDS: Final = {
     "path": "Fit the same tool path with fewer blocks.",
     "scene": "Show the machine running a program, in one HTML file.",
     "simulate": "Simulate the measurement of a plan on a machine with errors.",
+    "import": "Import a table of measured points: any CSV or Excel workbook.",
     "convert": "Convert measured data of other programs into a measurement table.",
     "identify": "Identify error motions from measured points, with their uncertainty.",
     "axis-run": "Identify the six error motions of a linear axis from interferometer readings.",
@@ -52,7 +53,7 @@ COMMANDS: Final = {
     "doc": "Show a page of the manual.",
 }
 """The commands in the order of the help, each with its summary. A command's module has its name; see `MODULES` for the others."""
-MODULES: Final = {"axis-run": "axis_run", "simulate-run": "axis_run"}
+MODULES: Final = {"axis-run": "axis_run", "import": "import_", "simulate-run": "axis_run"}
 
 
 class LazyGroup(TyperGroup):

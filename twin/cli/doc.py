@@ -17,6 +17,7 @@ from twin.cli.shared.manual import ManualPage
 
 PAGES: Final = {
     "programs": "twin.compensation",
+    "import": "twin.measurement.importing",
     "convert": "twin.measurement.formats",
     "identify": "twin.identification",
     "evaluate": "twin.standards",

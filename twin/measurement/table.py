@@ -502,5 +502,8 @@ def _check_header(header: Sequence[str], needed: Sequence[str], path: Path, line
             nearest = closest_name(name, [one for one in header if one not in needed])
             remark = "" if nearest is None else f" (the table has {nearest})"
             raise InputError(
-                f"column {name} is missing{remark}", expected=f"columns {', '.join(needed)}", file=path, line=line
+                f"column {name} is missing{remark}",
+                expected=f"columns {', '.join(needed)} (`twin import` reads columns of other names)",
+                file=path,
+                line=line,
             )

@@ -5,3 +5,5 @@ from typing import Final
 
 PLANS: Final = (Path(__file__).parent / "thesis_plan.csv",)
 """Measurement plans that are found by their bare name."""
+TABLES: Final = (Path(__file__).parent / "shop_table.csv",)
+"""Tables of other programs that are found by their bare name."""

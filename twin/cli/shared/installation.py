@@ -31,6 +31,7 @@ NEEDED: Final[Mapping[str, str]] = MappingProxyType(
         "joblib": "joblib",
         "meshcat": "meshcat.geometry",
         "numpy": "numpy",
+        "openpyxl": "openpyxl",
         "pin": "pinocchio",
         "pydantic": "pydantic",
         "pyyaml": "yaml",
@@ -42,8 +43,8 @@ NEEDED: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 """Required packages, each with the modules to import."""
-NEEDED_LATER: Final = frozenset({"meshcat", "u-msgpack-python"})
-"""Required packages that only the 3D scene imports."""
+NEEDED_LATER: Final = frozenset({"meshcat", "openpyxl", "u-msgpack-python"})
+"""Required packages that only the 3D scene and the import of workbooks use."""
 OPTIONAL: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
     {
         "matplotlib": ("matplotlib.figure", "pictures: pip install 'twin[plots]'"),

@@ -55,7 +55,7 @@ NOT VERIFIED
 """
 
 from twin.measurement.formats.base import Conversion, FormatSpecification, Given, MeasuredFormat
-from twin.measurement.formats.convert import FORMATS, ConvertedFiles, convert, format_named, format_of
+from twin.measurement.formats.convert import FORMATS, ConvertedFiles, convert, format_named, format_of, other_format
 from twin.measurement.formats.heidenhain import MASK
 
 __all__ = [
@@ -68,6 +68,7 @@ __all__ = [
     "convert",
     "format_named",
     "format_of",
+    "other_format",
 ]
 
 _SPECIFICATIONS = [form.specification for form in FORMATS]

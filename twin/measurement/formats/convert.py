@@ -122,6 +122,21 @@ def format_named(name: str) -> MeasuredFormat:
     return FORMATS[names.index(name)]
 
 
+def other_format(path: Path, *, most_bytes: int = MAX_BYTES) -> str | None:
+    """Return the title of the format of a file that is not a table with a header of its own; None if it is a table.
+
+    Args:
+        path: the file.
+        most_bytes: size beyond which it is refused.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    text = read_bytes(path, most_bytes=most_bytes).decode("latin-1").removeprefix("\xef\xbb\xbf")
+    fitting = [form.specification for form in FORMATS if form.recognises(text)]
+    return next((one.title for one in fitting if one.name != TrackerExport.specification.name), None)
+
+
 def format_of(path: Path) -> MeasuredFormat:
     """Return the format of a file, by its content and, where several fit, by its suffix.
 
@@ -135,7 +150,8 @@ def format_of(path: Path) -> MeasuredFormat:
     if len(chosen) != 1:
         names = ", ".join(form.name for form in fitting or FORMATS)
         what = "several formats fit" if fitting else "no known format of measured data"
-        raise InputError(what, expected=f"one of {names}", file=path, setting="format")
+        tables = "" if fitting else " (`twin import` reads tables with columns of any name)"
+        raise InputError(what, expected=f"one of {names}{tables}", file=path, setting="format")
     return chosen[0]
 
 

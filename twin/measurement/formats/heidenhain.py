@@ -57,7 +57,7 @@ class HeidenhainContacts(MeasuredFormat):
             if CYCLE_LOG.search(text):
                 raise InputError(
                     "the log of a touch probe cycle has no sphere centres",
-                    expected=f"lines {START} X=… written with FN 16 (see the page on conversion)",
+                    expected=f"lines {START} X=… written with FN 16 (see the page on conversion); `twin import` reads tables",
                     file=path,
                     line=line,
                     value=text,
