@@ -133,7 +133,7 @@ class PreparedMachine:
         )
 
     def within(self, space: WordSpace) -> PreparedMachine:
-        """Return the machine prepared for the words of a frame (`twin.compensation.toolpath.Frames`)."""
+        """Return the machine prepared for the words of a frame (`twin.compensation.toolpath.FrameSpaces`)."""
         if space is self.space:
             return self
         if space not in self._within:

@@ -177,7 +177,7 @@ class LostPositions(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Frame:
+class WordFrame:
     """The coordinates in which a program's words are given, from a line on.
 
     Attributes:
@@ -200,7 +200,7 @@ class FrameChange(NamedTuple):
     """A line that changes the frame, for its own move and all later ones."""
 
     line: int
-    frame: Frame
+    frame: WordFrame
 
 
 @final

@@ -12,7 +12,7 @@ from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
 from twin.nc.arithmetic import evaluate
 from twin.nc.block import AxisWord, Block
-from twin.nc.blocks import Arc, AxisWords, Frame, FrameChange, LostPositions, Notice
+from twin.nc.blocks import Arc, AxisWords, FrameChange, LostPositions, Notice, WordFrame
 from twin.nc.text import LARGEST, number, unit_vector
 
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
@@ -53,7 +53,7 @@ class Interpreter:
         self.vector: tuple[float, float, float] | None = None
         self.notices: list[Notice] = []
         self.lost_positions: list[LostPositions] = []
-        self.frame = Frame()
+        self.frame = WordFrame()
         self.frames: list[FrameChange] = []
         self.offsets_known, self.tools_known = axes.offsets_known, axes.tools_known
         self.tcp = tcp

@@ -1,7 +1,7 @@
 """Tool path of a program: conversion between words and axis commands, and the motions between blocks."""
 
 from twin.compensation.toolpath.follow import Follower, follow
-from twin.compensation.toolpath.frames import Frames
+from twin.compensation.toolpath.frames import FrameSpaces
 from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ToolPath
 from twin.compensation.toolpath.samples import SAMPLES_A_PIECE, spacings
 from twin.compensation.toolpath.sections import Section, SectionMotions, motions_of, sections, spaces
@@ -10,7 +10,7 @@ from twin.compensation.toolpath.words import Setup, WordSpace, axis_words, check
 __all__ = [
     "SAMPLES_A_PIECE",
     "Follower",
-    "Frames",
+    "FrameSpaces",
     "MotionColumns",
     "Passage",
     "PathMotion",

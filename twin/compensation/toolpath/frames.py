@@ -18,12 +18,12 @@ from twin._common.errors import InputError
 from twin.compensation.toolpath.words import Tilt, WordSpace
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.nc.blocks import Frame
+from twin.nc.blocks import WordFrame
 from twin.nc.planes import Plane
 
 
 @final
-class Frames:
+class FrameSpaces:
     """Conversions of words in the frames of one machine.
 
     Args:
@@ -35,7 +35,7 @@ class Frames:
         self._made: dict[Hashable, WordSpace] = {}
         self._nose = Kinematics(base.machine, Calibration.zero(base.machine), tool_length_mm=0.0)
 
-    def of(self, frame: Frame, source: str, line: int, standing_deg: np.ndarray) -> WordSpace:
+    def of(self, frame: WordFrame, source: str, line: int, standing_deg: np.ndarray) -> WordSpace:
         """Return the conversion of words in a frame; the same object for equal work offsets and tool lengths.
 
         Args:

@@ -8,10 +8,10 @@ from typing import final
 
 import numpy as np
 
-from twin.compensation.toolpath.frames import Frames
+from twin.compensation.toolpath.frames import FrameSpaces
 from twin.compensation.toolpath.motions import MotionColumns, ToolPath
 from twin.compensation.toolpath.words import WordSpace
-from twin.nc.blocks import Frame, Interpretation
+from twin.nc.blocks import Interpretation, WordFrame
 
 
 @final
@@ -28,7 +28,7 @@ class Section:
     """
 
     line: int
-    frame: Frame
+    frame: WordFrame
     space: WordSpace
     from_tables: bool = False
     assumed_offset: str = ""
@@ -66,12 +66,12 @@ def sections(base: WordSpace, source: str, reading: Interpretation) -> list[Sect
     """
     setup = base.setup
     if setup.offsets is None and setup.tools is None and not reading.frames:
-        return [Section(0, Frame(), base)]
-    frames = Frames(base)
+        return [Section(0, WordFrame(), base)]
+    frames = FrameSpaces(base)
     standing = base.start + base.offset[3:]
     assumed = "" if setup.offsets is None else setup.offsets.assumed
     lines = np.array([move.line for move in reading.moves if not move.machine], dtype=int)
-    starts = [(0, Frame()), *reading.frames]
+    starts = [(0, WordFrame()), *reading.frames]
     found: list[Section] = []
     for place, (line, frame) in enumerate(starts):
         end = starts[place + 1][0] if place + 1 < len(starts) else np.inf
@@ -81,7 +81,7 @@ def sections(base: WordSpace, source: str, reading: Interpretation) -> list[Sect
             standing = standing if space.tilt is None else space.tilt.rotary_deg
             if not found or found[-1].space is not space:
                 found.append(Section(line if found else 0, frame, space, True, assumed))
-    return found or [Section(0, Frame(), base)]
+    return found or [Section(0, WordFrame(), base)]
 
 
 def _standing(reading: Interpretation, line: int, before: np.ndarray, base: WordSpace) -> np.ndarray:

@@ -22,7 +22,7 @@ _ROTARY: Final = "ABC"
 
 
 @final
-class HeidenhainTables(TableForm):
+class PresetsAndTools(TableForm):
     """Preset table and tool table."""
 
     description = "Heidenhain preset table .pr or tool table .t"

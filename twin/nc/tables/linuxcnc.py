@@ -26,7 +26,7 @@ _LENGTH: Final = re.compile(r"\bZ\s*([+-]?[\d.]+)", re.IGNORECASE)
 
 
 @final
-class LinuxCnc(TableForm):
+class LinuxCncTables(TableForm):
     """Parameter file and tool table."""
 
     description = "LinuxCNC parameter file or tool table"

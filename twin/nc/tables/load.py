@@ -10,12 +10,12 @@ from twin._common.errors import InputError
 from twin._common.files import read_lines
 from twin.nc.tables.csv_form import CsvForm
 from twin.nc.tables.fanuc import Fanuc
-from twin.nc.tables.heidenhain import HeidenhainTables
-from twin.nc.tables.linuxcnc import LinuxCnc
+from twin.nc.tables.heidenhain import PresetsAndTools
+from twin.nc.tables.linuxcnc import LinuxCncTables
 from twin.nc.tables.sinumerik import Sinumerik
 from twin.nc.tables.table import OffsetTable, TableForm, ToolTable
 
-FORMS: Final[tuple[TableForm, ...]] = (HeidenhainTables(), Sinumerik(), Fanuc(), LinuxCnc(), CsvForm())
+FORMS: Final[tuple[TableForm, ...]] = (PresetsAndTools(), Sinumerik(), Fanuc(), LinuxCncTables(), CsvForm())
 
 
 def load_offsets(path: str | Path) -> OffsetTable:
