@@ -11,7 +11,7 @@
 - thermal models: `ThermalRecord`, `fit_thermal`;
 - diagnosis: `diagnose`, `diagnosis_html`;
 - programs: `compensate`, `compensate_file`, `compensate_files`, `Compensator`, `Options`, `Scope`, `Setup`, `Workers`, `execute_file`,
-  `read_program`, `find_program`, `refit`, `ThesisMethod`;
+  `read_program`, `find_program`, `load_offsets`, `load_tools`, `refit`, `ThesisMethod`;
 - pages and pictures: `report`, `scene`, `identification_plots`, `diagnosis_plots`, `planning_plots` (modules; extra ``plots``);
 - `InputError`: raised for every bad input, with file, line, value and what was expected.
 """
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from twin.measurement.simulate import Placement, simulate
     from twin.measurement.table import Measurements
     from twin.nc import find_program, read_program
+    from twin.nc.tables import load_offsets, load_tools
     from twin.planning import InstrumentSizes, Kit, duration, judge, measuring_sequence, plan, separate
     from twin.planning import plots as planning_plots
     from twin.planning.drift import drift_plan
@@ -116,6 +117,8 @@ __all__ = [
     "import_table",
     "instruments",
     "judge",
+    "load_offsets",
+    "load_tools",
     "measuring_sequence",
     "plan",
     "planning_plots",
@@ -184,6 +187,8 @@ _HOMES = {
     "judge": ("twin.planning", "judge"),
     "measuring_sequence": ("twin.planning", "measuring_sequence"),
     "plan": ("twin.planning", "plan"),
+    "load_offsets": ("twin.nc.tables", "load_offsets"),
+    "load_tools": ("twin.nc.tables", "load_tools"),
     "read_program": ("twin.nc", "read_program"),
     "refit": ("twin.compensation.fewer_blocks", "refit"),
     "report": ("twin.reporting", "machine_report"),

@@ -79,6 +79,8 @@ def compensate(
     tool_length: options.ToolOption = None,
     work_offset: options.OffsetOption = None,
     work_origin: options.OriginOption = None,
+    offsets: options.OffsetsOption = None,
+    tools: options.ToolsOption = None,
     method: MethodOption = Method.exact,
     rotary_limit: options.RotaryLimitOption = DEFAULT_ROTARY_LIMIT_DEG,
     temperature: options.TemperatureOption = None,
@@ -105,7 +107,7 @@ def compensate(
     """
     loaded = Machine.load(machine)
     settings = Options(
-        setup=options.setup(loaded, work_offset, work_origin),
+        setup=options.setup(loaded, work_offset, work_origin, offsets, tools),
         tool_length_mm=tool_length,
         tcp=mode is options.Mode.tcp,
         scope=None if scope is None else Scope.parse(scope),

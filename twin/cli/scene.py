@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -11,6 +11,8 @@ import typer
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress_bar
+from twin.compensation.execute import Execution
+from twin.machine.calibration import Calibration
 from twin.machine.machine import DEFAULT, Machine
 from twin.nc import find_program
 
@@ -37,6 +39,8 @@ def scene(
     tool_length: options.ToolOption = None,
     work_offset: options.OffsetOption = None,
     work_origin: options.OriginOption = None,
+    offsets: options.OffsetsOption = None,
+    tools: options.ToolsOption = None,
     exaggeration: ExaggerationOption = None,
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
@@ -58,33 +62,37 @@ def scene(
             errors,
             tool_length_mm=tool_length,
             tcp=mode is options.Mode.tcp,
-            setup=options.setup(loaded, work_offset, work_origin),
+            setup=options.setup(loaded, work_offset, work_origin, offsets, tools),
             conditions=at,
             exaggeration=exaggeration,
             progress=bar,
         )
     run = drawn.execution
     drawn.save(output)
+    length = loaded.tool_length_mm if tool_length is None else tool_length
+    omitted = f" ({run.left_out} points outside the axis ranges omitted)" if run.left_out else ""
+    return CommandResult(
+        "".join(f"{text}\n" for text in warning_texts(errors.warnings)),
+        lambda: _report(output, source, errors, length, run),
+        met=not run.left_out,
+        written=f"written: {{}}{omitted}",
+        after=options.unused(at, errors),
+    )
+
+
+def _report(output: Path, source: Path, errors: Calibration, tool_length_mm: float, run: Execution) -> dict[str, Any]:
     distance = np.linalg.norm(run.reached_mm - run.meant_mm, axis=1) * 1e3
-    report = {
+    return {
         "schema": "twin.scene/1",
         "scene": str(output),
         "program": str(source),
-        "machine": loaded.name,
+        "machine": errors.machine.name,
         "calibration": None if errors.path is None else str(errors.path),
         "illustrative": errors.illustrative,
         "warnings": warnings_to_json(errors.warnings),
-        "tool_length_mm": loaded.tool_length_mm if tool_length is None else tool_length,
+        "tool_length_mm": tool_length_mm,
         "points": len(run.positions),
         "left_out": run.left_out,
         "deviation_um": {"rms": float(np.sqrt(np.mean(distance**2))), "max": float(distance.max())},
         "largest_at_line": int(run.lines[int(np.argmax(distance))]),
     }
-    omitted = f" ({run.left_out} points outside the axis ranges omitted)" if run.left_out else ""
-    return CommandResult(
-        "".join(f"{text}\n" for text in warning_texts(errors.warnings)),
-        lambda: report,
-        met=not run.left_out,
-        written=f"written: {{}}{omitted}",
-        after=options.unused(at, errors),
-    )

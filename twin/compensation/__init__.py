@@ -4,13 +4,33 @@
 
 **Languages.** ISO (`.nc .ngc .tap .mpf .txt .iso .eia`), Heidenhain plain language (`.h`) and APT cutter locations (`.cls .apt`;
 `-o x.nc|x.h` posts them as axis words). Everything that is not a motion word passes through byte for byte; every block carries
-every word that changed. Warnings on the origin of the calibration's numbers (`twin doc files`) are written as comments at the head
-of the program, after tape mark and program number, `BEGIN PGM` or `PARTNO`; once only, however often the program is compensated.
+every word that changed. Words may hold arithmetic with parameters (`X[#1+2]`, `X=R1*2`, `X+Q1`) that have a known value there.
+Warnings on the origin of the calibration's numbers (`twin doc files`) are written as comments at the head of the program, after
+tape mark and program number, `BEGIN PGM` or `PARTNO`; once only, however often the program is compensated.
 
-**Coordinates.** In `--mode axis` (default) the words are axis positions to which `--work-offset` is added; offsets that the control
-adds (`G54`, `G43 H`) belong in `--work-offset`. In `--mode tcp`, or where the program switches it on (`G43.4`, `G43.5`, `TRAORI`,
-`M128`, `FUNCTION TCPM`, words named in the machine file), the words are tool-tip coordinates in the work frame (origin at the table
-centre, moved by `--work-origin`), with B and C or a tool vector.
+**Set-up.** `--offsets` and `--tools` are the machine's own tables, from which the program selects (`G54`, `G54.1 P3`, `G505`, cycle
+247; `T` with `M6`, `G43 H`, `D`, `TOOL CALL`):
+
+    twin compensate part.mpf -o out.mpf --offsets uifr.ini --tools toa.ini
+
+They are read as CSV (`offset,X_mm,Y_mm,Z_mm,B_deg,C_deg` and `tool,length_mm`, optionally `name`), LinuxCNC `.var` and `.tbl`,
+SINUMERIK archives (`$P_UIFR`, `$TC_DP3`), Fanuc `G10` blocks, and Heidenhain `.pr` and `.t`. Offsets are those of the spindle
+nose with the rotary axes at zero; lengths are measured from the nose. Every section of a program is corrected with its own offset
+and tool; the report lists them. A program without a selection uses `G54`, or the only offset of the table, and the report says
+so.
+
+**Cycles, subprograms, tilted planes.** `G73`, `G81` to `G83`, `G85`, `G89`, `CYCLE81` to `CYCLE83`, `CYCLE85` and `CYCLE89` (with
+`MCALL` or alone) are expanded into their strokes, with the original block in a comment. Between the steps of a deep hole a control
+feeds from a distance above the bottom that only its parameters know; 0.5 mm is used. Threads (`G74`, `G84`, `CYCLE84`, `CYCLE840`)
+stay with the control's cycle, at a corrected position. Subprograms in the same file or folder are written out in place of their calls
+(`M98`, `G65`, LinuxCNC `o100 call`, SINUMERIK `NAME(..)`, `L100`, `CALL`, Heidenhain `CALL LBL`, `CALL PGM`), so the output needs none;
+line numbers are those of the input files. In a tilted plane (`G68.2` with `G53.1`, `PLANE SPATIAL .. TURN|MOVE`, `CYCLE800`) the words
+stay in the plane: linear axes are corrected, the rotary axes stay where the nominal kinematics puts them.
+
+**Coordinates.** In `--mode axis` (default) the words are axis positions to which `--work-offset` is added; without the tables
+above, offsets that the control adds (`G54`, `G43 H`) belong in `--work-offset`. In `--mode tcp`, or where the program switches it
+on (`G43.4`, `G43.5`, `TRAORI`, `M128`, `FUNCTION TCPM`, words named in the machine file), the words are tool-tip coordinates in
+the work frame (origin at the table centre, moved by `--work-origin`), with B and C or a tool vector.
 
 **Scope.** `--scope` takes classes of ISO/TR 16907: `L-POS L-STR L-SQU L-ANG L-VOL L-VOL+ R-POS R-RAX R-POR R-ANG R-VOL R-VOL+ FOR`.
 The linear axes correct the functional point, the rotary axes the functional orientation (`FOR`), and each rotary axis its own
@@ -25,12 +45,12 @@ rounding of the linear words remains (≤ 0.9 µm).
 that tolerance. A straight block that leaves an axis's range is left as written and listed. An arc that does so is an error, because
 it cannot be left as written between compensated neighbours.
 
-**Singular poses.** Near B = 0, turning C does not change the orientation. No rotary axis moves by more than `--rotary-limit` (0.5°) to
-correct an orientation, and C stays continuous. The point is still reached; the remaining orientation error is listed.
+**Singular poses.** Near B = 0, turning C does not change the orientation. No rotary axis moves by more than `--rotary-limit`
+(0.5°) to correct an orientation, and C stays continuous. The point is still reached; the remaining orientation error is listed.
 
-**Report and exit status.** The report lists what was not corrected, one line per reason, with the number of blocks and the worst case.
-Exit status 3: the point of a cutting block remains out of `--tolerance` (plus rounding), an orientation requested by `--scope FOR` is
-not reached, or nothing could be corrected at all; with `--strict`, if anything is listed.
+**Report and exit status.** The report lists what was not corrected, one line per reason, with the number of blocks and the worst
+case. Exit status 3: the point of a cutting block remains out of `--tolerance` (plus rounding), an orientation requested by
+`--scope FOR` is not reached, or nothing could be corrected at all; with `--strict`, if anything is listed.
 
 **Accuracy.** Error at the tool in µm, RMS / max, dense points between blocks included, compared with `--method thesis`
 (Ellingsdalen 2021, listings 3.1–3.4 as they run) on the same machine (`python -m tests.benchmarks.figures`):

@@ -8,8 +8,8 @@ the machine supplies temperatures during the program, and temperatures and speed
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -72,6 +72,10 @@ class BlockConditions:
             found[self.names.index(SPEED)] = self.values[after, self.names.index(SPEED)]
         return np.hstack([sides, found.T])
 
+    def part(self, begin: int, end: int) -> BlockConditions:
+        """Return the conditions of the motions from index ``begin`` up to ``end``."""
+        return replace(self, begin_s=self.begin_s[begin:end], duration_s=self.duration_s[begin:end])
+
     def channels(self, motion: np.ndarray, fraction: np.ndarray) -> dict[str, np.ndarray]:
         """Return (n,) values by name; arguments as for `at`."""
         values = self.at(np.zeros((len(motion), 0)), motion, fraction)
@@ -104,7 +108,7 @@ def block_conditions(
     program: Program,
     dialect: Dialect,
     path: ToolPath,
-    space: WordSpace,
+    spaces: Sequence[tuple[int, WordSpace]],
     calibration: Calibration,
     conditions: Conditions,
 ) -> BlockConditions:
@@ -114,7 +118,7 @@ def block_conditions(
         program: as read.
         dialect: its language.
         path: its motions.
-        space: conversion between its words and commands.
+        spaces: conversion between its words and commands, each from a motion (its index) on.
         calibration: the machine's errors.
         conditions: the conditions, by block where `Conditions.by_block` says so.
 
@@ -126,7 +130,7 @@ def block_conditions(
         return CONSTANT
     said = dialect.technology(program)
     start = conditions.time_s or 0.0
-    lengths = durations_s(program.source, said, path, space)
+    lengths = durations_s(program.source, said, path, spaces)
     end = start + np.cumsum(said.dwell_s)[path.columns.line] + np.cumsum(lengths)
     times = _Times(end - lengths, end)
     course = _Course(program.source, said, path.columns, times, conditions, needed(calibration))
@@ -145,15 +149,20 @@ def block_conditions(
     )
 
 
-def durations_s(source: str, said: Technology, path: ToolPath, space: WordSpace) -> np.ndarray:
+def durations_s(source: str, said: Technology, path: ToolPath, spaces: Sequence[tuple[int, WordSpace]]) -> np.ndarray:
     """Return (motions,) the time of every motion in seconds; that of one with an unknown start is zero.
 
     Raises:
         InputError: a feed motion without a feed.
     """
     columns = path.columns
-    commands = [space.commands(words, columns.tcp) for words in (columns.start, columns.end)]
-    fastest = velocity_limits(space.machine)
+    ends = [*(begin for begin, _ in spaces[1:]), len(columns)]
+    parts = [(slice(begin, end), space) for (begin, space), end in zip(spaces, ends, strict=True)]
+    commands = [
+        np.concatenate([space.commands(words[part], columns.tcp[part]) for part, space in parts])
+        for words in (columns.start, columns.end)
+    ]
+    fastest = velocity_limits(spaces[0][1].machine)
     moved = np.nan_to_num(np.abs(commands[1] - commands[0]))
     least = np.max(moved / fastest, axis=1, initial=0.0)
     way = _way(path)

@@ -5,11 +5,11 @@ The output is read back, compared with the intended positions and simulated befo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import final
+from typing import BinaryIO, final
 
 import numpy as np
 
@@ -17,18 +17,27 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.files import atomic_file, tracked_files
 from twin._common.progress import Progress, silent
-from twin.compensation.account import CompensationAccount, Report
+from twin.compensation.account import CompensationAccount, Report, frame_uses
 from twin.compensation.block_conditions import block_conditions
 from twin.compensation.checked import check, motionless, unreadable
 from twin.compensation.prepared import Options, PreparedMachine
 from twin.compensation.solving import Corrected, Pieces, correct, new_positions
 from twin.compensation.stream import Streamed
-from twin.compensation.toolpath import ToolPath, follow, turns_tool
+from twin.compensation.toolpath import (
+    SectionMotions,
+    ToolPath,
+    follow,
+    motions_of,
+    sections,
+    spaces,
+    turns_tool,
+)
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import dialect_for, dialect_of, find_program, read_program
-from twin.nc.blocks import Interpretation, Program, Rewrite
+from twin.nc.blocks import Interpretation, Notice, Program, Rewrite
 from twin.nc.dialect import Dialect
+from twin.nc.inline import errors_in_files
 
 
 @final
@@ -105,18 +114,31 @@ class Compensator:
             InputError: the program cannot be read, or contains something that must not pass uncompensated.
             OutputError: the output, read back, differs from the intended positions; nothing was written.
         """
+        with errors_in_files(program):
+            return self._compensate(program, dialect, progress, into, reading)
+
+    def _compensate(
+        self,
+        program: Program,
+        dialect: Dialect,
+        progress: Progress,
+        into: Dialect | None,
+        reading: Interpretation | None,
+    ) -> Compensation:
         progress("reading", 0.0)
         prepared, axes = self.prepared, self.prepared.space.axes
         if reading is None:
             reading = dialect.moves(program, axes, tcp=prepared.options.tcp)
-        path = follow(program, reading, prepared.space)
+        parts = sections(prepared.space, program.source, reading)
+        first, later = spaces(parts)
+        path = follow(program, reading, first, later)
         if not path.motions:
             raise motionless(program.source)
         written = dialect if into is None else into
         posted = written.name != dialect.name
         progress("solving", 0.1)
-        found = correct(self._pieces(program, dialect, reading, path, posted=posted), progress)
-        rewrites = tuple(_rewrites(found))
+        found = self._corrected(program, dialect, reading, path, motions_of(parts, path), progress, posted=posted)
+        rewrites = tuple(rewrite for one in found for rewrite in _rewrites(one, reading))
         progress("writing", 0.8)
         if posted:
             text = dialect.posted(program, reading, rewrites, axes, written)
@@ -126,29 +148,69 @@ class Compensator:
             text = written.with_comments(text, prepared.comments)
         self._check(program, reading, found, text, written, posted=posted)
         progress("checking", 0.9)
-        account = CompensationAccount(prepared, found.pieces.aim, program.source)
-        account.add(found)
-        notices = [*reading.notices, *path.notices]
-        report = account.report(lines=len(program.texts), moves=len(reading.moves), notices=notices)
+        numbers = program.numbers
+        account = CompensationAccount(prepared, prepared.aim(turns=found[0].pieces.aim.turns), program.source)
+        for one in found:
+            account.add(one)
+        notices = [notice._replace(line=int(numbers[notice.line]) - 1) for notice in (*reading.notices, *path.notices)]
+        if program.origins:
+            notices.append(
+                Notice(0, "subprograms are written out in place of their calls: the output needs none of them")
+            )
+        report = account.report(
+            lines=len(program.texts), moves=len(reading.moves), notices=notices, frames=frame_uses(parts, numbers)
+        )
         progress("done", 1.0)
-        rows = found.rows
-        moves, lines = path.columns.move[rows.motion], found.lines[rows.motion]
-        columns = (rows.nominal, rows.exact, rows.commands, moves, lines, rows.backlash_move)
+        columns = [np.concatenate(column) for column in zip(*map(_columns, found), strict=True)]
         return Compensation(text, report, reading, rewrites, path, *map(read_only, columns))
 
-    def _pieces(
-        self, program: Program, dialect: Dialect, reading: Interpretation, path: ToolPath, *, posted: bool
-    ) -> Pieces:
-        """Return the program cut into pieces, with the conditions of its blocks."""
+    def _corrected(
+        self,
+        program: Program,
+        dialect: Dialect,
+        reading: Interpretation,
+        path: ToolPath,
+        parts: Sequence[SectionMotions],
+        progress: Progress,
+        *,
+        posted: bool,
+    ) -> list[Corrected]:
+        """Return every section of the program corrected, under the conditions of its blocks."""
         prepared = self.prepared
-        aim = prepared.aim(turns=turns_tool(reading.moves, prepared.space.axes))
+        turns = turns_tool(reading.moves, prepared.space.axes)
         conditions = block_conditions(
-            program, dialect, path, prepared.space, prepared.calibration, prepared.options.conditions
+            program,
+            dialect,
+            path,
+            [(part.begin, part.space) for part in parts],
+            prepared.calibration,
+            prepared.options.conditions,
         )
-        return Pieces(prepared, path, aim, dialect, source=program.source, conditions=conditions, posted=posted)
+        found = []
+        for part in parts:
+            within = prepared.within(part.space)
+            pieces = Pieces(
+                within,
+                part.path,
+                within.aim(turns=turns and part.space.tilt is None),
+                dialect,
+                source=program.source,
+                numbers=program.numbers,
+                conditions=conditions.part(part.begin - part.context, part.end),
+                posted=posted,
+            )
+            found.append(correct(pieces, progress, context=part.context))
+        return found
 
     def _check(
-        self, program: Program, reading: Interpretation, found: Corrected, text: str, written: Dialect, *, posted: bool
+        self,
+        program: Program,
+        reading: Interpretation,
+        found: Sequence[Corrected],
+        text: str,
+        written: Dialect,
+        *,
+        posted: bool,
     ) -> None:
         """Read the output back and compare it with the intended positions."""
         axes, tcp = self.prepared.space.axes, self.prepared.options.tcp and not posted
@@ -156,9 +218,9 @@ class Compensator:
             read_back = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
         except InputError as error:
             raise unreadable(program.source, error) from error
-        new = new_positions([found], len(reading.moves), len(axes.names))
+        new = new_positions(found, len(reading.moves), len(axes.names))
         got = np.array([move.position for move in read_back.moves]).reshape(-1, len(axes.names))
-        check(program.source, np.array([move.line + 1 for move in reading.moves]), new, got)
+        check(program.source, program.numbers[[move.line for move in reading.moves]], new, got)
 
     def compensate_file(
         self, program: Path, output: Path, progress: Progress = silent, *, into: Dialect | None = None
@@ -181,13 +243,14 @@ class Compensator:
         """
         dialect = dialect_of(program)
         target = dialect if into is None else into
-        in_one_piece = bool(self.prepared.backlash.axes or self.prepared.by_block)
+        setup = self.prepared.options.setup
+        in_one_piece = bool(self.prepared.backlash.axes or self.prepared.by_block or setup.offsets or setup.tools)
         streams = dialect.in_chunks and target.name == dialect.name and program.is_file() and not in_one_piece
         with tracked_files() as files, ExitStack() as stack:
             for path in self._inputs(program):
                 files.add_input(path)
             out = stack.enter_context(atomic_file(output))
-            report = Streamed(self.prepared, program, progress).run(out) if streams else None
+            report = self._streamed(program, out, progress) if streams else None
             if report is None:
                 out.seek(0)
                 out.truncate()
@@ -196,13 +259,26 @@ class Compensator:
                 report = result.report
         return report
 
+    def _streamed(self, program: Path, out: BinaryIO, progress: Progress) -> Report | None:
+        """Compensate a program in stretches; None if it must be held as a whole: it has drilling cycles or calls subprograms."""
+        try:
+            report = Streamed(self.prepared, program, progress).run(out)
+        except InputError:
+            if read_program(program)[0].origins:
+                return None
+            raise
+        unknown = report is not None and any("unknown word" in note.text for note in report.notes)
+        return None if unknown and read_program(program)[0].origins else report
+
     def _inputs(self, program: Path) -> Iterator[Path]:
         """Yield the input files of this compensation."""
         calibration, machine = self.prepared.calibration, self.prepared.machine
         tables = () if calibration.control is None else calibration.control.entries
         log = self.prepared.options.conditions.log
         paths = (program, machine.path, machine.urdf, calibration.path, None if log is None else log.path)
-        files = (*paths, *(table.file for table in tables))
+        setup = self.prepared.options.setup
+        given = (table.path for table in (setup.offsets, setup.tools) if table is not None)
+        files = (*paths, *given, *(table.file for table in tables))
         return (path for path in files if path is not None)
 
 
@@ -278,13 +354,21 @@ def compensate_file(
     return Compensator(machine, errors, options).compensate_file(found, target, progress, into=into)
 
 
-def _rewrites(found: Corrected) -> Iterator[Rewrite]:
+def _columns(found: Corrected) -> tuple[np.ndarray, ...]:
+    """Return the columns of `Compensation` for one section."""
+    rows, columns = found.own, found.pieces.path.columns
+    moves, lines = columns.move[rows.motion], found.lines[rows.motion]
+    return rows.nominal, rows.exact, rows.commands, moves, lines, rows.backlash_move
+
+
+def _rewrites(found: Corrected, reading: Interpretation) -> Iterator[Rewrite]:
     """Yield a rewrite for every motion with new words, in order."""
-    new, by_vector = found.new, found.pieces.by_vector
+    new, context = found.new, found.context
+    by_vector, moves = found.pieces.by_vector[context:], found.pieces.path.columns.move[context:]
     for i in np.flatnonzero(new.count).tolist():
         part = slice(new.first[i], new.first[i] + new.count[i])
         vectors = new.vectors[part] if by_vector[i] else None
-        yield Rewrite(found.pieces.path.motions[i].move, new.positions[part], vectors, _shares(found, part))
+        yield Rewrite(reading.moves[moves[i]], new.positions[part], vectors, _shares(found, part))
 
 
 def _shares(found: Corrected, part: slice) -> np.ndarray | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final, final
 
@@ -20,7 +21,10 @@ from twin.compensation.toolpath import (
     WordSpace,
     check_domains,
     follow,
+    motions_of,
     outside_range,
+    sections,
+    spaces,
     spacings,
 )
 from twin.display import card, histogram, note, pairs
@@ -30,6 +34,7 @@ from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.nc import read_program
 from twin.nc.blocks import Program
+from twin.nc.inline import errors_in_files
 
 CHORD_MM: Final = 0.01
 """Chord tolerance on arcs."""
@@ -111,15 +116,30 @@ def execute_file(
     at.require(errors)
     read, dialect = read_program(program)
     space = WordSpace(machine, Setup() if setup is None else setup, tool_length_mm)
-    path = follow(read, dialect.moves(read, space.axes, tcp=tcp), space)
-    check_one_mode(errors, path.columns.tcp, read.source, tcp=tcp)
-    by_block = block_conditions(read, dialect, path, space, errors, at)
-    real = Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=at, by_pose=by_block.names)
-    return execute(read, path, space, real, by_block)
+    with errors_in_files(read):
+        reading = dialect.moves(read, space.axes, tcp=tcp)
+        found = sections(space, read.source, reading)
+        path = follow(read, reading, *spaces(found))
+        check_one_mode(errors, path.columns.tcp, read.source, tcp=tcp)
+        parts = motions_of(found, path)
+        by_block = block_conditions(read, dialect, path, [(part.begin, part.space) for part in parts], errors, at)
+        runs = []
+        for part in parts:
+            length = part.space.nominal.tool_length_mm
+            real = Kinematics(machine, errors, tool_length_mm=length, conditions=at, by_pose=by_block.names)
+            conditions_of = by_block.part(part.begin - part.context, part.end)
+            runs.append(execute(read, part.path, part.space, real, conditions_of, context=part.context))
+    return runs[0] if len(runs) == 1 else _joined(runs)
 
 
 def execute(
-    program: Program, path: ToolPath, space: WordSpace, real: Kinematics, conditions: BlockConditions = CONSTANT
+    program: Program,
+    path: ToolPath,
+    space: WordSpace,
+    real: Kinematics,
+    conditions: BlockConditions = CONSTANT,
+    *,
+    context: int = 0,
 ) -> Execution:
     """Execute a program as its control would: straight lines in words between blocks, also for rapids.
 
@@ -129,6 +149,7 @@ def execute(
         space: conversion from words to commands on the machine without errors.
         real: the machine with errors, the same tool length, and the temperatures and time its effects need.
         conditions: those of every motion.
+        context: number of first motions that belong to the section before.
 
     Raises:
         InputError: a position within the axis's range that its error motions do not cover.
@@ -141,7 +162,8 @@ def execute(
     check_domains(real, program.source, lines[ends], positions[ends])
     sides = Backlash(real.calibration).sides(path, of, positions)
     state = conditions.at(sides, of, np.concatenate(fractions))
-    keep = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
+    own = of >= context
+    keep = own & ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
     positions, sides = positions[keep], sides[keep]
     nominal, reached = space.nominal.forward(positions), real.forward(positions, state[keep])
     return Execution(
@@ -152,9 +174,19 @@ def execute(
         tilt_urad=reached.tilt_urad(nominal),
         cutting=~columns.rapid[of][keep],
         ends=ends[keep],
-        lines=lines[keep],
-        left_out=int(np.count_nonzero(~keep)),
+        lines=program.numbers[lines[keep] - 1],
+        left_out=int(np.count_nonzero(own & ~keep)),
     )
+
+
+def _joined(runs: Sequence[Execution]) -> Execution:
+    """Return the executions of consecutive sections as one."""
+    arrays = {
+        one.name: np.concatenate([getattr(run, one.name) for run in runs])
+        for one in fields(Execution)
+        if one.name != "left_out"
+    }
+    return Execution(**arrays, left_out=sum(run.left_out for run in runs))
 
 
 def _fractions(motion: PathMotion) -> np.ndarray:

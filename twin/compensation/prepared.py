@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Literal, final
 
@@ -82,6 +82,7 @@ class PreparedMachine:
         machine: the machine.
         calibration: its errors.
         options: the options.
+        space: conversion between words and commands; that of the options if None.
 
     Attributes:
         by_block: names of the channels that differ from block to block.
@@ -100,14 +101,18 @@ class PreparedMachine:
             that the calibration needs is missing, or a temperature is given that it does not know.
     """
 
-    def __init__(self, machine: Machine, calibration: Calibration, options: Options) -> None:
+    def __init__(
+        self, machine: Machine, calibration: Calibration, options: Options, space: WordSpace | None = None
+    ) -> None:
         self.machine = machine
         self.options = options
+        self._given = calibration
+        self._within: dict[WordSpace, PreparedMachine] = {}
         calibration.check_settled()
         self.calibration = calibration = calibration.with_transformation() if options.tcp else calibration
         options.conditions.require(calibration)
         self.by_block = channels_by_block(calibration, options.conditions)
-        self.space = WordSpace(machine, options.setup, options.tool_length_mm)
+        self.space = WordSpace(machine, options.setup, options.tool_length_mm) if space is None else space
         self.real = self._with(calibration)
         self.backlash = Backlash(calibration)
         self.comparison = PoseComparison(self.real, self.space.nominal)
@@ -126,6 +131,15 @@ class PreparedMachine:
         self.limits = np.stack(
             [np.maximum(ranges[:, 0], domains[:, 0]), np.minimum(ranges[:, 1], domains[:, 1])], axis=1
         )
+
+    def within(self, space: WordSpace) -> PreparedMachine:
+        """Return the machine prepared for the words of a frame (`twin.compensation.toolpath.FrameSpaces`)."""
+        if space is self.space:
+            return self
+        if space not in self._within:
+            options = replace(self.options, setup=space.setup, tool_length_mm=space.tool_length_mm)
+            self._within[space] = PreparedMachine(self.machine, self._given, options, space)
+        return self._within[space]
 
     @property
     def constant(self) -> dict[str, float]:
@@ -213,13 +227,14 @@ class CorrectionAim:
         turns: whether the program moves rotary axes.
 
     Attributes:
+        prepared: as given.
         turns: whether the program moves rotary axes.
         scope: classes that are corrected.
         backlash: reversal values that are corrected.
     """
 
     def __init__(self, prepared: PreparedMachine, turns: bool) -> None:
-        self._prepared = prepared
+        self.prepared = prepared
         self.turns = turns
         self.scope = scope = prepared.options.scope or Scope.everything(orientation=turns)
         corrected = prepared.calibration_with(
@@ -236,13 +251,13 @@ class CorrectionAim:
     @cached_property
     def point(self) -> Kinematics:
         """Machine with the errors corrected at the functional point, less the control's own correction of them."""
-        machine = self._prepared.machine
-        return self._prepared.with_errors(lambda name: self.scope.at_point(name, machine), self._table_at_point)
+        machine = self.prepared.machine
+        return self.prepared.with_errors(lambda name: self.scope.at_point(name, machine), self._table_at_point)
 
     @cached_property
     def comparison(self) -> PoseComparison:
         """Pose comparison of that machine with the nominal pose."""
-        return PoseComparison(self.point, self._prepared.space.nominal)
+        return PoseComparison(self.point, self.prepared.space.nominal)
 
     @cached_property
     def point_inverse(self) -> Inverse:
@@ -252,8 +267,8 @@ class CorrectionAim:
     @cached_property
     def orientation(self) -> Kinematics | None:
         """Machine with the errors corrected by the rotary axes; None if these do not move for it."""
-        limited = self._prepared.with_errors(
-            lambda name: self.scope.in_orientation(name, self._prepared.machine),
+        limited = self.prepared.with_errors(
+            lambda name: self.scope.in_orientation(name, self.prepared.machine),
             lambda table: not table.axis.linear and (self.scope.orientation or self._table_at_point(table)),
         )
         return limited if self.turns and not limited.calibration.empty else None
@@ -263,12 +278,12 @@ class CorrectionAim:
         """Inverse kinematics of that machine; None if the rotary axes do not move for it."""
         if self.orientation is None:
             return None
-        return Inverse(self.orientation, rotary_limit_deg=self._prepared.options.rotary_limit_deg)
+        return Inverse(self.orientation, rotary_limit_deg=self.prepared.options.rotary_limit_deg)
 
     @property
     def idle(self) -> bool:
         """Whether there is nothing to correct."""
-        return self.point.calibration.empty and self.orientation is None and self._prepared.thesis is None
+        return self.point.calibration.empty and self.orientation is None and self.prepared.thesis is None
 
     @cached_property
     def at_point(self) -> ToolUncertainty:
@@ -289,7 +304,7 @@ class CorrectionAim:
     @cached_property
     def by_class(self) -> Mapping[str, Kinematics]:
         """Machine with the errors of one class alone, for every class in which it has errors."""
-        prepared = self._prepared
+        prepared = self.prepared
         found = {
             basic: prepared.with_errors(partial(_is_of, basic, prepared.machine), lambda table: False)
             for basic in BASIC

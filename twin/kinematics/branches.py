@@ -53,6 +53,11 @@ class Branches:
                 "the rotary axes are parallel", expected="axes that can orient the tool", file=machine.path
             )
 
+    @property
+    def master(self) -> int:
+        """Index of the rotary axis nearer the tool, whose sign distinguishes the two solutions."""
+        return self._order[1]
+
     def all(self, axis: np.ndarray) -> np.ndarray:
         """Return all rotary solutions.
 

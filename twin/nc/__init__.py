@@ -91,10 +91,12 @@ def dialect_of(path: Path) -> Dialect:
 def read_program(path: str | Path) -> tuple[Program, Dialect]:
     """Read a program from a file (or a sample that comes with twin) and return it with its language.
 
+    Its subprograms, in the same file or folder, are written out in place of their calls.
+
     Raises:
-        InputError: there is no such file, its suffix is unknown, or it is empty or not text.
+        InputError: there is no such file, its suffix is unknown, it is empty or not text, or a subprogram cannot be written out.
     """
     found = find_program(path)
     data = read_bytes(found)
     dialect = dialect_for(found, data)
-    return dialect.read(data, str(found)), dialect
+    return dialect.expanded(dialect.read(data, str(found)), found.parent), dialect

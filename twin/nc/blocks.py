@@ -14,9 +14,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from typing import NamedTuple, final
 
 import numpy as np
+
+from twin.nc.planes import Plane
 
 
 @final
@@ -30,6 +33,8 @@ class AxisWords:
         increment: least increment of each axis, mm or degrees.
         tcp_on, tcp_off: words in capitals that switch tool centre point control on and off on this machine (a remapped
             ``M428``, for example), in addition to those of the dialect.
+        offsets_known: whether the values of the machine's work offsets are known, so that a program may use several.
+        tools_known: whether the lengths of the machine's tools are known.
     """
 
     linear: tuple[str, ...]
@@ -37,11 +42,29 @@ class AxisWords:
     increment: Mapping[str, float]
     tcp_on: tuple[str, ...] = ()
     tcp_off: tuple[str, ...] = ()
+    offsets_known: bool = False
+    tools_known: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the linear axes, then of the rotary axes."""
         return self.linear + self.rotary
+
+
+@final
+@dataclass(frozen=True)
+class Origin:
+    """Origin of a line of a program whose subprograms are written out.
+
+    Attributes:
+        file: its file.
+        line: its number there.
+        main: the number in the main program, of the line itself or of the call that leads to it.
+    """
+
+    file: str
+    line: int
+    main: int
 
 
 @final
@@ -53,11 +76,20 @@ class Program:
         source: file name for messages.
         dialect: the name of its language.
         texts: the lines, each with its own line ending.
+        origins: where each line is from; empty if all are those of the file, in order.
     """
 
     source: str
     dialect: str
     texts: tuple[str, ...]
+    origins: tuple[Origin, ...] = ()
+
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """(lines,) number of each line in the file."""
+        if not self.origins:
+            return np.arange(1, len(self.texts) + 1)
+        return np.array([origin.main for origin in self.origins])
 
     @property
     def text(self) -> str:
@@ -145,12 +177,48 @@ class LostPositions(NamedTuple):
 
 @final
 @dataclass(frozen=True)
+class WordFrame:
+    """The coordinates in which a program's words are given, from a line on.
+
+    Attributes:
+        offset: name of the work offset in force (``G54``, ``G54.1 P3``, ``G505``, a preset's number); empty before the first.
+        tool: number or name of the tool in the spindle; empty before the first.
+        length: number or name of the tool whose length the control adds; empty if it adds none.
+        delta_mm: a further length stated by the program (``DL``).
+        plane: the tilted plane in force, None for the coordinates of the work offset.
+    """
+
+    offset: str = ""
+    tool: str = ""
+    length: str = ""
+    delta_mm: float = 0.0
+    plane: Plane | None = None
+
+
+@final
+class FrameChange(NamedTuple):
+    """A line that changes the frame, for its own move and all later ones."""
+
+    line: int
+    frame: WordFrame
+
+
+@final
+@dataclass(frozen=True)
 class Interpretation:
-    """The result of interpreting a program: its moves in order, notices, and the lines after which axis positions are unknown."""
+    """The result of interpreting a program.
+
+    Attributes:
+        moves: its moves in order.
+        notices: remarks for the report.
+        lost_positions: the lines after which axis positions are unknown.
+        frames: the lines that change the frame; none if the values of offsets and tools are unknown (`AxisWords`).
+    """
 
     moves: tuple[Move, ...]
     notices: tuple[Notice, ...] = ()
     lost_positions: tuple[LostPositions, ...] = ()
+    frames: tuple[FrameChange, ...] = ()
 
 
 @final

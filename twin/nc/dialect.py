@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -135,6 +136,18 @@ class Dialect(ABC):
                 the caller).
         """
         raise ValueError(f"{self.name} programs cannot be written in {into.name}")
+
+    def expanded(self, program: Program, folder: Path | None) -> Program:
+        """Return a program with its subprograms written out in place of their calls; the program itself if it has none.
+
+        Args:
+            program: as read.
+            folder: where its subprograms may be; None for only itself.
+
+        Raises:
+            InputError: a call that cannot be written out, with file and line.
+        """
+        return program
 
     def new_program(self, axes: AxisWords) -> NewProgram:
         """Return a new, empty program in axis words.

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
 
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
+from twin.nc.arithmetic import evaluate
 from twin.nc.block import AxisWord, Block
-from twin.nc.blocks import Arc, AxisWords, LostPositions, Notice
-from twin.nc.text import number, unit_vector
+from twin.nc.blocks import Arc, AxisWords, FrameChange, LostPositions, Notice, WordFrame
+from twin.nc.text import LARGEST, number, unit_vector
 
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
 
@@ -29,9 +32,14 @@ class Interpreter:
         vector: the tool vector in force, if orientation is given as one.
         notices: remarks for the report.
         lost_positions: lines after which axis positions are unknown.
+        frame: the coordinates in force.
+        frames: lines that change them.
         tcp: whether tool centre point control is on.
         tcp_word: the word that switched it last; empty: none yet.
     """
+
+    heidenhain = False
+    """Whether arithmetic is that of plain language."""
 
     def __init__(
         self, source: str, axes: AxisWords, *, tcp: bool, tcp_on: Iterable[str], tcp_off: Iterable[str]
@@ -45,6 +53,9 @@ class Interpreter:
         self.vector: tuple[float, float, float] | None = None
         self.notices: list[Notice] = []
         self.lost_positions: list[LostPositions] = []
+        self.frame = WordFrame()
+        self.frames: list[FrameChange] = []
+        self.offsets_known, self.tools_known = axes.offsets_known, axes.tools_known
         self.tcp = tcp
         self.tcp_word = ""
         self.tcp_on = frozenset(tcp_on)
@@ -79,13 +90,14 @@ class Interpreter:
     # ------------------------------------------------------------------ values
 
     def value_of(self, text: str) -> float:
-        """Return the value of a number or of a variable with a known value; NaN for anything else."""
+        """Return the value of a number, or of arithmetic with variables of known values; NaN for anything else."""
         value = number(text)
         if value == value:
             return value
         match = _REFERENCE.fullmatch(text)
         if match is None:
-            return math.nan
+            value = evaluate(text, self._variables, heidenhain=self.heidenhain)
+            return value if -LARGEST < value < LARGEST else math.nan
         value = self._variables.get(match.group(2).upper(), math.nan)
         return -value if match.group(1) == "-" else value
 
@@ -127,6 +139,16 @@ class Interpreter:
         block.unknown_axes = tuple(sorted({*block.unknown_axes, *axes})) if block.unknown_axes else axes
         for axis in axes:
             self.position[axis] = math.nan
+
+    def select(self, block: Block, **changes: Any) -> None:
+        """Change the frame from this block on; positions in the new coordinates are unknown until the program gives them."""
+        frame = replace(self.frame, **changes)
+        if frame == self.frame:
+            return
+        everything = self.tcp or (frame.offset, frame.plane) != (self.frame.offset, self.frame.plane)
+        self.frame = frame
+        self.frames.append(FrameChange(self._line, frame))
+        self.mark_unknown(block, range(len(self.names)) if everything else (self.linear - 1,), moved=None)
 
     def switch(self, block: Block, on: bool, word: str) -> None:
         """Switch tool centre point control, unless it has that state already."""

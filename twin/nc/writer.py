@@ -91,9 +91,9 @@ class WordWriter(ABC, Generic[B]):
         elif block.vector_words:
             self._vector_text = None
         if rewrite.move.kind is Kind.ARC:
-            _drop(block, block.arc_words, edits)
+            drop(block, block.arc_words, edits)
         tails = self._tails(block, rewrite, edits) if many else []
-        end_m_words = _drop(block, block.end_m_words, edits) if many else []
+        end_m_words = drop(block, block.end_m_words, edits) if many else []
         begin = self._insert(block, begin, added, tool, edits)
         lines = [apply_edits(block.text, edits) if edits else block.text]
         if not many:
@@ -198,9 +198,12 @@ class WordWriter(ABC, Generic[B]):
         return words
 
 
-def _drop(block: Block, spans: Iterable[Span], edits: list[Edit]) -> list[str]:
+def drop(block: Block, spans: Iterable[Span], edits: list[Edit]) -> list[str]:
     """Delete words from a block, with the spaces before them, and return their texts."""
     text = block.text
     for span in spans:
-        edits.append((len(text[: span.start].rstrip(" \t")), span.end, ""))
+        begin, end = len(text[: span.start].rstrip(" \t")), span.end
+        if not text[:begin]:
+            end = len(text) - len(text[end:].lstrip(" \t"))
+        edits.append((begin, end, ""))
     return [text[span.start : span.end] for span in spans]

@@ -23,6 +23,7 @@ from twin.machine.iso16907 import NAMES
 from twin.machine.machine import Machine
 from twin.machine.machine_log import MachineLog
 from twin.nc import find_program
+from twin.nc.tables import load_offsets, load_tools
 from twin.samples import PLANS
 
 
@@ -64,6 +65,22 @@ OffsetOption = Annotated[
 OriginOption = Annotated[
     str | None,
     typer.Option("--work-origin", help="Program zero x,y,z in the work frame, mm; with --mode tcp; default: 0,0,0."),
+]
+OffsetsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--offsets",
+        help="Table of the machine's work offsets (G54 …), from which the program selects: CSV, LinuxCNC .var, SINUMERIK $P_UIFR, "
+        "Fanuc G10 L2, Heidenhain .pr. They are those of the spindle nose: the tool's length is added (--tools, else --tool-length).",
+    ),
+]
+ToolsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--tools",
+        help="Table of the tools' lengths, by which the program calls them: CSV, LinuxCNC .tbl, SINUMERIK $TC_DP3, Fanuc G10 L10, "
+        "Heidenhain .t. --work-offset is then that of the spindle nose.",
+    ),
 ]
 ModeOption = Annotated[
     Mode,
@@ -212,16 +229,33 @@ def need_pictures(what: str) -> None:
         ) from error
 
 
-def setup(machine: Machine, offsets: list[str] | None, origin: str | None) -> Setup:
-    """Return the work offsets and the work origin of a program.
+def setup(
+    machine: Machine,
+    offset: list[str] | None,
+    origin: str | None,
+    offsets: Path | None = None,
+    tools: Path | None = None,
+) -> Setup:
+    """Return the work offsets, the work origin and the tools of a program.
+
+    Args:
+        machine: the machine.
+        offset: words ``AXIS=value`` of one work offset.
+        origin: text of the work origin.
+        offsets: table of work offsets.
+        tools: table of tools.
 
     Raises:
-        InputError: an unknown axis, an axis given twice, or text that is not a number.
+        InputError: an unknown axis, an axis given twice, text that is not a number; a table that cannot be read.
     """
-    found = axis_values("--work-offset", offsets, machine.names)
-    if origin is None:
-        return Setup(found)
-    return Setup(found, three_numbers("--work-origin", origin, origin, "x,y,z in mm"))
+    return Setup(
+        work_offset=axis_values("--work-offset", offset, machine.names),
+        work_origin_mm=(0.0, 0.0, 0.0)
+        if origin is None
+        else three_numbers("--work-origin", origin, origin, "x,y,z in mm"),
+        offsets=None if offsets is None else load_offsets(offsets),
+        tools=None if tools is None else load_tools(tools),
+    )
 
 
 def conditions(

@@ -9,6 +9,7 @@ import numpy as np
 
 from twin._common.arrays import rows_all_true
 from twin._common.units import URAD
+from twin.compensation.account.frames import FrameUse
 from twin.compensation.account.interpolation import interpolated
 from twin.compensation.account.notes import approach_notes, condition_notes, reversal_notes, setup_notes
 from twin.compensation.account.report import ClassShare, ControlNote, Deviation, LineNote, Report
@@ -51,7 +52,7 @@ class CompensationAccount:
         self._prepared, self._aim, self._source = prepared, aim, source
         self._before, self._after = CompensationTally(4, 4), CompensationTally(4, 4)
         self._point, self._axis = CorrectionTally("tool point", "um"), CorrectionTally("tool axis", "urad")
-        self._sample = Sample()
+        self._samples: dict[CorrectionAim, Sample] = {}
         self._shortfalls = ShortfallTally()
         self._residual_um = {"rounding": 0.0, "solver": 0.0}
         self._largest = np.zeros(len(prepared.machine.axes))
@@ -67,7 +68,7 @@ class CompensationAccount:
         pieces, rows, context = corrected.pieces, corrected.own, corrected.context
         self._idle, self._by_block = pieces.idle, pieces.conditions.source
         for points in self._simulated(corrected):
-            self._compare(points, corrected.lines, self._motions - context)
+            self._compare(points, pieces, corrected.lines, self._motions - context)
         residual_um = self._end_point_residuals_um(pieces, rows)
         corrections = np.abs(rows.commands - rows.nominal)[~rows.untouched]
         self._largest = np.maximum(self._largest, corrections.max(axis=0, initial=0.0))
@@ -87,13 +88,14 @@ class CompensationAccount:
         self._approach_notes += approach_notes(corrected)
         self._motions += len(pieces.start) - context
 
-    def report(self, *, lines: int, moves: int, notices: Sequence[Notice]) -> Report:
+    def report(self, *, lines: int, moves: int, notices: Sequence[Notice], frames: tuple[FrameUse, ...] = ()) -> Report:
         """Return the report of everything added so far.
 
         Args:
             lines: number of lines of the program.
             moves: number of its moves.
             notices: notices of the program reader.
+            frames: work offsets and tools of the program, if their tables are known.
         """
         prepared, options = self._prepared, self._prepared.options
         notes = (
@@ -111,7 +113,8 @@ class CompensationAccount:
             warnings=prepared.calibration.warnings,
             method=options.method,
             scope="as in the thesis" if options.method == "thesis" else str(self._aim.scope),
-            tool_length_mm=prepared.real.tool_length_mm,
+            tool_length_mm=frames[0].tool_length_mm if frames else prepared.real.tool_length_mm,
+            frames=frames,
             tolerance_um=options.tolerance_mm * 1e3,
             lines=lines,
             moves=moves,
@@ -201,16 +204,18 @@ class CompensationAccount:
             return None
         return pieces.conditions.at(np.zeros((len(motion), len(self._prepared.machine.axes))), motion, fraction)
 
-    def _compare(self, points: SimulatedPoints, lines: np.ndarray, first: int) -> None:
+    def _compare(self, points: SimulatedPoints, pieces: Pieces, lines: np.ndarray, first: int) -> None:
         """Simulate points with nominal and with written commands, and add the deviations to the tallies.
 
         Args:
             points: the points.
+            pieces: the stretch they belong to.
             lines: (motions,) line number of each motion.
             first: number of the stretch's first motion within the program.
         """
-        before = self._prepared.comparison.poses(points.nominal, points.nominal, points.nominal_sides)
-        after = self._prepared.comparison.poses(points.nominal, points.written, points.written_sides)
+        comparison = pieces.prepared.comparison
+        before = comparison.poses(points.nominal, points.nominal, points.nominal_sides)
+        after = comparison.poses(points.nominal, points.written, points.written_sides)
         keep = before.known & after.known
         if points.valid is not None:
             keep &= points.valid
@@ -219,14 +224,14 @@ class CompensationAccount:
             before, after, line_of = before.where(keep), after.where(keep), line_of[keep]
         for tally, found in ((self._before, before), (self._after, after)):
             _add(tally, found, line_of)
-        self._sample.add(first, points, keep)
+        self._samples.setdefault(pieces.aim, Sample()).add(first, points, keep)
 
     def _end_point_residuals_um(self, pieces: Pieces, rows: Rows) -> dict[str, np.ndarray]:
         """Return by cause (``rounding``, ``solver``) the (rows,) distance in µm of the tool point from its target at end points."""
         good, state = ~rows.untouched & ~rows.clamped, pieces.state(rows)
         residual_um = {}
         for name, commands in (("rounding", rows.commands), ("solver", rows.exact)):
-            distance = self._aim.comparison.distance_mm(Commands(rows.nominal), Commands(commands), state)
+            distance = pieces.aim.comparison.distance_mm(Commands(rows.nominal), Commands(commands), state)
             residual_um[name] = distance * 1e3
             self._residual_um[name] = max(self._residual_um[name], float(residual_um[name][good].max(initial=0.0)))
         return residual_um
@@ -237,11 +242,11 @@ class CompensationAccount:
         The displacement is that of the machine without errors between nominal and compensated commands. The uncertainty is that of the
         corrected errors at the nominal commands; at the compensated ones it differs by less than a thousandth.
         """
-        aim = self._aim
+        aim, prepared = pieces.aim, pieces.prepared
         compensated = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is reported separately
-        moved = self._prepared.nominal_comparison.poses(Commands(rows.nominal), Commands(compensated))
+        moved = prepared.nominal_comparison.poses(Commands(rows.nominal), Commands(compensated))
         keep = ~rows.untouched & ~rows.backlash_move & moved.known
-        keep &= rows_all_true(~self._prepared.real.outside_domain(rows.nominal))
+        keep &= rows_all_true(~prepared.real.outside_domain(rows.nominal))
         if not np.any(keep):
             return
         if not keep.all():
@@ -252,7 +257,7 @@ class CompensationAccount:
             at_point = _uncertainty(aim.at_point, pieces, rows)
             self._point.add(line_of, rows.motion, moved.distance_mm * 1e3, at_point[:, 0], aim.at_point)
         turned = ~rows.singular  # the others are listed as not corrected
-        orientation_corrected = aim.scope.orientation and self._prepared.thesis is None
+        orientation_corrected = aim.scope.orientation and prepared.thesis is None
         if orientation_corrected and aim.at_axis is not None and np.any(turned):
             uncertainty = (
                 at_point
@@ -266,30 +271,31 @@ class CompensationAccount:
 
     def _control_note(self) -> ControlNote | None:
         """Return the share that the control's own tables correct, at the sampled poses; None if the calibration has no tables."""
-        section, alone = self._prepared.calibration.control, self._prepared.control_alone
-        if section is None or (alone is None and section.errors_are == "uncorrected"):
+        section, acts = self._prepared.calibration.control, bool(self._prepared.calibration.corrections)
+        if section is None or (not acts and section.errors_are == "uncorrected"):
             return None
         active = section.entries if self._prepared.options.tcp else section.tables
         files = tuple(entry.file.name for entry in active)
-        if alone is None:
+        if not acts:
             return ControlNote(section.errors_are, files, (), None, None, section.caution)
-        before, before_from, _, _ = self._sample.poses()
-        moved = alone.forward(before, before_from).point_mm - self._prepared.space.nominal.forward(before).point_mm
-        share = np.linalg.norm(moved, axis=1) * 1e3
+        moves = []
+        for aim, sample in self._samples.items():
+            before, before_from, _, _ = sample.poses()
+            alone = aim.prepared.control_alone
+            if alone is not None:
+                moves.append(
+                    alone.forward(before, before_from).point_mm - aim.prepared.space.nominal.forward(before).point_mm
+                )
+        share = np.linalg.norm(np.concatenate([np.zeros((0, 3)), *moves]), axis=1) * 1e3
         axes = tuple(dict.fromkeys(table.axis.name for table in self._prepared.calibration.corrections))
         return ControlNote(section.errors_are, files, axes, _rms(share), float(share.max(initial=0.0)))
 
     def _classes(self, *, all_corrected: bool) -> Iterator[ClassShare]:
         """Yield the share of each class; ``all_corrected``: whether every block is corrected."""
-        before, before_from, after, after_from = self._sample.poses()
-        nominal = self._prepared.space.nominal
-        nominal_poses, reached = nominal.forward(before), nominal.forward(after)
-        for name, alone in self._aim.by_class.items():
-            alone_before = alone.forward(before, before_from)
-            share = np.linalg.norm(alone_before.point_mm - nominal_poses.point_mm, axis=1) * 1e3
-            turn = angle_between_rad(alone_before.axis, nominal_poses.axis) * 1e6
+        for name in self._aim.by_class:
+            parts = [_class_errors(name, aim, sample) for aim, sample in self._samples.items()]
+            share, turn, residual = (np.concatenate([np.zeros(0), *columns]) for columns in zip(*parts, strict=True))
             corrected = None if self._prepared.thesis is not None else name in self._aim.scope.classes
-            residual = np.linalg.norm(alone.forward(after, after_from).point_mm - reached.point_mm, axis=1) * 1e3
             yield ClassShare(
                 name=name,
                 corrected=corrected,
@@ -325,6 +331,17 @@ def _uncertainty(tool: ToolUncertainty, pieces: Pieces, rows: Rows) -> np.ndarra
     axes = tool.kinematics.machine.axes
     near = [STRAIGHT_MM if axis.linear else STRAIGHT_DEG for axis in axes]
     return interpolated(values, np.hstack([rows.nominal, rows.approach]), np.array(near + [SAME_SIDE] * len(axes)))
+
+
+def _class_errors(name: str, aim: CorrectionAim, sample: Sample) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the errors of one class at sampled poses: point (µm) and axis (µrad) before correction, and point (µm) after it."""
+    before, before_from, after, after_from = sample.poses()
+    alone, nominal = aim.by_class[name], aim.prepared.space.nominal
+    nominal_poses, alone_before = nominal.forward(before), alone.forward(before, before_from)
+    share = np.linalg.norm(alone_before.point_mm - nominal_poses.point_mm, axis=1) * 1e3
+    turn = angle_between_rad(alone_before.axis, nominal_poses.axis) * 1e6
+    residual = alone.forward(after, after_from).point_mm - nominal.forward(after).point_mm
+    return share, turn, np.linalg.norm(residual, axis=1) * 1e3
 
 
 def _rms(values: np.ndarray) -> float:

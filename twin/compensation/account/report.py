@@ -10,6 +10,7 @@ from typing import Any, Final, final
 from twin._common.counts import count_with_noun
 from twin._common.json_form import json_form
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts
+from twin.compensation.account.frames import FrameUse
 from twin.compensation.account.shortfalls import SHOWN, Shortfall, line_numbers
 from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections
@@ -155,6 +156,7 @@ class Report:
     """Report of a compensation; every field is in the JSON report under its name.
 
     Attributes:
+        tool_length_mm: tool length; of the first tool if there are several (``frames``).
         warnings: warnings on the origin of the calibration's numbers; they also stand at the head of the program.
         largest_correction: by axis, in mm or degrees, and that unit.
         rounding_um: largest distance caused by rounding to the least increment at a block end point.
@@ -167,6 +169,7 @@ class Report:
         conditions: temperatures (``T_X_degC``) and time (``time_s``) at which the effects were evaluated, over the whole program.
         reversals: treatment of backlash by axis; approach directions follow from the program.
         control: errors that the control corrects itself; None if the calibration has no tables of the control.
+        frames: work offsets and tools of the program, if their tables are known.
     """
 
     program: str
@@ -197,6 +200,7 @@ class Report:
     conditions: Mapping[str, float] = field(default_factory=dict)
     reversals: tuple[ReversalNote, ...] = ()
     control: ControlNote | None = None
+    frames: tuple[FrameUse, ...] = ()
 
     @property
     def illustrative(self) -> bool:
@@ -259,7 +263,8 @@ class Report:
 
     @property
     def _how(self) -> str:
-        return f"{self.method}, scope {self.scope}, tool length {self.tool_length_mm:g} mm"
+        tool = "" if self.frames else f", tool length {self.tool_length_mm:g} mm"
+        return f"{self.method}, scope {self.scope}{tool}"
 
     @property
     def _largest_moves(self) -> str:
@@ -299,6 +304,7 @@ class Report:
             ("control", "" if self.control is None else self.control.sentence),
             ("method", self._how),
             ("program", f"{count_with_noun(self.moves, 'move')}: {blocks}"),
+            *(("" if i else "set-up", one.sentence) for i, one in enumerate(self.frames)),
             ("largest shift of an axis", self._largest_moves),
             ("error of rounding", f"up to {self.rounding_um:.2f} µm at a block end point"),
         ]
@@ -327,6 +333,7 @@ class Report:
             f"  method        {self._how}",
             f"  program       {self.lines} lines, {self.moves} moves: {self.rewritten} rewritten, "
             f"{self.split} split to stay within {self.tolerance_um:g} µm between end points (+{self.added} blocks)",
+            *(f"  {'' if i else 'set-up':<14}{one.sentence}" for i, one in enumerate(self.frames)),
             *self._channels_text(),
             f"  largest shift {self._largest_moves}",
             "",

@@ -103,6 +103,12 @@ class Refitter:
         increment = self.prepared.printed_increment(dialect, posted=posted)
         refitter = RunRefitter(self.prepared, increment, compensated=self.compensated, posted=posted, printed=printed)
         reading = dialect.moves(program, space.axes, tcp=self.prepared.options.tcp)
+        if reading.frames or program.origins:
+            raise InputError(
+                "tilted planes and subprograms cannot be refitted",
+                expected="a program without them",
+                file=program.source,
+            )
         path = follow(program, reading, space)
         if not path.motions:
             raise motionless(program.source)

@@ -51,7 +51,7 @@ class Corrected:
     @cached_property
     def lines(self) -> np.ndarray:
         """(motions,) line numbers."""
-        return self.pieces.path.columns.line + 1
+        return self.pieces.lines
 
     @cached_property
     def own(self) -> Rows:

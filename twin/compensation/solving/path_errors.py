@@ -172,7 +172,7 @@ class PathErrors:
 
     def _on_lines(self, begin: np.ndarray, way: np.ndarray, samples: Samples, tcp: np.ndarray) -> Commands:
         """Return points on straight lines in (pieces, axes) words; ``tcp``: (pieces,) mode."""
-        if not np.any(tcp):
+        if self._space.tilt is None and not np.any(tcp):
             way = way[:, np.argsort(self._space.order)]
             return Commands(self._space.commands(begin, tcp), way, samples.piece, samples.within)
         words = begin[samples.piece] + samples.within[:, None] * way[samples.piece]

@@ -37,10 +37,12 @@ class Pieces:
         aim: errors to correct.
         dialect: the program's language.
         source: its name, for messages.
+        numbers: (lines,) number of every line of the program; in order if None.
         conditions: those of every motion.
         posted: whether axis words are written even for tool-tip input (cutter locations posted for a control).
 
     Attributes:
+        lines: (motions,) line number of each motion.
         idle: whether no error motion is in scope: arcs stay arcs, and the program is written unchanged.
         increment: (axes,) least increments of the output words.
         vector_decimals: decimals of an output tool vector.
@@ -61,11 +63,13 @@ class Pieces:
         dialect: Dialect,
         *,
         source: str,
+        numbers: np.ndarray | None = None,
         conditions: BlockConditions = CONSTANT,
         posted: bool = False,
     ) -> None:
         self.prepared, self.path, self.aim, self.source, self.posted = prepared, path, aim, source, posted
         self.conditions = conditions
+        self.lines = path.columns.line + 1 if numbers is None else numbers[path.columns.line]
         self.space = prepared.space
         self.idle = aim.idle and not posted
         self.increment = prepared.printed_increment(dialect, posted=posted)

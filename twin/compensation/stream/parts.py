@@ -121,7 +121,7 @@ class PartReader:
     Attributes:
         lines: number of lines read so far.
         turns_later: whether rotary motion appears only later, so that the program must be compensated again from its start.
-        drills: whether it has a drilling cycle.
+        drills: whether it has a drilling cycle, or a tilted plane.
         failed: the error that ended reading; None if there is none.
     """
 
@@ -167,7 +167,7 @@ class PartReader:
         self.lines += len(stretch)
         moves = self._reader.read(stretch)
         self._notices += self._reader.notices()
-        self.drills = self._reader.drills
+        self.drills = self._reader.drills or bool(self._reader.frames)
         return ReadStretch(stretch, moves)
 
     def _followed(self, read: ReadStretch, before: int) -> MotionColumns:

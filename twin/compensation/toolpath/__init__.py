@@ -1,23 +1,31 @@
 """Tool path of a program: conversion between words and axis commands, and the motions between blocks."""
 
 from twin.compensation.toolpath.follow import Follower, follow
+from twin.compensation.toolpath.frames import FrameSpaces
 from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ToolPath
 from twin.compensation.toolpath.samples import SAMPLES_A_PIECE, spacings
+from twin.compensation.toolpath.sections import Section, SectionMotions, motions_of, sections, spaces
 from twin.compensation.toolpath.words import Setup, WordSpace, axis_words, check_domains, outside_range, turns_tool
 
 __all__ = [
     "SAMPLES_A_PIECE",
     "Follower",
+    "FrameSpaces",
     "MotionColumns",
     "Passage",
     "PathMotion",
+    "Section",
+    "SectionMotions",
     "Setup",
     "ToolPath",
     "WordSpace",
     "axis_words",
     "check_domains",
     "follow",
+    "motions_of",
     "outside_range",
+    "sections",
+    "spaces",
     "spacings",
     "turns_tool",
 ]

@@ -17,13 +17,21 @@ TextOf = Callable[[int], str]
 """Function from a line's index in the program to its text."""
 
 
-def follow(program: Program, reading: Interpretation, space: WordSpace) -> ToolPath:
+def follow(
+    program: Program, reading: Interpretation, space: WordSpace, later: Sequence[tuple[int, WordSpace]] = ()
+) -> ToolPath:
     """Return a program as motions with known end points.
+
+    Args:
+        program: as read.
+        reading: its moves.
+        space: conversion from words to commands.
+        later: other conversions that apply from a line (0-based index) on, in order.
 
     Raises:
         InputError: a feed move from or to a position the program has not given, or a tool vector the machine cannot reach.
     """
-    follower = Follower(program.source, space)
+    follower = Follower(program.source, space, later)
     motions = follower.follow(reading, lambda line: program.texts[line])
     columns = MotionColumns.of(motions, len(space.axes.names))
     return ToolPath(tuple(motions.values()), columns, tuple(follower.notices), tuple(follower.passages))
@@ -36,18 +44,20 @@ class Follower:
     Args:
         source: the program's name.
         space: conversion from words to commands.
+        later: other conversions that apply from a line (0-based index) on, in order.
 
     Attributes:
         notices: notices on lines that move axes but are passed through unchanged, and on assumptions, so far.
         passages: axis positions after lines between motions, so far.
     """
 
-    def __init__(self, source: str, space: WordSpace) -> None:
+    def __init__(self, source: str, space: WordSpace, later: Sequence[tuple[int, WordSpace]] = ()) -> None:
         self.notices: list[Notice] = []
         self.passages: list[Passage] = []
         self._count = 0
         self._source = source
         self._space = space
+        self._later = list(later)[::-1]
         self._words = np.full(len(space.axes.names), np.nan)
         self._tcp: bool | None = None
         self._assumed = False
@@ -137,6 +147,8 @@ class Follower:
     def _step(self, move: Move, solutions: np.ndarray | None, text_of: TextOf) -> PathMotion | None:
         """Return one move as a motion; None if it is not a motion between known positions."""
         self._forget_before(move.line)
+        while self._later and self._later[-1][0] <= move.line:
+            self._change_space(self._later.pop()[1])
         if move.tcp != self._tcp:
             if self._tcp is not None:
                 self._words = self._switched(move.tcp)
@@ -145,7 +157,7 @@ class Follower:
         if move.machine:
             self._pass(end, np.isfinite(end))
             self._words = np.where(self._named(move), end - self._space.offset, words)
-            if move.tcp:
+            if move.tcp or self._space.tilt is not None:
                 self._words[:3] = np.nan  # the position of the tip then depends on the control
             self.notices.append(Notice(move.line, "machine coordinates: passed through unchanged"))
             return None
@@ -166,6 +178,23 @@ class Follower:
     def _named(self, move: Move) -> np.ndarray:
         """Return (axes,) which words a move has."""
         return np.array([name in move.named for name in self._space.axes.names])
+
+    def _change_space(self, space: WordSpace) -> None:
+        """Convert the axis positions to words of another conversion, in which the program goes on."""
+        words, tcp, tilt = self._words, bool(self._tcp), space.tilt
+        known = np.isfinite(words).all()
+        self._words = words + self._space.offset - space.offset
+        if known and (tilt is None or tilt.stays):
+            mode = np.array([tcp])
+            commands = self._space.commands(words[None, :], mode)
+            if tilt is not None:
+                commands[:, space.order[3:]] = tilt.rotary_deg
+            self._words = space.words(commands, mode)[0]
+        elif tcp or tilt is not None or self._space.tilt is not None:
+            self._words[:3] = np.nan
+        if tilt is not None:
+            self._words[3:] = space.start
+        self._space = space
 
     def _switched(self, tcp: bool) -> np.ndarray:
         """Return the axis positions in the words of the other mode."""
@@ -205,7 +234,7 @@ class Follower:
             )
         self.notices.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
         commands = end + space.offset
-        if move.tcp:
+        if move.tcp or space.tilt is not None:
             commands[:3] = np.nan
         self._pass(commands, self._named(move))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final, overload
 
 import numpy as np
@@ -159,6 +159,16 @@ class ToolPath:
     columns: MotionColumns
     notices: tuple[Notice, ...] = ()
     passages: tuple[Passage, ...] = ()
+
+    def part(self, begin: int, end: int) -> ToolPath:
+        """Return the motions from index ``begin`` up to ``end``, with the passages between them."""
+        columns = self.columns.part(begin, end)
+        passages = tuple(
+            replace(passage, before=passage.before - begin)
+            for passage in self.passages
+            if begin < passage.before < end or passage.before == begin == 0
+        )
+        return ToolPath(columns, columns, (), passages)
 
     def dense(self, fractions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return words at fractions of all motions; of a motion with unknown start, only those of the end point.

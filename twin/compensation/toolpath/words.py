@@ -9,7 +9,7 @@ lines in words.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import final
 
@@ -26,6 +26,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.effects.empirical import check_ranges
 from twin.machine.machine import Machine
 from twin.nc.blocks import AxisWords, Move
+from twin.nc.tables import OffsetTable, ToolTable
 
 
 @final
@@ -37,11 +38,25 @@ class Setup:
         work_offset: added to axis words, by axis name, mm and degrees.
         work_origin_mm: the program's zero in the work frame, for tool-tip coordinates.
         start_deg: positions of rotary axes before the program names them, by axis name; 0 if missing.
+        offsets: the machine's work offsets, from which the program selects; they replace the two above.
+        tools: lengths of the tools that the program calls.
     """
 
     work_offset: Mapping[str, float] = field(default_factory=dict)
     work_origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     start_deg: Mapping[str, float] = field(default_factory=dict)
+    offsets: OffsetTable | None = None
+    tools: ToolTable | None = None
+
+    def __post_init__(self) -> None:
+        """Raise `InputError` if offsets are given twice."""
+        if self.offsets is not None and (any(self.work_offset.values()) or any(self.work_origin_mm)):
+            raise InputError(
+                "work offsets given twice",
+                expected="the table of work offsets, or one work offset and origin",
+                file=self.offsets.path,
+                setting="work offset",
+            )
 
     def _repr_html_(self) -> str:
         x, y, z = self.work_origin_mm
@@ -50,6 +65,8 @@ class Setup:
             ("work offset of axis words (mm, °)", offsets or "none"),
             ("program zero in the work frame", f"x {x:g}, y {y:g}, z {z:g} mm"),
             ("rotary axes start at", ", ".join(f"{name} {value:g}°" for name, value in self.start_deg.items()) or "0°"),
+            ("table of work offsets", "none" if self.offsets is None else str(self.offsets.path)),
+            ("table of tools", "none" if self.tools is None else str(self.tools.path)),
         ]
         return card("Setup", pairs(rows)).text
 
@@ -100,6 +117,24 @@ def turns_tool(moves: Iterable[Move], axes: AxisWords) -> bool:
 
 
 @final
+@dataclass(frozen=True, eq=False)
+class Tilt:
+    """A tilted plane on one machine.
+
+    Attributes:
+        rotation: (3, 3) its axes in the work frame, as columns.
+        origin_mm: (3,) its zero in the work frame.
+        rotary_deg: (rotary axes,) commands at which the tool is perpendicular to it.
+        stays: whether the linear axes stay while the rotary axes turn there.
+    """
+
+    rotation: np.ndarray
+    origin_mm: np.ndarray
+    rotary_deg: np.ndarray
+    stays: bool
+
+
+@final
 class WordSpace:
     """Conversion between words and commands, for one machine, tool length and set-up.
 
@@ -107,22 +142,29 @@ class WordSpace:
         machine: the machine.
         setup: work offsets and origin.
         tool_length_mm: tool length; None for the machine file's own.
+        tilt: the tilted plane of the words; None if they are parallel to the linear axes.
 
     Attributes:
         axes: the axis words.
+        setup, tool_length_mm, tilt: as given.
         nominal: the machine without errors.
         order: (axes,) column of the commands that belongs to each word.
     """
 
-    def __init__(self, machine: Machine, setup: Setup, tool_length_mm: float | None) -> None:
-        self.machine = machine
-        self.axes = axis_words(machine)
+    def __init__(self, machine: Machine, setup: Setup, tool_length_mm: float | None, tilt: Tilt | None = None) -> None:
+        self.machine, self.setup, self.tool_length_mm = machine, setup, tool_length_mm
+        self.axes = replace(
+            axis_words(machine), offsets_known=setup.offsets is not None, tools_known=setup.tools is not None
+        )
         self.nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm)
         self.inverse = Inverse(self.nominal)
         self.order = np.array([machine.names.index(name) for name in self.axes.names])
         self.offset = np.array([setup.work_offset.get(name, 0.0) for name in self.axes.names])
         self.origin = np.array(setup.work_origin_mm)
         self.start = np.array([setup.start_deg.get(name, 0.0) for name in self.axes.rotary])
+        self.tilt = tilt
+        if tilt is not None:
+            self.origin, self.start = tilt.origin_mm, tilt.rotary_deg - self.offset[3:]
 
     @cached_property
     def branches(self) -> Branches:
@@ -132,12 +174,13 @@ class WordSpace:
     def commands(self, words: np.ndarray, tcp: np.ndarray) -> np.ndarray:
         """Return the (n, axes) commands that the control derives from (n, axes) words; ``tcp``: (n,) mode of each."""
         shifted = words + self.offset
-        if np.any(tcp):
-            rows = np.flatnonzero(tcp & np.isfinite(words).all(axis=1))
+        if np.any(tcp) or self.tilt is not None:
+            rows = np.flatnonzero((tcp | (self.tilt is not None)) & np.isfinite(words).all(axis=1))
             start = np.zeros((len(rows), len(self.order)))
             start[:, self.order[3:]] = shifted[rows, 3:]
             reached = self.nominal.forward(start)
-            target = Poses(words[rows, :3] + self.origin, reached.rotation)
+            points = words[rows, :3] if self.tilt is None else words[rows, :3] @ self.tilt.rotation.T
+            target = Poses(points + self.origin, reached.rotation)
             shifted[rows] = self.inverse.solve(target, start, rotary=False).positions[:, self.order]
         if np.all(self.order == np.arange(len(self.order))):
             return np.asarray(shifted)
@@ -153,9 +196,10 @@ class WordSpace:
     def words(self, commands: np.ndarray, tcp: np.ndarray) -> np.ndarray:
         """Return the (n, axes) words from which the control derives (n, axes) commands; ``tcp``: (n,) mode of each."""
         words = commands[:, self.order] - self.offset
-        rows = np.flatnonzero(tcp & np.isfinite(commands).all(axis=1))
+        rows = np.flatnonzero((tcp | (self.tilt is not None)) & np.isfinite(commands).all(axis=1))
         if rows.size:
-            words[rows, :3] = self.nominal.forward(commands[rows]).point_mm - self.origin
+            points = self.nominal.forward(commands[rows]).point_mm - self.origin
+            words[rows, :3] = points if self.tilt is None else points @ self.tilt.rotation
         return words
 
 

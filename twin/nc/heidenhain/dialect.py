@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Final, final
 
 import numpy as np
@@ -13,6 +15,7 @@ from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
 from twin.nc.emit import rewrites_by_line
 from twin.nc.header import first_lines, insert_comments, missing_comments
 from twin.nc.heidenhain import vocabulary
+from twin.nc.heidenhain.calls import HeidenhainInliner
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
 from twin.nc.heidenhain.technology import line_words
 from twin.nc.heidenhain.vocabulary import HEAD, numbered_as
@@ -39,7 +42,9 @@ class Heidenhain(Dialect):
         for index, text in enumerate(program.texts):
             if text not in BLANK or interpreter.continued:
                 moves += interpreter.moves(index, text)
-        return Interpretation(tuple(moves), tuple(interpreter.notices), tuple(interpreter.lost_positions))
+        return Interpretation(
+            tuple(moves), tuple(interpreter.notices), tuple(interpreter.lost_positions), tuple(interpreter.frames)
+        )
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, rewrites: Iterable[Rewrite]) -> str:
         """See `Dialect.rewrite`."""
@@ -53,6 +58,17 @@ class Heidenhain(Dialect):
             segments = by_line[index][0] if index in by_line else None
             writer.block(interpreter.step(index, text, segments[0].move if segments else None), segments)
         return writer.text()
+
+    def expanded(self, program: Program, folder: Path | None) -> Program:
+        """See `Dialect.expanded`. Consecutive block numbers are renewed."""
+        found = HeidenhainInliner(program, folder).expanded()
+        if found is program:
+            return program
+        numbers = [int(head[1][:15]) for head in map(HEAD.match, program.texts) if head is not None and head[1]]
+        first = numbers[0] if numbers else 0
+        if not numbers or numbers != list(range(first, first + len(numbers))):
+            return found
+        return replace(found, texts=tuple(_consecutive(found.texts, first)))
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.with_comments`: after ``BEGIN PGM``; the numbers of later blocks increase by the number of comments."""
@@ -98,14 +114,7 @@ class Heidenhain(Dialect):
         numbers = [int(head[1][:15]) for head in map(HEAD.match, program.texts) if head is not None and head[1]]
         if not numbers or numbers != list(range(numbers[0], numbers[0] + len(numbers))):
             return text
-        out, following = [], numbers[0]
-        for line in self.read(text.encode("latin-1"), program.source).texts:
-            head = HEAD.match(line)
-            if head is not None and head[1]:
-                line = numbered_as(line, head, following)
-                following += 1
-            out.append(line)
-        return "".join(out)
+        return "".join(_consecutive(self.read(text.encode("latin-1"), program.source).texts, numbers[0]))
 
     def new_program(self, axes: AxisWords) -> NewProgram:
         """See `Dialect.new_program`."""
@@ -139,6 +148,16 @@ class _NewHeidenhain(NewProgram):
 
     def _line(self, text: str) -> None:
         self.out.append(f"{len(self.out)} {text}\n")
+
+
+def _consecutive(lines: Iterable[str], first: int) -> Iterator[str]:
+    """Yield lines with their blocks numbered consecutively."""
+    for line in lines:
+        head = HEAD.match(line)
+        if head is not None and head[1]:
+            line = numbered_as(line, head, first)
+            first += 1
+        yield line
 
 
 def _body(line: str) -> str:

@@ -13,7 +13,7 @@ from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.emit import Vector
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.block import PathBlock
-from twin.nc.modal import Interpreter
+from twin.nc.heidenhain.frame import HeidenhainFrame
 from twin.nc.text import MM_PER_INCH, number
 
 _new = tuple.__new__
@@ -21,12 +21,8 @@ _PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
 
 
 @final
-class HeidenhainInterpreter(Interpreter):
-    """Interpreter of blocks in order, with their modal state.
-
-    Attributes:
-        continued: whether the next line continues the current block (parameters of a cycle).
-    """
+class HeidenhainInterpreter(HeidenhainFrame):
+    """Interpreter of blocks in order, with their modal state."""
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
         on = {"M128", *(word.upper() for word in axes.tcp_on)}
@@ -34,7 +30,6 @@ class HeidenhainInterpreter(Interpreter):
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self.plane = _PLANES["Z"]
         self.centre: dict[int, float] = {}
-        self.continued = False
         self._simple = vocabulary.simple_pattern(self.names)
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
@@ -75,6 +70,7 @@ class HeidenhainInterpreter(Interpreter):
             block.numbered = False
             self.continued = body.endswith("~")
             self._assignments(body)
+            self.end_preset(block)
         elif body and body[0] not in ";*%":
             self._body(block, body)
         return block
@@ -120,6 +116,7 @@ class HeidenhainInterpreter(Interpreter):
             values = match.groups()[self._simple.behind]
             parts = values[:3], values[3:]
             normal, tool = ([number(text or "0") for text in part] if any(part) else None for part in parts)
+        self.check_plane(axis_bits >> self.linear != 0)
         unit_normal = self._directed(axis_bits, tool, normal)
         kind = Kind.RAPID if _rapid(match) else Kind.LINEAR
         position = tuple(self.position)
@@ -152,6 +149,7 @@ class HeidenhainInterpreter(Interpreter):
             self.continued = body.endswith("~")
             self._block_text = body
             self._statement(block, keyword, body)
+            self.end_preset(block)
 
     # ------------------------------------------------------------------ statements
 
@@ -177,9 +175,12 @@ class HeidenhainInterpreter(Interpreter):
         self.inch = unit.group(1).upper() == "INCH"
 
     def _tool(self, block: PathBlock, body: str, upper: str) -> None:
-        axis = vocabulary.TOOL_AXIS.match(body) if "CALL" in upper else None
+        if "CALL" not in upper:
+            return
+        axis = vocabulary.TOOL_AXIS.match(body)
         if axis is not None:
             self.plane = _PLANES[axis.group(1).upper()]
+        self.select_tool(block, body)
 
     def _call(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith(("CALL", "IF")):
@@ -191,11 +192,7 @@ class HeidenhainInterpreter(Interpreter):
             raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION)
 
     def _tilt(self, block: PathBlock, body: str, upper: str) -> None:
-        if not upper.startswith("PLANE RESET"):
-            raise self.error("coordinate transformation PLANE", vocabulary.NO_TRANSFORMATION)
-        if "STAY" not in block.text.upper():
-            self.note("PLANE RESET may move the rotary axes; their positions are unknown afterwards")
-            self.mark_unknown(block, range(self.linear, len(self.names)))
+        self.tilt(block, upper)
 
     def _cycle(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith("CYCL CALL"):
@@ -207,7 +204,7 @@ class HeidenhainInterpreter(Interpreter):
         if cycle in vocabulary.RUN_AT_ONCE:
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
         if cycle == 247:
-            self.note("CYCL DEF 247 selects a preset: its offset must be given as work_offset")
+            self.begin_preset()
         elif cycle in vocabulary.TRANSFORM_CYCLES and (part is None or (part != "0" and not _cancels(cycle, rest))):
             what = f"coordinate transformation CYCL DEF {cycle} ({vocabulary.TRANSFORM_CYCLES[cycle]})"
             raise self.error(what, vocabulary.NO_TRANSFORMATION)
@@ -223,7 +220,7 @@ class HeidenhainInterpreter(Interpreter):
 
     def _assignments(self, body: str) -> None:
         for name, text in vocabulary.ASSIGNED.findall(body):
-            self.assign(name, number(text.strip()))
+            self.assign(name, self.value_of(text.strip()))
 
     def _function(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith("FUNCTION RESET TCPM"):
@@ -255,19 +252,10 @@ class HeidenhainInterpreter(Interpreter):
         axis = self.index.get(name.upper(), -1)
         if axis < 0:
             raise self.unknown_axis(match.group().strip())
-        value = self._value(name, written)
+        value = self.known(name, written)
         if axis < self.linear and self.inch:
             value *= MM_PER_INCH
         return AxisWord(axis, match.start(2), match.end(), match.start(4), match.end(), "", bool(prefix), value)
-
-    def _value(self, name: str, written: str) -> float:
-        value = self.value_of(written)
-        if value == value:
-            return value
-        if "Q" in written.upper():
-            what = f"the value of {name} is unknown"
-            raise self.error(what, "a number, or a Q parameter set to a number before", written)
-        raise self.missing_number(name, written)
 
     def _axis(self, block: PathBlock, match: re.Match[str]) -> None:
         self.add(block, self._axis_word(match))
@@ -302,14 +290,14 @@ class HeidenhainInterpreter(Interpreter):
         if block.keyword != "CR":
             raise self._stray(block, match)
         written = match.group(match.lastindex + 1) if match.lastindex else ""
-        block.radius = self._value("R", written) * (MM_PER_INCH if self.inch else 1.0)
+        block.radius = self.known("R", written) * (MM_PER_INCH if self.inch else 1.0)
         block.arc_words.append(Span(match.start("radius"), match.end()))
 
     def _vector(self, block: PathBlock, match: re.Match[str]) -> None:
         if block.keyword != "LN" or not match.lastindex:
             raise self._stray(block, match)
         name, written = match.group(match.lastindex + 1, match.lastindex + 2)
-        value = self._value(name, written)
+        value = self.known(name, written)
         index = "XYZ".index(name[1].upper())
         if name[0] in "tT":
             if index in block.vector_words:
@@ -355,6 +343,7 @@ class HeidenhainInterpreter(Interpreter):
     def _move(self, block: PathBlock) -> None:
         kind = Kind.RAPID if block.rapid_text else Kind.LINEAR
         names = self.named(block.axis_bits)
+        self.check_plane(block.axis_bits >> self.linear != 0)
         if block.machine:
             if block.keyword in ("C", "CR", "LN"):
                 raise self.error("machine coordinates in an arc", "an L block")

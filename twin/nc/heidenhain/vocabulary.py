@@ -33,6 +33,10 @@ TOKEN = re.compile(
 
 UNIT = re.compile(r"BEGIN[ \t]+PGM[ \t]+(?:.*[ \t])?([^ \t;]+)[ \t]*(?:;.*)?$", re.ASCII | re.IGNORECASE)
 TOOL_AXIS = re.compile(r"TOOL[ \t]+CALL[ \t]+(?:[^ \t]+[ \t]+)?([XYZ])(?![A-Z\d])", re.ASCII | re.IGNORECASE)
+TOOL = re.compile(
+    r"TOOL[ \t]+CALL[ \t]+(?:\"([^\"]*)\"|(Q[SLR]?\d+|\d+(?:\.\d+)?))(?:[ \t]|$)", re.ASCII | re.IGNORECASE
+)
+TOOL_LENGTH = re.compile(rf"(?<![A-Z\d])DL[ \t]*=?[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
 FN = re.compile(r"FN[ \t]*+(\d{1,9})(?!\d)[ \t]*+:?(.*)", re.ASCII | re.IGNORECASE)
 ASSIGNED = re.compile(r"(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)

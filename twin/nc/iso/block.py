@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, final
 
 from twin.nc.block import Block, Span
+from twin.nc.iso.cycles import Drilling
 
 
 class Item(NamedTuple):
@@ -19,22 +20,6 @@ class Item(NamedTuple):
     value: str
 
 
-class Drilling(NamedTuple):
-    """A drilling cycle executed at every following position (heights in mm, program coordinates).
-
-    Attributes:
-        approach: height of the rapid down.
-        depth: height of the feed down.
-        dwell: text of the dwell at depth (``""``: none).
-        retract: height of the rapid up.
-    """
-
-    approach: float
-    depth: float
-    dwell: str
-    retract: float
-
-
 @final
 @dataclass(slots=True)
 class IsoBlock(Block):
@@ -45,20 +30,25 @@ class IsoBlock(Block):
         codes: G words, named by their code.
         items: axis words, before their values are known.
         others: words that are not axis words.
+        m_words: M words.
         names: statements and their arguments.
         motion_word: the G word of the motion group, if the block has one.
         feed: the value of the F word.
         motion: motion code in force (0 to 3), None before the first.
         inverse_time: whether the feed is an inverse time.
         vector_names: names of the tool vector's words here, with their ``=``, or None if there is no vector.
-        cycle_word: the range of a call or the end of a drilling cycle.
-        dwell: text of the dwell at depth.
+        cycle_word: the range of a call or the end of a drilling cycle of SINUMERIK.
+        cycle_words: words of a drilling cycle of Fanuc, which are not needed once it is expanded.
+        drilling: the cycle that the block executes.
+        calls: whether the block executes a cycle of SINUMERIK at the present position.
+        positions: whether the block moves the axes to the place of the hole before.
     """
 
     skip: str = ""
     codes: list[Span] = field(default_factory=list)
     items: list[Item] = field(default_factory=list)
     others: list[Item] = field(default_factory=list)
+    m_words: list[str] = field(default_factory=list)
     names: list[Item] = field(default_factory=list)
     motion_word: Span | None = None
     feed: Span | None = None
@@ -66,4 +56,7 @@ class IsoBlock(Block):
     inverse_time: bool = False
     vector_names: tuple[str, str, str] | None = None
     cycle_word: Span | None = None
-    dwell: str = ""
+    cycle_words: list[Span] = field(default_factory=list)
+    drilling: Drilling | None = None
+    calls: bool = False
+    positions: bool = True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Final, final
 
 import numpy as np
@@ -15,6 +16,7 @@ from twin.nc.emit import rewrites_by_line
 from twin.nc.header import first_lines, insert_comments
 from twin.nc.iso import vocabulary
 from twin.nc.iso.bulk import NewPositions
+from twin.nc.iso.calls import IsoInliner
 from twin.nc.iso.stream import CHUNK_LINES, DELETED_LINE, IsoReader, IsoRewriter, chunks
 from twin.nc.iso.technology import line_words
 from twin.nc.technology import LineWords
@@ -50,7 +52,7 @@ class Iso(Dialect):
         found = MoveBuilder(axes.names)
         for chunk in chunks(program, axes.names):
             reader.read_into(found, chunk)
-        return Interpretation(found.objects(), tuple(reader.notices()), tuple(reader.lost_positions()))
+        return Interpretation(found.objects(), tuple(reader.notices()), tuple(reader.lost_positions()), reader.frames)
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, rewrites: Iterable[Rewrite]) -> str:
         """See `Dialect.rewrite`."""
@@ -64,11 +66,7 @@ class Iso(Dialect):
             style_in(program.texts, Style(point=True)),
             # If TCP control is switched before the first move, its initial state does not matter; else the first move has it.
             tcp=reading.moves[0].tcp,
-            # Expand a cycle if one of its strokes, or the block that executes it, is rewritten.
-            expand_cycles=any(
-                before.line == move.line in by_line
-                for before, move in zip(reading.moves, reading.moves[1:], strict=False)
-            ),
+            expand_cycles=True,
         )
         moves = MoveColumns.of(axes.names, reading.moves)
         entries = [by_line.get(move.line, {}).get(0) for move in reading.moves]
@@ -84,6 +82,10 @@ class Iso(Dialect):
             )
         ]
         return b"".join(out).decode("latin-1").replace(DELETED_LINE, "")
+
+    def expanded(self, program: Program, folder: Path | None) -> Program:
+        """See `Dialect.expanded`."""
+        return IsoInliner(program, folder).expanded()
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.with_comments`: after tape mark and program number.

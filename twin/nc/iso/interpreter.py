@@ -11,6 +11,7 @@ from twin.nc.block import AxisWord, Block, Span
 from twin.nc.blocks import AxisWords
 from twin.nc.iso import vocabulary
 from twin.nc.iso.block import IsoBlock, Item
+from twin.nc.iso.cycles import SINUMERIK
 from twin.nc.iso.motion import CENTRE, SPINDLE_VECTOR, IsoMotion
 from twin.nc.text import BOM, MM_PER_INCH, number
 
@@ -108,9 +109,13 @@ class IsoInterpreter(IsoMotion):
 
     def _apply(self, block: IsoBlock) -> IsoBlock:
         groups = self._g_words(block) if block.codes else frozenset()
+        if "plane tilt" in groups:
+            self.tilt_words(block)
+        drills = self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
         centre = [item for item in block.others if self._is_of_motion(block, item)]
         self._state_to(block)
+        self.choose_tool(block, frozenset(block.m_words))
         if "still" in groups:
             return block
         if "reference" in groups:
@@ -118,6 +123,7 @@ class IsoInterpreter(IsoMotion):
                 "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
             )
             which = [self.index[item.name] for item in block.items]
+            self.check_plane(not which or max(which) >= self.linear)
             self.mark_unknown(block, which or range(len(self.names)), moved=True)
             return block
         machine = machine or "machine" in groups
@@ -125,6 +131,11 @@ class IsoInterpreter(IsoMotion):
             self.add(block, self.axis_word(item, machine=machine))
         if block.items or centre:
             self.move(block, centre, machine=machine)
+        elif self.cycle is not None and (drills or block.calls):
+            block.positions = False
+            self.drill(block, self.cycle)
+        if block.calls:
+            self.cycle = None
         return block
 
     def _is_of_motion(self, block: IsoBlock, item: Item) -> bool:
@@ -201,7 +212,10 @@ class IsoInterpreter(IsoMotion):
 
     def _hash(self, block: IsoBlock, match: re.Match[str]) -> None:
         self._started = True
-        self.assign(match.group(17), self.value_of(match.group(18)))
+        name = match.group(17)
+        if name[1:].isdigit() and any(first <= int(name[1:]) <= last for first, last in vocabulary.OFFSET_VARIABLES):
+            raise self.error("the program sets a work offset or a tool length", vocabulary.NO_TRANSFORMATION, name)
+        self.assign(name, self.value_of(match.group(18)))
 
     def _skip(self, block: IsoBlock, match: re.Match[str]) -> None:
         if self._started:
@@ -249,6 +263,7 @@ class IsoInterpreter(IsoMotion):
             raise self.error("subprogram call", vocabulary.NO_CALLS, word)
         if len(word) < 2:
             raise self.missing_number("M", value)
+        block.m_words.append(word)
         if word in vocabulary.LAST_M:
             block.end_m_words.append(Span(start, end, word))
         self.switch_by(block, word)
@@ -265,19 +280,26 @@ class IsoInterpreter(IsoMotion):
                 continue
             if group:
                 seen.add(group)
-            if group in _MODES:
-                name, state = _MODES[group]
-                setattr(self, name, state(code))
-            if group == "motion":
-                block.motion_word = span
-            elif group == "offset":
-                self._offset(block, code)
-            elif group == "length" and self.tcp_word in ("G43.4", "G43.5") and code in ("43", "44"):
-                self.switch(block, False, f"G{code}")
-            elif code == "5" and (block.items or not any(item.name == "P" for item in block.others)):
-                raise self.error("curve G5", vocabulary.LINEAR)
+            self._modal(block, span, group)
             self.switch_by(block, f"G{code}")
         return frozenset(seen)
+
+    def _modal(self, block: IsoBlock, span: Span, group: str) -> None:
+        """Apply one G word of a known group to the modal state."""
+        code = span.name
+        if self.cycle_code(block, span, group):
+            return
+        if group in _MODES:
+            name, state = _MODES[group]
+            setattr(self, name, state(code))
+        if group == "motion":
+            block.motion_word = span
+        elif group == "offset":
+            self.choose_offset(block, code)
+        elif group == "length" and self.tcp_word in ("G43.4", "G43.5") and code in ("43", "44"):
+            self.switch(block, False, f"G{code}")
+        elif code == "5" and (block.items or not any(item.name == "P" for item in block.others)):
+            raise self.error("curve G5", vocabulary.LINEAR)
 
     def _group(self, block: IsoBlock, code: str) -> str | None:
         """Return the modal group of a G code, empty if it has none; None for an unknown code that passes through."""
@@ -299,13 +321,6 @@ class IsoInterpreter(IsoMotion):
         if on or word != "G49" or self.tcp_word in ("", "G43.4", "G43.5"):
             super().switch(block, on, word)
 
-    def _offset(self, block: IsoBlock, code: str) -> None:
-        if code in ("58", "59") and block.items and not any(span.name in "0123" for span in block.codes):
-            raise self.error(f"coordinate transformation G{code}", vocabulary.NO_TRANSFORMATION, f"G{code}")
-        if code == "54.1":
-            code += "".join(f" P{item.value}" for item in block.others if item.name == "P")
-        self.offset, self.offset_line = code, self._line
-
     def _names(self, block: IsoBlock) -> bool:
         """Apply statements by name and return whether one of them selects machine coordinates."""
         names = block.names
@@ -313,35 +328,33 @@ class IsoInterpreter(IsoMotion):
             shown = block.text[start:end]
             if name == "SUPA" or name in self.tcp_on or name in self.tcp_off:
                 self.switch_by(block, name)
+            elif name == "CYCLE800":
+                self.swivel(block, arguments)
             elif name in vocabulary.TRANSFORMS:
                 if name not in vocabulary.CANCELLING or block.items or arguments.strip("() \t"):
                     rest = block.text[start:].split(";")[0].strip()
                     raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, rest)
             elif name == "MCALL" or (place and names[place - 1].name == "MCALL"):
-                self._mcall(block, names[place], last=len(names) == place + 1)
+                self.mcall(block, names[place], last=len(names) == place + 1)
             elif name in vocabulary.CURVES:
                 raise self.error(f"curve or rounding {name}", vocabulary.LINEAR)
+            elif name in SINUMERIK and len(names) == 1 and not block.items and self.cycle is None:
+                self.call_once(block, names[place])
             elif name not in vocabulary.PASSED:
-                if vocabulary.CYCLE.fullmatch(name):
-                    raise self.error(f"canned cycle {name}", vocabulary.EXPANDED_CYCLE, shown)
-                if name[0] in self.index and not arguments and "_" not in name and not name.startswith("CYCLE"):
-                    raise self.error("word without a number", f"a number after {name[0]}", shown)
-                if block.items:
-                    what = "unknown word in a block that moves axes"
-                    raise self.error(what, _SOME_WORDS, shown)
-                self.note(f"unknown word {shown.strip()} passed through; all axis positions are unknown afterwards")
-                self.mark_unknown(block, range(len(self.names)))
+                self._unknown_name(block, names[place], shown)
         return any(item.name == "SUPA" for item in names)
 
-    def _mcall(self, block: IsoBlock, item: Item, *, last: bool) -> None:
-        if item.name == "MCALL":
-            block.cycle_word = Span(item.start, len(block.text.rstrip("\r\n")))
-            if last:
-                self.cycle = None
-            return
-        self.cycle = self.drilling(item.name, item.value) if last else None
-        if self.cycle is None:
-            raise self.error(f"canned cycle {item.name}", vocabulary.EXPANDED_CYCLE, block.text[item.start :].strip())
+    def _unknown_name(self, block: IsoBlock, item: Item, shown: str) -> None:
+        """Pass a statement of unknown effect through; raise `InputError` in a block that moves axes."""
+        name = item.name
+        if vocabulary.CYCLE.fullmatch(name):
+            raise self.error(f"canned cycle {name}", vocabulary.EXPANDED_CYCLE, shown)
+        if name[0] in self.index and not item.value and "_" not in name and not name.startswith("CYCLE"):
+            raise self.error("word without a number", f"a number after {name[0]}", shown)
+        if block.items:
+            raise self.error("unknown word in a block that moves axes", _SOME_WORDS, shown)
+        self.note(f"unknown word {shown.strip()} passed through; all axis positions are unknown afterwards")
+        self.mark_unknown(block, range(len(self.names)))
 
     def _assigned(self, item: Item, bracket: str) -> bool:
         """Apply an assignment that is not a word of the block; return whether it was one."""

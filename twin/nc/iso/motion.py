@@ -1,16 +1,15 @@
-"""Effects of ISO blocks on the axes: values of words, targets, arcs, tool vectors, machine coordinates, drilling cycles."""
+"""Effects of ISO blocks on the axes: values of words, targets, arcs, tool vectors, machine coordinates."""
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 from twin.nc.arcs import PLANES, ArcMisfit, arc_by_centre, arc_by_radius
 from twin.nc.block import AxisWord, Span
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import vocabulary
-from twin.nc.iso.block import Drilling, IsoBlock, Item
-from twin.nc.modal import Interpreter
+from twin.nc.iso.block import IsoBlock, Item
+from twin.nc.iso.drilling import IsoDrilling
 from twin.nc.text import MM_PER_INCH, number
 
 CENTRE: Final = {"I": 0, "J": 1, "K": 2}
@@ -18,23 +17,16 @@ SPINDLE_VECTOR: Final = {"A3": 0, "B3": 1, "C3": 2}
 _KINDS: Final = (Kind.RAPID, Kind.LINEAR, Kind.ARC, Kind.ARC)
 
 
-class IsoMotion(Interpreter):
+class IsoMotion(IsoDrilling):
     """The modal state that determines the meaning of axis words, and its changes by blocks."""
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
         on = vocabulary.TCP_ON | {vocabulary.canonical(word) for word in axes.tcp_on}
         off = vocabulary.TCP_OFF | {vocabulary.canonical(word) for word in axes.tcp_off}
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
-        self.motion: int | None = None
-        self.plane = 17
-        self.incremental = False
         self.absolute_centre = False
         self.feed_mode = "94"
         self.length_vector = False
-        self.offset: str | None = None
-        self.offset_line = 0
-        self.used_offset: str | None = None
-        self.cycle: Drilling | None = None
 
     @property
     def runs_allowed(self) -> bool:
@@ -53,6 +45,7 @@ class IsoMotion(Interpreter):
             InputError: a word contradicts another word or the modal state.
         """
         motion = self.motion
+        self.check_plane(block.axis_bits >> self.linear != 0)
         if machine:
             if centre or self.cycle is not None:
                 raise self.error("machine coordinates in an arc or a cycle", "a straight move")
@@ -74,7 +67,7 @@ class IsoMotion(Interpreter):
             first = centre[0]
             shown = block.text[first.start : first.end]
             raise self.error(f"{first.name} outside a circular block", "arcs with G2 or G3", shown)
-        self._use_offset()
+        self.use_offset()
         if vector is not None:
             self.set_tool_vector(block.axis_bits, vector)
         elif block.axis_bits >> self.linear:
@@ -87,7 +80,7 @@ class IsoMotion(Interpreter):
         named = self.named(block.axis_bits)
         block.moves += (Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc),)
         if self.cycle is not None:
-            self._drill(block, self.cycle)
+            self.drill(block, self.cycle)
 
     def apply_words(self, block: IsoBlock) -> None:  # type: ignore[override]
         """Set the position from the axis words, rotary axes the shortest way or in the given direction (``DC``, ``ACP``, ``ACN``)."""
@@ -100,14 +93,6 @@ class IsoMotion(Interpreter):
                 if (word.form == "ACN" and turn > 0.0) or (word.form == "DC" and turn > 180.0):
                     turn -= 360.0
                 self.position[word.axis] = round(last + turn, 9)
-
-    def _use_offset(self) -> None:
-        if self.offset is None or self.offset == self.used_offset:
-            return
-        if self.used_offset is not None:
-            expected = f"one work offset per program (moves before use G{self.used_offset})"
-            raise self.error("second work offset", expected, f"G{self.offset}", self.offset_line + 1)
-        self.used_offset = self.offset
 
     # ------------------------------------------------------------------ words
 
@@ -191,35 +176,3 @@ class IsoMotion(Interpreter):
             middle = (centre.get(a, start[a]), centre.get(b, start[b]))
             return self.valid_arc(arc_by_centre(plane, from_, to, middle, clockwise, turns))
         return self.valid_arc(ArcMisfit("arc without centre or radius, or with both", "either I, J, K or R (CR=)"))
-
-    # ------------------------------------------------------------------ drilling
-
-    def drilling(self, name: str, arguments: str) -> Drilling | None:
-        """Return the strokes of ``CYCLE81(RTP,RFP,SDIS,DP,DPR)`` or ``CYCLE82(.., DTB)``; None if they cannot be determined.
-
-        Args:
-            name: the cycle.
-            arguments: its argument list, with parentheses.
-        """
-        wanted = {"CYCLE81": 5, "CYCLE82": 6}.get(name)
-        texts = [part.strip() for part in arguments[1:-1].split(",")]
-        if self.plane != 17 or self.tcp or wanted is None or not 4 <= len(texts) <= wanted:
-            return None
-        texts += [""] * (6 - len(texts))
-        retract, reference, distance, depth, relative, dwell = (self.value_of(text) if text else 0.0 for text in texts)
-        if not texts[3]:
-            depth = reference - abs(relative)
-        approach = reference + abs(distance)
-        if not (depth < reference and retract >= approach and math.isfinite(dwell + depth)):
-            return None
-        unit = MM_PER_INCH if self.inch else 1.0
-        return Drilling(approach * unit, depth * unit, f"G4 F{texts[5]}" if dwell > 0 else "", retract * unit)
-
-    def _drill(self, block: IsoBlock, cycle: Drilling) -> None:
-        if self.incremental or self.tcp or self.vector is not None or block.end_m_words:
-            raise self.error("canned cycle", vocabulary.EXPANDED_CYCLE)
-        named = frozenset(self.names[2:3])
-        for height, kind in ((cycle.approach, Kind.RAPID), (cycle.depth, Kind.LINEAR), (cycle.retract, Kind.RAPID)):
-            self.position[2] = height
-            block.moves += (Move(self._line, kind, False, tuple(self.position), named),)
-        block.dwell = cycle.dwell

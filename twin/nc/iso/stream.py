@@ -11,7 +11,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.nc.blocks import AxisWords, LostPositions, Move, Notice, Program, Rewrite
+from twin.nc.blocks import AxisWords, FrameChange, LostPositions, Move, Notice, Program, Rewrite
 from twin.nc.columns import MoveBuilder, MoveColumns
 from twin.nc.iso.bulk import LARGEST_STEPS, Formatting, Grids, NewPositions, rewritten_lines
 from twin.nc.iso.interpreter import IsoInterpreter
@@ -131,6 +131,11 @@ class IsoReader:
         found = self._interpreter.lost_positions[self._left :]
         self._left += len(found)
         return found
+
+    @property
+    def frames(self) -> tuple[FrameChange, ...]:
+        """Changes of the frame so far."""
+        return tuple(self._interpreter.frames)
 
     def _line(self, line: int, text: str, found: MoveBuilder) -> None:
         if text in BLANK:

@@ -16,13 +16,16 @@ _HASH = r"\#(?:\d++|<[^>\r\n]*+>)"
 _NAME = rf"\$?[A-Za-z_]\w*+(?:{_BRACKET})?+(?:{_ARGS})?+"
 _OPERAND = rf"[+-]?+[ \t]*+(?:{_NUMBER}|{_STRING}|{_NAME}|{_HASH}|{_BRACKET})"
 _NOTES = r"((?:\([^()\r\n]*+\)[ \t]*+)++(?:;[^\r\n]*+)?+|;[^\r\n]*+)?+"
-_EXPRESSION = rf"{_OPERAND}(?:[ \t]*+[-+*/]{_OPERAND})*+"
+_OPERATOR = r"[ \t]*+(?:\*\*|[-+*/]|(?:[Mm][Oo][Dd]|[Dd][Ii][Vv])(?!\w))"
+_EXPRESSION = rf"{_OPERAND}(?:{_OPERATOR}{_OPERAND})*+"
+_GROUPED = rf"(?:[+-]?+[ \t]*+{_ARGS}|{_OPERAND})"
+_FORMULA = rf"{_GROUPED}(?:{_OPERATOR}[ \t]*+{_GROUPED})*+"
 
 TOKEN = re.compile(
     rf"""[ \t\f\x1a]*+(?:
       (?P<word>([A-Za-z])[ \t]*+([+-]?+[ \t]*+[\d.]++)(?![ \t]*+=))
     | (?P<note>\([^()\r\n]*+\)|;[^\r\n]*+|[\r\n]++)
-    | (?P<given>([A-Za-z]\d*+|\$?[A-Za-z_][A-Za-z_]\w*+)({_BRACKET})?+[ \t]*+=(?!=)[ \t]*+({_EXPRESSION}))
+    | (?P<given>([A-Za-z]\d*+|\$?[A-Za-z_][A-Za-z_]\w*+)({_BRACKET})?+[ \t]*+=(?!=)[ \t]*+({_FORMULA}))
     | (?P<name>(\$?(?:[A-Za-z][A-Za-z_]|_)\w*+)({_BRACKET})?+(?:[ \t]*+({_ARGS}))?+)
     | (?P<late>([A-Za-z])[ \t]*+([+-]?+[ \t]*+(?:{_HASH}|{_BRACKET})))
     | (?P<hash>({_HASH})[ \t]*+=[ \t]*+({_EXPRESSION}))
@@ -42,7 +45,7 @@ ASSIGNED = re.compile(r"([A-Za-z_]\w*+)[ \t]*+=[ \t]*+([+-]?[\d.]++)", re.ASCII)
 
 # G codes by modal group. Two of one group in a block contradict each other; "" means no group.
 GROUPS: dict[str, tuple[str, ...]] = {
-    "motion": ("0", "1", "2", "3"),
+    "motion": ("0", "1", "2", "3", "73", "74", "81", "82", "83", "84", "85", "89"),
     "plane": ("17", "18", "19"),
     "units": ("20", "21", "70", "71", "700", "710"),
     "distance": ("90", "91"),
@@ -57,11 +60,12 @@ GROUPS: dict[str, tuple[str, ...]] = {
         *(str(code) for code in range(505, 600)),
     ),
     "machine": ("53", "153"),
+    "plane tilt": ("68.2", "53.1", "69"),
     "still": ("4", "22", "23", "25", "26"),
     "reference": ("28", "30", "30.1", "75", "27", "31", "38", "38.2", "38.3", "38.4", "38.5"),
     "mode": ("61", "61.1", "62", "64", "60", "641", "642", "643", "644", "645"),
     "": (
-        *("5.1", "5", "8", "9", "13.1", "15", "50", "50.1", "67", "69", "69.1", "80", "113", "601", "602", "603"),
+        *("5.1", "5", "8", "9", "13.1", "15", "50", "50.1", "67", "69.1", "80", "113", "601", "602", "603"),
         *("450", "451", "460", "461", "462", "621", "340", "341"),
     ),
 }
@@ -69,15 +73,16 @@ GROUP_OF: dict[str, str] = {code: group for group, codes in GROUPS.items() for c
 
 EXPANDED_CYCLE = "a cycle expanded into G0 and G1 blocks by the postprocessor"
 LINEAR = "a path of G0, G1, G2 and G3 blocks from the postprocessor"
+KNOWN_VALUE = "a number, or a variable set to a number before"
 NO_TRANSFORMATION = "a program without coordinate transformations (at most one work offset, given as work_offset)"
 NO_CALLS = "one program without jumps or calls"
 
 
+OFFSET_VARIABLES = ((2001, 2999), (5161, 5400), (7001, 7960), (10001, 13999), (14001, 19988))
+"""System variables that hold work offsets and tool lengths (LinuxCNC: 5161 to 5400)."""
+
 REFUSED_CODES: dict[str, tuple[str, str]] = {
-    **{
-        code: (f"canned cycle G{code}", EXPANDED_CYCLE)
-        for code in ("73", "74", "76", "81", "82", "83", "84", "84.2", "84.3", "85", "86", "87", "88", "89")
-    },
+    **{code: (f"canned cycle G{code}", EXPANDED_CYCLE) for code in ("76", "84.2", "84.3", "86", "87", "88")},
     **{
         code: (f"thread or tapping G{code}", LINEAR)
         for code in ("33", "33.1", "34", "35", "63", "331", "332", "32", "92.5")
@@ -90,8 +95,8 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
     **{
         code: (f"coordinate transformation G{code}", NO_TRANSFORMATION)
         for code in (
-            *("7", "7.1", "10", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "52", "53.1", "54.2", "54.4"),
-            *("68", "68.1", "68.2", "68.3", "68.4", "92", "92.1", "92.2", "92.3", "107", "110", "111", "112"),
+            *("7", "7.1", "10", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "52", "54.2", "54.4"),
+            *("68", "68.1", "68.3", "68.4", "92", "92.1", "92.2", "92.3", "107", "110", "111", "112"),
         )
     },
     **{

@@ -9,11 +9,13 @@ from typing import Final, final
 from twin._common.errors import InputError
 from twin.nc.block import AxisWord, Span
 from twin.nc.blocks import AxisWords, Kind, Rewrite
+from twin.nc.dialect import as_comment
 from twin.nc.emit import vector_texts
 from twin.nc.iso.block import IsoBlock
+from twin.nc.iso.cycles import Drilling
 from twin.nc.iso.vocabulary import DIRECTION_FORMS
-from twin.nc.text import Style, ending, format_number, number, style_of
-from twin.nc.writer import Edit, Segments, WordWriter
+from twin.nc.text import Style, apply_edits, ending, format_number, number, style_of
+from twin.nc.writer import Edit, Segments, WordWriter, drop
 
 VECTOR_DECIMALS: Final = 7
 _CODE: Final = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
@@ -61,10 +63,12 @@ class IsoWriter(WordWriter[IsoBlock]):
             if block.tcp_switched:
                 self._vector_text = None
         moves = block.moves
-        if segments and 0 in segments:
+        if any(span.name == "80" for span in block.codes):
+            self.motion = None  # LinuxCNC has no motion code in force after it
+        if block.positions and segments and 0 in segments:
             self._observe_format(block)
             text = "".join(self.rewritten(block, segments[0]))
-        elif moves:
+        elif moves and block.positions:
             text = self._unchanged_block(block)
         else:
             text = block.text
@@ -74,10 +78,17 @@ class IsoWriter(WordWriter[IsoBlock]):
                 at = block.cycle_word.start
                 text = f"{text[:at]};{text[at:]}"
         self._mark_stale(block)
-        if len(moves) > 1 and self.expand_cycles:
-            text += self._strokes(block, segments or {}, text)
-        elif len(moves) > 1:
-            self.said.record(2, moves[-1].position[2], False)
+        return text if block.drilling is None else self._drilled(block, block.drilling, segments or {}, text)
+
+    def _drilled(self, block: IsoBlock, drilling: Drilling, segments: Mapping[int, Segments], text: str) -> str:
+        """Return the output of a block that drills; ``text``: that of its positioning."""
+        if self.expand_cycles:
+            text = self._without_cycle(block, text)
+            text += self._strokes(block, drilling, segments, text)
+        elif block.moves:
+            self.said.record(2, block.moves[-1].position[2], False)
+        if drilling.level == drilling.level:
+            self.said.record(2, drilling.level, False)
         return text
 
     def _mark_stale(self, block: IsoBlock) -> None:
@@ -89,33 +100,50 @@ class IsoWriter(WordWriter[IsoBlock]):
 
     def _unchanged_block(self, block: IsoBlock) -> str:
         """Return a block whose move is unchanged; its motion word is added if the modal state of the output differs."""
-        text = block.text
+        text, edits = block.text, list[Edit]()
         self.record(block)
+        if self.expand_cycles:
+            drop(block, block.cycle_words, edits)
         if block.motion_word is None and block.motion is not None and self.motion != block.motion:
             starts = [word.start for word in block.words] + [word.start for word in block.arc_words]
             at = min(starts, default=block.head_end)
             separator = " " if self.spaced or not text[at - 1 : at].isspace() else ""
-            text = f"{text[:at]}{self._g(block.motion)}{separator}{text[at:]}"
+            edits.append((at, at, f"{self._g(block.motion)}{separator}"))
         if block.motion is not None:
             self.motion = block.motion
-        return text
+        return apply_edits(text, edits) if edits else text
 
-    def _strokes(self, block: IsoBlock, segments: Mapping[int, Segments], text: str) -> str:
+    def _without_cycle(self, block: IsoBlock, text: str) -> str:
+        """Return the positioning of a block that states a cycle, with the original block in a comment before it."""
+        if not block.cycle_words:
+            return text
+        if not block.positions:
+            edits: list[Edit] = []
+            drop(block, block.cycle_words, edits)
+            text = apply_edits(text, edits)
+        return f"({as_comment(block.text, '()')}){ending(block.text) or self.newline}{text}"
+
+    def _strokes(self, block: IsoBlock, drilling: Drilling, segments: Mapping[int, Segments], text: str) -> str:
         """Return the strokes of a drilling cycle as blocks."""
         end = ending(block.text) or self.newline
         out = [] if ending(text) else [end]
-        for place in range(1, len(block.moves)):
-            move = block.moves[place]
-            for row in segments[place][1] if place in segments else [list(move.position)]:
-                words = self._missing(block, row, 0)
-                code = _CODE[move.kind]
-                if words and self.motion != code:
-                    words.insert(0, self._g(code))
-                    self.motion = code
-                if words:
-                    out.append(block.skip + " ".join(words) + end)
-            if place == 2 and block.dwell:
-                out.append(block.skip + block.dwell + end)
+        place = 1 if block.positions else 0
+        for stroke in drilling.strokes:
+            if stroke.height == stroke.height:
+                move = block.moves[place]
+                for row in segments[place][1] if place in segments else [list(move.position)]:
+                    words = self._missing(block, row, 0)
+                    code = _CODE[move.kind]
+                    if words and self.motion != code:
+                        words.insert(0, self._g(code))
+                        self.motion = code
+                    if words:
+                        out.append(block.skip + " ".join([*words, *([stroke.feed] if stroke.feed else [])]) + end)
+                place += 1
+            if stroke.after:
+                out.append(block.skip + stroke.after + end)
+        if drilling.level == drilling.level:
+            self.motion = None  # the control's own cycle is in force
         self._mark_stale(block)
         return "".join(out)
 
@@ -136,6 +164,8 @@ class IsoWriter(WordWriter[IsoBlock]):
 
     def _begin(self, block: IsoBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
         """Change the motion word to a straight move; return the motion word to insert, if one is needed."""
+        if self.expand_cycles:
+            drop(block, block.cycle_words, edits)
         code = _CODE[rewrite.move.kind] if block.motion is not None else None
         before, self.motion = self.motion, self.motion if code is None else code
         span = block.motion_word

@@ -1,0 +1,207 @@
+"""Programs that select work offsets and tools from the machine's tables.
+
+Truth: each section on its own, as a program with one work offset (tool length included) and one tool length.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.machine.errors import random_calibration
+from twin._common.errors import InputError
+from twin.compensation import Compensation, Compensator, Options
+from twin.compensation.execute import execute_file
+from twin.compensation.toolpath import Setup
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.nc import DIALECTS, read_program
+from twin.nc.tables import OffsetTable, ToolTable
+
+OFFSETS = OffsetTable(
+    Path("offsets.csv"),
+    {
+        "G54": {"X": 250.0, "Y": 225.0, "Z": -390.0},
+        "G55": {"X": 200.0, "Y": 180.0, "Z": -350.0, "C": 12.5},
+        "G54.1 P2": {"X": 100.0, "Y": 100.0, "Z": -300.0},
+        "G505": {"X": 120.0, "Y": 110.0, "Z": -320.0},
+        "7": {"X": 250.0, "Y": 225.0, "Z": -390.0},
+        "8": {"X": 200.0, "Y": 180.0, "Z": -350.0, "C": 12.5},
+    },
+)
+TOOLS = ToolTable(Path("tools.csv"), {"1": 80.0, "2": 131.5, "MILL": 80.0, "DRILL": 131.5, "DRILL D2": 133.0})
+ROWS = "G0 X{0} Y10. Z60. B20. C5.\nG1 X{1} Y20. Z15. F500.\nX-30. Y-25. B40. C30.\nG3 X-20. Y-15. I10. J0.\nG0 Z60.\n"
+ROWS_H = (
+    "L X{0:+} Y+10 Z+60 B+20 C+5 FMAX\nL X{1:+} Y+20 Z+15 F500\nL X-30 Y-25 B+40 C+30\nCC X-20 Y-25\nC X-20 Y-15 DR-\n"
+    "L Z+60 FMAX\n"
+)
+ISO, HEIDENHAIN = DIALECTS[0], DIALECTS[1]
+
+
+@pytest.fixture(scope="module")
+def errors(dmu50: Machine) -> Calibration:
+    return random_calibration(dmu50, np.random.default_rng(5), size=30.0)
+
+
+def compensated(
+    text: str, machine: Machine, errors: Calibration, setup: Setup, length: float | None = None, **how: object
+) -> Compensation:
+    dialect = HEIDENHAIN if text.startswith("BEGIN") else ISO
+    program = dialect.read(text.encode(), "part.h" if dialect is HEIDENHAIN else "part.nc")
+    options = Options(setup=setup, tool_length_mm=length)
+    return Compensator(machine, errors, options).compensate(program, dialect)
+
+
+def blocks(text: str) -> list[str]:
+    """Return the lines that move axes, without those that only select."""
+    return [
+        line for line in text.splitlines() if line[:3] in ("G0 ", "G1 ") or line[:2] in ("L ", "X-", "X2", "X3", "X4")
+    ]
+
+
+def plain(row: str, length: float) -> Setup:
+    shift = dict(OFFSETS.rows[row])
+    return Setup(work_offset=shift | {"Z": shift["Z"] + length})
+
+
+ISO_PROGRAMS = {
+    "fanuc": (
+        "G90 G21\nT1 M6\nG54\nG43 H1\n{0}G49\nT2 M6\nG55\nG43 H2\n{1}M30\n",
+        [("G54", 80.0), ("G55", 131.5)],
+    ),
+    "further offsets": (
+        "G90 G21\nT1\nM6 T2\nG54.1 P2\nG43 H1\n{0}M6\nG55 G43 H2\n{1}M30\n",
+        [("G54.1 P2", 80.0), ("G55", 131.5)],
+    ),
+    "sinumerik": (
+        'G90 G710\nT="MILL"\nM6\nG54\n{0}T="DRILL"\nM6\nG505 D1\n{1}M30\n',
+        [("G54", 80.0), ("G505", 131.5)],
+    ),
+    "sinumerik edge": (
+        'G90 G710\nT="MILL"\nM6\nG54\n{0}T="DRILL"\nM6\nG505 D2\n{1}M30\n',
+        [("G54", 80.0), ("G505", 133.0)],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ISO_PROGRAMS)
+def test_each_section_is_that_of_a_program_of_its_own(dmu50: Machine, errors: Calibration, name: str) -> None:
+    form, parts = ISO_PROGRAMS[name]
+    rows = [ROWS.format(30.0, 40.0), ROWS.format(-10.0, 25.0)]
+    result = compensated(form.format(*rows), dmu50, errors, Setup(offsets=OFFSETS, tools=TOOLS))
+    alone = [
+        compensated("G90 G21\n" + text, dmu50, errors, plain(row, length), length)
+        for text, (row, length) in zip(rows, parts, strict=True)
+    ]
+    assert blocks(result.text) == [line for one in alone for line in blocks(one.text)]
+    assert [use.offset for use in result.report.frames] == [row for row, _ in parts]
+    assert [use.tool_length_mm for use in result.report.frames] == [length for _, length in parts]
+    after = [one.report.after.max_um for one in alone]
+    assert result.report.after.max_um == pytest.approx(max(after), abs=0.4)
+    before = np.sqrt(np.mean([one.report.before.rms_um**2 for one in alone]))
+    assert result.report.before.rms_um == pytest.approx(before, rel=0.05)
+    # The moves of the original reach the same lines in the output: nothing else was changed.
+    for line in form.format("", "").splitlines():
+        assert line in result.text.splitlines()
+
+
+def test_presets_and_tool_calls(dmu50: Machine, errors: Calibration) -> None:
+    rows = [ROWS_H.format(30.0, 40.0), ROWS_H.format(-10.0, 25.0)]
+    text = (
+        "BEGIN PGM A MM\nTOOL CALL 1 Z S5000\nCYCL DEF 247 DATUM SETTING ~\n Q339=+7 ;DATUM NUMBER\n"
+        f'{rows[0]}TOOL CALL "DRILL" Z S3000 DL+0.25\nCYCL DEF 247 DATUM SETTING Q339=+8\n{rows[1]}M30\nEND PGM A MM\n'
+    )
+    result = compensated(text, dmu50, errors, Setup(offsets=OFFSETS, tools=TOOLS))
+    alone = [
+        compensated(f"BEGIN PGM A MM\n{text}END PGM A MM\n", dmu50, errors, plain(row, length), length)
+        for text, row, length in zip(rows, ("7", "8"), (80.0, 131.75), strict=True)
+    ]
+    assert blocks(result.text) == [line for one in alone for line in blocks(one.text)]
+
+
+def test_tool_tip_coordinates_begin_at_the_offset(dmu50: Machine, errors: Calibration) -> None:
+    """The nose of the DMU 50 stands over the table's centre at X 250, Y 225 and on the table at Z −400 (contract, clause 1)."""
+    text = "G90 G21\nT2 M6\nG54\nG43 H2\nG43.4 H2\n" + ROWS.format(30.0, 40.0).replace("G3 X-20. Y-15. I10. J0.\n", "")
+    result = compensated(text, dmu50, errors, Setup(offsets=OFFSETS, tools=TOOLS))
+    wanted = compensated(text.replace("T2 M6\nG54\n", ""), dmu50, errors, Setup(work_origin_mm=(0.0, 0.0, 10.0)), 131.5)
+    assert blocks(result.text) == blocks(wanted.text)
+    assert result.report.frames[0].work_origin_mm == pytest.approx((0.0, 0.0, 10.0), abs=1e-9)
+
+
+def test_a_move_across_sections_begins_where_the_one_before_ended(dmu50: Machine, errors: Calibration) -> None:
+    """Going back to the same place in another offset needs other words, and no second approach."""
+    text = "G90 G21\nG54\nG0 X10. Y20. Z60. B0. C0.\nG1 Z50. F500.\nG55\nG1 X70. F500.\nG54\nG1 X20. Z50.\n"
+    result = compensated(text, dmu50, Calibration.zero(dmu50), Setup(offsets=OFFSETS))
+    lines = result.nominal[:, 0]
+    assert lines == pytest.approx([260.0, 260.0, 270.0, 270.0])
+    assert result.nominal[2] == pytest.approx([270.0, 245.0, -340.0, 0.0, 0.0])
+
+
+def test_the_scene_uses_the_same_frames(dmu50: Machine, errors: Calibration, tmp_path: Path) -> None:
+    form, _ = ISO_PROGRAMS["fanuc"]
+    text = form.format(ROWS.format(30.0, 40.0), ROWS.format(-10.0, 25.0))
+    (tmp_path / "part.nc").write_text(text)
+    setup = Setup(offsets=OFFSETS, tools=TOOLS)
+    run = execute_file(tmp_path / "part.nc", dmu50, errors, setup=setup)
+    result = compensated(text, dmu50, errors, setup)
+    off = np.linalg.norm(run.reached_mm - run.meant_mm, axis=1) * 1e3
+    assert off.max() == pytest.approx(result.report.before.max_um, rel=0.02)
+    assert run.lines[int(np.argmax(off))] == result.report.before.worst_line
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        ("G54\nG0 X0 Y0 Z60\nG56\nG0 X1\n", 4, "no such work offset"),
+        ("T9 M6\nG54\nG0 X0 Y0 Z60\n", 3, "no such tool"),
+        ("M6\nG54\nG0 X0 Y0 Z60\n", 1, "tool change without a tool"),
+        ("G54\nG43.1 Z10\nG0 X0 Y0 Z60\n", 2, "tool length by G44 or G43.1"),
+        ("G54\nT=_A M6\nG0 X0 Y0 Z60\n", 2, "value of T is unknown"),
+    ],
+)
+def test_what_the_tables_do_not_have_is_refused(dmu50: Machine, text: str, line: int, words: str) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        compensated(text, dmu50, Calibration.zero(dmu50), Setup(offsets=OFFSETS, tools=TOOLS))
+    assert caught.value.line == line
+
+
+def test_offsets_given_twice_are_refused() -> None:
+    with pytest.raises(InputError, match="given twice"):
+        Setup(work_offset={"X": 1.0}, offsets=OFFSETS)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "linuxcnc_boat-xyzbc.ngc",
+        "spinnerU5_Bottle_opener_Flaschenoeffner.txt",
+        "spinnerU5_Keychain_Schluesselanhaenger.mpf",
+    ],
+)
+def test_real_programs_need_only_the_tables(programs: Path, name: str) -> None:
+    machine = Machine.load("xyzbc_trunnion")
+    errors = random_calibration(machine, np.random.default_rng(1), size=30.0)
+    tools = dict.fromkeys(
+        (
+            "1",
+            "SCHAFT_D8_N_AP20",
+            "SCHAFT_D4_N_AP20",
+            "ENTFRAESER_D8_90GRAD",
+            "ENTFRAESER_D8_N_90GRAD",
+            "BOHRER_D3.3_VHM",
+        ),
+        85.2,
+    )
+    tools["SCHAFT_D4_N_AP20"] = 70.1
+    setup = Setup(
+        offsets=OffsetTable(Path("a.csv"), {"G54": {"X": 10.0, "Y": -5.0, "Z": 40.0}}),
+        tools=ToolTable(Path("b.csv"), tools),
+    )
+    read, dialect = read_program(programs / name)
+    report = Compensator(machine, errors, Options(setup=setup)).compensate(read, dialect).report
+    assert report.before.rms_um > 8.0
+    assert report.after.max_um < 2.0
+    # The programs were made for a machine whose tool-change position lies outside the range of this one.
+    assert not [one for one in report.not_corrected if one.missed or one.kind == "tolerance"]

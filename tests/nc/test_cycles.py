@@ -1,0 +1,223 @@
+"""Drilling cycles, and arithmetic in words. Truth: the strokes written down by hand, as the manuals' figures show them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.machine.errors import random_calibration
+from tests.truth.machine import run_iso
+from twin._common.errors import InputError
+from twin.compensation import Compensation, Compensator
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.nc import DIALECTS
+from twin.nc.arithmetic import evaluate
+from twin.nc.blocks import AxisWords, Interpretation, Kind
+
+ISO, HEIDENHAIN = DIALECTS[0], DIALECTS[1]
+START = "G90 G21 G17\nG0 X300. Y200. Z-300. B0. C0.\n"
+HOLE = (310.0, 210.0)
+CYCLES = {
+    # name: (text, heights after the start, rapid or feed of each)
+    "G81 to R": ("G99 G81 X310. Y210. Z-330. R-310. F120.\nG80\n", [-300, -310, -330, -310], "RRFR"),
+    "G81 to the initial level": ("G98 G81 X310. Y210. Z-330. R-310. F120.\nG80\n", [-300, -310, -330, -300], "RRFR"),
+    "G82": ("G99 G82 X310. Y210. Z-330. R-310. P500 F120.\nG80\n", [-300, -310, -330, -310], "RRFR"),
+    "G83": (
+        "G99 G83 X310. Y210. Z-330. R-310. Q8. F120.\nG80\n",
+        [-300, -310, -318, -310, -317.5, -326, -310, -325.5, -330, -310],
+        "RRFRRFRRFR",
+    ),
+    "G73": (
+        "G99 G73 X310. Y210. Z-330. R-310. Q8. F120.\nG80\n",
+        [-300, -310, -318, -317.5, -326, -325.5, -330, -310],
+        "RRFRFRFR",
+    ),
+    "G85": ("G98 G85 X310. Y210. Z-330. R-310. F120.\nG80\n", [-300, -310, -330, -310, -300], "RRFFR"),
+    "G89": ("G98 G89 X310. Y210. Z-330. R-310. P1 F120.\nG80\n", [-300, -310, -330, -310, -300], "RRFFR"),
+    "G84": ("G98 G84 X310. Y210. Z-330. R-310. F1.\nG80\n", [-300], "R"),
+    "CYCLE81": ("MCALL CYCLE81(-300,-312,2,-330)\nG0 X310. Y210.\nMCALL\n", [-300, -310, -330, -300], "RRFR"),
+    "CYCLE82 relative": (
+        "MCALL CYCLE82(-300,-312,2,,18,0.5)\nG0 X310. Y210.\nMCALL\n",
+        [-300, -310, -330, -300],
+        "RRFR",
+    ),
+    "CYCLE83 out": (
+        "MCALL CYCLE83(-300,-312,2,-330,,-320,,0,0,0,1,1)\nG0 X310. Y210.\nMCALL\n",
+        [-300, -310, -320, -310, -319.5, -328, -310, -327.5, -330, -300],
+        "RRFRRFRRFR",
+    ),
+    "CYCLE83 chips": (
+        "MCALL CYCLE83(-300,-312,2,-330,,-320,,0,0,0,1,0)\nG0 X310. Y210.\nMCALL\n",
+        [-300, -310, -320, -319.5, -328, -327.5, -330, -300],
+        "RRFRFRFR",
+    ),
+    "CYCLE85": (
+        "MCALL CYCLE85(-300,-312,2,-330,,0,80,200)\nG0 X310. Y210.\nMCALL\n",
+        [-300, -310, -330, -310, -300],
+        "RRFFR",
+    ),
+    "CYCLE84": ("MCALL CYCLE84(-300,-312,2,-330,,0,3,5,,1.5)\nG0 X310. Y210.\nMCALL\n", [-300], "R"),
+    "CYCLE81 once": ("G0 X310. Y210.\nCYCLE81(-300,-312,2,-330)\n", [-300, -310, -330, -300], "RRFR"),
+}
+REFUSED = {
+    "no R": ("G81 X310. Y210. Z-330.\n", "R and Z"),
+    "no Q": ("G83 X310. Y210. Z-330. R-310.\n", "Q, the depth of a step"),
+    "no P": ("G82 X310. Y210. Z-330. R-310.\n", "P, the dwell"),
+    "upside down": ("G81 X310. Y210. Z-300. R-310.\n", "Z below R"),
+    "from below": ("G81 X310. Y210. Z-330. R-290.\n", "Z is below R"),
+    "relative": ("G91 G81 X10. Y10. Z-20. R-10.\n", "in G17, G90"),
+    "repeats": ("G81 X310. Y210. Z-330. R-310. L3\n", "repeats"),
+    "boring": ("G86 X310. Y210. Z-330. R-310.\n", "canned cycle G86"),
+    "degressive": ("MCALL CYCLE83(-300,-312,2,-330,,-320,,1,0,0,1,1)\n", "steps of equal depth"),
+    "unknown": ("MCALL CYCLE83(-300,-312,2,_D,,-320,,0,0,0,1,1)\n", "known values"),
+    "pattern": ("HOLES1(0,0,0,10,10,5)\n", "canned cycle HOLES1"),
+}
+
+
+@pytest.fixture(scope="module")
+def errors(dmu50: Machine) -> Calibration:
+    return random_calibration(dmu50, np.random.default_rng(3), size=30.0)
+
+
+def compensated(text: str, machine: Machine, errors: Calibration) -> Compensation:
+    return Compensator(machine, errors).compensate(ISO.read(text.encode(), "part.mpf"), ISO)
+
+
+@pytest.mark.parametrize("name", CYCLES)
+def test_a_cycle_is_expanded_into_its_strokes(dmu50: Machine, errors: Calibration, name: str) -> None:
+    text, heights, kinds = CYCLES[name]
+    result = compensated(START + text + "G0 Z-290.\nX300.\n", dmu50, errors)
+    moves = result.reading.moves[1:-2]
+    assert [move.position[2] for move in moves] == pytest.approx(heights)
+    assert {move.position[:2] for move in moves} == {HOLE}
+    assert "".join("R" if move.kind is Kind.RAPID else "F" for move in moves) == kinds
+    # An interpreter that does not know cycles finds the same strokes in the output, and the compensated commands at their end points.
+    plain = "\n".join(line for line in result.text.splitlines() if not line.startswith(("G84", "CYCLE84")))
+    ran = run_iso(plain)
+    assert [code for code, _ in ran[1:-2]] == [{"R": "G0", "F": "G1"}[kind] for kind in kinds]
+    assert np.array([q for _, q in ran]) == pytest.approx(result.commands, abs=1e-6)
+    assert not [line for line in plain.splitlines() if line.startswith(("G8", "MCALL")) and line != "G80"]
+    assert result.report.after.max_um < 2.0
+
+
+def test_words_between_the_strokes(dmu50: Machine, errors: Calibration) -> None:
+    """Dwell at depth, feeds down and up, a thread left to the control at every hole, and no cycle in force behind it."""
+    lines = compensated(START + CYCLES["G82"][0], dmu50, errors).text.splitlines()
+    assert lines[lines.index("G4 P500") - 1].startswith("G1 ")
+    lines = compensated(START + CYCLES["CYCLE85"][0], dmu50, errors).text.splitlines()
+    assert [line.split()[-1] for line in lines if "F" in line.split()[-1]] == ["F80", "F200"]
+    text = START + "G99 G84 X310. Y210. Z-330. R-310. F1.\nX320.\nG80\nG0 Z-290.\n"
+    lines = compensated(text, dmu50, errors).text.splitlines()
+    threads = [i for i, line in enumerate(lines) if line == "G84 Z-330. R-310. F1."]
+    assert len(threads) == 2
+    assert all(lines[i + 1].startswith(("G0 ", "G80")) for i in threads)
+
+
+def test_a_program_without_errors_keeps_its_cycles(dmu50: Machine) -> None:
+    for text, _, _ in CYCLES.values():
+        assert compensated(START + text, dmu50, Calibration.zero(dmu50)).text == START + text
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_not_expanded_is_refused(dmu50: Machine, name: str) -> None:
+    text, words = REFUSED[name]
+    with pytest.raises(InputError, match=words) as caught:
+        compensated(START + text, dmu50, Calibration.zero(dmu50))
+    assert caught.value.line == 3
+
+
+VALUES = {"#1": 3.0, "#<X>": 5.0, "R1": 2.0, "_D": -4.0}
+FORMULAS = [
+    ("#1+2*R1", 7.0),
+    ("[#1+2]*R1", 10.0),
+    ("-[#1]", -3.0),
+    ("(R1+1)*(_D-1)", -15.0),
+    ("ATAN[1]/[-1]", 135.0),
+    ("ATAN2(-1,1)", -45.0),
+    ("2**3**1", 8.0),
+    ("7 MOD 4", 3.0),
+    ("7 DIV 2", 3.0),
+    ("#<x>/2", 2.5),
+    ("SQRT[16]+ABS[_D]", 8.0),
+    ("ROUND[2.5]", 3.0),
+    ("COS(60)*4", 2.0),
+]
+UNKNOWN = [
+    "R9+1",
+    "1/0",
+    "FIX[-1.2]",
+    "-7 MOD 4",
+    "5+",
+    "SQRT[-1]",
+    "(1",
+    "1 2",
+    "#0",
+    "ASIN(2)",
+    "ATAN[-1]/[1]",
+    "10**99",
+]
+
+
+@pytest.mark.parametrize(("text", "value"), FORMULAS)
+def test_arithmetic(text: str, value: float) -> None:
+    assert evaluate(text, VALUES) == pytest.approx(value)
+
+
+@pytest.mark.parametrize("text", UNKNOWN)
+def test_what_controls_disagree_about_is_unknown(text: str) -> None:
+    assert math.isnan(evaluate(text, VALUES)) or abs(evaluate(text, VALUES)) > 1e9
+
+
+@given(
+    st.recursive(
+        st.integers(1, 20).map(str),
+        lambda inner: st.tuples(inner, st.sampled_from("+-*/"), inner).map(lambda t: f"({''.join(t)})"),
+        max_leaves=12,
+    )
+)
+def test_arithmetic_is_that_of_python(text: str) -> None:
+    try:
+        wanted = eval(text)  # only digits, signs and brackets
+    except ZeroDivisionError:
+        assert math.isnan(evaluate(text, {}))
+        return
+    assert evaluate(text, {}) == pytest.approx(wanted)
+
+
+def read(text: str, dialect_of: int = 0) -> Interpretation:
+    axes = AxisWords(("X", "Y", "Z"), ("B", "C"), dict.fromkeys("XYZBC", 0.001))
+    dialect = DIALECTS[dialect_of]
+    return dialect.moves(dialect.read(text.encode(), "part"), axes, tcp=False)
+
+
+def test_words_with_arithmetic() -> None:
+    text = (
+        "R1=5 R2=R1*2+1\nG0 X=R1 Y=(R1+2)*3 Z=R2-1\nG1 X=IC(R1/2) F=R2\n#1=3\n#2=[#1+1]*2\nX#2 Y[#1*2] Z-[#1]\n"
+        "DEF REAL A=5\nX=A+1\n"
+    )
+    assert [move.position[:3] for move in read(text).moves] == [(5, 21, 10), (7.5, 21, 10), (8, 6, -3), (6, 6, -3)]
+    text = (
+        "BEGIN PGM A MM\nQ1 = 5,5\nFN 1: Q2 = +Q1 + +4\nQ3 = (Q1 + 0,5) * SIN 30\nFN 4: Q4 = +7 DIV +2\n"
+        "L X+Q1 Y+Q2 Z-Q3 F100\nL X+Q4\n"
+    )
+    found = [move.position[:3] for move in read(text, 1).moves]
+    assert np.array(found) == pytest.approx(np.array([(5.5, 9.5, -3.0), (3.5, 9.5, -3.0)]))
+
+
+def test_a_word_with_arithmetic_is_replaced_as_a_whole(dmu50: Machine, errors: Calibration) -> None:
+    text = "G90 G21\nR1=300\nG0 X=R1+10 Y=(R1-100) Z=-R1 B0 C0\n#5=20\nG1 X[#5*16] F100\n"
+    result = compensated(text, dmu50, errors)
+    ran = np.array([q for _, q in run_iso(result.text.replace("=", ""))])
+    assert ran == pytest.approx(result.commands, abs=1e-6)
+    assert result.nominal[:, 0] == pytest.approx([310.0, 320.0])
+
+
+def test_a_program_that_sets_a_work_offset_is_refused() -> None:
+    with pytest.raises(InputError, match="sets a work offset") as caught:
+        read("G0 X1 Y1 Z1\n#5221=10\n")
+    assert caught.value.line == 2

@@ -1,0 +1,190 @@
+"""Arithmetic with parameters in words and assignments: Fanuc and LinuxCNC ``#1``, SINUMERIK ``R1`` and names, Heidenhain ``Q1``.
+
+Angles are in degrees. An expression is unknown (NaN) if a parameter in it is, or if controls disagree about its value: a remainder or a
+rounding toward zero of a negative number, a division by zero.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Final, final
+
+from twin.nc.text import number
+
+_TOKEN: Final = re.compile(
+    r"[ \t]*+(?:(?P<number>\d++(?:\.\d*+)?+|\.\d++)|(?P<name>\#(?:\d++|<[^>\r\n]*+>)|\$?[A-Za-z_]\w*+)|(?P<sign>\*\*|[-+*/^()\[\],]))",
+    re.ASCII,
+)
+_CLOSING: Final = {"(": ")", "[": "]"}
+
+
+def _down(value: float) -> float:
+    return math.floor(value) if value >= 0.0 else math.nan
+
+
+def _up(value: float) -> float:
+    return math.ceil(value) if value >= 0.0 else math.nan
+
+
+def _nearest(value: float) -> float:
+    return math.floor(value + 0.5) if value >= 0.0 else -math.floor(0.5 - value)
+
+
+FUNCTIONS: Final[Mapping[str, Callable[[float], float]]] = {
+    "SIN": lambda value: math.sin(math.radians(value)),
+    "COS": lambda value: math.cos(math.radians(value)),
+    "TAN": lambda value: math.tan(math.radians(value)),
+    "ASIN": lambda value: math.degrees(math.asin(value)),
+    "ACOS": lambda value: math.degrees(math.acos(value)),
+    "ATAN": lambda value: math.degrees(math.atan(value)),
+    "SQRT": math.sqrt,
+    "ABS": abs,
+    "ROUND": _nearest,
+    "FIX": _down,
+    "FUP": _up,
+    "TRUNC": math.trunc,
+    "INT": math.trunc,
+    "POT": lambda value: value * value,
+    "SQ": lambda value: value * value,
+    "LN": math.log,
+    "EXP": math.exp,
+    "NEG": lambda value: -value,
+    "SGN": lambda value: math.copysign(1.0, value) if value else 0.0,
+    "FRAC": lambda value: math.modf(value)[0],
+}
+"""Functions of one number."""
+_BINARY: Final[Mapping[str, Callable[[float, float], float]]] = {
+    "*": lambda one, other: one * other,
+    "/": lambda one, other: one / other,
+    "MOD": lambda one, other: math.fmod(one, other) if one >= 0.0 and other > 0.0 else math.nan,
+    "LEN": math.hypot,
+    "ANG": lambda one, other: math.degrees(math.atan2(one, other)) % 360.0,
+}
+
+
+def evaluate(text: str, parameters: Mapping[str, float], *, heidenhain: bool = False) -> float:
+    """Return the value of an expression; NaN if it is unknown.
+
+    Args:
+        text: the expression.
+        parameters: values by name in capitals (``#1``, ``R1``, ``_DEPTH``, ``Q1``).
+        heidenhain: whether ``DIV`` is a quotient and commas are decimal; else ``DIV`` gives a whole number (SINUMERIK).
+    """
+    try:
+        parser = _Parser(text.replace(",", ".") if heidenhain else text, parameters, not heidenhain)
+        value = parser.sum()
+    except (ArithmeticError, ValueError):
+        return math.nan
+    return value if parser.at_end and math.isfinite(value) else math.nan
+
+
+@final
+class _Parser:
+    """Recursive descent; raises `ValueError` for anything that is not an expression."""
+
+    def __init__(self, text: str, parameters: Mapping[str, float], whole_division: bool) -> None:
+        self._parameters, self._whole_division = parameters, whole_division
+        self._tokens: list[tuple[str, str]] = []
+        at = 0
+        text = text.rstrip()
+        while at < len(text):
+            found = _TOKEN.match(text, at)
+            if found is None or found.lastgroup is None:
+                raise ValueError(text)
+            self._tokens.append((found.lastgroup, found[found.lastgroup].upper()))
+            at = found.end()
+        self._at = 0
+
+    @property
+    def at_end(self) -> bool:
+        """Whether everything has been read."""
+        return self._at == len(self._tokens)
+
+    def _next(self) -> str:
+        return "" if self.at_end else self._tokens[self._at][1]
+
+    def _take(self, *wanted: str) -> str:
+        """Read the next token if it is one of some; return it, or an empty text."""
+        found = self._next()
+        if found not in wanted:
+            return ""
+        self._at += 1
+        return found
+
+    def sum(self) -> float:
+        """Return a sum of products."""
+        value = self._product()
+        while sign := self._take("+", "-"):
+            other = self._product()
+            value = value + other if sign == "+" else value - other
+        return value
+
+    def _product(self) -> float:
+        value = self._power()
+        while sign := self._take(*_BINARY, "DIV"):
+            other = self._power()
+            if sign == "DIV":
+                value = math.trunc(value / other) if self._whole_division else value / other
+            else:
+                value = _BINARY[sign](value, other)
+        return value
+
+    def _power(self) -> float:
+        if sign := self._take("+", "-"):
+            value = self._power()
+            return -value if sign == "-" else value
+        value = self._operand()
+        if self._take("**", "^"):
+            raised: float = value ** self._power()
+            return raised
+        return value
+
+    def _operand(self) -> float:
+        if self._next() in _CLOSING:
+            return self._bracket()[0]
+        if self.at_end:
+            raise ValueError("no operand")
+        kind, text = self._tokens[self._at]
+        self._at += 1
+        if kind == "number":
+            return number(text)
+        if kind != "name":
+            raise ValueError(text)
+        if text in self._parameters:
+            return self._parameters[text]
+        if text in ("ATAN", "ATAN2", "POW") and self._next() in _CLOSING:
+            return self._of_two(text)
+        if text in FUNCTIONS:
+            return FUNCTIONS[text](self._bracket()[0] if self._next() in _CLOSING else self._power())
+        return {"PI": math.pi, "$PI": math.pi}.get(text, math.nan)
+
+    def _of_two(self, name: str) -> float:
+        """Return a function of two numbers: ``ATAN2(y,x)``, ``ATAN[y,x]``, ``ATAN[y]/[x]``, ``POW[x,y]``."""
+        values = self._bracket()
+        if name == "ATAN" and len(values) == 1 and self._next() == "/":
+            self._at += 1
+            if self._next() not in _CLOSING:
+                raise ValueError(name)
+            values += self._bracket()
+        if name == "POW" and len(values) == 2:
+            raised: float = values[0] ** values[1]
+            return raised
+        if len(values) == 1 and name == "ATAN":
+            return FUNCTIONS[name](values[0])
+        if len(values) != 2:
+            raise ValueError(name)
+        angle = math.degrees(math.atan2(*values))
+        # SINUMERIK and LinuxCNC give −180° to 180°, Fanuc 0° to 360° by default.
+        return angle if angle >= 0.0 or name == "ATAN2" else math.nan
+
+    def _bracket(self) -> list[float]:
+        """Return the values in a bracket, separated by commas."""
+        closing = _CLOSING[self._take(*_CLOSING)]
+        values = [self.sum()]
+        while self._take(","):
+            values.append(self.sum())
+        if not self._take(closing):
+            raise ValueError(closing)
+        return values

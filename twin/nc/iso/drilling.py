@@ -1,0 +1,183 @@
+"""Effects of ISO blocks on drilling: which cycle is in force, and the moves that it adds to a block."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from twin._common.errors import InputError
+from twin.nc.block import Span
+from twin.nc.blocks import Kind, Move
+from twin.nc.iso import cycles, vocabulary
+from twin.nc.iso.block import IsoBlock, Item
+from twin.nc.iso.cycles import Drilling, Stroke
+from twin.nc.iso.tilt import IsoTilt
+from twin.nc.text import MM_PER_INCH
+
+CODES: Final = cycles.FANUC | cycles.FANUC_TAPPING
+_MODAL: Final = frozenset("RQP")
+_REPEATS: Final = frozenset("LK")
+
+
+class IsoDrilling(IsoTilt):
+    """Drilling cycles: those of Fanuc and LinuxCNC, and calls of SINUMERIK by ``MCALL``.
+
+    Attributes:
+        motion: motion code in force, None before the first.
+        plane: 17, 18 or 19.
+        incremental: whether words are relative.
+        cycle: the cycle executed after every positioning, or None.
+        code: G code of a Fanuc cycle in force, empty if there is none.
+    """
+
+    motion: int | None = None
+    plane = 17
+    incremental = False
+    cycle: Drilling | None = None
+    code = ""
+    _motion_before: int | None = None
+    _to_initial = True
+    _initial = math.nan
+
+    def cycle_code(self, block: IsoBlock, span: Span, group: str) -> bool:
+        """Apply a G word to the Fanuc cycle in force; return whether it begins one.
+
+        ``G80`` and the motion codes end a cycle; after ``G80`` the motion code before the cycle applies again.
+        """
+        code = span.name
+        if code in CODES:
+            if not self.code:
+                self._motion_before, self._initial = self.motion, self.position[2]
+                self._height: dict[str, float] = {}
+                self._dwell = ""
+            self.code, self.motion = code, 0  # positions between holes are rapid
+            block.cycle_words.append(span)
+            return True
+        if group == "return":
+            self._to_initial = code == "98"
+        elif self.code and (group == "motion" or code == "80"):
+            self.code, self.cycle = "", None
+            self.motion = self._motion_before
+        return False
+
+    def take_cycle_words(self, block: IsoBlock) -> bool:
+        """Take the words of a Fanuc cycle from a block; return whether the block executes the cycle.
+
+        Raises:
+            InputError: a value is missing, contradicts another, or depends on a mode that is not expanded.
+        """
+        if not self.code:
+            return False
+        stated = bool(block.cycle_words)
+        unit = MM_PER_INCH if self.inch else 1.0
+        kept: list[Item] = []
+        for item in (*block.items, *block.others):
+            if item.name in _REPEATS:
+                if self.value_of(item.value) != 1.0:
+                    raise self._refused("repeats", "one hole a block, without L or K", item.value)
+            elif item.name == "Z" or item.name in _MODAL:
+                value = self.value_of(item.value)
+                if value != value:
+                    raise self.error(f"the value of {item.name} is unknown", "a number", item.value)
+                stated = True
+                self._height[item.name] = value * unit
+                if item.name == "P":
+                    self._dwell = item.value.strip()
+            else:
+                kept.append(item)
+                continue
+            block.cycle_words.append(Span(item.start, item.end, item.name))
+        block.items = [item for item in kept if item.name in self.index]
+        block.others = [item for item in kept if item.name not in self.index]
+        if not (stated or block.items):
+            return False
+        if stated:
+            self.cycle = self._cycle(block)
+        return True
+
+    def _cycle(self, block: IsoBlock) -> Drilling:
+        if self.plane != 17 or self.incremental or self.tcp or self.vector is not None:
+            raise self._refused("cycle", "drilling along Z in G17, G90, without tool centre point control")
+        top = self._height.get("R", math.nan)
+        if self._initial != self._initial:
+            raise self._refused("position of Z unknown", "a position of Z before the cycle")
+        if self._initial < top - 1e-9:
+            raise self._refused("Z is below R", "Z at R or above before the cycle")
+        retract = self._initial if self._to_initial else top
+        if self.code in cycles.FANUC_TAPPING:
+            words = [block.text[span.start : span.end] for span in block.cycle_words]
+            feed = "" if block.feed is None else f" F{block.text[block.feed.start : block.feed.end]}"
+            if not {"Z", "R"} <= {span.name for span in block.cycle_words}:
+                raise self._refused("thread", "Z and R in the block of the cycle")
+            text = " ".join(word.strip() for word in words if not word.strip().upper().startswith("G"))
+            after = f"G{self.code} {text}{feed}"
+            return Drilling((Stroke(math.nan, Kind.RAPID, after=after),), retract)
+        try:
+            return cycles.of_fanuc(self.code, self._height, self._dwell, retract)
+        except ValueError as error:
+            raise self._refused("cycle", str(error)) from None
+
+    def _refused(self, what: str, expected: str, value: object = None) -> InputError:
+        return self.error(f"canned cycle G{self.code}: {what}", f"{expected}; or {vocabulary.EXPANDED_CYCLE}", value)
+
+    def call(self, name: str, arguments: str) -> Drilling:
+        """Return the cycle that ``MCALL`` calls.
+
+        Args:
+            name: the cycle.
+            arguments: its argument list, with parentheses.
+
+        Raises:
+            InputError: it is not expanded.
+        """
+        shown = f"{name}{arguments}"
+        if self.plane != 17 or self.tcp:
+            expected = "drilling along Z in G17, without TRAORI"
+            raise self.error(f"canned cycle {name}", f"{expected}; or {vocabulary.EXPANDED_CYCLE}", shown)
+        try:
+            return cycles.of_sinumerik(name, arguments[1:-1], self.value_of, MM_PER_INCH if self.inch else 1.0)
+        except ValueError as error:
+            expected = f"{error}; or {vocabulary.EXPANDED_CYCLE}"
+            raise self.error(f"canned cycle {name}", expected, shown) from None
+
+    def call_once(self, block: IsoBlock, item: Item) -> None:
+        """Execute a cycle of SINUMERIK at the present position.
+
+        Raises:
+            InputError: it is not expanded.
+        """
+        block.cycle_word, block.calls = Span(item.start, len(block.text.rstrip("\r\n"))), True
+        self.cycle = self.call(item.name, item.value)
+
+    def mcall(self, block: IsoBlock, item: Item, *, last: bool) -> None:
+        """Apply ``MCALL`` or the cycle after it, the ``last`` statement of its block.
+
+        Raises:
+            InputError: it is not expanded.
+        """
+        if item.name == "MCALL":
+            block.cycle_word = Span(item.start, len(block.text.rstrip("\r\n")))
+            if last:
+                self.cycle = None
+            return
+        if not last:
+            raise self.error(f"canned cycle {item.name}", vocabulary.EXPANDED_CYCLE, block.text[item.start :].strip())
+        self.cycle = self.call(item.name, item.value)
+
+    def drill(self, block: IsoBlock, cycle: Drilling) -> None:
+        """Add the strokes of a cycle to the moves of a block, except those that do not move."""
+        if self.incremental or self.tcp or self.vector is not None or block.end_m_words:
+            raise self.error("canned cycle", vocabulary.EXPANDED_CYCLE)
+        named = frozenset(self.names[2:3])
+        strokes = []
+        for stroke in cycle.strokes:
+            moves = abs(stroke.height - self.position[2]) > 1e-9 or self.position[2] != self.position[2]
+            if stroke.height == stroke.height and moves:
+                self.position[2] = stroke.height
+                block.moves += (Move(self._line, stroke.kind, False, tuple(self.position), named),)
+                strokes.append(stroke)
+            elif stroke.after:
+                strokes.append(stroke._replace(height=math.nan))
+        if cycle.level == cycle.level:
+            self.position[2] = cycle.level
+        block.drilling = Drilling(tuple(strokes), cycle.level)

@@ -1,0 +1,105 @@
+"""Effects of ISO blocks on the frame: work offset, tool in the spindle, and the length that the control adds."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from twin.nc.iso import vocabulary
+from twin.nc.iso.block import IsoBlock, Item
+from twin.nc.modal import Interpreter
+
+_LENGTH_ON: Final = frozenset({"43", "43.4", "43.5"})
+_OF_TOOL: Final = frozenset("THD")
+TOOL_CHANGE: Final = "M6"
+
+
+class IsoFrame(Interpreter):
+    """Work offset and tool.
+
+    ``T`` selects a tool and ``M6`` puts it into the spindle. Its length acts from ``G43 H`` on (Fanuc, LinuxCNC) until ``G49``, or with
+    its cutting edge ``D1`` until ``D0`` (SINUMERIK; for a tool called by name from the tool change on, as its machine data have it by
+    default).
+    """
+
+    offset: str | None = None
+    offset_line = 0
+    used_offset: str | None = None
+    _next_tool = ""
+    _length_by_h = _by_name = False
+
+    def choose_offset(self, block: IsoBlock, code: str) -> None:
+        """Select a work offset by its G code.
+
+        Raises:
+            InputError: ``G58`` and ``G59`` that shift coordinates.
+        """
+        if code in ("58", "59") and block.items and not any(span.name in "0123" for span in block.codes):
+            raise self.error(f"coordinate transformation G{code}", vocabulary.NO_TRANSFORMATION, f"G{code}")
+        if code == "54.1":
+            code += "".join(f" P{item.value.strip()}" for item in block.others if item.name == "P")
+        self.offset, self.offset_line = code, self._line
+        if self.offsets_known:
+            self.used_offset = code
+            self.select(block, offset=f"G{code}")
+
+    def use_offset(self) -> None:
+        """Record that a move uses the work offset in force.
+
+        Raises:
+            InputError: it is the program's second one, and the values of the offsets are unknown.
+        """
+        if self.offset is None or self.offset == self.used_offset:
+            return
+        if self.used_offset is not None:
+            expected = (
+                f"one work offset per program (moves before use G{self.used_offset}), or the table of work offsets"
+            )
+            raise self.error("second work offset", expected, f"G{self.offset}", self.offset_line + 1)
+        self.used_offset = self.offset
+
+    def choose_tool(self, block: IsoBlock, words: frozenset[str]) -> None:
+        """Apply the words for tool and length of a block; ``words``: its M words."""
+        said = {item.name: item for item in block.others if item.name in _OF_TOOL}
+        codes = {span.name for span in block.codes}
+        if not self.tools_known or not (said or codes or words):
+            return
+        changes: dict[str, Any] = {}
+        tool = self.frame.tool
+        if "T" in said:
+            self._next_tool, self._by_name = self._name_of(said["T"]), '"' in said["T"].value
+        if TOOL_CHANGE in words:
+            if not self._next_tool:
+                raise self.error("tool change without a tool", "T with a number or a name before M6")
+            tool = changes["tool"] = self._next_tool
+            if self._by_name:
+                changes["length"] = tool
+        changes |= self._length(said, codes, tool)
+        if changes:
+            self.select(block, **changes)
+
+    def _length(self, said: dict[str, Item], codes: set[str], tool: str) -> dict[str, str]:
+        """Return the change of the length in force, empty if there is none."""
+        if codes & {"44", "43.1"}:
+            raise self.error("tool length by G44 or G43.1", "G43 with an H word, whose length is in the table of tools")
+        height = self._name_of(said["H"]) if "H" in said else None
+        if codes & _LENGTH_ON:
+            self._length_by_h = True
+            if not (height or tool):
+                raise self.error("tool length without a tool", "G43 with an H word, or a tool change before it")
+            return {"length": height or tool}
+        if "49" in codes or (self._length_by_h and height == "0"):
+            return {"length": ""}
+        if "D" in said and not self._length_by_h:
+            edge = self._name_of(said["D"])
+            return {"length": "" if edge == "0" else tool if edge == "1" else f"{tool} D{edge}"}
+        return {}
+
+    def _name_of(self, item: Item) -> str:
+        """Return the number or the name of a tool, an offset of its length, or an edge."""
+        text = item.value.strip()
+        if text.startswith('"'):
+            return text.strip('"')
+        value = self.value_of(text)
+        if value != value or value < 0 or value != int(value):
+            raise self.error(f"the value of {item.name} is unknown", "a whole number, or a name in quotes", text)
+        return str(int(value))
