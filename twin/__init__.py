@@ -12,6 +12,8 @@
 - diagnosis: `diagnose`, `diagnosis_html`;
 - programs: `compensate`, `compensate_file`, `compensate_files`, `Compensator`, `Options`, `Scope`, `Setup`, `Workers`, `execute_file`,
   `read_program`, `find_program`, `load_offsets`, `load_tools`, `refit`, `ThesisMethod`;
+- notebooks: `to_frame`, `calibration_from_frame`, `measurements_from_frame` (pandas), `error_field` (xarray), `plot_curve`,
+  `plot_field`, `plot_machine` (matplotlib axes), `axis_sliders` (ipywidgets); extra ``notebook``;
 - pages and pictures: `report`, `scene`, `identification_plots`, `diagnosis_plots`, `planning_plots` (modules; extra ``plots``);
 - `InputError`: raised for every bad input, with file, line, value and what was expected.
 """
@@ -54,6 +56,10 @@ if TYPE_CHECKING:
     from twin.measurement.table import Measurements
     from twin.nc import find_program, read_program
     from twin.nc.tables import load_offsets, load_tools
+    from twin.notebook.field import error_field
+    from twin.notebook.frames import calibration_from_frame, measurements_from_frame, to_frame
+    from twin.notebook.plots import plot_curve, plot_field, plot_machine
+    from twin.notebook.sliders import axis_sliders
     from twin.planning import InstrumentSizes, Kit, duration, judge, measuring_sequence, plan, separate
     from twin.planning import plots as planning_plots
     from twin.planning.drift import drift_plan
@@ -92,7 +98,9 @@ __all__ = [
     "WatchSettings",
     "Workers",
     "__version__",
+    "axis_sliders",
     "calibrated_urdf",
+    "calibration_from_frame",
     "compare",
     "compensate",
     "compensate_file",
@@ -105,6 +113,7 @@ __all__ = [
     "drift_plan",
     "duration",
     "effect_named",
+    "error_field",
     "evaluate",
     "evaluate_drift",
     "evaluation_html",
@@ -119,9 +128,13 @@ __all__ = [
     "judge",
     "load_offsets",
     "load_tools",
+    "measurements_from_frame",
     "measuring_sequence",
     "plan",
     "planning_plots",
+    "plot_curve",
+    "plot_field",
+    "plot_machine",
     "read_program",
     "refit",
     "report",
@@ -129,6 +142,7 @@ __all__ = [
     "separate",
     "simulate",
     "thesis_plan",
+    "to_frame",
     "watch",
     "watch_html",
 ]
@@ -187,6 +201,14 @@ _HOMES = {
     "judge": ("twin.planning", "judge"),
     "measuring_sequence": ("twin.planning", "measuring_sequence"),
     "plan": ("twin.planning", "plan"),
+    "error_field": ("twin.notebook.field", "error_field"),
+    "calibration_from_frame": ("twin.notebook.frames", "calibration_from_frame"),
+    "measurements_from_frame": ("twin.notebook.frames", "measurements_from_frame"),
+    "to_frame": ("twin.notebook.frames", "to_frame"),
+    "plot_curve": ("twin.notebook.plots", "plot_curve"),
+    "plot_field": ("twin.notebook.plots", "plot_field"),
+    "plot_machine": ("twin.notebook.plots", "plot_machine"),
+    "axis_sliders": ("twin.notebook.sliders", "axis_sliders"),
     "load_offsets": ("twin.nc.tables", "load_offsets"),
     "load_tools": ("twin.nc.tables", "load_tools"),
     "read_program": ("twin.nc", "read_program"),

@@ -224,6 +224,17 @@ def _visuals(kinematics: Kinematics) -> list[_Visual]:
     return visuals
 
 
+def machine_edges(kinematics: Kinematics) -> dict[str, np.ndarray]:
+    """Return the edges of the machine's solids by link: (2k, 3) end points in the link's frame, metres.
+
+    Raises:
+        InputError: the URDF has shapes that cannot be drawn.
+    """
+    visuals = _visuals(kinematics)
+    links = dict.fromkeys(visual.link for visual in visuals)
+    return {link: np.concatenate([visual.edges for visual in visuals if visual.link == link]) for link in links}
+
+
 def _box_edges(half: np.ndarray) -> np.ndarray:
     pairs = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.sum(_CORNERS[a] != _CORNERS[b]) == 1]
     return half * _CORNERS[np.array(pairs).ravel()]
