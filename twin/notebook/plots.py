@@ -56,7 +56,7 @@ def plot_curve(calibration: Calibration, name: str, *, ax: Axes | None = None, *
         plot.fill_between(q, low, high, color=drawn[0].get_color(), alpha=0.2, linewidth=0.0)
     axis = next(axis for axis in calibration.machine.axes if axis.name == name[3:])
     plot.set_xlabel(f"{axis.name} / {'mm' if axis.linear else '°'}")
-    plot.set_ylabel(f"{name} / {readable(curve.unit)}")
+    plot.set_ylabel(f"{name if len(plot.lines) == 1 else 'error motion'} / {readable(curve.unit)}")
     plot.grid(color="#dddddd", linewidth=0.6)
     _mark(plot, [warning.title for warning in calibration.warnings])
     return plot
@@ -150,9 +150,12 @@ def new_axes(width: float = 6.4, height: float = 4.4) -> Axes:
 
 def _mark(plot: Axes, warnings: Sequence[str]) -> None:
     """Write the warnings on where the numbers are from into a corner of a plot, once."""
+    from twin.display.figures import text_box_style
+
     text = "; ".join(filter(None, warnings))
     if text and text not in [one.get_text() for one in plot.texts]:
-        plot.text(0.01, 1.01, text, transform=plot.transAxes, fontsize=8, color=_ERROR, fontweight="bold")
+        box = text_box_style(0.85, 2.0)
+        plot.text(0.01, 0.02, text, transform=plot.transAxes, fontsize=8, color=_ERROR, fontweight="bold", bbox=box)
 
 
 def _axis_label(field: xr.Dataset, name: str) -> str:
