@@ -12,9 +12,9 @@ from typing import Annotated
 import typer
 
 from twin._common.errors import InputError, closest_name
-from twin._common.files import scratch_folder
+from twin._common.files import scratch_folder, write_atomic
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import CALIBRATION, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption, command, progress_bar
 from twin.identification import identify as run_identification
 from twin.machine.calibration import Calibration
 from twin.machine.control import FORMATS, ControlSection, TableEntry, read_tables
@@ -67,7 +67,7 @@ ControlOption = Annotated[
 
 
 @command(
-    "twin identify measured.csv -o mine.yaml --json identified.json",
+    "twin identify measured.csv -o mine.yaml --json identified.json --html identified.html",
     "twin identify measured.csv -o x.yaml --only E_*X",
     "twin identify measured.csv -o mine.yaml --uncertainty 'between poses'",
     "twin identify measured.csv -o left.yaml --control linuxcnc=X.comp --control linuxcnc=joints.ini",
@@ -81,8 +81,11 @@ def identify(
     only: OnlyOption = None,
     control: ControlOption = None,
     json_file: JsonOption = None,
+    html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
 ) -> CommandResult:
     """Identify error motions, squareness and axis locations, with uncertainties, from measured points."""
+    if html_file is not None:
+        options.need_pictures("the HTML report")
     loaded = Machine.load(machine)
     names = (*loaded.motion_names, *loaded.squareness_names, *loaded.location_names)
     for pattern in only or []:
@@ -111,6 +114,12 @@ def identify(
         calibration.save(folder / output.name)
         found = found.evaluated_with(replace(Calibration.load(folder / output.name, loaded), path=None))
     calibration.save(output)
+    if html_file is not None:
+        from twin.identification.page import (
+            identification_html,
+        )  # imports matplotlib, which is slow and needed only here
+
+        write_atomic(html_file, identification_html(found))
     text = found.to_text()
     if tables is not None:
         text += "\nThese errors were measured with the control's tables active: keep them active, and add new tables to them "
