@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.image import imsave
 
 from tests.browser import OPTIONS
 from tests.truth.png import read_png
@@ -17,6 +19,12 @@ from twin import cli
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (pip install playwright)")
 
 ROOT = Path(__file__).resolve().parents[2]
+PICTURES = Path(__file__).with_name("pictures")
+"""Screenshots as they should look; each pixel is the mean of `BLOCK` × `BLOCK` pixels, so that fonts do not matter. After an intended
+change: TWIN_RENEW_PICTURES=1 pytest tests/reporting/test_browser.py, and look at the pages."""
+BLOCK = 20
+MEAN, FEW = 4.0, 40.0
+"""Permitted difference of 255: on average, and of the 99th percentile of the pixels."""
 
 
 class Visit:
@@ -42,6 +50,17 @@ class Visit:
         """Return the page as it is seen, (height, width, 3)."""
         path.write_bytes(self.page.screenshot())
         return np.asarray(read_png(path), dtype=float)[:, :, :3]
+
+    def difference(self, name: str, path: Path) -> float:
+        """Return how far the page is from its stored picture, as a multiple of what is permitted."""
+        seen = self.picture(path)
+        rows, columns = (size // BLOCK * BLOCK for size in seen.shape[:2])
+        coarse = seen[:rows, :columns].reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK, 3).mean(axis=(1, 3))
+        stored = PICTURES / f"{name}.png"
+        if os.environ.get("TWIN_RENEW_PICTURES"):
+            imsave(stored, np.round(coarse).astype(np.uint8))
+        off = np.abs(np.asarray(read_png(stored), dtype=float)[:, :, :3] - coarse)
+        return float(max(off.mean() / MEAN, np.percentile(off, 99.0) / FEW))
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +100,7 @@ def test_the_scene_plays_seeks_and_resets(browser: Any, tmp_path: Path) -> None:
     assert int(start.split("line")[1].split()[0]) < int(middle.split("line")[1].split()[0])
 
     first = visit.picture(tmp_path / "first.png")
+    assert visit.difference("scene", tmp_path / "scene.png") < 1.0
     seek(0)
     assert np.abs(visit.picture(tmp_path / "moved.png") - first).max() > 50.0, "the machine did not move"
     seek(500)
@@ -122,6 +142,10 @@ def test_the_report_and_its_print_view(browser: Any, tmp_path: Path) -> None:
     assert page.locator("svg, img, canvas").count() > 5
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     assert "ILLUSTRATIVE" in page.locator("body").inner_text()
+    assert visit.difference("report", tmp_path / "seen.png") < 1.0
+    page.evaluate("window.scrollTo(0, 1500)")
+    if not os.environ.get("TWIN_RENEW_PICTURES"):
+        assert visit.difference("report", tmp_path / "lower.png") > 1.0, "another part of the page looks the same"
     page.emulate_media(media="print")
     assert page.evaluate("[...document.querySelectorAll('button, input')].every(one => one.offsetParent === null)")
     assert page.pdf(format="A4").startswith(b"%PDF")
@@ -136,6 +160,7 @@ def test_the_page_of_a_diagnosis(browser: Any, tmp_path: Path) -> None:
     visit = Visit(browser.new_page(viewport={"width": 1280, "height": 900}), path)
     page = visit.page
     assert "no error found" in page.locator("body").inner_text().lower()
+    assert visit.difference("diagnosis", tmp_path / "seen.png") < 1.0
     assert page.locator("svg, img").count() > 0
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     visit.check()
@@ -155,4 +180,18 @@ def test_the_page_of_standard_tests(browser: Any, tmp_path: Path) -> None:
     visit = Visit(browser.new_page(viewport={"width": 1280, "height": 900}), path)
     assert "230-2" in visit.page.locator("body").inner_text()
     assert visit.page.locator("svg, img").count() > 0
+    visit.check()
+
+
+def test_the_page_of_an_identification(browser: Any, tmp_path: Path) -> None:
+    measured, path = tmp_path / "measured.csv", tmp_path / "identified.html"
+    make("simulate", "thesis_plan.csv", "-o", measured, "--seed", "7")
+    make("identify", measured, "-o", tmp_path / "mine.yaml", "--html", path)
+    visit = Visit(browser.new_page(viewport={"width": 1280, "height": 900}), path)
+    page = visit.page
+    assert "SIMULATED READINGS" in page.locator("body").inner_text()
+    for picture in page.locator("img").all():
+        assert picture.evaluate("one => one.complete && one.naturalWidth > 0") and picture.get_attribute("alt")
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert visit.difference("identification", tmp_path / "seen.png") < 1.0
     visit.check()
