@@ -360,10 +360,7 @@ def _row_text(row: Mapping[str, Any]) -> str:
         return f"  {row['name']:<7}      {row['value']:8.2f} {unit:<4} ± {COVERAGE_FACTOR * row['u']:6.2f}"
     kind = basis_named(row["basis"]).order_noun
     half = COVERAGE_FACTOR * row["u_max"]
-    text = f"  {row['name']:<7} peak {row['peak']:8.2f} {unit:<4} ± {half:6.2f} at most, {kind} {row['order']}"
-    if row["held_out_thesis"] is not None:
-        text += f", held-out {row['held_out']:.4f} (degree 8: {row['held_out_thesis']:.4f})"
-    return text
+    return f"  {row['name']:<7} peak {row['peak']:8.2f} {unit:<4} ± {half:6.2f} at most, {kind} {row['order']}"
 
 
 def _verdict(fit: FitStatistics, held_out: float) -> str:
