@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.nc.tables.table import TableForm
+from twin.nc.tables.table import TableForm, value_of
 
 _WORD: Final = re.compile(r"([A-Z])\s*([+-]?(?:\d+\.?\d*|\.\d+))", re.IGNORECASE)
 _COMMENT: Final = re.compile(r"\([^()]*\)|;.*")
@@ -74,7 +74,7 @@ def _blocks(path: Path, lines: Sequence[str], wanted: Sequence[str]) -> list[tup
         block = _G10.search(bare)
         if block is None or block.group(1) not in wanted:
             continue
-        words = {letter.upper(): float(value) for letter, value in _WORD.findall(bare)}
+        words = {letter.upper(): value_of(path, line, value) for letter, value in _WORD.findall(bare)}
         if "P" not in words:
             raise InputError("G10 without P", expected="G10 L2 P1 X… Y… Z…", file=path, line=line, value=text.strip())
         found.append((line, words))

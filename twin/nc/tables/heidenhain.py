@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.nc.tables.table import TableForm, rotated
+from twin.nc.tables.table import TableForm, rotated, value_of
 from twin.nc.text import MM_PER_INCH
 
 _BEGIN: Final = re.compile(r"\s*BEGIN\s+(\S+?)\s*\.(PR|T)\s+(MM|INCH)?", re.IGNORECASE)
@@ -88,8 +88,4 @@ def _rows(path: Path, lines: Sequence[str]) -> tuple[float, list[tuple[int, dict
 
 def _number(path: Path, line: int, row: dict[str, str], column: str) -> float:
     """Return the value of a cell, 0 if it is empty."""
-    text = row.get(column, "0")
-    try:
-        return float(text.replace(",", "."))
-    except ValueError:
-        raise InputError(f"{column} is not a number", expected="a number", file=path, line=line, value=text) from None
+    return value_of(path, line, row.get(column, "0"), f"{column} is not a number")

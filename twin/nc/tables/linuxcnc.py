@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.nc.tables.table import TableForm, rotated
+from twin.nc.tables.table import TableForm, rotated, value_of
 
 SYSTEMS: Final = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
 _AXES: Final = "XYZABCUVW"
@@ -46,7 +46,8 @@ class LinuxCncTables(TableForm):
         for line, text in enumerate(lines, 1):
             found = _PARAMETER.fullmatch(text)
             if found is not None:
-                values[int(found.group(1))], line_of[int(found.group(1))] = float(found.group(2)), line
+                parameter = int(found.group(1))
+                values[parameter], line_of[parameter] = value_of(path, line, found.group(2)), line
             elif text.strip():
                 raise InputError("not a parameter", expected="5221 12.500000", file=path, line=line, value=text)
         if values.get(_ADDED) and any(values.get(_ADDED + 1 + i) for i in range(len(_AXES))):
@@ -72,5 +73,5 @@ class LinuxCncTables(TableForm):
                     raise InputError("not a tool", expected="T1 P1 Z+120.5", file=path, line=line, value=text)
                 continue
             length = _LENGTH.search(tool.group(2))
-            found[tool.group(1)] = 0.0 if length is None else float(length.group(1))
+            found[tool.group(1)] = 0.0 if length is None else value_of(path, line, length.group(1))
         return found

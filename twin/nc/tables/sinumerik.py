@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.nc.tables.table import TableForm, rotated
+from twin.nc.tables.table import TableForm, rotated, value_of
 
 _NUMBER: Final = r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
 _SHIFT: Final = re.compile(
@@ -59,21 +59,21 @@ class Sinumerik(TableForm):
             row = rows.setdefault(name, {})
             for kind, axis, number in parts:
                 if kind not in ("TR", "FI"):
-                    if float(number) != (1.0 if kind == "SC" else 0.0):
+                    if value_of(path, line, number) != (1.0 if kind == "SC" else 0.0):
                         raise rotated(path, line, name, text.strip())
                     continue
-                row[axis.upper()] = row.get(axis.upper(), 0.0) + float(number)
+                row[axis.upper()] = row.get(axis.upper(), 0.0) + value_of(path, line, number)
         return rows
 
     def tools(self, path: Path, lines: Sequence[str]) -> dict[str, float]:
         """See `TableForm.tools`."""
         lengths: dict[tuple[str, str], float] = {}
         names: dict[str, str] = {}
-        for text in (line.strip() for line in lines):
+        for line, text in enumerate(map(str.strip, lines), 1):
             tool, named = _TOOL.fullmatch(text), _NAME.fullmatch(text)
             if tool is not None:
                 key = tool.group(2), tool.group(3)
-                lengths[key] = lengths.get(key, 0.0) + float(tool.group(4))
+                lengths[key] = lengths.get(key, 0.0) + value_of(path, line, tool.group(4))
             elif named is not None:
                 names[named.group(1)] = named.group(2)
         found: dict[str, float] = {}

@@ -10,6 +10,7 @@ from typing import final
 
 from twin._common.errors import InputError, closest_name
 from twin.display import card, pairs
+from twin.nc.text import number
 
 
 @final
@@ -133,6 +134,18 @@ class TableForm(ABC):
         Raises:
             InputError: with file, line and value.
         """
+
+
+def value_of(path: Path, line: int, text: str, what: str = "not a number") -> float:
+    """Return the value of a number with a decimal point or comma.
+
+    Raises:
+        InputError: it is not one.
+    """
+    value = number(text)
+    if value != value:
+        raise InputError(what, expected="a number", file=path, line=line, value=text)
+    return value
 
 
 def rotated(path: Path, line: int, name: str, value: object) -> InputError:
