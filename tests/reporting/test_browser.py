@@ -52,7 +52,7 @@ class Visit:
         return np.asarray(read_png(path), dtype=float)[:, :, :3]
 
     def difference(self, name: str, path: Path) -> float:
-        """Return how far the page is from its stored picture, as a multiple of what is permitted."""
+        """Return the difference between the page and its stored picture, 1: the largest that is permitted."""
         seen = self.picture(path)
         rows, columns = (size // BLOCK * BLOCK for size in seen.shape[:2])
         coarse = seen[:rows, :columns].reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK, 3).mean(axis=(1, 3))
