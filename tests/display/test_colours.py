@@ -29,7 +29,7 @@ SIGHT = {
 TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 WHITE = TO_XYZ @ np.ones(3)
 LEAST = 15.0
-"""ΔE*ab; 2.3 is just noticeable side by side. The closest pair has 17: blue and green without blue-sensitive cones."""
+"""ΔE*ab; 2.3 is just noticeable for adjacent areas. The closest pair has 17: blue and green without blue-sensitive cones."""
 
 
 def linear(colour: str) -> np.ndarray:
