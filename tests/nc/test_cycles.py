@@ -105,6 +105,14 @@ def test_a_cycle_is_expanded_into_its_strokes(dmu50: Machine, errors: Calibratio
     assert result.report.after.max_um < 2.0
 
 
+def test_the_return_level_may_change_between_holes(dmu50: Machine, errors: Calibration) -> None:
+    """G98 in a block with nothing but a place: the tool clears what stands between the holes."""
+    text = START + "G99 G81 X310. Y210. Z-330. R-310. F120.\nG98 X320.\nX330.\nG99\nX340.\nG80\nG0 Z-290.\nX300.\n"
+    moves = compensated(text, dmu50, errors).reading.moves[1:-2]
+    bottoms = [i for i, move in enumerate(moves) if move.position[2] == -330.0]
+    assert [moves[i + 1].position[2] for i in bottoms] == [-310.0, -300.0, -300.0, -310.0]
+
+
 def test_words_between_the_strokes(dmu50: Machine, errors: Calibration) -> None:
     """Dwell at depth, feeds down and up, a thread left to the control at every hole, and no cycle in force behind it."""
     lines = compensated(START + CYCLES["G82"][0], dmu50, errors).text.splitlines()

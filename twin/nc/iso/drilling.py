@@ -37,6 +37,7 @@ class IsoDrilling(IsoTilt):
     code = ""
     _motion_before: int | None = None
     _to_initial = True
+    _level_stated = False
     _initial = math.nan
 
     def cycle_code(self, block: IsoBlock, span: Span, group: str) -> bool:
@@ -54,7 +55,7 @@ class IsoDrilling(IsoTilt):
             block.cycle_words.append(span)
             return True
         if group == "return":
-            self._to_initial = code == "98"
+            self._to_initial, self._level_stated = code == "98", True
         elif self.code and (group == "motion" or code == "80"):
             self.code, self.cycle = "", None
             self.motion = self._motion_before
@@ -67,6 +68,7 @@ class IsoDrilling(IsoTilt):
             InputError: a value is missing, contradicts another, or depends on a mode that is not expanded.
         """
         if not self.code:
+            self._level_stated = False
             return False
         stated = bool(block.cycle_words)
         unit = MM_PER_INCH if self.inch else 1.0
@@ -91,8 +93,9 @@ class IsoDrilling(IsoTilt):
         block.others = [item for item in kept if item.name not in self.index]
         if not (stated or block.items):
             return False
-        if stated:
+        if stated or self._level_stated:
             self.cycle = self._cycle(block)
+            self._level_stated = False
         return True
 
     def _cycle(self, block: IsoBlock) -> Drilling:
