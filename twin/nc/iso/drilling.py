@@ -67,8 +67,8 @@ class IsoDrilling(IsoTilt):
         Raises:
             InputError: a value is missing, contradicts another, or depends on a mode that is not expanded.
         """
+        level_stated, self._level_stated = self._level_stated, False
         if not self.code:
-            self._level_stated = False
             return False
         stated = bool(block.cycle_words)
         unit = MM_PER_INCH if self.inch else 1.0
@@ -91,12 +91,16 @@ class IsoDrilling(IsoTilt):
             block.cycle_words.append(Span(item.start, item.end, item.name))
         block.items = [item for item in kept if item.name in self.index]
         block.others = [item for item in kept if item.name not in self.index]
-        if not (stated or block.items):
-            return False
-        if stated or self._level_stated:
+        if stated:
             self.cycle = self._cycle(block)
-            self._level_stated = False
-        return True
+        elif level_stated and self.cycle is not None:
+            tapping = self.code in cycles.FANUC_TAPPING
+            self.cycle = self.cycle._replace(level=self._retract) if tapping else self._cycle(block)
+        return stated or bool(block.items)
+
+    @property
+    def _retract(self) -> float:
+        return self._initial if self._to_initial else self._height.get("R", math.nan)
 
     def _cycle(self, block: IsoBlock) -> Drilling:
         if self.plane != 17 or self.incremental or self.tcp or self.vector is not None:
@@ -106,7 +110,7 @@ class IsoDrilling(IsoTilt):
             raise self._refused("position of Z unknown", "a position of Z before the cycle")
         if self._initial < top - 1e-9:
             raise self._refused("Z is below R", "Z at R or above before the cycle")
-        retract = self._initial if self._to_initial else top
+        retract = self._retract
         if self.code in cycles.FANUC_TAPPING:
             words = [block.text[span.start : span.end] for span in block.cycle_words]
             feed = "" if block.feed is None else f" F{block.text[block.feed.start : block.feed.end]}"
