@@ -56,7 +56,7 @@ def pages(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
 
 def first(page: str) -> str:
     """Return the text of the first page and of the tables in its language."""
-    (body,) = re.findall(r"<section class=front.*(?=<div lang=en>)", page, re.S)
+    (body,) = re.findall(r"<section class=front.*(?=<div lang=)", page, re.S)
     return re.sub(r"<[^>]+>", " ", body)
 
 
@@ -83,7 +83,7 @@ def test_both_languages_have_the_same_texts_and_values() -> None:
         fields = [{name for _, name, _, _ in string.Formatter().parse(one) if name} for one in (text, german[key])]
         assert fields[0] == fields[1], key
         same = {"symbol", "version", "at_least", "date_format", "name"}
-        assert text != german[key] or key in same or not text, key
+        assert text != german[key] or key in same, key
 
 
 def test_both_languages_have_the_same_numbers_and_no_foreign_words(pages: dict[str, str]) -> None:

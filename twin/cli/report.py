@@ -36,9 +36,7 @@ FrontToleranceOption = Annotated[
         help="Largest permitted absolute value, µm or µrad, of the tool point (tool, tool_after) or an error: tool=50 E_XX=8.",
     ),
 ]
-LangOption = Annotated[
-    Language, typer.Option("--lang", help="Language of the first page; the appendix is mostly in English.")
-]
+LangOption = Annotated[Language, typer.Option("--lang", help="Language of the report.")]
 PdfOption = Annotated[
     Path | None,
     typer.Option("--pdf", help="Also print to this PDF file, through Chromium, Chrome or Edge (or TWIN_BROWSER)."),

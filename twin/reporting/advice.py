@@ -318,7 +318,7 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
     names = [f"{words} ({name})" for name, words in TABLES.items() if name in classes]
     if not names:
         return
-    where = ", ".join(f"{name} {value:g}" for name, value in best.at.items())
+    where = ", ".join(f"{name} {value:g}" for name, value in best.at.items()).replace("-", "−")
     text = (
         f"They compensate {listed(names)} for all programs. RMS error at the tool: {figure(best.remains.before.rms_um, 'µm')} without "
         f"tables; {'; '.join(_remaining(one) for one in tables)}. Valid for tool length {best.tool_length_mm:g} mm and the other axes "

@@ -9,7 +9,10 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Sequence
+from functools import partial
 from typing import Final
+
+from matplotlib.figure import Figure
 
 from twin.diagnosis.wording import words
 from twin.display import Html, place, render, with_half
@@ -27,6 +30,7 @@ from twin.reporting.readings import PositionEstimates
 from twin.reporting.result import MachineReport
 from twin.reporting.scene.field import field_html
 from twin.reporting.scene.path import scale_top_um
+from twin.reporting.translation import Translator, translator
 from twin.reporting.words import CLASSES
 from twin.uncertainty.at_tool import DEFINITION
 
@@ -37,6 +41,9 @@ ROWS: Final = 40
 """Largest number of excluded rows that are listed."""
 VIEWER: Final = "<!-- the field in 3D -->"
 """Placeholder of the viewer until the rest of the page is rendered."""
+DETAILS: Final = "<!-- details -->"
+"""Start of the sections that are translated by sentences; the first page has a wording of its own."""
+UNTRANSLATED: Final = "<!-- number of sentences without translation -->"
 AT_TOOL: Final = ["at the tool, RMS [µm]", "largest [µm]", "U [µm]"]
 SECTIONS: Final = (
     ("Error budget at the tool", "budget"),
@@ -57,12 +64,13 @@ def machine_html(report: MachineReport, front: FrontPage | None = None, language
     Args:
         report: result of `twin.reporting.machine_report`.
         front: content of the first page; None for one without tolerances and facts of the test.
-        language: language of the first page and of the tables that follow it; the other sections are in English.
+        language: language of the page; sentences without translation stay English and are counted.
     """
 
     def stops_of(name: str) -> tuple[PositionEstimates, ...]:
         return tuple(stop for one in report.comparisons for stop in one.stops.get(name, ()))
 
+    to = None if language is Language.en else translator(language)
     page = render(
         "reporting/templates/report.html.j2",
         title=f"{report.machine.name}: report of the machine",
@@ -84,16 +92,35 @@ def machine_html(report: MachineReport, front: FrontPage | None = None, language
         DEFINITION=DEFINITION,
         ROWS=ROWS,
         VIEWER=VIEWER,
+        DETAILS=DETAILS,
+        UNTRANSLATED=UNTRANSLATED,
         coded=_coded,
         degree=_degree,
-        embedded=embedded,
+        embedded=embedded if to is None else partial(_embedded, to),
         numbers=_numbers,
         rows_of=_rows_of,
         scale_top_um=scale_top_um,
         tables_of=_tables_of,
     )
     # Inserted last: the page's filter ties numbers to their units, which must not change the viewer's code.
-    return page.replace(VIEWER, _viewer(report)) if VIEWER in page else page
+    viewer = _viewer(report, to) if VIEWER in page else ""
+    return _translated(page, to).replace(VIEWER, viewer)
+
+
+def _embedded(to: Translator, picture: Figure, words: str, caption: str = "", kind: str = "") -> Html:
+    """Return an embedded picture with translated labels; its texts in the page are translated with the page."""
+    return embedded(to.picture(picture), words, caption, kind)
+
+
+def _translated(page: str, to: Translator | None) -> str:
+    """Return the page with its details translated, and the number of sentences that are not."""
+    front, _, details = page.partition(DETAILS)
+    note = ""
+    if to is not None:
+        details = to.page(details)
+        missing = wording(to.language)("appendix_language", count=len(to.missing))
+        note = f"<p><b>{missing}</b></p>" if to.missing else ""
+    return front.replace(UNTRANSLATED, note) + details
 
 
 def _over(report: MachineReport) -> str:
@@ -102,7 +129,7 @@ def _over(report: MachineReport) -> str:
     return f"over {words.listed(list(field.spread))}{stands}"
 
 
-def _viewer(report: MachineReport) -> str:
+def _viewer(report: MachineReport, to: Translator | None) -> str:
     """Return the interactive 3D field in an iframe."""
     field, rows = report.field, report.field.drawn
     inner = field_html(
@@ -112,7 +139,10 @@ def _viewer(report: MachineReport) -> str:
         edges=field.edges(),
         illustrative=bool(report.illustrative),
     )
-    return f'<iframe title="Error field in 3D: drag to rotate" srcdoc="{html.escape(inner)}"></iframe>'
+    title = "Error field in 3D: drag to rotate"
+    if to is not None:
+        inner, title = to.page(inner), to.text(title)
+    return f'<iframe title="{html.escape(title)}" srcdoc="{html.escape(inner)}"></iframe>'
 
 
 def _coded(text: str) -> Html:
