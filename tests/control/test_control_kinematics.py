@@ -138,26 +138,16 @@ def test_a_dmu50_under_its_own_chain_reaches_the_nominal_pose(tmp_path: Path) ->
     assert max(worst) < 0.1
 
 
+def write_chain(folder: Path, *more: str) -> None:
+    """Write the kinematics for a SINUMERIK from ``c.yaml`` into the folder ``k``."""
+    files = ["-o", str(folder / "k"), "-c", str(folder / "c.yaml")]
+    assert main(["control", "--kinematics", "siemens-chain", *files, "--quiet", *more]) == 0
+
+
 def test_a_program_is_not_corrected_twice(tmp_path: Path) -> None:
     machine = MACHINES["dmu50"]
     drawn(machine).save(tmp_path / "c.yaml")
-    assert (
-        main(
-            [
-                "control",
-                "--kinematics",
-                "siemens-chain",
-                "-o",
-                str(tmp_path / "k"),
-                "-c",
-                str(tmp_path / "c.yaml"),
-                "--tool-length",
-                "120",
-                "--quiet",
-            ]
-        )
-        == 0
-    )
+    write_chain(tmp_path, "--tool-length", "120")
     truth, chain = TruthMachine(tmp_path / "c.yaml", TOOL), chain_file(tmp_path / "k")
     rng = np.random.default_rng(4)
     words = np.column_stack(
@@ -191,17 +181,7 @@ def test_a_program_is_not_corrected_twice(tmp_path: Path) -> None:
 def test_in_axis_coordinates_the_kinematics_do_not_count(tmp_path: Path) -> None:
     machine = MACHINES["dmu50"]
     drawn(machine).save(tmp_path / "c.yaml")
-    arguments = [
-        "control",
-        "--kinematics",
-        "siemens-chain",
-        "-o",
-        str(tmp_path / "k"),
-        "-c",
-        str(tmp_path / "c.yaml"),
-        "--quiet",
-    ]
-    assert main(arguments) == 0
+    write_chain(tmp_path)
     held, plain = (
         Calibration.load(path, machine) for path in (tmp_path / "k" / "calibration.yaml", tmp_path / "c.yaml")
     )

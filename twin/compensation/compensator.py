@@ -149,7 +149,9 @@ class Compensator:
         self._check(program, reading, found, text, written, posted=posted)
         progress("checking", 0.9)
         numbers = program.numbers
-        account = CompensationAccount(prepared, prepared.aim(turns=found[0].pieces.aim.turns), program.source)
+        account = CompensationAccount(
+            prepared, prepared.aim(turns=any(one.pieces.aim.turns for one in found)), program.source
+        )
         for one in found:
             account.add(one)
         notices = [notice._replace(line=int(numbers[notice.line]) - 1) for notice in (*reading.notices, *path.notices)]

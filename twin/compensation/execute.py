@@ -124,11 +124,15 @@ def execute_file(
         parts = motions_of(found, path)
         by_block = block_conditions(read, dialect, path, [(part.begin, part.space) for part in parts], errors, at)
         runs = []
+        of_length: dict[float, Kinematics] = {}
         for part in parts:
             length = part.space.nominal.tool_length_mm
-            real = Kinematics(machine, errors, tool_length_mm=length, conditions=at, by_pose=by_block.names)
+            if length not in of_length:
+                of_length[length] = Kinematics(
+                    machine, errors, tool_length_mm=length, conditions=at, by_pose=by_block.names
+                )
             conditions_of = by_block.part(part.begin - part.context, part.end)
-            runs.append(execute(read, part.path, part.space, real, conditions_of, context=part.context))
+            runs.append(execute(read, part.path, part.space, of_length[length], conditions_of, context=part.context))
     return runs[0] if len(runs) == 1 else _joined(runs)
 
 

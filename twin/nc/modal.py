@@ -101,6 +101,22 @@ class Interpreter:
         value = self._variables.get(match.group(2).upper(), math.nan)
         return -value if match.group(1) == "-" else value
 
+    def known_value(self, name: str, text: str, expected: str) -> float:
+        """Return the value of a word.
+
+        Args:
+            name: the word's name.
+            text: its value as written.
+            expected: what it should be, for the message.
+
+        Raises:
+            InputError: the value is unknown.
+        """
+        value = self.value_of(text)
+        if value != value:
+            raise self.error(f"the value of {name} is unknown", expected, text)
+        return value
+
     def assign(self, name: str, value: float) -> None:
         """Set a variable; NaN makes it unknown."""
         self._variables[name.upper()] = value
@@ -139,6 +155,13 @@ class Interpreter:
         block.unknown_axes = tuple(sorted({*block.unknown_axes, *axes})) if block.unknown_axes else axes
         for axis in axes:
             self.position[axis] = math.nan
+
+    def check_plane(self, rotary: bool) -> None:
+        """Raise `InputError` for a move that the tilted plane does not allow; ``rotary``: whether it names rotary axes."""
+        if self.frame.plane is not None and (rotary or self.tcp):
+            what = "rotary axes or tool centre point control in a tilted plane"
+            cancel = "PLANE RESET" if self.heidenhain else "G69 or CYCLE800()"
+            raise self.error(what, f"positions of the linear axes; {cancel} before")
 
     def select(self, block: Block, **changes: Any) -> None:
         """Change the frame from this block on; positions in the new coordinates are unknown until the program gives them."""

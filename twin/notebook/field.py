@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def error_field(
         rest = float((low + high) / 2.0) if axis.linear else 0.0
         value = fixed.setdefault(axis.name, rest) if axis.name not in mesh else 0.0
         columns.append(mesh[axis.name].reshape(-1) if axis.name in mesh else np.full(int(np.prod(shape)), value))
-    values = _errors(kinematics, np.column_stack(columns))
+    values = ErrorsAtTool(kinematics).at(np.column_stack(columns))
     unit = {axis.name: "mm" if axis.linear else "deg" for axis in machine.axes}
     data: dict[str, Any] = {
         name: (tuple(grids), column.reshape(shape), {"units": units, "long_name": words})
@@ -74,25 +74,37 @@ def error_field(
     return xarray.Dataset(data, coordinates, attributes | ({"warnings": "; ".join(warnings)} if warnings else {}))
 
 
-def _errors(kinematics: Kinematics, positions: np.ndarray) -> dict[str, tuple[np.ndarray, str, str]]:
-    """Return (n,) values, unit and description of every variable."""
-    machine = kinematics.machine
-    nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=kinematics.tool_length_mm)
-    known = ~kinematics.outside_domain(positions).any(axis=1)
-    reached, meant = kinematics.forward(positions[known]), nominal.forward(positions[known])
-    point = np.full((len(positions), 3), np.nan)
-    tilt = np.full((len(positions), 2), np.nan)
-    point[known] = (reached.point_mm - meant.point_mm) * 1e3
-    tilt[known] = reached.tilt_urad(meant)
-    found = {
-        f"d{letter}": (point[:, i], "um", f"error of the tool point along {letter}") for i, letter in enumerate("xyz")
-    }
-    found["distance"] = (np.linalg.norm(point, axis=1), "um", "distance of the tool point from its nominal place")
-    found["tilt_a"] = (tilt[:, 0], "urad", "tilt of the tool axis about x of the tool frame")
-    found["tilt_b"] = (tilt[:, 1], "urad", "tilt of the tool axis about y of the tool frame")
-    uncertainty = ToolUncertainty(kinematics)
-    if uncertainty.parameters:
-        expanded = np.full(len(positions), np.nan)
-        expanded[known] = uncertainty.at(positions[known]).expanded_um
-        found["U"] = (expanded, "um", "expanded uncertainty of the tool point (95 %)")
-    return found
+@final
+class ErrorsAtTool:
+    """Errors of the tool of a machine, and their uncertainty.
+
+    Args:
+        kinematics: the machine with its errors, tool length and conditions.
+    """
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        machine = kinematics.machine
+        self._real = kinematics
+        self._nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=kinematics.tool_length_mm)
+        self._uncertainty = ToolUncertainty(kinematics)
+
+    def at(self, positions: np.ndarray) -> dict[str, tuple[np.ndarray, str, str]]:
+        """Return (n,) values, unit and description of every variable; NaN outside the domain of a curve."""
+        known = ~self._real.outside_domain(positions).any(axis=1)
+        reached, meant = self._real.forward(positions[known]), self._nominal.forward(positions[known])
+        point = np.full((len(positions), 3), np.nan)
+        tilt = np.full((len(positions), 2), np.nan)
+        point[known] = (reached.point_mm - meant.point_mm) * 1e3
+        tilt[known] = reached.tilt_urad(meant)
+        found = {
+            f"d{letter}": (point[:, i], "um", f"error of the tool point along {letter}")
+            for i, letter in enumerate("xyz")
+        }
+        found["distance"] = (np.linalg.norm(point, axis=1), "um", "distance of the tool point from its nominal place")
+        found["tilt_a"] = (tilt[:, 0], "urad", "tilt of the tool axis about x of the tool frame")
+        found["tilt_b"] = (tilt[:, 1], "urad", "tilt of the tool axis about y of the tool frame")
+        if self._uncertainty.parameters:
+            expanded = np.full(len(positions), np.nan)
+            expanded[known] = self._uncertainty.at(positions[known]).expanded_um
+            found["U"] = (expanded, "um", "expanded uncertainty of the tool point (95 %)")
+        return found

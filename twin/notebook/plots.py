@@ -143,9 +143,9 @@ def _side_colours(kinematics: Kinematics, links: tuple[str, ...]) -> dict[str, s
     return colours
 
 
-def new_axes(width: float = 6.4, height: float = 4.4) -> Axes:
+def new_axes() -> Axes:
     """Return axes of a new figure, in pyplot's care where a notebook shows figures."""
-    return optional("matplotlib.pyplot").subplots(figsize=(width, height), layout="constrained")[1]
+    return optional("matplotlib.pyplot").subplots(figsize=(6.4, 4.4), layout="constrained")[1]
 
 
 def _mark(plot: Axes, warnings: Sequence[str]) -> None:

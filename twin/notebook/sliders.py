@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
+from twin.notebook.field import ErrorsAtTool
 from twin.notebook.optional import optional
 from twin.notebook.plots import plot_machine
-from twin.uncertainty.at_tool import ToolUncertainty
 
 if TYPE_CHECKING:
     import ipywidgets
@@ -32,8 +31,8 @@ def axis_sliders(kinematics: Kinematics) -> ipywidgets.Box:
     """
     widgets = optional("ipywidgets")
     machine = kinematics.machine
-    nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=kinematics.tool_length_mm)
-    uncertainty = ToolUncertainty(kinematics)
+    errors = ErrorsAtTool(kinematics)
+    warnings = "; ".join(warning.title for warning in kinematics.calibration.warnings)
     sliders: dict[str, Any] = {}
     for axis, (low, high) in zip(machine.axes, machine.limits / machine.scale[:, None], strict=True):
         low, high = max(low, -TURN_DEG if not axis.linear else low), min(high, TURN_DEG if not axis.linear else high)
@@ -53,7 +52,7 @@ def axis_sliders(kinematics: Kinematics) -> ipywidgets.Box:
     def show(_: Any = None) -> None:
         position = np.array([sliders[name].value for name in machine.names])
         picture.value = _png(kinematics, position)
-        text.value = _error(kinematics, nominal, uncertainty, position)
+        text.value = _error(errors, position) + (f"<br>{warnings}" if warnings else "")
 
     for slider in sliders.values():
         slider.observe(show, names="value")
@@ -73,20 +72,13 @@ def _png(kinematics: Kinematics, position: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
-def _error(kinematics: Kinematics, nominal: Kinematics, uncertainty: ToolUncertainty, position: np.ndarray) -> str:
+def _error(errors: ErrorsAtTool, position: np.ndarray) -> str:
     """Return the error at the tool in one position, in words."""
-    rows = position[None]
-    if kinematics.outside_domain(rows).any():
+    found = {name: float(value[0]) for name, (value, _, _) in errors.at(position[None]).items()}
+    if np.isnan(found["distance"]):
         return "outside the domain of the error motions: no error is known here"
-    reached, meant = kinematics.forward(rows), nominal.forward(rows)
-    error = (reached.point_mm - meant.point_mm)[0] * 1e3
-    tilt = reached.tilt_urad(meant)[0]
-    known = (
-        f" ± {float(uncertainty.at(rows).expanded_um[0]):.1f} (U, 95 %)" if uncertainty.parameters else " (U unknown)"
-    )
-    x, y, z = error
-    warnings = "; ".join(warning.title for warning in kinematics.calibration.warnings)
+    known = f" ± {found['U']:.1f} (U, 95 %)" if "U" in found else " (U unknown)"
     return (
-        f"<b>error of the tool point {np.linalg.norm(error):.1f}{known} µm</b>: x {x:+.1f}, y {y:+.1f}, z {z:+.1f} µm; tilt of the "
-        f"tool axis about x {tilt[0]:+.1f}, about y {tilt[1]:+.1f} µrad" + (f"<br>{warnings}" if warnings else "")
+        f"<b>error of the tool point {found['distance']:.1f}{known} µm</b>: x {found['dx']:+.1f}, y {found['dy']:+.1f}, "
+        f"z {found['dz']:+.1f} µm; tilt of the tool axis about x {found['tilt_a']:+.1f}, about y {found['tilt_b']:+.1f} µrad"
     )

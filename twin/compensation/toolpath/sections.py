@@ -77,7 +77,8 @@ def sections(base: WordSpace, source: str, reading: Interpretation) -> list[Sect
         end = starts[place + 1][0] if place + 1 < len(starts) else np.inf
         own = lines[(lines >= line) & (lines < end)]
         if own.size:
-            space = frames.of(frame, source, int(own[0]) + 1, _standing(reading, line, standing, base))
+            at = standing if frame.plane is None else _standing(reading, line, standing, base)
+            space = frames.of(frame, source, int(own[0]) + 1, at)
             standing = standing if space.tilt is None else space.tilt.rotary_deg
             if not found or found[-1].space is not space:
                 found.append(Section(line if found else 0, frame, space, True, assumed))

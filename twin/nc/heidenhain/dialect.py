@@ -64,11 +64,8 @@ class Heidenhain(Dialect):
         found = HeidenhainInliner(program, folder).expanded()
         if found is program:
             return program
-        numbers = [int(head[1][:15]) for head in map(HEAD.match, program.texts) if head is not None and head[1]]
-        first = numbers[0] if numbers else 0
-        if not numbers or numbers != list(range(first, first + len(numbers))):
-            return found
-        return replace(found, texts=tuple(_consecutive(found.texts, first)))
+        first = _first_number(program)
+        return found if first is None else replace(found, texts=tuple(_consecutive(found.texts, first)))
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.with_comments`: after ``BEGIN PGM``; the numbers of later blocks increase by the number of comments."""
@@ -111,10 +108,10 @@ class Heidenhain(Dialect):
 
     def renumbered(self, program: Program, text: str) -> str:
         """See `Dialect.renumbered`."""
-        numbers = [int(head[1][:15]) for head in map(HEAD.match, program.texts) if head is not None and head[1]]
-        if not numbers or numbers != list(range(numbers[0], numbers[0] + len(numbers))):
+        first = _first_number(program)
+        if first is None:
             return text
-        return "".join(_consecutive(self.read(text.encode("latin-1"), program.source).texts, numbers[0]))
+        return "".join(_consecutive(self.read(text.encode("latin-1"), program.source).texts, first))
 
     def new_program(self, axes: AxisWords) -> NewProgram:
         """See `Dialect.new_program`."""
@@ -169,6 +166,13 @@ def _comment(line: str) -> str | None:
     """Return the text of a line that is a comment or blank; None for any other line."""
     body = _body(line)
     return body[1:].strip() if body.startswith(";") else None if body else ""
+
+
+def _first_number(program: Program) -> int | None:
+    """Return the first block number of a program, None if its numbers are not consecutive."""
+    numbers = [int(head[1][:15]) for head in map(HEAD.match, program.texts) if head is not None and head[1]]
+    consecutive = bool(numbers) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    return numbers[0] if consecutive else None
 
 
 def _renumbered(text: str, by: int) -> str:

@@ -91,22 +91,15 @@ class HeidenhainFrame(Interpreter):
         stays = "TURN" in words and not any(word.startswith("MB") for word in words)
         self.select(block, plane=Plane((0.0, 0.0, 0.0), turned, sign, stays))
 
-    def check_plane(self, rotary: bool) -> None:
-        """Raise `InputError` for a move that the tilted plane does not allow; ``rotary``: whether it names rotary axes."""
-        if self.frame.plane is not None and (rotary or self.tcp):
-            what = "rotary axes or tool centre point control in a tilted plane"
-            raise self.error(what, "positions of the linear axes; PLANE RESET before")
-
     def known(self, name: str, written: str) -> float:
         """Return the value of a word.
 
         Raises:
             InputError: it is unknown.
         """
-        value = self.value_of(written)
-        if value == value:
-            return value
         if "Q" in written.upper():
-            what = f"the value of {name} is unknown"
-            raise self.error(what, "a number, or a Q parameter set to a number before", written)
-        raise self.missing_number(name, written)
+            return self.known_value(name, written, "a number, or a Q parameter set to a number before")
+        value = self.value_of(written)
+        if value != value:
+            raise self.missing_number(name, written)
+        return value

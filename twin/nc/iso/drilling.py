@@ -78,9 +78,7 @@ class IsoDrilling(IsoTilt):
                 if self.value_of(item.value) != 1.0:
                     raise self._refused("repeats", "one hole a block, without L or K", item.value)
             elif item.name == "Z" or item.name in _MODAL:
-                value = self.value_of(item.value)
-                if value != value:
-                    raise self.error(f"the value of {item.name} is unknown", "a number", item.value)
+                value = self.known_value(item.name, item.value, "a number")
                 stated = True
                 self._height[item.name] = value * unit
                 if item.name == "P":

@@ -99,7 +99,7 @@ class IsoFrame(Interpreter):
         text = item.value.strip()
         if text.startswith('"'):
             return text.strip('"')
-        value = self.value_of(text)
-        if value != value or value < 0 or value != int(value):
-            raise self.error(f"the value of {item.name} is unknown", "a whole number, or a name in quotes", text)
+        value = self.known_value(item.name, text, "a whole number, or a name in quotes")
+        if value < 0 or value != int(value):
+            raise self.error(f"{item.name} names no tool", "a whole number, or a name in quotes", text)
         return str(int(value))

@@ -88,9 +88,7 @@ class IsoTilt(IsoFrame):
         """Raise `InputError` for a move that the tilted plane does not allow; ``rotary``: whether it names rotary axes."""
         if self._defined is not None:
             raise self.error("move between G68.2 and G53.1", "G53.1 directly after G68.2")
-        if self.frame.plane is not None and (rotary or self.tcp):
-            what = "rotary axes or tool centre point control in a tilted plane"
-            raise self.error(what, "positions of the linear axes; cancel the plane before")
+        super().check_plane(rotary)
 
     def _tilt(self, block: IsoBlock, plane: Plane) -> None:
         self._defined = None
@@ -103,7 +101,4 @@ class IsoTilt(IsoFrame):
             raise self.error("tilted plane within a tilted plane", "the first one cancelled (G69, CYCLE800()) before")
 
     def _plane_value(self, item: Item) -> float:
-        value = self.value_of(item.value)
-        if value != value:
-            raise self.error(f"the value of {item.name} is unknown", vocabulary.KNOWN_VALUE, item.value)
-        return value
+        return self.known_value(item.name, item.value, vocabulary.KNOWN_VALUE)
