@@ -18,6 +18,7 @@ import twin
 from tests.control.cases import CASES
 from tests.measurement.formats.cases import CASES as MEASURED
 from tests.measurement.importing import shop_files
+from twin._common.defaults import bundled_folder
 from twin._common.files import scratch_folder
 from twin.compensation.fewer_blocks.points import points_program
 from twin.identification.axis_run import (
@@ -33,7 +34,6 @@ from twin.machine.control import ControlCurve, ControlTerm, TableSum, format_nam
 from twin.machine.control.kinematics import KINEMATICS, kinematics_named, linear_shift
 from twin.machine.control.spatial import CorrectionGrid
 from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection
-from twin.machine.machine import bundled_folder
 from twin.measurement.formats import convert
 from twin.measurement.importing import ImportedTable
 from twin.measurement.table import Measurements

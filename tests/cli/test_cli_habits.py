@@ -15,10 +15,10 @@ import twin
 from twin import cli
 from twin._common.errors import InputError, closest_name, did_you_mean
 from twin.cli import commands
-from twin.cli import doctor as doctor_command
 from twin.cli.commands import load
 from twin.cli.shared.words import MANY_WORDS, repeat_options
-from twin.machine.iso16907 import NAMES
+from twin.compute.native import compiler
+from twin.machine.classes import NAMES
 
 COMMANDS: dict[str, Any] = {name: load(name) for name in commands.COMMANDS}
 EXAMPLES = [
@@ -161,7 +161,7 @@ def test_a_report_never_replaces_an_input(capsys: pytest.CaptureFixture[str], tm
         (("compensate", "cone_frustum.nc", "-o", "x.nc", "--temperature", "y=21"), "Y"),
         (("simulate", "thesis_pla.csv", "-o", "x.csv"), "thesis_plan.csv"),
         (("simulate", "thesis_plan.csv", "-o", "x.csv", "--instrument", "traker"), "tracker"),
-        (("identify", "m.csv", "-o", "x.yaml", "--only", "E_C0X"), "E_"),
+        (("identify", "thesis_plan.csv", "-o", "x.yaml", "--only", "E_C0X"), "E_"),
         (("evaluate", "thesis_plan.csv", "--instrument", "traker"), "tracker"),
         (("plan", "-o", "x.csv", "--drift", "spindel"), "spindle"),
         (("plan", "-o", "x.csv", "--reduce", "tol"), "tool"),
@@ -296,7 +296,7 @@ def test_doctor_reports_failures_and_remedies(
         return found
 
     monkeypatch.setattr(twin.Machine, "configuration", off)
-    monkeypatch.setattr(doctor_command.compiler, "find_compiler", lambda: None)
+    monkeypatch.setattr(compiler, "find_compiler", lambda: None)
     status, out, _ = run(capsys, "doctor", "--json", tmp_path / "d.json")
     report = json.loads((tmp_path / "d.json").read_text())
     assert status == 3 and report["failed"] == ["kinematics"] and report["ok"] is False

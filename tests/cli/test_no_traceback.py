@@ -204,7 +204,7 @@ def test_pictures_that_cannot_be_drawn_are_refused_before_the_work(
 ) -> None:
     (tmp_path / "m.csv").write_text(sample("table"))
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)  # an import of it then raises ImportError
-    monkeypatch.setattr("twin.cli.diagnose.run_diagnosis", lambda *_, **__: pytest.fail("the work was done first"))
+    monkeypatch.setattr("twin.diagnosis.diagnose", lambda *_, **__: pytest.fail("the work was done first"))
     said = refused(capsys, "diagnose", tmp_path / "m.csv", "--html", tmp_path / "d.html")
     assert "matplotlib is not installed" in said and "twin[plots]" in said
 
@@ -214,7 +214,7 @@ def test_pictures_of_standard_tests_are_refused_before_the_work(
 ) -> None:
     (tmp_path / "m.csv").write_text(sample("table"))
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    monkeypatch.setattr("twin.cli.evaluate.run_evaluation", lambda *_, **__: pytest.fail("the work was done first"))
+    monkeypatch.setattr("twin.standards.evaluate", lambda *_, **__: pytest.fail("the work was done first"))
     assert "matplotlib is not installed" in refused(
         capsys, "evaluate", tmp_path / "m.csv", "--html", tmp_path / "e.html"
     )
@@ -225,7 +225,7 @@ def test_pictures_of_a_thermal_model_are_refused_before_the_work(
 ) -> None:
     (tmp_path / "m.csv").write_text(sample("table"))
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    monkeypatch.setattr("twin.cli.thermal.run_fit", lambda *_, **__: pytest.fail("the work was done first"))
+    monkeypatch.setattr("twin.thermal.fit_thermal", lambda *_, **__: pytest.fail("the work was done first"))
     assert "matplotlib is not installed" in refused(
         capsys, "thermal", tmp_path / "m.csv", "--html", tmp_path / "t.html"
     )

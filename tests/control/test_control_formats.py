@@ -19,11 +19,11 @@ from tests.control.cases import CASES
 from twin._common.errors import InputError
 from twin._common.units import DEG
 from twin.cli.doc import page_text
+from twin.machine.classes import BASIC
 from twin.machine.control import FORMATS, ControlCurve, ControlTerm, Correction, TableFormat, TableSum, read_tables
 from twin.machine.control.formats.linuxcnc import LinuxCnc
 from twin.machine.control.spatial import EXACT_UM, CorrectionGrid
 from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection
-from twin.machine.iso16907 import BASIC
 from twin.machine.machine import Machine
 
 MACHINE = Machine.load("dmu50")

@@ -13,10 +13,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from twin._common.defaults import bundled_folder
 from twin._common.errors import InputError
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.machine import Machine, bundled_folder
+from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
 
 BUNDLED = ("dmu50", "trunnion_ac", "xyzbc_trunnion")

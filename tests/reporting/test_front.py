@@ -14,12 +14,13 @@ import pytest
 
 from tests.browser import run_chromium
 from tests.cli.commands import refused
+from twin._common.language import Language
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.reporting import machine_report
 from twin.reporting.front import decide, front_page
 from twin.reporting.job import Job
-from twin.reporting.language import Language, wording
+from twin.reporting.language import wording
 from twin.reporting.page import machine_html
 
 MINE = """

@@ -16,11 +16,11 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from tests.reporting.test_report import IDENTIFIED, MINE, TOOL_MM
+from twin._common.language import Language
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.reporting import machine_report
-from twin.reporting.language import Language
 from twin.reporting.page import machine_html
 from twin.reporting.result import MachineReport
 from twin.reporting.translation import translator

@@ -8,34 +8,34 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy import special
+import scipy
 
 
 def chi2_sf(value: Any, dof: Any) -> Any:
     """Return the probability that χ² with ``dof`` degrees of freedom exceeds a value."""
-    return special.chdtrc(dof, value)
+    return scipy.special.chdtrc(dof, value)
 
 
 def chi2_log_sf(value: Any, dof: Any) -> Any:
     """Return the logarithm of `chi2_sf`; −∞ where the probability underflows."""
     with np.errstate(divide="ignore"):
-        return np.log(special.chdtrc(dof, value))
+        return np.log(scipy.special.chdtrc(dof, value))
 
 
 def chi2_isf(chance: Any, dof: Any) -> Any:
     """Return the value that χ² with ``dof`` degrees of freedom exceeds with a given probability."""
-    return special.chdtri(dof, chance)
+    return scipy.special.chdtri(dof, chance)
 
 
 def f_sf(value: Any, dof: Any, other: Any) -> Any:
     """Return the probability that F with ``dof`` and ``other`` degrees of freedom exceeds a value."""
-    return special.fdtrc(dof, other, value)
+    return scipy.special.fdtrc(dof, other, value)
 
 
 def f_log_sf(value: Any, dof: Any, other: Any) -> Any:
     """Return the logarithm of `f_sf`; −∞ where the probability underflows."""
     with np.errstate(divide="ignore"):
-        return np.log(special.fdtrc(dof, other, value))
+        return np.log(scipy.special.fdtrc(dof, other, value))
 
 
 def f_isf(chance: Any, dof: Any, other: Any) -> Any:
@@ -43,26 +43,26 @@ def f_isf(chance: Any, dof: Any, other: Any) -> Any:
 
     Computed from the lower tail of the beta distribution of other/(other + dof·F), so that small probabilities keep their digits.
     """
-    share = special.betaincinv(np.multiply(0.5, other), np.multiply(0.5, dof), chance)
+    share = scipy.special.betaincinv(np.multiply(0.5, other), np.multiply(0.5, dof), chance)
     with np.errstate(divide="ignore"):
         return np.multiply(other, 1.0 - share) / np.multiply(dof, share)
 
 
 def normal_sf(value: Any) -> Any:
     """Return the probability that a standard normal variable exceeds a value."""
-    return special.ndtr(-np.asarray(value))
+    return scipy.special.ndtr(-np.asarray(value))
 
 
 def normal_isf(chance: Any) -> Any:
     """Return the value that a standard normal variable exceeds with a given probability."""
-    return -special.ndtri(chance)
+    return -scipy.special.ndtri(chance)
 
 
 def student_isf(chance: Any, dof: Any) -> Any:
     """Return the value that Student's t with ``dof`` degrees of freedom exceeds with a given probability."""
-    return -special.stdtrit(dof, chance)
+    return -scipy.special.stdtrit(dof, chance)
 
 
 def student_sf(value: Any, dof: Any) -> Any:
     """Return the probability that Student's t with ``dof`` degrees of freedom exceeds a value."""
-    return special.stdtr(dof, -np.asarray(value))
+    return scipy.special.stdtr(dof, -np.asarray(value))

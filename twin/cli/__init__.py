@@ -15,7 +15,7 @@ def main(arguments: list[str] | None = None) -> None:
     The commands are imported in this function because they need those packages.
     """
     words = sys.argv[1:] if arguments is None else arguments
-    if words[:1] == ["doctor"] and not installation.can_start():
+    if words[:1] == ["doctor"] and not {"-h", "--help"} & set(words) and not installation.can_start():
         installation.exit_with_findings()
     try:
         from twin.cli.commands import run

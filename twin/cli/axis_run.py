@@ -5,27 +5,21 @@ from __future__ import annotations
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
 from twin._common.counts import count_with_noun
+from twin._common.defaults import DEFAULT
 from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, TABLE, CommandResult, JsonOption, command
 from twin.cli.shared.words import three_numbers
-from twin.identification.axis_run import (
-    AxisLayout,
-    axis_curves,
-    error_motions,
-    load_readings,
-    simulate_run,
-    to_dict,
-    to_text,
-)
-from twin.machine.machine import DEFAULT, Machine
+
+if TYPE_CHECKING:
+    from twin.identification.axis_run import AxisLayout
 
 MOST_ROWS = 30_000
 """Largest number of rows of a simulated run, as many as `twin axis-run` can evaluate."""
@@ -69,7 +63,9 @@ def axis_run(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Determine the six error motions of a linear axis, with uncertainties, from readings of a multi-axis interferometer."""
-    loaded = Machine.load(machine)
+    from twin.identification.axis_run import AxisLayout, axis_curves, error_motions, load_readings, to_dict, to_text
+
+    loaded = options.machine(machine)
     axis_layout = AxisLayout.load(_layout_file(layout), loaded)
     data = load_readings(readings, axis_layout)
     motions = error_motions(axis_layout, data, spread=noise_source.value)
@@ -100,7 +96,9 @@ def simulate_axis_run(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Simulate a run of one linear axis with the errors of a calibration, measured by a multi-axis interferometer."""
-    loaded = Machine.load(machine)
+    from twin.identification.axis_run import AxisLayout, simulate_run
+
+    loaded = options.machine(machine)
     axis_layout = AxisLayout.load(_layout_file(layout), loaded)
     for name, value in (("--seed", seed), ("--rounds", rounds - 1)):
         if value < 0:

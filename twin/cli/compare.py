@@ -7,12 +7,9 @@ from typing import Annotated
 
 import typer
 
+from twin._common.defaults import DEFAULT
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, CommandResult, JsonOption, command, progress_bar
-from twin.comparison import compare as compared
-from twin.comparison import text_of
-from twin.machine.calibration import Calibration
-from twin.machine.machine import DEFAULT, Machine
 
 
 @command(
@@ -50,7 +47,11 @@ def compare(
     The exit status is 0 whether or not anything changed, and 3 if an error could not be compared: only one calibration gives it, or one
     gives no uncertainty.
     """
-    loaded = Machine.load(machine)
+    from twin.comparison import compare as compared
+    from twin.comparison import text_of
+    from twin.machine.calibration import Calibration
+
+    loaded = options.machine(machine)
     older, newer = (Calibration.load(path, loaded) for path in (first, second))
     with progress_bar() as bar:
         found = compared(

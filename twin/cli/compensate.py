@@ -8,25 +8,25 @@ from contextlib import closing
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from twin._common.counts import count_with_noun
+from twin._common.defaults import DEFAULT, DEFAULT_ROTARY_LIMIT_DEG
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin._common.provenance import warning_texts
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, Output, command, progress_bar
+from twin.cli.shared.command import ANY, POSITIVE, PROGRAM, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
-from twin.compensation import Compensator, Options
-from twin.compensation.many import JSON_SUFFIX, TEXT_SUFFIX, ProgramOutcome, compensate_files
-from twin.compute.parallel import Workers
-from twin.kinematics.inverse import DEFAULT_ROTARY_LIMIT_DEG
-from twin.machine.calibration import Calibration
-from twin.machine.iso16907 import Scope
-from twin.machine.machine import DEFAULT, Machine
-from twin.nc import dialect_for, dialect_of, find_program
+
+if TYPE_CHECKING:
+    from twin.compensation import Compensator, Options
+    from twin.compensation.many import ProgramOutcome
+    from twin.compute.parallel import Workers
+    from twin.machine.calibration import Calibration
+    from twin.machine.machine import Machine
 
 SCHEMA = "twin.compensations/1"
 
@@ -45,6 +45,7 @@ ProgramsArgument = Annotated[
         help="One or more NC programs: ISO, Heidenhain .h, APT .cls, or the name of a bundled one.",
         autocompletion=complete.programs,
     ),
+    PROGRAM,
 ]
 OutputOption = Annotated[
     Path,
@@ -105,7 +106,10 @@ def compensate(
     --report then hold a summary. A program that cannot be compensated does not stop the others. The exit status is the worst of all:
     2, then 3, then 0. With --scheduler the workers of a Dask cluster compensate them.
     """
-    loaded = Machine.load(machine)
+    from twin.compensation import Options
+    from twin.machine.iso16907 import Scope
+
+    loaded = options.machine(machine)
     settings = Options(
         setup=options.setup(loaded, work_offset, work_origin, offsets, tools),
         tool_length_mm=tool_length,
@@ -135,6 +139,9 @@ def _compensated(
     strict: bool,
 ) -> CommandResult:
     """Compensate one program, or several into a folder."""
+    from twin.compensation import Compensator
+    from twin.compensation.many import compensate_files
+
     if len(programs) > 1 or (output.is_dir() and not output.suffix):
         with progress_bar() as bar:
             every = compensate_files(programs, output, machine, errors, options=settings, workers=own, progress=bar)
@@ -150,6 +157,8 @@ def _compensated(
 
 
 def _compensate_one(program: Path, output: Path, compensator: Compensator, *, strict: bool) -> CommandResult:
+    from twin.nc import dialect_for, dialect_of, find_program
+
     source = find_program(program)
     dialect = dialect_of(source)
     target = dialect_for(output)
@@ -184,6 +193,8 @@ def _summary(
     *,
     interrupted: bool,
 ) -> CommandResult:
+    from twin.compensation.many import JSON_SUFFIX, TEXT_SUFFIX
+
     outcomes_done = [found[program] for program in programs if program in found]
     wide = max((len(str(program)) for program in programs), default=0)
     count = Counter(outcome.verdict for outcome in outcomes_done)

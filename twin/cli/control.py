@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from twin._common.defaults import DEFAULT
 from twin._common.errors import InputError
 from twin._common.files import check_folder, check_writable, write_json
-from twin.cli.shared.command import JsonOption, Output, command, progress_bar
+from twin.cli.shared.command import POSITIVE, JsonOption, Output, command, progress_bar
 from twin.cli.shared.installation import NOT_ALL_MET
+from twin.cli.shared.lists import names_of, one_of
 from twin.cli.shared.options import (
     CalibrationOption,
     LoadOption,
@@ -26,67 +28,45 @@ from twin.cli.shared.options import (
     conditions,
     print_unused,
 )
+from twin.cli.shared.options import (
+    machine as machine_of,
+)
 from twin.cli.shared.terminal import echo
-from twin.cli.shared.words import number, pairs, positive
-from twin.control import (
-    Account,
-    Existing,
-    KinematicsAccount,
-    KinematicsRequest,
-    ReadKinematics,
-    Request,
-    compare_kinematics,
-    compare_tables,
-    kinematics_outputs,
-    kinematics_written,
-    make,
-    make_both,
-    outputs_of,
-    write_folder,
-    write_kinematics,
-    written_by,
-)
-from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
-from twin.machine.control import FORMATS, format_named
-from twin.machine.control.kinematics import KINEMATICS
-from twin.machine.iso16907 import BASIC, Scope
-from twin.machine.machine import DEFAULT, Machine
-from twin.uncertainty.budget import without_missing_channels
+from twin.cli.shared.words import number, pairs
 
-NAMES = [form.name for form in FORMATS]
-Kind = StrEnum("Kind", {name: name for name in NAMES})  # type: ignore[misc]
-KINEMATICS_NAMES = [form.name for form in KINEMATICS]
-KinematicsKind = StrEnum("KinematicsKind", {name: name for name in KINEMATICS_NAMES})  # type: ignore[misc]
-ReadKind = StrEnum("ReadKind", {name: name for name in (*NAMES, *KINEMATICS_NAMES)})  # type: ignore[misc]
-TOLERANCE_UM = 1.0
-OTHER_TOLERANCES = "".join(
-    f", {form.name} {form.tolerance_um * 1e-3:g}" for form in FORMATS if form.tolerance_um != TOLERANCE_UM
-)
-COUNTED = "; ".join(f"{form.name}: default {form.tables}; {form.fewer_tables}" for form in FORMATS if form.tables)
-MULTIPLIED = " ".join(form.name for form in FORMATS if form.products)
-
+if TYPE_CHECKING:
+    from twin.control import Account, Existing, KinematicsAccount, KinematicsRequest, ReadKinematics, Request
+    from twin.machine.calibration import Calibration
+    from twin.machine.conditions import Conditions
+    from twin.machine.machine import Machine
 
 Files = Annotated[list[Path] | None, typer.Argument(metavar="FILES", help="Files of the control, with --read.")]
-To = Annotated[Kind | None, typer.Option("--to", help="Format of the tables to write.")]
+To = Annotated[
+    str | None,
+    typer.Option("--to", help="Format of the tables to write.", **one_of("table_formats")),
+]
 OutputFolder = Annotated[
     Path | None, typer.Option("--output", "-o", help="Folder for the tables."), Output(folder=True)
 ]
 Read = Annotated[bool, typer.Option("--read", help="Read existing tables and compare them with the calibration.")]
 KINEMATICS_HELP = "Format of the control's kinematics to write: position and direction of the rotary axes."
-ToKinematics = Annotated[KinematicsKind | None, typer.Option("--kinematics", help=KINEMATICS_HELP)]
-FormatRead = Annotated[ReadKind | None, typer.Option("--format", help="Format of the files, with --read.")]
+ToKinematics = Annotated[str | None, typer.Option("--kinematics", help=KINEMATICS_HELP, **one_of("kinematics_formats"))]
+FormatRead = Annotated[
+    str | None, typer.Option("--format", help="Format of the files, with --read.", **one_of("control_formats"))
+]
 AT_HELP = (
     "Position of the other axes while one moves, mm and degrees: X=250 Y=225 Z=-200 B=0 C=0; default: middle of the linear ranges, "
     "zero of the rotary axes."
 )
 At = Annotated[list[str] | None, typer.Option("--at", help=AT_HELP)]
-TOLERANCE_HELP = f"Largest interpolation error between nodes, mm; default: 0.001{OTHER_TOLERANCES}."
-Tolerance = Annotated[float | None, typer.Option("--tolerance", help=TOLERANCE_HELP)]
+TOLERANCE_HELP = "Largest interpolation error between nodes, mm; default: 0.001{other_tolerances}."
+Tolerance = Annotated[float | None, typer.Option("--tolerance", help=TOLERANCE_HELP), POSITIVE]
 STEP_HELP = "Distance between nodes, mm or degrees; default: as large as --tolerance allows."
-Step = Annotated[float | None, typer.Option("--step", help=STEP_HELP)]
-Tables = Annotated[int | None, typer.Option("--tables", min=1, help=f"Number of tables in the control ({COUNTED}).")]
-PRODUCTS_HELP = f"Use products of two tables for angular errors ({MULTIPLIED})."
+Step = Annotated[float | None, typer.Option("--step", help=STEP_HELP), POSITIVE]
+Tables = Annotated[
+    int | None, typer.Option("--tables", min=1, help="Number of tables in the control ({table_counts}).")
+]
+PRODUCTS_HELP = "Use products of two tables for angular errors ({product_formats})."
 Products = Annotated[bool, typer.Option("--products/--no-products", help=PRODUCTS_HELP)]
 ADD_HELP = "Add to the tables that were active when the calibration was measured."
 Add = Annotated[bool, typer.Option("--add", help=ADD_HELP)]
@@ -127,45 +107,50 @@ def control(
     lists what the control now corrects. Every file is read back and compared with the model before it is written.
     `twin doc control` describes the formats.
     """
-    loaded = Machine.load(machine)
+    from twin.control import KinematicsRequest
+
+    loaded = machine_of(machine)
     errors = calibration_of(calibration, loaded)
     around = conditions(temperature, time, rpm, load)
     around.check(errors)
     fixed = _positions(at)
     _check_use(read, files, kind, to, kinematics, output)
     if read and kind is not None and files:
-        _read(errors, kind.value, files, fixed, tool_length, around, json_file)
+        _read(errors, kind, files, fixed, tool_length, around, json_file)
         return
-    _check_positive(step, tolerance)
     notes = _notes(loaded, errors)
-    request = None
-    if to is not None:
-        request = Request(
-            kind=to.value,
-            at=fixed,
-            tool_length_mm=tool_length,
-            classes=_classes(scope),
-            tolerance_um=format_named(to.value).tolerance_um if tolerance is None else 1e3 * tolerance,
-            step=step,
-            most=tables,
-            products=products,
-            conditions=around,
-            add=add,
-            notes=notes,
-        )
+    own: dict[str, Any] = {
+        "at": fixed,
+        "tool_length_mm": tool_length,
+        "classes": _classes(scope),
+        "step": step,
+        "most": tables,
+    }
+    own |= {"products": products, "conditions": around, "add": add, "notes": notes}
+    request = None if to is None else _request(to, None if tolerance is None else 1e3 * tolerance, own)
     if kinematics is not None and output is not None:
-        both = KinematicsRequest(kinematics.value, request, tool_length, around, notes)
+        both = KinematicsRequest(kinematics, request, tool_length, around, notes)
         _write_kinematics(errors, both, output, json_file)
     elif request is not None and output is not None:
         _write(loaded, errors, request, output, json_file)
 
 
+def _request(to: str, tolerance_um: float | None, more: Mapping[str, Any]) -> Request:
+    """Return the request for tables of a format; ``tolerance_um``: None for the format's own; ``more``: further arguments."""
+    from twin.control import Request
+    from twin.machine.control import format_named
+
+    return Request(
+        kind=to, tolerance_um=format_named(to).tolerance_um if tolerance_um is None else tolerance_um, **more
+    )
+
+
 def _check_use(
     read: bool,
     files: list[Path] | None,
-    kind: ReadKind | None,
-    to: Kind | None,
-    kinematics: KinematicsKind | None,
+    kind: str | None,
+    to: str | None,
+    kinematics: str | None,
     output: Path | None,
 ) -> None:
     """Raise `InputError` unless the options are those of reading, or those of writing."""
@@ -173,15 +158,10 @@ def _check_use(
         expected = "FILES --format F, and neither --to nor --kinematics nor -o"
         raise InputError("invalid use of --read", expected=expected, value=" ".join(map(str, files or [])))
     if not read and ((to is None and kinematics is None) or output is None or files or kind is not None):
-        formats = f"--to {'|'.join(NAMES)} or --kinematics {'|'.join(KINEMATICS_NAMES)}"
+        formats = (
+            f"--to {'|'.join(names_of('table_formats'))} or --kinematics {'|'.join(names_of('kinematics_formats'))}"
+        )
         raise InputError("no output chosen", expected=f"{formats} with -o FOLDER, or --read FILES --format F")
-
-
-def _check_positive(step: float | None, tolerance: float | None) -> None:
-    """Raise `InputError` unless the numbers that are given are positive."""
-    for option, value in (("--step", step), ("--tolerance", tolerance)):
-        if value is not None:
-            positive(option, value)
 
 
 def _notes(machine: Machine, errors: Calibration) -> tuple[str, ...]:
@@ -200,7 +180,10 @@ def _read(
     json_file: Path | None,
 ) -> None:
     """Compare existing tables or kinematics with the calibration and print the result."""
-    if kind in NAMES:
+    from twin.control import compare_kinematics, compare_tables
+    from twin.uncertainty.budget import without_missing_channels
+
+    if kind in names_of("table_formats"):
         known, _ = without_missing_channels(around, errors)
         compared = compare_tables(errors.machine, known, kind, files, fixed, tool_length, around)
         _print(compared, errors, around, json_file)
@@ -212,6 +195,9 @@ def _read(
 
 def _write(machine: Machine, errors: Calibration, request: Request, output: Path, json_file: Path | None) -> None:
     """Make the tables, write the folder and print the result."""
+    from twin.control import make, outputs_of, write_folder, written_by
+    from twin.uncertainty.budget import without_missing_channels
+
     _check_folder(output, outputs_of(output, request.kind, machine))
     known, missing = without_missing_channels(request.conditions, errors)
     with progress_bar() as bar:
@@ -225,6 +211,9 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
 
 def _write_kinematics(errors: Calibration, request: KinematicsRequest, output: Path, json_file: Path | None) -> None:
     """Make kinematics and tables, write the folder and print the result."""
+    from twin.control import kinematics_outputs, kinematics_written, make_both, write_kinematics
+    from twin.uncertainty.budget import without_missing_channels
+
     # Kinematics hold mean lines; tables made beside them must refer to the same ones.
     errors = replace(errors.in_datum("mean lines"), path=errors.path)
     known, missing = without_missing_channels(request.conditions, errors)
@@ -273,6 +262,9 @@ def _print(
 
 def _classes(scope: list[str] | None) -> frozenset[str]:
     """Return the basic classes of a scope; all if none is given."""
+    from twin.machine.classes import BASIC
+    from twin.machine.iso16907 import Scope
+
     if scope is None:
         return frozenset(BASIC)
     chosen = Scope.parse(scope)

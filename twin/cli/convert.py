@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from twin._common.defaults import DEFAULT
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, command
+from twin.cli.shared.lists import one_of
 from twin.cli.shared.words import axis_values
-from twin.machine.machine import DEFAULT, Machine
-from twin.measurement.contacts import Probing
-from twin.measurement.formats import FORMATS, Given
-from twin.measurement.formats import convert as convert_files
-from twin.measurement.table import Measurements
-
-NAMES = [form.name for form in FORMATS]
-MeasuredFormatName = StrEnum("MeasuredFormatName", {name.replace("-", "_"): name for name in NAMES})  # type: ignore[misc]
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILES", help="Files of one format, each one round or more.")]
 FormatOption = Annotated[
-    MeasuredFormatName | None,
-    typer.Option("--format", help="Format of the files; default: recognised by their content."),
+    str | None,
+    typer.Option(
+        "--format", help="Format of the files; default: recognised by their content.", **one_of("measured_formats")
+    ),
 ]
 AtOption = Annotated[
     list[str] | None,
@@ -97,7 +92,12 @@ def convert(
 
     Contacts of a probe, a ball bar, an interferometer, a tracker; `twin doc convert` describes the formats.
     """
-    loaded = Machine.load(machine)
+    from twin.measurement.contacts import Probing
+    from twin.measurement.formats import Given
+    from twin.measurement.formats import convert as convert_files
+    from twin.measurement.table import Measurements
+
+    loaded = options.machine(machine)
     given = Given(
         at=axis_values("--at", at, loaded.names),
         offset=axis_values("--work-offset", work_offset, loaded.names),
@@ -109,6 +109,6 @@ def convert(
         start_deg=start_angle,
         sweep_deg=sweep,
     )
-    found = convert_files(files, loaded, given, format_name=None if kind is None else kind.value)
+    found = convert_files(files, loaded, given, format_name=kind)
     found.save(output, loaded)
     return CommandResult(found.to_text(), found.to_dict)

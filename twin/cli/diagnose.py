@@ -7,14 +7,11 @@ from typing import Annotated
 
 import typer
 
+from twin._common.defaults import DEFAULT
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption, command, progress_bar
-from twin.diagnosis import diagnose as run_diagnosis
-from twin.machine.machine import DEFAULT, Machine
-from twin.measurement.instruments import instrument_named
-from twin.measurement.table import Measurements
 
 
 @command(
@@ -52,11 +49,15 @@ def diagnose(
     ] = False,
 ) -> CommandResult:
     """Compare measurements with the calibrated model and name the causes of significant residuals."""
+    from twin.diagnosis import diagnose as run_diagnosis
+    from twin.measurement.instruments import instrument_named
+    from twin.measurement.table import Measurements
+
     if empirical and extended is None:
         raise InputError("--empirical needs --extended", expected="--extended CALIBRATION.yaml as well")
     if html_file is not None:
         options.need_pictures("the HTML report")
-    loaded = Machine.load(machine)
+    loaded = options.machine(machine)
     errors = options.calibration_of(calibration, loaded)
     with progress_bar() as bar:
         bar("reading", 0.0)

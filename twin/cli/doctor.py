@@ -6,23 +6,21 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pinocchio as pin
 
+from twin._common.defaults import DEFAULT
 from twin._common.errors import InputError, OutputError
 from twin._common.json_form import json_form
 from twin.cli.shared.command import CommandResult, JsonOption, command, progress_bar
 from twin.cli.shared.installation import Finding, browser, extras, packages, python, shown, size
-from twin.compensation import Compensator, Options
-from twin.compute.native import compiler, solver_description, store
-from twin.compute.native.loading import SWITCH_VARIABLE, enabled
-from twin.kinematics.forward import Kinematics
-from twin.kinematics.inverse import Inverse, Status
-from twin.machine.calibration import Calibration
-from twin.machine.machine import DEFAULT, Machine
-from twin.nc import dialect_for
+
+if TYPE_CHECKING:
+    from twin.kinematics.forward import Kinematics
+    from twin.machine.calibration import Calibration
+    from twin.machine.machine import Machine
 
 SCHEMA: Final = "twin.doctor/1"
 SLOW_START_S: Final = 5.0
@@ -63,6 +61,8 @@ def doctor(json_file: JsonOption = None) -> CommandResult:
 
 def _cache() -> Finding:
     """Check the folder of compiled libraries."""
+    from twin.compute.native import store
+
     place = store.folder()
     existing = next((one for one in (place, *place.parents) if one.exists()), Path("/"))
     try:
@@ -82,6 +82,9 @@ def _start(seconds: float) -> Finding:
 
 
 def _compiler() -> Finding:
+    from twin.compute.native import compiler, solver_description
+    from twin.compute.native.loading import SWITCH_VARIABLE, enabled
+
     tool = compiler.find_compiler()
     if tool is None:
         remedy = "from 50,000 poses on, the inverse is about twenty times slower; apt install g++, or set CXX"
@@ -99,6 +102,10 @@ def _compiler() -> Finding:
 
 def _checks() -> list[Finding]:
     """Check computations on the bundled machine."""
+    from twin.kinematics.forward import Kinematics
+    from twin.machine.calibration import Calibration
+    from twin.machine.machine import Machine
+
     try:
         machine = Machine.load(DEFAULT)
         calibration = Calibration.default(machine)
@@ -144,6 +151,10 @@ def _forward(machine: Machine, real: Kinematics, q: np.ndarray) -> tuple[bool, s
 
 def _inverse(machine: Machine, real: Kinematics, q: np.ndarray) -> tuple[bool, str]:
     """Solve for commands that reach nominal poses on the machine with errors, and check the poses reached."""
+    from twin.kinematics.forward import Kinematics
+    from twin.kinematics.inverse import Inverse, Status
+    from twin.machine.calibration import Calibration
+
     meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=real.tool_length_mm).forward(q)
     solved = Inverse(real).solve(meant, q)
     good = solved.where(Status.CONVERGED)
@@ -155,6 +166,9 @@ def _inverse(machine: Machine, real: Kinematics, q: np.ndarray) -> tuple[bool, s
 
 def _program(machine: Machine, calibration: Calibration) -> tuple[bool, str]:
     """Compensate five-axis blocks, which are written and read back."""
+    from twin.compensation import Compensator, Options
+    from twin.nc import dialect_for
+
     dialect = dialect_for(Path("check.nc"))
     program = dialect.read(PROGRAM.encode(), "check.nc")
     report = Compensator(machine, calibration, Options(tool_length_mm=120.0)).compensate(program, dialect).report

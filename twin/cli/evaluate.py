@@ -7,16 +7,12 @@ from typing import Annotated
 
 import typer
 
+from twin._common.defaults import DEFAULT
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command
 from twin.cli.shared.words import tolerances
-from twin.machine.machine import DEFAULT, Machine
-from twin.measurement.instruments import instrument_named
-from twin.measurement.table import Measurements
-from twin.standards import evaluate as run_evaluation
-from twin.standards import evaluate_drift
 
 ToleranceOption = Annotated[
     list[str] | None,
@@ -75,10 +71,15 @@ def evaluate(
 
     The exit status is 3 if a tolerance is not met, if no test gives its value, or if the table allows no test at all.
     """
+    from twin.measurement.instruments import instrument_named
+    from twin.measurement.table import Measurements
+    from twin.standards import evaluate as run_evaluation
+    from twin.standards import evaluate_drift
+
     limits = tolerances(tolerance or [])
     if html_file is not None:
         options.need_pictures("the HTML report")
-    loaded = Machine.load(machine)
+    loaded = options.machine(machine)
     reader = None if instrument is None else instrument_named(instrument)
     if drift:
         if len(measured) > 1 or length is not None:

@@ -7,20 +7,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from twin._common.defaults import DEFAULT
 from twin._common.errors import InputError, closest_name
 from twin._common.files import scratch_folder, write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption, command, progress_bar
-from twin.identification import identify as run_identification
-from twin.machine.calibration import Calibration
-from twin.machine.control import FORMATS, ControlSection, TableEntry, read_tables
-from twin.machine.machine import DEFAULT, Machine
-from twin.measurement.instruments import INSTRUMENTS, instrument_named
-from twin.measurement.table import Measurements
+
+if TYPE_CHECKING:
+    from twin.machine.control import ControlSection
+    from twin.machine.machine import Machine
 
 
 class UncertaintyChoice(StrEnum):
@@ -36,8 +35,7 @@ InstrumentOption = Annotated[
     str | None,
     typer.Option(
         "--instrument",
-        help=f"Instrument: {', '.join(one.name for one in INSTRUMENTS)}; default: the table's column instrument, else what the "
-        "readings indicate.",
+        help="Instrument: {instruments}; default: the table's column instrument, else what the readings indicate.",
         autocompletion=complete.instruments,
     ),
 ]
@@ -84,9 +82,14 @@ def identify(
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
 ) -> CommandResult:
     """Identify error motions, squareness and axis locations, with uncertainties, from measured points."""
+    from twin.identification import identify as run_identification
+    from twin.machine.calibration import Calibration
+    from twin.measurement.instruments import instrument_named
+    from twin.measurement.table import Measurements
+
     if html_file is not None:
         options.need_pictures("the HTML report")
-    loaded = Machine.load(machine)
+    loaded = options.machine(machine)
     names = (*loaded.motion_names, *loaded.squareness_names, *loaded.location_names)
     for pattern in only or []:
         if not fnmatch.filter(names, pattern):
@@ -134,6 +137,8 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
     Raises:
         InputError: an unknown format; a file that cannot be read, or is not a table of this machine.
     """
+    from twin.machine.control import FORMATS, ControlSection, TableEntry, read_tables
+
     found: dict[str, list[Path]] = {}
     known = [form.name for form in FORMATS]
     for entry in entries:

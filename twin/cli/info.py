@@ -7,27 +7,25 @@ from dataclasses import dataclass
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, final
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
 
+from twin._common.defaults import DEFAULT
 from twin._common.errors import InputError, printable
 from twin._common.json_form import json_form
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import options
 from twin.cli.shared.command import CALIBRATION, URDF, CommandResult, JsonOption, command, progress_bar
-from twin.compute.native import solver_description
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibrated_urdf import calibrated_urdf
-from twin.machine.calibration import Calibration
-from twin.machine.conditions import needed_values
-from twin.machine.datum import EXPLANATION
-from twin.machine.machine import DEFAULT, Machine
-from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty, UncertaintyMap
-from twin.uncertainty.budget import BudgetRow, error_budget, without_missing_channels
+
+if TYPE_CHECKING:
+    from twin.kinematics.forward import Kinematics
+    from twin.machine.calibration import Calibration
+    from twin.uncertainty.at_tool import UncertaintyMap
+    from twin.uncertainty.budget import BudgetRow
 
 SCHEMA = "twin.info/1"
 
@@ -69,7 +67,12 @@ def info(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Show axes, ranges, frames and error budget of a machine; convert its calibration to another datum, or calibrate its URDF."""
-    loaded = Machine.load(machine)
+    from twin.kinematics.forward import Kinematics
+    from twin.machine.calibrated_urdf import calibrated_urdf
+    from twin.uncertainty.at_tool import ToolUncertainty
+    from twin.uncertainty.budget import error_budget, without_missing_channels
+
+    loaded = options.machine(machine)
     if output is not None and datum is None:
         raise InputError("--output needs --datum", expected="--datum with --output", file=output)
     given = options.calibration_of(calibration, loaded)
@@ -121,6 +124,8 @@ class _Info:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the printed content for JSON; null for unknown values."""
+        from twin.compute.native import solver_description
+
         machine, errors = self.errors.machine, self.errors
         return {
             "schema": SCHEMA,
@@ -165,6 +170,9 @@ class _Info:
 
     def show(self) -> None:
         """Print the content."""
+        from twin.machine.conditions import needed_values
+        from twin.machine.datum import EXPLANATION
+
         console = Console(markup=False, emoji=False, highlight=False)  # names and sources in files are plain text
         self._show_machine(console)
         title = f"Error budget at the tool over the volume, tool length {self.kinematics.tool_length_mm:g} mm"
@@ -189,6 +197,8 @@ class _Info:
 
     def _show_machine(self, console: Console) -> None:
         """Print files, axes and error frames of the machine."""
+        from twin.compute.native import solver_description
+
         machine, given, shown = self.errors.machine, self.given, self.errors
         console.print(machine.name, style="bold", end="")
         console.print(f"   twin {version('twin')}")
@@ -218,6 +228,8 @@ class _Info:
 
 def _uncertainty_lines(over: UncertaintyMap | None, without: list[str]) -> list[str]:
     """Return lines on the uncertainty of the tool point over the volume."""
+    from twin.uncertainty.at_tool import DEFINITION
+
     missing = ", ".join(without)
     if over is None:
         return ["uncertainty of the tool point: unknown (no covariance in the calibration)"]

@@ -7,17 +7,21 @@ from typing import Annotated
 
 import typer
 
+from twin._common.defaults import DEFAULT, DEFAULT_ROTARY_LIMIT_DEG, DEFAULT_TOLERANCE_MM
 from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, command, progress_bar
-from twin.compensation import Options
-from twin.compensation.fewer_blocks import refit
-from twin.compensation.fewer_blocks.points import is_points
-from twin.compensation.fewer_blocks.refit import DEFAULT_TOLERANCE_MM
-from twin.kinematics.inverse import DEFAULT_ROTARY_LIMIT_DEG
-from twin.machine.iso16907 import Scope
-from twin.machine.machine import DEFAULT, Machine
-from twin.nc import find_program
+from twin.cli.shared.command import ANY, POSITIVE, PROGRAM, CommandResult, JsonOption, command, progress_bar
+
+SourceArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="INPUT",
+        help="NC program (ISO, Heidenhain .h, APT .cls, or a bundled one), or points: .csv with x_mm,y_mm,z_mm and optionally "
+        "one column per rotary axis (B_deg,C_deg) or a tool vector i,j,k.",
+        autocompletion=lambda incomplete: complete.programs(incomplete) + complete.tables(incomplete),
+    ),
+    PROGRAM,
+]
 
 
 @command(
@@ -25,15 +29,7 @@ from twin.nc import find_program
     "twin path points.csv -o points.nc --no-compensate --feed 2000",
 )
 def path(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="INPUT",
-            help="NC program (ISO, Heidenhain .h, APT .cls, or a bundled one), or points: .csv with x_mm,y_mm,z_mm and optionally "
-            "one column per rotary axis (B_deg,C_deg) or a tool vector i,j,k.",
-            autocompletion=lambda incomplete: complete.programs(incomplete) + complete.tables(incomplete),
-        ),
-    ],
+    source: SourceArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="Program with fewer blocks."), ANY],
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,
@@ -65,7 +61,13 @@ def path(
 
     The tolerance applies to the path executed by the machine with its errors. Corners and blocks outside such runs are kept.
     """
-    loaded = Machine.load(machine)
+    from twin.compensation import Options
+    from twin.compensation.fewer_blocks import refit
+    from twin.compensation.fewer_blocks.points import is_points
+    from twin.machine.iso16907 import Scope
+    from twin.nc import find_program
+
+    loaded = options.machine(machine)
     found = source if is_points(source) else find_program(source)
     settings = Options(
         setup=options.setup(loaded, work_offset, work_origin),

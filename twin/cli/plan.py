@@ -5,27 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, final
+from typing import TYPE_CHECKING, Annotated, final
 
 import typer
 
 from twin._common.counts import count_with_noun
+from twin._common.defaults import DEFAULT
 from twin._common.errors import InputError
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.drift import AxisOption, DriftOption, DriftRequest, HighestOption, SpectrumOption
 from twin.cli.shared.words import three_numbers
-from twin.machine.calibration import Calibration
-from twin.machine.machine import DEFAULT, Machine
-from twin.measurement.checks import grouped_notes
-from twin.measurement.instruments import INSTRUMENTS, instrument_named
-from twin.measurement.table import Measurements
-from twin.planning import Kit, Plan, duration, judge, judge_sequence, measuring_sequence, separate
-from twin.planning import plan as make_plan
-from twin.planning.kit import bundled_kit
-from twin.planning.programs import format_of, program_steps, write_program
-from twin.planning.sequences import SEQUENCES, SET_UPS, InstrumentSizes, minutes_of
+
+if TYPE_CHECKING:
+    from twin.machine.calibration import Calibration
+    from twin.machine.machine import Machine
+    from twin.measurement.table import Measurements
+    from twin.planning import Kit, Plan
 
 MINUTES = 210.0
 MINUTES_TO_SEPARATE = 60.0
@@ -83,7 +80,7 @@ InstrumentOption = Annotated[
     str | None,
     typer.Option(
         "--instrument",
-        help=f"Plan a measuring sequence for {', '.join(SET_UPS)}; with --judge: {', '.join(one.name for one in INSTRUMENTS)}.",
+        help="Plan a measuring sequence for {relative_instruments}; with --judge: {instruments}.",
         autocompletion=complete.instruments,
     ),
 ]
@@ -91,7 +88,7 @@ SequenceOption = Annotated[
     str | None,
     typer.Option(
         "--sequence",
-        help=f"Measuring sequence, with --instrument: {', '.join(one.name for one in SEQUENCES)}.",
+        help="Measuring sequence, with --instrument: {sequences}.",
         autocompletion=complete.sequences,
     ),
 ]
@@ -172,7 +169,11 @@ def plan(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Plan the measurement that gives the smallest uncertainty in the available time."""
-    loaded = Machine.load(machine)
+    from twin.planning import Kit
+    from twin.planning.kit import bundled_kit
+    from twin.planning.sequences import InstrumentSizes
+
+    loaded = options.machine(machine)
     own = Kit.default(loaded) if kit is None else Kit.load(bundled_kit(kit), loaded)
     errors = options.calibration_of(calibration, loaded)
     if seed < 0:
@@ -209,6 +210,10 @@ def _made(
     seed: int,
 ) -> Plan:
     """Return the plan for reflectors: the smallest uncertainty, or two causes distinguished."""
+    from twin.measurement.table import Measurements
+    from twin.planning import plan as make_plan
+    from twin.planning import separate
+
     with progress_bar() as bar:
         if causes is not None:
             return separate(
@@ -243,6 +248,8 @@ def _check_combination(
     after: Path | None, causes: tuple[str, str] | None, reduce: list[str] | None, instrument: str | None
 ) -> None:
     """Raise `InputError` for options that exclude each other."""
+    from twin.planning.sequences import SET_UPS
+
     if after is not None and causes is None:
         raise InputError("--after needs --separate", expected="two causes to distinguish", value=after)
     if causes is not None and reduce:
@@ -273,6 +280,9 @@ class _SequenceRequest:
         Raises:
             InputError: an option of a sequence without its instrument, or an unknown instrument.
         """
+        from twin.measurement.instruments import instrument_named
+        from twin.planning.sequences import SET_UPS
+
         if self.instrument is not None and instrument_named(self.instrument).name in SET_UPS:
             return True
         if self.sequence is not None or self.spheres or self.sizes or self.program is not None:
@@ -293,6 +303,11 @@ class _SequenceRequest:
         output: Path | None,
     ) -> CommandResult:
         """Plan the sequence and write it."""
+        from twin.measurement.instruments import instrument_named
+        from twin.planning import measuring_sequence
+        from twin.planning.programs import format_of, program_steps, write_program
+        from twin.planning.sequences import SET_UPS, InstrumentSizes
+
         instrument = instrument_named(str(self.instrument))
         words = SET_UPS[instrument.name]
         name = words.target if instrument.specification.reads == "null" else words.station
@@ -328,6 +343,10 @@ class _SequenceRequest:
 
 def _judged_sequence(plan: Path, machine: Machine, kit: Kit, table: Measurements) -> CommandResult:
     """Evaluate a given measuring sequence: duration, and what it determines of the constant errors."""
+    from twin.measurement.checks import grouped_notes
+    from twin.planning import judge_sequence
+    from twin.planning.sequences import minutes_of
+
     expected = judge_sequence(table, machine)
     minutes = minutes_of(machine, kit, table)
     lines = [
@@ -348,6 +367,12 @@ def _judged(
     plan: Path, machine: Machine, kit: Kit, errors: Calibration, named: str | None, tool_length_mm: float | None
 ) -> CommandResult:
     """Evaluate a given plan: expected uncertainties and duration."""
+    from twin.measurement.checks import grouped_notes
+    from twin.measurement.instruments import INSTRUMENTS, instrument_named
+    from twin.measurement.table import Measurements
+    from twin.planning import duration, judge
+    from twin.planning.sequences import SET_UPS
+
     instrument = named or INSTRUMENTS[0].name
     reader = instrument_named(instrument)
     table = Measurements.load(options.plan_file(plan), machine, plan=True)

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from twin._common.defaults import DEFAULT
 from twin._common.files import write_atomic
+from twin._common.language import Language
 from twin._common.provenance import warning_texts
 from twin.cli.shared import options
 from twin.cli.shared.command import HTML, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.words import tolerances
-from twin.machine.machine import DEFAULT, Machine
-from twin.measurement.table import Measurements
-from twin.reporting import MachineReport, machine_report
-from twin.reporting.front import check_tolerances, front_page
-from twin.reporting.job import load_job, logo_uri
-from twin.reporting.language import Language
-from twin.reporting.pdf import find_browser, page_to_pdf
+
+if TYPE_CHECKING:
+    from twin.machine.machine import Machine
+    from twin.reporting import MachineReport
+    from twin.reporting.job import Job
 
 JobOption = Annotated[
     Path | None,
@@ -80,11 +80,14 @@ def report(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Write a report of a machine: largest errors, their effect at the tool, recommended actions, uncertainty and sources."""
+    from twin.measurement.table import Measurements
+    from twin.reporting import machine_report
+    from twin.reporting.front import front_page
+    from twin.reporting.pdf import find_browser, page_to_pdf
+
     options.need_pictures("the report")
-    loaded = Machine.load(machine)
-    limits = tolerances(tolerance or [])
-    check_tolerances(loaded, limits)
-    facts, picture = None if job is None else load_job(job), "" if logo is None else logo_uri(logo)
+    loaded = options.machine(machine)
+    limits, facts, picture = _of_first_page(loaded, tolerance or [], job, logo)
     browser = None if pdf_file is None else find_browser()
     errors = options.calibration_of(calibration, loaded)
     at = options.conditions(temperature, time, rpm, load)
@@ -101,9 +104,7 @@ def report(
             seed=seed,
             progress=lambda stage, part: bar(stage, 0.5 * part),
         )
-        from twin.reporting.page import (
-            machine_html,
-        )  # imports matplotlib and meshcat, which are slow and needed only here
+        from twin.reporting.page import machine_html  # imports matplotlib and meshcat: slow, and needed only here
 
         bar("drawing", 0.5)
         front = front_page(found, facts, limits, picture)
@@ -112,13 +113,24 @@ def report(
     write_atomic(output, page)
     if pdf_file is not None and printed is not None:
         write_atomic(pdf_file, printed)
-    text = "\n".join([*_first_screen(found), *options.unused(at, errors), ""])
     return CommandResult(
-        text,
+        "\n".join([*_first_screen(found), *options.unused(at, errors), ""]),
         lambda: found.to_dict() | {"first_page": front.to_dict()},
         met=not found.unmet,
         after=[f"not met: {text}" for text in found.unmet],
     )
+
+
+def _of_first_page(
+    machine: Machine, tolerance: list[str], job: Path | None, logo: Path | None
+) -> tuple[dict[str, float], Job | None, str]:
+    """Return tolerances by item, facts of the test and the logo."""
+    from twin.reporting.front import check_tolerances
+    from twin.reporting.job import load_job, logo_uri
+
+    limits = tolerances(tolerance)
+    check_tolerances(machine, limits)
+    return limits, None if job is None else load_job(job), "" if logo is None else logo_uri(logo)
 
 
 def _first_screen(found: MachineReport) -> list[str]:

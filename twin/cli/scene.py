@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
+from twin._common.defaults import DEFAULT
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress_bar
-from twin.compensation.execute import Execution
-from twin.machine.calibration import Calibration
-from twin.machine.machine import DEFAULT, Machine
-from twin.nc import find_program
+from twin.cli.shared.command import HTML, POSITIVE, PROGRAM, CommandResult, JsonOption, command, progress_bar
+
+if TYPE_CHECKING:
+    from twin.compensation.execute import Execution
+    from twin.machine.calibration import Calibration
 
 ProgramArgument = Annotated[
-    Path, typer.Argument(help="NC program, or the name of a bundled one.", autocompletion=complete.programs)
+    Path, typer.Argument(help="NC program, or the name of a bundled one.", autocompletion=complete.programs), PROGRAM
 ]
 ExaggerationOption = Annotated[
     float | None,
@@ -49,9 +50,10 @@ def scene(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Animate the machine running a program, with programmed and actual tool path, in one self-contained HTML file."""
+    from twin.nc import find_program
     from twin.reporting.scene import draw_program  # imports meshcat, which is slow and needed only here
 
-    loaded = Machine.load(machine)
+    loaded = options.machine(machine)
     source = find_program(program)
     errors = options.calibration_of(calibration, loaded)
     at = options.conditions(temperature, time, rpm, load)

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
 from twin._common.counts import count_with_noun
+from twin._common.defaults import DEFAULT
 from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import TABLE, CommandResult, JsonOption, command, progress_bar
 from twin.cli.shared.words import pairs, three_numbers
-from twin.machine.machine import DEFAULT, Machine
-from twin.measurement.checks import grouped_notes
-from twin.measurement.instruments import INSTRUMENTS, Air, instrument_named
-from twin.measurement.simulate import Environment
-from twin.measurement.simulate import simulate as run_simulation
-from twin.measurement.table import Measurements
+
+if TYPE_CHECKING:
+    from twin.machine.calibration import Calibration
+    from twin.measurement.simulate import Environment
+    from twin.measurement.table import Measurements
 
 PlanArgument = Annotated[
     Path,
@@ -33,7 +33,7 @@ InstrumentOption = Annotated[
     str,
     typer.Option(
         "--instrument",
-        help=f"Simulated instrument: {', '.join(one.name for one in INSTRUMENTS)}.",
+        help="Simulated instrument: {instruments}.",
         autocompletion=complete.instruments,
     ),
 ]
@@ -67,7 +67,11 @@ def simulate(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Simulate the measurement of a plan on the machine with the errors of a calibration."""
-    loaded = Machine.load(machine)
+    from twin.measurement.instruments import instrument_named
+    from twin.measurement.simulate import simulate as run_simulation
+    from twin.measurement.table import Measurements
+
+    loaded = options.machine(machine)
     reader = instrument_named(instrument)
     if seed < 0:
         raise InputError("--seed must not be negative", expected="0 or more", value=seed)
@@ -80,12 +84,8 @@ def simulate(
         bar("measuring", 0.3)
         rng = np.random.default_rng(seed)
         measured, setting = run_simulation(planned, loaded, truth, reader, rng, noise=noise, surroundings=around)
-    comment = [
-        f"simulated by twin {version('twin')}: {loaded.name}, calibration {truth.path or 'none'}, instrument {reader.name}, "
-        f"seed {seed}, {'with' if noise else 'without'} noise",
-        around.describe(),
-        setting.describe(),
-    ]
+    head = _head(truth, reader.name, seed, noise)
+    comment = [head, around.describe(), setting.describe()]
     measured.save(output, loaded, comment="\n".join(part for part in comment if part))
     report = {
         "schema": "twin.simulation/1",
@@ -104,13 +104,28 @@ def simulate(
         "set_aside": [{"line": note.line, "why": note.text} for note in planned.set_aside],
         "notices": list(planned.notices),
     }
-    notes = [*(f"set aside, {text}" for text in grouped_notes(planned.set_aside)), *planned.notices]
     return CommandResult(
         "",
         lambda: report,
         met=not planned.set_aside,
         written=f"written: {{}}, {count_with_noun(len(measured), 'point')}",
-        after=[f"  {note}" for note in notes],
+        after=_notes(planned),
+    )
+
+
+def _notes(planned: Measurements) -> list[str]:
+    """Return the lines on excluded rows and notices of a plan."""
+    from twin.measurement.checks import grouped_notes
+
+    excluded = (f"  set aside, {text}" for text in grouped_notes(planned.set_aside))
+    return [*excluded, *(f"  {text}" for text in planned.notices)]
+
+
+def _head(truth: Calibration, instrument: str, seed: int, noise: bool) -> str:
+    """Return the first comment of a simulated table."""
+    return (
+        f"simulated by twin {version('twin')}: {truth.machine.name}, calibration {truth.path or 'none'}, instrument {instrument}, "
+        f"seed {seed}, {'with' if noise else 'without'} noise"
     )
 
 
@@ -120,6 +135,9 @@ def _surroundings(air: str | None, drift: list[str] | None) -> Environment:
     Raises:
         InputError: text that cannot be read, or a station given twice.
     """
+    from twin.measurement.instruments import Air
+    from twin.measurement.simulate import Environment
+
     rates: dict[str, tuple[float, float, float]] = {}
     for name, text, entry in pairs("--drift", drift, "STATION=x,y,z in µm/h, each station once", last=True):
         rates[name] = three_numbers("--drift", text, entry, "x,y,z in µm/h")

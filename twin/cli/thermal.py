@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -12,9 +12,9 @@ from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.shared import options
 from twin.cli.shared.command import CALIBRATION, HTML, TABLE, CommandResult, JsonOption, command, progress_bar
-from twin.thermal import ThermalModel, ThermalPrediction, ThermalRecord, load_model, save_model
-from twin.thermal import fit_thermal as run_fit
-from twin.thermal.text import model_lines, prediction_lines, save_prediction
+
+if TYPE_CHECKING:
+    from twin.thermal import ThermalModel, ThermalPrediction, ThermalRecord
 
 TOO_FAR = 2.0
 """Ratio of the error found to the expected error above which the expectation does not hold."""
@@ -55,6 +55,9 @@ def thermal(
 
     The exit status is 3 if a predicted record has displacements and the error is more than twice the expected error.
     """
+    from twin.thermal import ThermalRecord, save_model
+    from twin.thermal.text import model_lines, prediction_lines, save_prediction
+
     if model_file is not None and (predict is not None or output is not None):
         raise InputError("--model excludes --predict and --output", expected="the record to predict as the argument")
     if html_file is not None:
@@ -82,6 +85,9 @@ def _predictions(
     first: ThermalRecord, other: ThermalRecord | None, model_file: Path | None, continues: bool
 ) -> tuple[ThermalModel, list[tuple[ThermalRecord, ThermalPrediction]]]:
     """Return the model, read or fitted to the first record, and the predictions of the records."""
+    from twin.thermal import fit_thermal as run_fit
+    from twin.thermal import load_model
+
     if model_file is not None:
         model = load_model(model_file)
         return model, [(first, model.predict(first, continues=continues or None))]

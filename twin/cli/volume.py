@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from time import monotonic
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from twin._common.defaults import DEFAULT, TRIALS, VOLUME_POSES
 from twin._common.provenance import warning_texts
 from twin.cli.shared import options
 from twin.cli.shared.command import CommandResult, JsonOption, command, progress_bar
-from twin.kinematics.forward import Kinematics
-from twin.machine.machine import DEFAULT, Machine
-from twin.uncertainty.population import POSES, TRIALS, Population, Spread, draw_machines
+
+if TYPE_CHECKING:
+    from twin.uncertainty.population import Population, Spread
 
 
 @command(
@@ -25,7 +26,7 @@ def volume(
     trials: Annotated[int, typer.Option("--trials", help="Number of machines drawn.")] = TRIALS,
     poses: Annotated[
         int, typer.Option("--poses", help="Number of poses over the volume, the same for all machines.")
-    ] = POSES,
+    ] = VOLUME_POSES,
     seed: Annotated[int, typer.Option("--seed", help="Random seed.")] = 0,
     digits: Annotated[
         int,
@@ -52,7 +53,10 @@ def volume(
 
     The same seed gives bit-identical numbers on any number of workers, local or on a Dask cluster (--scheduler).
     """
-    loaded = Machine.load(machine)
+    from twin.kinematics.forward import Kinematics
+    from twin.uncertainty.population import draw_machines
+
+    loaded = options.machine(machine)
     errors = options.calibration_of(calibration, loaded)
     at = options.conditions(temperature, time, rpm, load)
     kinematics = Kinematics(loaded, errors, tool_length_mm=tool_length, conditions=at)
@@ -68,16 +72,20 @@ def volume(
             kinematics, trials=trials, poses=poses, seed=seed, digits=digits, workers=own, progress=report_rate
         )
     taken = monotonic() - began
-    total = found.machines * len(found.positions)
     lines = [
         f"{found.machines} machines drawn for {loaded.name} from {errors.path} with seed {seed}",
         *warning_texts(found.warnings),
-        f"at {len(found.positions)} poses over the volume, tool length {kinematics.tool_length_mm:g} mm: "
-        f"{total / 1e6:.1f} million poses in {taken:.1f} s, {total / 1e6 / taken:.1f} million a second\n",
+        f"at {len(found.positions)} poses over the volume, tool length {kinematics.tool_length_mm:g} mm: {_rate(found, taken)}\n",
         *_lines(found, programs=loaded.runs_programs),
         *options.unused(at, errors),
     ]
     return CommandResult("\n".join([*lines, ""]), found.to_dict)
+
+
+def _rate(found: Population, taken: float) -> str:
+    """Return in words how many poses were evaluated, and how long it took."""
+    millions = found.machines * len(found.positions) / 1e6
+    return f"{millions:.1f} million poses in {taken:.1f} s, {millions / taken:.1f} million a second"
 
 
 def _lines(found: Population, *, programs: bool) -> list[str]:

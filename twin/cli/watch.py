@@ -9,15 +9,11 @@ from typing import Annotated
 
 import typer
 
+from twin._common.defaults import DEFAULT
 from twin._common.files import write_atomic
 from twin.cli.shared import options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress_bar
 from twin.cli.shared.words import pairs
-from twin.machine.machine import DEFAULT, Machine
-from twin.watching import WatchSettings
-from twin.watching import watch as run_watch
-from twin.watching.check import parsed_date
-from twin.watching.words import news_text, text_of
 
 
 @command(
@@ -60,6 +56,11 @@ def watch(
     FOLDER.watch.sqlite beside the folder remembers what was read and said. The exit status is 3 if an error changed, or if the
     calibration is proven not to meet the tolerance.
     """
+    from twin.watching import WatchSettings
+    from twin.watching import watch as run_watch
+    from twin.watching.check import parsed_date
+    from twin.watching.words import news_text, text_of
+
     if html_file is not None:
         options.need_pictures("the HTML page")
     settings = WatchSettings(
@@ -69,7 +70,7 @@ def watch(
         dates=dates(date or []),
         since=None if since is None else parsed_date(since),
     )
-    loaded = Machine.load(machine)
+    loaded = options.machine(machine)
     errors = options.calibration_of(calibration, loaded)
     with progress_bar() as bar:
         found = run_watch(folder, loaded, errors, settings=settings, progress=bar)
@@ -86,5 +87,7 @@ def dates(entries: Sequence[str]) -> dict[str, datetime]:
     Raises:
         InputError: text that is not FILE=DATE, no date, or a file given twice.
     """
+    from twin.watching.check import parsed_date
+
     words = pairs("--date", entries, "FILE=DATE: first.csv=2026-03-02", last=True)
     return {name: parsed_date(text) for name, text, _ in words}

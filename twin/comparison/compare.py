@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from twin._common.errors import InputError, require_type
 from twin._common.progress import Progress, silent
@@ -248,7 +248,7 @@ def _joint_change(pairs: Sequence[Pair], first: Calibration, second: Calibration
     if not pairs:
         return _JointChange(float("nan"), 0, Culprits((), (), (), float("nan")), (), {})
     change = np.concatenate([pair.change for pair in pairs])
-    exact = block_diag(*(pair.exact for pair in pairs))
+    exact = scipy.linalg.block_diag(*(pair.exact for pair in pairs))
     white = whiten(change, joint_covariance(pairs, (first.covariance, second.covariance)), exact)
     axes = first.machine.by_name
     found = smallest_set(pairs, white, [axes[pair.axis].linear for pair in pairs])

@@ -9,6 +9,7 @@ from typing import Literal, final
 
 import numpy as np
 
+from twin._common.defaults import DEFAULT_ROTARY_LIMIT_DEG
 from twin._common.errors import InputError
 from twin._common.provenance import program_comments
 from twin.compensation.backlash import Backlash
@@ -18,11 +19,12 @@ from twin.compensation.thesis import ThesisMethod
 from twin.compensation.toolpath import Setup, WordSpace, outside_range
 from twin.display import Html, card, pairs
 from twin.kinematics.forward import Kinematics
-from twin.kinematics.inverse import DEFAULT_ROTARY_LIMIT_DEG, Inverse
+from twin.kinematics.inverse import Inverse
 from twin.machine.calibration import Calibration
+from twin.machine.classes import BASIC
 from twin.machine.conditions import Conditions, values_in_words
 from twin.machine.effects import ControlCorrection
-from twin.machine.iso16907 import BASIC, Scope, error_motion_of, iso_class
+from twin.machine.iso16907 import Scope, error_motion_of, iso_class
 from twin.machine.machine import Machine
 from twin.nc.dialect import Dialect
 from twin.uncertainty.at_tool import ToolUncertainty

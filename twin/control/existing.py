@@ -16,9 +16,9 @@ from twin.control.account import displayed_unit
 from twin.control.remains import RemainingErrors, remaining_errors
 from twin.control.required import RequiredCorrections
 from twin.machine.calibration import Calibration
+from twin.machine.classes import BASIC
 from twin.machine.conditions import APPROACH, Conditions
 from twin.machine.control import ControlSection, Correction, TableEntry, TableFormat, format_named
-from twin.machine.iso16907 import BASIC
 from twin.machine.machine import Machine
 
 POSITIONS = 1001

@@ -21,10 +21,10 @@ from twin.control.request import Request
 from twin.control.required import RequiredCorrections
 from twin.control.stages import Stages, stages_of
 from twin.machine.calibration import Calibration
+from twin.machine.classes import BASIC
 from twin.machine.conditions import Conditions
 from twin.machine.control import ControlSection, TableEntry, format_named
 from twin.machine.control.kinematics import TableGeometry, linear_shift
-from twin.machine.iso16907 import BASIC
 from twin.uncertainty.budget import volume
 
 CLASSES: Final = ("R-POR",)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, final
 
+from twin.machine.classes import BASIC, BasicClass
 from twin.machine.conditions import Conditions
-from twin.machine.control import BasicClass, TableFormat, format_named
-from twin.machine.iso16907 import BASIC
+from twin.machine.control import TableFormat, format_named
 
 
 @final

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from scipy.linalg import cho_solve
-from scipy.linalg.lapack import dpstrf
+import scipy
 
 from twin._common.arrays import read_only
 from twin._common.threads import map_chunks
@@ -234,10 +233,12 @@ class _Fold:
         if not removed:
             return self.theta.copy(), self.covariance[:, kept].copy()
         # Pivoted, because unknowns that the datum or another condition fixes have no variance.
-        lower, pivot, rank, _ = dpstrf(self.covariance[np.ix_(removed, removed)], tol=1e-15, lower=1)
+        lower, pivot, rank, _ = scipy.linalg.lapack.dpstrf(
+            self.covariance[np.ix_(removed, removed)], tol=1e-15, lower=1
+        )
         rows = [removed[i - 1] for i in pivot[:rank]]
         right = np.concatenate([self.theta[rows, None], self.covariance[np.ix_(rows, kept)]], axis=1)
-        solved = cho_solve((lower[:rank, :rank], True), right)
+        solved = scipy.linalg.cho_solve((lower[:rank, :rank], True), right)
         cross = self.covariance[:, rows]
         theta = self.theta - cross @ solved[:, 0]
         theta[removed] = 0.0

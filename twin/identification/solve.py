@@ -19,7 +19,7 @@ from itertools import pairwise
 from typing import Final, final
 
 import numpy as np
-from scipy.linalg.lapack import dtpqrt
+import scipy
 
 from twin._common.arrays import read_only
 from twin._common.threads import map_chunks
@@ -365,7 +365,9 @@ def factor(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray
 
 def _append_rows(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Return the factor of a triangle on top of rows, by LAPACK's factorisation of a triangular-pentagonal matrix."""
-    found, _, _, _ = dtpqrt(0, min(PANEL, len(triangle)), triangle, rows, overwrite_a=1, overwrite_b=1)
+    found, _, _, _ = scipy.linalg.lapack.dtpqrt(
+        0, min(PANEL, len(triangle)), triangle, rows, overwrite_a=1, overwrite_b=1
+    )
     return np.asarray(found)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.counts import count_with_noun
+from twin._common.defaults import DEFAULT_ROTARY_LIMIT_DEG
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM
 from twin.compute.native import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, InverseProblem, Solver
@@ -34,8 +35,6 @@ singularity.
 """
 SLACK: Final = 1e-9
 """Distance (mm, degrees) beyond a limit that is rounding."""
-DEFAULT_ROTARY_LIMIT_DEG: Final = 0.5
-"""Default for the largest motion of a rotary axis to correct an orientation."""
 
 
 @final

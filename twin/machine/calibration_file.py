@@ -10,7 +10,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from twin._common.errors import InputError
-from twin.machine.control import BasicClass
+from twin.machine.classes import BasicClass
 from twin.machine.effects import Effect, GravityCompliance, Payload
 from twin.machine.effects.entries import effect_named, payload_named
 from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD

@@ -8,28 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from typing import Final, final, get_args
+from typing import Final, final
 
 import numpy as np
 
 from twin._common.errors import InputError, closest_name
 from twin.display import card, pairs
+from twin.machine.classes import BASIC, COMBINED, NAMES
 from twin.machine.conditions import RecordingState
-from twin.machine.control import BasicClass
 from twin.machine.effects import ControlCorrection, Effect, split_name
 from twin.machine.machine import DIRECTIONS, Machine
 
-BASIC: Final[tuple[str, ...]] = get_args(BasicClass)
-"""Basic classes: every error motion belongs to exactly one of them."""
 CONTROL: Final = "control"
 """Corrections that the control applies: not a class of errors, but accounted for separately."""
-COMBINED: Final = {
-    "L-VOL": ("L-POS", "L-STR", "L-SQU", "L-ANG"),
-    "L-VOL+": ("L-POS", "L-STR", "L-SQU", "L-ANG", "FOR"),
-    "R-VOL": ("R-POS", "R-RAX", "R-POR", "R-ANG"),
-    "R-VOL+": ("R-POS", "R-RAX", "R-POR", "R-ANG", "FOR"),
-}
-NAMES: Final = (*BASIC, *COMBINED, "FOR")
 
 
 def iso_class(name: str, machine: Machine) -> str:

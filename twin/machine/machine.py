@@ -22,6 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from twin._common.arrays import read_only
+from twin._common.defaults import DEFAULT, bundled_folder
 from twin._common.errors import InputError, closest_name
 from twin._common.units import DEG, MM
 from twin._common.yaml_files import EntryPath, line_of, load_yaml
@@ -115,10 +116,6 @@ class ErrorFrame:
     axis: str
     role: Literal["motion", "location"]
     joint: int
-
-
-DEFAULT: Final = "dmu50"
-"""Machine file that is used if none is named; it comes with twin."""
 
 
 @final
@@ -408,13 +405,6 @@ def _relative_to(path: Path, name: str) -> Path:
         return (path.parent / name).resolve()
     except (OSError, RuntimeError, ValueError):
         return path.parent / name
-
-
-def bundled_folder() -> Path:
-    """Return the folder of the machines that come with `twin`: inside the installed package, or next to it in a checkout."""
-    package = Path(__file__).parents[1]
-    inside = package / "urdf"
-    return inside if inside.is_dir() else package.parent / "urdf"
 
 
 def _with_error_frames(

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, final
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from twin._common.arrays import read_only
 from twin._common.counts import count_with_noun
@@ -147,7 +147,9 @@ def fit_sphere(
         normals = away / lengths[:, None]
         return np.column_stack([-normals, -np.ones(len(normals))]) if radius_mm is None else -normals
 
-    found = least_squares(residuals, start, jac=jacobian, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    found = scipy.optimize.least_squares(
+        residuals, start, jac=jacobian, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14
+    )
     design = jacobian(found.x)
     left, singular, right = np.linalg.svd(design, full_matrices=False)
     if not np.isfinite(found.x).all() or not found.success:

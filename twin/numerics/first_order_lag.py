@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 Between = Literal["held", "linear"]
 
@@ -64,7 +64,7 @@ def follow(passed: np.ndarray, begin: np.ndarray, end: np.ndarray, constant: flo
 def _recursion(decay: np.ndarray, driven: np.ndarray, first: float, *, uniform: bool) -> np.ndarray:
     """Return (n,) x with x_i = decay_i x_{i−1} + driven_i; ``uniform`` if every interval is equally long."""
     if uniform:
-        found, _ = lfilter([1.0], [1.0, -decay[0]], driven, zi=[decay[0] * first])
+        found, _ = scipy.signal.lfilter([1.0], [1.0, -decay[0]], driven, zi=[decay[0] * first])
         return np.asarray(found)
     values, last = [], first
     for share, more in zip(decay.tolist(), driven.tolist(), strict=True):

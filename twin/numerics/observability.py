@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from scipy.optimize import linprog
+import scipy
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
@@ -326,7 +326,7 @@ class Determinability:
         basis, _ = np.linalg.qr(weight[:, None] * null_space)
         p, s = basis.shape
         above = np.concatenate([np.concatenate([basis, -basis]), -np.tile(np.eye(p), (2, 1))], axis=1)
-        solution = linprog(
+        solution = scipy.optimize.linprog(
             np.concatenate([np.zeros(s), np.ones(p)]),
             A_ub=above,
             b_ub=np.zeros(2 * p),

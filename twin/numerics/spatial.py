@@ -22,7 +22,7 @@ from typing import Any, Final
 
 import casadi as ca
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
@@ -73,7 +73,7 @@ def rotation_log(matrix: Any) -> np.ndarray:
     """
     r = _matrix(matrix)
     flat = r.reshape(-1, 3, 3)
-    vectors = Rotation.from_matrix(flat).as_rotvec() if len(flat) else np.zeros((0, 3))
+    vectors = scipy.spatial.transform.Rotation.from_matrix(flat).as_rotvec() if len(flat) else np.zeros((0, 3))
     return read_only(vectors.reshape(r.shape[:-1]))
 
 

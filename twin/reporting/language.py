@@ -5,26 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cache
 from importlib import resources
 from typing import Final, final
 
 import yaml
 
+from twin._common.language import Language
 from twin.display import UNKNOWN
 from twin.machine.effects import split_name
 from twin.machine.machine import Machine
 from twin.reporting.words import motion_kind, named
 
 DECIMAL_POINT: Final = re.compile(r"(?<=\d)\.(?=\d)")
-
-
-class Language(StrEnum):
-    """Language of a report."""
-
-    en = "en"
-    de = "de"
 
 
 @final

@@ -14,6 +14,7 @@ from typing import Final
 
 from matplotlib.figure import Figure
 
+from twin._common.language import Language
 from twin.diagnosis.wording import words
 from twin.display import Html, place, render, with_half
 from twin.display.figures import embedded
@@ -24,7 +25,7 @@ from twin.machine.effects import Effect
 from twin.numerics.curves import Basis, basis_named
 from twin.reporting import plots
 from twin.reporting.front import FrontPage, front_page
-from twin.reporting.language import Language, wording
+from twin.reporting.language import wording
 from twin.reporting.motions import Motion
 from twin.reporting.readings import PositionEstimates
 from twin.reporting.result import MachineReport

@@ -18,8 +18,9 @@ import yaml
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from twin._common.language import Language
 from twin.display.numbers import with_joined_units
-from twin.reporting.language import Language, wording
+from twin.reporting.language import wording
 
 INLINE: Final = r"(?:/?(?:b|code|i|em|sub|sup)\b)"
 TAG: Final = re.compile(rf"(<style.*?</style>|<script.*?</script>|<(?!{INLINE})[^>]+>)", re.DOTALL)

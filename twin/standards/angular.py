@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from twin._common.units import DEG, MM, UM
 from twin.machine.machine import Machine
@@ -77,7 +77,11 @@ def angular_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Itera
 def _about_machine_axes(run: MeasuredRun) -> dict[str, np.ndarray]:
     """Return the rotations (n,) of the target relative to the station, µrad, about the machine's axes: ``A``, ``B``, ``C``."""
     pose = run.data.station_pose[0]
-    turn = Rotation.from_rotvec(pose[3:] * DEG).as_matrix() if np.isfinite(pose).all() else np.eye(3)
+    turn = (
+        scipy.spatial.transform.Rotation.from_rotvec(pose[3:] * DEG).as_matrix()
+        if np.isfinite(pose).all()
+        else np.eye(3)
+    )
     # A reading is the shift (b, −a) of the end of a line of 1 m.
     read = np.column_stack([-run.data.point_mm[:, 1], run.data.point_mm[:, 0]]) * (MM / UM)
     angles = read @ turn[:, :2].T

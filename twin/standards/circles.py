@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM
@@ -91,7 +91,7 @@ def _radii(run: MeasuredRun, centre: np.ndarray) -> np.ndarray:
     points, commands = run.data.point_mm, run.positions - centre
     flat = np.column_stack([commands, np.zeros(len(commands))])
     offset, middle = points.mean(axis=0), flat.mean(axis=0)
-    turned, _ = Rotation.align_vectors(flat - middle, points - offset)
+    turned, _ = scipy.spatial.transform.Rotation.align_vectors(flat - middle, points - offset)
     aligned = turned.apply(points - offset) + middle
     return np.asarray(np.hypot(aligned[:, 0], aligned[:, 1]))
 

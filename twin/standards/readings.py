@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from twin._common.units import DEG, MM, UM
 from twin.machine.machine import Axis, Machine
@@ -94,12 +94,16 @@ def station_frame(runs: Sequence[MeasuredRun], machine: Machine) -> StationFrame
     ]
     pairs = [(d / np.linalg.norm(d), e) for d, e in pairs if abs(np.linalg.norm(d) - 1.0) < SLOPE_TOLERANCE and e.any()]
     pose = runs[0].data.station_pose[0] if runs else np.full(6, np.nan)
-    base = Rotation.from_rotvec(pose[3:] * DEG) if np.isfinite(pose).all() else Rotation.identity()
+    base = (
+        scipy.spatial.transform.Rotation.from_rotvec(pose[3:] * DEG)
+        if np.isfinite(pose).all()
+        else scipy.spatial.transform.Rotation.identity()
+    )
     if not pairs:
         return StationFrame(base.as_matrix(), SAME_AS_MACHINE)
     measured, nominal = (np.array(side) for side in zip(*pairs, strict=True))
     if np.linalg.matrix_rank(nominal, tol=0.5) >= 2:
-        turned, _ = Rotation.align_vectors(nominal, measured)
+        turned, _ = scipy.spatial.transform.Rotation.align_vectors(nominal, measured)
         off = np.arccos(np.clip(np.sum(turned.apply(measured) * nominal, axis=1), -1.0, 1.0)).max() / DEG
         return StationFrame(
             turned.as_matrix(),

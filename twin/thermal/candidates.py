@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
+import scipy
 
 from twin.numerics.first_order_lag import follow
 from twin.thermal.record import ThermalRecord
@@ -79,7 +79,9 @@ def clusters(values: np.ndarray, names: Sequence[str]) -> list[tuple[str, ...]]:
     if len(names) < 2:
         return [(name,) for name in names]
     centred = (values - values.mean(axis=0)).T
-    label = fcluster(linkage(centred, "average", metric="correlation"), ALIKE, "distance")
+    label = scipy.cluster.hierarchy.fcluster(
+        scipy.cluster.hierarchy.linkage(centred, "average", metric="correlation"), ALIKE, "distance"
+    )
     found: dict[int, list[str]] = {}
     for name, number in zip(names, label, strict=True):
         found.setdefault(int(number), []).append(name)

@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import read_only
 from twin._common.counts import count_with_noun
+from twin._common.defaults import TRIALS, VOLUME_POSES
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
 from twin._common.progress import Progress, silent
@@ -39,11 +40,9 @@ from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
 from twin.uncertainty.budget import inside_domains, random_approach, volume
 
 SCHEMA: Final = "twin.volume/1"
-TRIALS: Final = 100_000
 FEWEST_TRIALS: Final = 1000
 """With fewer machines less than 25 draws lie beyond each limit of a 95 % interval."""
 MOST_TRIALS: Final = 100_000_000
-POSES: Final = 200
 MOST_POSES: Final = 5_000
 """With more poses sending the counts of a task would take longer than computing them."""
 TRIALS_PER_TASK: Final = 16_384
@@ -395,7 +394,7 @@ def draw_machines(
     kinematics: Kinematics,
     *,
     trials: int = TRIALS,
-    poses: int = POSES,
+    poses: int = VOLUME_POSES,
     seed: int = 0,
     digits: int = 1,
     workers: Workers | None = None,

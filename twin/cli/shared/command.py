@@ -20,11 +20,14 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from twin._common.errors import InputError
-from twin._common.files import check_writable, tracked_files, write_json
+from twin._common.defaults import bundled_folder
+from twin._common.errors import InputError, closest_name
+from twin._common.files import check_writable, read_bytes, tracked_files, write_json
 from twin.cli.shared.installation import NOT_ALL_MET
+from twin.cli.shared.lists import ListingCommand
 from twin.cli.shared.terminal import echo, is_silenced, print_error, silenced
 from twin.cli.shared.words import positive, usable_number
+from twin.samples import PLANS
 
 HELP: Final = {"help_option_names": ["-h", "--help"]}
 """Options that show the help of a command."""
@@ -51,6 +54,10 @@ CALIBRATION: Final = Output((".yaml", ".yml"))
 TABLE: Final = Output((".csv",))
 URDF: Final = Output((".urdf", ".xml"))
 ANY: Final = Output()
+EXISTING: Final = "existing"
+"""Marker of the path of a file that must exist, unless it is the bare name of one that comes with twin."""
+PROGRAM: Final = "program"
+"""Marker of the path of an NC program: as `EXISTING`, with the error of a program."""
 POSITIVE: Final = "positive"
 """Marker of a number that must be positive."""
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
@@ -113,9 +120,15 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
                     positive(option, value)
             outputs = _selected_paths(values, paths, outputs=True)
             with tracked_files() as files:
-                for path in _selected_paths(values, paths, outputs=False):
-                    if path.exists():
-                        files.add_input(path)
+                for parameter, mark in paths.items():
+                    inputs = _selected_paths(values, {parameter: mark}, outputs=False)
+                    marks = {one for one in hints[parameter] if isinstance(one, str)}
+                    for path in inputs:
+                        if path.exists():
+                            files.add_input(path)
+                        elif len(inputs) == 1 and {EXISTING, PROGRAM} & marks and not _is_bundled(path):
+                            # Before the command imports what it needs: such an error is usually a misspelt name.
+                            _refuse_missing(path, program=PROGRAM in marks)
                 check_writable([path for path in outputs if not path.is_dir()])
                 for parameter, mark in paths.items():
                     if mark is not None and values.get(parameter) is not None:
@@ -126,7 +139,7 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
 
         _add_option(checked, "quiet", QuietOption)
         epilog = "\n\n".join(("Examples:", *examples))
-        registered.command(name, epilog=epilog, context_settings=HELP)(checked)
+        registered.command(name, cls=ListingCommand, epilog=epilog, context_settings=HELP)(checked)
         return function
 
     return register
@@ -186,6 +199,29 @@ def _report(result: CommandResult, outputs: Sequence[Path], json_file: Path | No
     status = result.status if result.status is not None else 0 if result.met else NOT_ALL_MET
     if status:
         raise typer.Exit(status)
+
+
+def _is_bundled(path: Path) -> bool:
+    """Return whether the path is the bare name of a file that comes with twin."""
+    samples = PLANS[0].parent
+    return path.parent == Path() and any((folder / path.name).is_file() for folder in (samples, bundled_folder()))
+
+
+def _refuse_missing(path: Path, *, program: bool) -> None:
+    """Raise the `InputError` of an input that does not exist, with the most similar name of its folder or of the bundled files."""
+    if program:
+        from twin.nc import find_program
+
+        find_program(path)
+    bundled = [] if path.parent != Path() else [*PLANS[0].parent.iterdir(), *bundled_folder().iterdir()]
+    beside = path.parent.iterdir() if path.parent.is_dir() else ()
+    names = [file.name for file in (*beside, *bundled) if file.suffix == path.suffix]
+    try:
+        read_bytes(path)
+    except InputError as error:
+        raise InputError(
+            error.what, expected=error.expected, file=path, value=error.value, nearest=closest_name(path.name, names)
+        ) from None
 
 
 def _nested_types(hint: Any) -> Iterator[Any]:

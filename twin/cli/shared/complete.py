@@ -7,16 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from twin.machine.effects import MACHINE_EFFECTS
-from twin.machine.iso16907 import NAMES
-from twin.machine.machine import DEFAULT, Machine, bundled_folder
-from twin.measurement.instruments import INSTRUMENTS
-from twin.nc import DIALECTS, find_program
-from twin.planning.drift import DRIFTS
-from twin.planning.sequences import SEQUENCES
+from twin._common.defaults import DEFAULT, bundled_folder
 from twin.samples import PLANS
+
+if TYPE_CHECKING:
+    from twin.machine.machine import Machine
 
 YAML: Final = (".yaml", ".yml")
 
@@ -26,21 +23,29 @@ Completer = Callable[[str], list[str]]
 
 def classes(incomplete: str) -> list[str]:
     """Complete a class of ISO/TR 16907."""
+    from twin.machine.classes import NAMES
+
     return _starting_with(incomplete.upper(), NAMES)
 
 
 def instruments(incomplete: str) -> list[str]:
     """Complete the name of an instrument."""
+    from twin.measurement.instruments import INSTRUMENTS
+
     return _starting_with(incomplete, [one.name for one in INSTRUMENTS])
 
 
 def drifts(incomplete: str) -> list[str]:
     """Complete the name of a drift test."""
+    from twin.planning.drift import DRIFTS
+
     return _starting_with(incomplete, [one.name for one in DRIFTS])
 
 
 def sequences(incomplete: str) -> list[str]:
     """Complete the name of a measuring sequence."""
+    from twin.planning.sequences import SEQUENCES
+
     return _starting_with(incomplete, [one.name for one in SEQUENCES])
 
 
@@ -56,6 +61,8 @@ def aims(ctx: Any, incomplete: str) -> list[str]:
 
 def causes(ctx: Any, incomplete: str) -> list[str]:
     """Complete an effect and its location, two words in quotes."""
+    from twin.machine.effects import MACHINE_EFFECTS
+
     machine = _machine(ctx)
     places = {one.name: one.places(machine) for one in MACHINE_EFFECTS if one.places(machine)}
     # Until the effect is complete, listing all its locations would give hundreds of entries.
@@ -68,6 +75,8 @@ def causes(ctx: Any, incomplete: str) -> list[str]:
 
 
 def _machine(ctx: Any) -> Machine:
+    from twin.machine.machine import Machine
+
     try:
         return Machine.load(ctx.params.get("machine") or DEFAULT)
     except ValueError:
@@ -90,8 +99,7 @@ def _bundled(suffix: str) -> list[str]:
 
 
 def _samples(suffixes: tuple[str, ...]) -> list[str]:
-    folder = find_program(PLANS[0].name).parent
-    return [file.name for file in sorted(folder.iterdir()) if file.suffix in suffixes]
+    return [file.name for file in sorted(PLANS[0].parent.iterdir()) if file.suffix in suffixes]
 
 
 def _named_or_file(names: Callable[[], list[str]], suffixes: tuple[str, ...]) -> Completer:
@@ -117,11 +125,17 @@ def _files(incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
     return found
 
 
-PROGRAM: Final = tuple(sorted({suffix for dialect in DIALECTS for suffix in dialect.suffixes}))
+def programs(incomplete: str) -> list[str]:
+    """Complete an NC program: one that comes with twin, or a file."""
+    from twin.nc import DIALECTS
+
+    suffixes = tuple(sorted({suffix for dialect in DIALECTS for suffix in dialect.suffixes}))
+    return _named_or_file(lambda: _samples(suffixes), suffixes)(incomplete)
+
+
 machines = _named_or_file(lambda: _bundled(".yaml"), YAML)
 calibrations = _named_or_file(list, YAML)
 kits = _named_or_file(lambda: _bundled(".kit.yaml"), YAML)
 layouts = _named_or_file(lambda: _samples((".yaml",)), YAML)
-programs = _named_or_file(lambda: _samples(PROGRAM), PROGRAM)
 plans = _named_or_file(lambda: [plan.name for plan in PLANS], (".csv",))
 tables = _named_or_file(list, (".csv",))

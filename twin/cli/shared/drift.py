@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, final
+from typing import TYPE_CHECKING, Annotated, final
 
 import typer
 
@@ -12,16 +12,16 @@ from twin._common.errors import InputError
 from twin.cli.shared import complete
 from twin.cli.shared.command import POSITIVE, CommandResult
 from twin.cli.shared.words import three_numbers
-from twin.machine.machine import Machine
-from twin.planning import InstrumentSizes, Kit
-from twin.planning.drift import DRIFTS, INSTRUMENTS, drift_plan
-from twin.planning.programs import drift_steps, format_of, write_program
+
+if TYPE_CHECKING:
+    from twin.machine.machine import Machine
+    from twin.planning import InstrumentSizes, Kit
 
 DriftOption = Annotated[
     str | None,
     typer.Option(
         "--drift",
-        help=f"Plan a thermal test (ISO 230-3): {', '.join(one.name for one in DRIFTS)}; --instrument: {', '.join(INSTRUMENTS)}.",
+        help="Plan a thermal test (ISO 230-3): {drifts}; --instrument: {drift_instruments}.",
         autocompletion=complete.drifts,
     ),
 ]
@@ -58,6 +58,8 @@ class DriftRequest:
         Raises:
             InputError: an option of a drift test without its name, or beside options of another plan.
         """
+        from twin.planning.drift import DRIFTS
+
         names = "|".join(one.name for one in DRIFTS)
         if self.name is None and (self.highest_rpm is not None or self.spectrum or self.axis is not None):
             raise InputError("--highest-rpm, --spectrum and --axis need --drift", expected=f"--drift {names}")
@@ -76,6 +78,9 @@ class DriftRequest:
         output: Path | None,
     ) -> CommandResult:
         """Plan the drift test and write it."""
+        from twin.planning.drift import INSTRUMENTS, drift_plan
+        from twin.planning.programs import drift_steps, format_of, write_program
+
         chosen = instrument or INSTRUMENTS[0]
         part = "sphere" if chosen == INSTRUMENTS[0] else "nest"
         places = {

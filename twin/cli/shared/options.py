@@ -6,25 +6,22 @@ from collections.abc import Sequence
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from twin._common.errors import InputError, closest_name
 from twin.cli.shared import complete
-from twin.cli.shared.command import POSITIVE
+from twin.cli.shared.command import EXISTING, POSITIVE
 from twin.cli.shared.terminal import echo
 from twin.cli.shared.words import axis_values, number, pairs, three_numbers
-from twin.compensation.toolpath import Setup
-from twin.compute.parallel import Tls, Workers
-from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
-from twin.machine.iso16907 import NAMES
-from twin.machine.machine import Machine
-from twin.machine.machine_log import MachineLog
-from twin.nc import find_program
-from twin.nc.tables import load_offsets, load_tools
-from twin.samples import PLANS
+
+if TYPE_CHECKING:
+    from twin.compensation.toolpath import Setup
+    from twin.compute.parallel import Workers
+    from twin.machine.calibration import Calibration
+    from twin.machine.conditions import Conditions
+    from twin.machine.machine import Machine
 
 
 class Mode(StrEnum):
@@ -51,6 +48,7 @@ CalibrationOption = Annotated[
         help="Calibration file; default: the one that the machine file names.",
         autocompletion=complete.calibrations,
     ),
+    EXISTING,
 ]
 ToolOption = Annotated[
     float | None,
@@ -126,7 +124,7 @@ ScopeOption = Annotated[
     list[str] | None,
     typer.Option(
         "--scope",
-        help=f"ISO/TR 16907 classes to compensate: {' '.join(NAMES)}; default: all that can be corrected.",
+        help="ISO/TR 16907 classes to compensate: {classes}; default: all that can be corrected.",
         autocompletion=complete.classes,
     ),
 ]
@@ -140,7 +138,9 @@ RotaryLimitOption = Annotated[
     float, typer.Option("--rotary-limit", help="Largest correction of a rotary axis, degrees."), POSITIVE
 ]
 MeasuredArgument = Annotated[
-    list[Path], typer.Argument(help="Measurement table, or several of one machine.", autocompletion=complete.tables)
+    list[Path],
+    typer.Argument(help="Measurement table, or several of one machine.", autocompletion=complete.tables),
+    EXISTING,
 ]
 WorkersOption = Annotated[
     int | None,
@@ -167,8 +167,17 @@ TlsKeyOption = Annotated[
 ]
 
 
+def machine(name: str) -> Machine:
+    """Return the machine of a machine file or of a bundled name."""
+    from twin.machine.machine import Machine
+
+    return Machine.load(name)
+
+
 def calibration_of(path: Path | None, machine: Machine) -> Calibration:
     """Load a calibration, or the machine's default if no path is given."""
+    from twin.machine.calibration import Calibration
+
     return Calibration.default(machine) if path is None else Calibration.load(path, machine)
 
 
@@ -195,6 +204,8 @@ def bundled_sample(path: Path, what: str, kind: str, known: Sequence[str]) -> Pa
     Raises:
         InputError: there is no such file.
     """
+    from twin.nc import find_program
+
     try:
         return find_program(path)  # finds any kind of file
     except InputError:
@@ -212,6 +223,8 @@ def plan_file(path: Path) -> Path:
     Raises:
         InputError: there is no such file.
     """
+    from twin.samples import PLANS
+
     return bundled_sample(path, "plan", "measurement table", [plan.name for plan in PLANS])
 
 
@@ -248,6 +261,9 @@ def setup(
     Raises:
         InputError: an unknown axis, an axis given twice, text that is not a number; a table that cannot be read.
     """
+    from twin.compensation.toolpath import Setup
+    from twin.nc.tables import load_offsets, load_tools
+
     return Setup(
         work_offset=axis_values("--work-offset", offset, machine.names),
         work_origin_mm=(0.0, 0.0, 0.0)
@@ -280,6 +296,9 @@ def conditions(
     Raises:
         InputError: text that is not NAME=°C, or a name given twice; a log that cannot be read.
     """
+    from twin.machine.conditions import Conditions
+    from twin.machine.machine_log import MachineLog
+
     words = pairs("--temperature", temperatures, "axis or sensor and °C: X=23.1")
     found = {name: number("--temperature", text, entry) for name, text, entry in words}
     record = None if log is None else MachineLog.load(log)
@@ -294,6 +313,8 @@ def workers(
     Raises:
         InputError: incomplete TLS files, or TLS files without a scheduler that uses TLS.
     """
+    from twin.compute.parallel import Tls, Workers
+
     if ca is None and cert is None and key is None:
         return Workers(processes, scheduler)
     if ca is None or cert is None:

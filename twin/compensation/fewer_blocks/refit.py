@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, final
+from typing import final
 
 import numpy as np
 
+from twin._common.defaults import DEFAULT_TOLERANCE_MM
 from twin._common.errors import InputError
 from twin._common.progress import Progress, silent
 from twin.compensation.checked import motionless
@@ -31,8 +32,6 @@ from twin.machine.machine import Machine
 from twin.nc import DIALECTS, dialect_for, read_program
 from twin.nc.blocks import Move, Program
 from twin.nc.dialect import Dialect
-
-DEFAULT_TOLERANCE_MM: Final = 0.01
 
 
 @final

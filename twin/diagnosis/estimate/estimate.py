@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from twin._common.arrays import read_only
 from twin.diagnosis.candidates.candidate import STRAIGHT
@@ -242,7 +242,7 @@ def _reported(
     transform = np.concatenate(transforms) if transforms else np.zeros((0, len(inverse)))
     spread = transform @ wide @ transform.T
     if any(part.moments is not None for part in parts):
-        spread += block_diag(*drift_moments)
+        spread += scipy.linalg.block_diag(*drift_moments)
     covariance = Covariance(tuple(names), read_only((spread + spread.T) / 2.0))
     effects = tuple(part.effects for part in parts)
     return Estimate(tuple(quantities), effects, covariance, signature, explained, tuple(wald))

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Final, final
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from twin.diagnosis.judgement.single_effects import ODDS, Alternatives, Fit, SingleEffects
 from twin.diagnosis.problem.forms import Candidates, Form
@@ -141,7 +141,9 @@ def compare_with_search(opinion: SecondOpinion, groups: Sequence[Collection[Key]
         groups: for each cause of the search, the cause and those equivalent to it.
     """
     common = np.array([[effect.probability(group) for effect in opinion.effects] for group in groups])
-    rows, columns = linear_sum_assignment(-common) if len(groups) else (np.zeros(0, int), np.zeros(0, int))
+    rows, columns = (
+        scipy.optimize.linear_sum_assignment(-common) if len(groups) else (np.zeros(0, int), np.zeros(0, int))
+    )
     partner = {
         int(g): int(e)
         for g, e in zip(rows, columns, strict=True)

@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import Final, final
 
 import numpy as np
-from scipy import special
+import scipy
 
 from twin._common.distributions import chi2_isf, chi2_log_sf, f_isf, f_log_sf
 from twin.diagnosis.candidates.candidate import Candidate, Variant
@@ -504,11 +504,11 @@ def log_p_value(explained: np.ndarray, dof: np.ndarray | float, noise_dof: float
         found = np.asarray(f_log_sf(explained / dof, dof, noise_dof))
         far, rest = np.isneginf(found), noise_dof / 2.0
         small = noise_dof / (noise_dof + np.where(far, explained, 1.0))
-        return np.where(far, rest * np.log(small) - np.log(rest) - special.betaln(rest, half), found)
+        return np.where(far, rest * np.log(small) - np.log(rest) - scipy.special.betaln(rest, half), found)
     found = np.asarray(chi2_log_sf(explained, dof))
     far = np.isneginf(found)
     safe = np.where(far, explained, 1.0) / 2.0
-    return np.where(far, (half - 1.0) * np.log(safe) - safe - special.gammaln(half), found)
+    return np.where(far, (half - 1.0) * np.log(safe) - safe - scipy.special.gammaln(half), found)
 
 
 @lru_cache(maxsize=4096)

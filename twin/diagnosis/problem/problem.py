@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from scipy.linalg import block_diag
+import scipy
 
 from twin._common.threads import map_chunks
 from twin.diagnosis.candidates.signatures import Column, effect_columns
@@ -78,7 +78,7 @@ class Problem:
         uncertain, root = self._calibration_columns(calibration)
         if random:
             uncertain = [*uncertain, *(column for column, _ in random)]
-            root = block_diag(root, np.diag([deviation for _, deviation in random]))
+            root = scipy.linalg.block_diag(root, np.diag([deviation for _, deviation in random]))
         self.prior = np.concatenate([np.zeros((root.shape[1], len(setup))), np.eye(root.shape[1])], axis=1)
         self.basis, self.nuisance_coordinates = self._orthonormal(uncertain, root)
         self.root = np.eye(self.basis.shape[1])

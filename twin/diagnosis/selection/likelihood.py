@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpotrf, dpotri
+import scipy
 
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
@@ -177,8 +176,8 @@ class Likelihood:
         """Return the χ² that every form explains given causes and patterns, in units of the noise, and its degrees of freedom."""
         used, deviation, inner = self._followed(model.variances)
         lower = np.linalg.cholesky(inner)
-        cross = solve_triangular(lower, self._cross[used] * deviation[:, None], lower=True)
-        slope = solve_triangular(lower, self._slope[used] * deviation, lower=True)
+        cross = scipy.linalg.solve_triangular(lower, self._cross[used] * deviation[:, None], lower=True)
+        slope = scipy.linalg.solve_triangular(lower, self._slope[used] * deviation, lower=True)
         explained, dof = self.candidates.scan_beside(forms, cross, slope)
         return explained / model.variance_factor, dof
 
@@ -307,7 +306,7 @@ def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, float]:
     """Return inverse and log determinant of a positive definite matrix by Cholesky, in half the time of the general inverse."""
     if len(matrix) == 0:
         return matrix, 0.0
-    lower, _ = dpotrf(matrix, lower=1)
-    found, _ = dpotri(lower, lower=1)
+    lower, _ = scipy.linalg.lapack.dpotrf(matrix, lower=1)
+    found, _ = scipy.linalg.lapack.dpotri(lower, lower=1)
     found = np.tril(found)
     return found + np.tril(found, -1).T, float(2.0 * np.sum(np.log(np.diag(lower))))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-from scipy import special
+import scipy
 
 from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import ReadingDerivatives
@@ -241,4 +241,4 @@ def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:
     second = zeta * np.sqrt(curvature)
     if first < 1e-4:
         return float(np.log(0.5))
-    return float(special.log_ndtr(-(first + np.log(second / first) / first)))
+    return float(scipy.special.log_ndtr(-(first + np.log(second / first) / first)))

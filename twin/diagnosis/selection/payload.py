@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
@@ -100,7 +100,7 @@ class Load:
         if not payload and not carried:
             return start
         fits = [
-            minimize(
+            scipy.optimize.minimize(
                 lambda shares: CENTRE_PRIOR * np.sum(shares[CARRY + 1 :] ** 2) - self.explained_under(shares)[0],
                 np.concatenate([[share if payload else 0.0], start[1:]]),
                 method="L-BFGS-B",

@@ -80,7 +80,7 @@ explains how to test a table before machining.
     tables.shift("X", {"X": 100.0, "Y": 0.0, "Z": -50.0, "B": 0.0, "C": 0.0})    # µm
 """
 
-from twin.machine.control.correction import BasicClass, Correction, TableSummary
+from twin.machine.control.correction import Correction, TableSummary
 from twin.machine.control.curve import ControlCurve, ControlTerm, TableSum
 from twin.machine.control.format import TableFormat
 from twin.machine.control.formats import FORMATS, format_named, read_tables
@@ -90,7 +90,6 @@ from twin.machine.control.section import ControlSection, TableEntry
 __all__ = [
     "FORMATS",
     "KINEMATICS",
-    "BasicClass",
     "ControlCurve",
     "ControlSection",
     "ControlTerm",

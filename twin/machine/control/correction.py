@@ -5,11 +5,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Self, final
+from typing import Any, Self, final
 
 from twin.machine.machine import Machine
 
-BasicClass = Literal["L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS", "R-RAX", "R-POR", "R-ANG"]
 """Basic classes of ISO/TR 16907: every error motion belongs to exactly one of them."""
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import ClassVar, Generic, TypeVar
 
 from twin._common.files import scratch_folder
-from twin.machine.control.correction import BasicClass, Correction
+from twin.machine.classes import BasicClass
+from twin.machine.control.correction import Correction
 from twin.machine.machine import Machine
 
 C = TypeVar("C", bound=Correction)

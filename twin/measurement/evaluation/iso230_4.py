@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import linprog
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
@@ -167,7 +167,9 @@ def minimum_zone_um(angle_deg: np.ndarray, radius_um: np.ndarray) -> float:
     one, none = np.ones((len(angle), 1)), np.zeros((len(angle), 1))
     # Unknowns: centre (2), outer and inner radius; every point lies between the circles.
     bounds = np.vstack([np.hstack([-rows, -one, none]), np.hstack([rows, none, one])])
-    solved = linprog([0.0, 0.0, 1.0, -1.0], bounds, np.concatenate([-radius, radius]), bounds=(None, None))
+    solved = scipy.optimize.linprog(
+        [0.0, 0.0, 1.0, -1.0], bounds, np.concatenate([-radius, radius]), bounds=(None, None)
+    )
     return float(max(solved.fun, 0.0))
 
 

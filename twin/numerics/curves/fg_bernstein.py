@@ -20,8 +20,7 @@ from math import sin
 from typing import Any, Final, Literal, final
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.special import comb
+import scipy
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
@@ -151,7 +150,7 @@ class FGBernstein:
         values = _points(points, len(nodes))
         chosen = self._spread(nodes)
         q, triangle = np.linalg.qr(self._lagrange(nodes, chosen))
-        return read_only(self._factors(nodes[chosen]).solve(solve_triangular(triangle, q.T @ values)))
+        return read_only(self._factors(nodes[chosen]).solve(scipy.linalg.solve_triangular(triangle, q.T @ values)))
 
     def _factors(self, t: np.ndarray) -> _Bidiagonal:
         """Return the factors of the collocation matrix at (m,) increasing parameters, m ≥ n + 1 (eq. 10), each accurate to rounding.
@@ -168,7 +167,7 @@ class FGBernstein:
             product[j + 2 :] *= self._difference(t[j + 2 :], t[1 : m - 1 - j])
             product[j + 2 :] /= self._difference(t[j + 1 : -1], t[: m - 2 - j])
         for i in range(n + 1):
-            pivots[i] = comb(n, i) * g[i] ** (n - i) * np.prod(self._difference(t[i], t[:i]) / g[:i])
+            pivots[i] = scipy.special.comb(n, i) * g[i] ** (n - i) * np.prod(self._difference(t[i], t[:i]) / g[:i])
         for i in range(1, n + 1):
             upper[i, :i] = (n - i + 1) / i * (f[:i] / g[:i])
         if not (np.all(pivots > np.finfo(float).tiny) and np.all(np.isfinite(lower)) and np.all(np.isfinite(upper))):
@@ -207,7 +206,7 @@ class FGBernstein:
     def _values(self, t: np.ndarray, degree: int) -> np.ndarray:
         f, g = self._sides(t)
         k = np.arange(degree + 1)
-        return np.asarray(comb(degree, k) * f[:, None] ** k * g[:, None] ** (degree - k))
+        return np.asarray(scipy.special.comb(degree, k) * f[:, None] ** k * g[:, None] ** (degree - k))
 
     def _phi(self, x: np.ndarray) -> np.ndarray:
         return x if self.kind == "polynomial" else np.sin(self.half_angle_rad * x) / sin(self.half_angle_rad)

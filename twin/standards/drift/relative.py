@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from twin._common.arrays import read_only
 from twin._common.records import SPEED
@@ -126,7 +126,7 @@ def _deviation_um(data: Measurements, machine: Machine) -> np.ndarray:
     posed = np.isfinite(data.station_pose).all(axis=1)
     if data.station_carrier[0] == "base" and not posed.all():
         return np.asarray(data.point_mm) * (MM / UM)
-    turn = Rotation.from_rotvec(np.where(posed[:, None], data.station_pose[:, 3:], 0.0) * DEG)
+    turn = scipy.spatial.transform.Rotation.from_rotvec(np.where(posed[:, None], data.station_pose[:, 3:], 0.0) * DEG)
     deviation = turn.apply(np.array(data.point_mm)) * MM - carried.points
     return np.asarray(np.einsum("nij,nj->ni", carried.ride, deviation)) / UM
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from scipy.stats import norm
+import scipy
 
 from twin.machine.machine import Machine
 from twin.measurement.evaluation.drift import FIRST_S, DriftSeries, drift_series, spread
@@ -266,7 +266,7 @@ def _noise_remark(record: DriftRecord, found: DriftSeries) -> list[str]:
     n = int(np.count_nonzero(found.target == 1))
     if not (np.isfinite(record.u_um) and n > 1):
         return []
-    expected = 2.0 * float(norm.ppf((n - 0.375) / (n + 0.25))) * record.u_um
+    expected = 2.0 * float(scipy.stats.norm.ppf((n - 0.375) / (n + 0.25))) * record.u_um
     return [
         f"noise alone gives a range of about {expected:.1f} µm over {n} readings; U of a range does not contain this"
     ]
