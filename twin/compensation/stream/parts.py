@@ -13,6 +13,7 @@ from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.toolpath import Follower, MotionColumns
 from twin.nc.blocks import Notice
 from twin.nc.columns import MoveColumns
+from twin.nc.iso.compiled import line_code
 from twin.nc.iso.stream import Chunk, IsoReader
 from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
 
@@ -129,6 +130,7 @@ class PartReader:
         self._prepared, self._source = prepared, source
         self._aim = None if turns is None else prepared.aim(turns=turns)
         self._reader = IsoReader(str(source.path), prepared.space.axes, tcp=prepared.options.tcp)
+        self._code = line_code(source.lines)
         self._follower = Follower(str(source.path), prepared.space)
         self._notices: list[Notice] = []
         self._turns = False
@@ -163,7 +165,7 @@ class PartReader:
         return ProgramPart(read, MotionColumns.joined(motions), len(motions[0]), self._aim)
 
     def _read(self, data: bytes) -> ReadStretch:
-        stretch = Chunk(data, self.lines, self._prepared.space.axes.names)
+        stretch = Chunk(data, self.lines, self._prepared.space.axes.names, self._code)
         self.lines += len(stretch)
         moves = self._reader.read(stretch)
         self._notices += self._reader.notices()

@@ -11,6 +11,7 @@ from twin.compensation.prepared import PreparedMachine
 from twin.compensation.stream.parts import ProgramFile, ProgramPart, ReadStretch
 from twin.nc.header import HEAD_LINES
 from twin.nc.iso.bulk import NewPositions
+from twin.nc.iso.compiled import line_code
 from twin.nc.iso.dialect import Iso
 from twin.nc.iso.stream import Chunk, IsoReader, IsoRewriter
 
@@ -33,6 +34,7 @@ class PartWriter:
 
     def __init__(self, prepared: PreparedMachine, source: ProgramFile, out: BinaryIO) -> None:
         self._prepared, self._axes, self._name = prepared, prepared.space.axes, str(source.path)
+        self._code = line_code(source.lines)
         self._begins = source.begins()
         self._out = out
         self._checker = IsoReader(self._name, self._axes, tcp=prepared.options.tcp)
@@ -63,12 +65,14 @@ class PartWriter:
             return
         if self._rewriter is None:
             newline, style = self._begins
-            self._rewriter = IsoRewriter(self._name, self._axes, newline, style, tcp=bool(moves.tcp[0]))
+            self._rewriter = IsoRewriter(
+                self._name, self._axes, newline, style, tcp=bool(moves.tcp[0]), code=self._code
+            )
             if self._pending:
-                stretch = Chunk(b"".join(self._pending) + stretch.scan.data, 0, self._axes.names)
+                stretch = Chunk(b"".join(self._pending) + stretch.scan.data, 0, self._axes.names, self._code)
                 self._pending = []
         data = stretch.scan.data if idle else self._rewriter.write(stretch, moves, new)
-        written = Chunk(data, self._lines, self._axes.names)
+        written = Chunk(data, self._lines, self._axes.names, self._code)
         try:
             read_back = self._checker.read(written)
         except InputError as error:

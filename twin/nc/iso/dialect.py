@@ -17,6 +17,7 @@ from twin.nc.header import first_lines, insert_comments
 from twin.nc.iso import vocabulary
 from twin.nc.iso.bulk import NewPositions
 from twin.nc.iso.calls import IsoInliner
+from twin.nc.iso.compiled import line_code
 from twin.nc.iso.stream import CHUNK_LINES, DELETED_LINE, IsoReader, IsoRewriter, chunks
 from twin.nc.iso.technology import line_words
 from twin.nc.technology import LineWords
@@ -67,6 +68,7 @@ class Iso(Dialect):
             # If TCP control is switched before the first move, its initial state does not matter; else the first move has it.
             tcp=reading.moves[0].tcp,
             expand_cycles=True,
+            code=line_code(len(program.texts)),
         )
         moves = MoveColumns.of(axes.names, reading.moves)
         entries = [by_line.get(move.line, {}).get(0) for move in reading.moves]

@@ -31,7 +31,7 @@ _FOLLOWS: Final = {
 }
 """Kinds of character that may follow each kind in a simple line."""
 _NUMBER, _CODE, _FEED = -3, -2, -1
-_NOTE: Final = re.compile(rb"[ \t]*+(?:%[^\r\n]*+|(?:[Nn]\d++[ \t]*+)?+(?:;[^\r\n]*+|\([^()\r\n]*+\)[ \t]*+))[\r\n]*+")
+NOTE: Final = re.compile(rb"[ \t]*+(?:%[^\r\n]*+|(?:[Nn]\d++[ \t]*+)?+(?:;[^\r\n]*+|\([^()\r\n]*+\)[ \t]*+))[\r\n]*+")
 """Comment lines without anything else, among the lines for which `twin.nc.iso.interpreter.Interpreter.step` returns None."""
 _MINUS, _PLUS, _ZERO, _SPACE = b"-+0 "
 
@@ -98,7 +98,7 @@ class Scan:
 
 
 @lru_cache(maxsize=16)
-def _tables(names: tuple[str, ...]) -> tuple[bytes, np.ndarray, np.ndarray, bytes]:
+def tables(names: tuple[str, ...]) -> tuple[bytes, np.ndarray, np.ndarray, bytes]:
     """Return tables by character (kind, rank among the words of a line, axis), and whether each pair of kinds is forbidden."""
     kind, rank, axis = bytearray(256), np.zeros(256, dtype=np.int8), np.full(256, _FEED, dtype=np.int8)
     for characters, which in (
@@ -131,7 +131,7 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
         names: axis names.
     """
     text = np.frombuffer(data, dtype=np.uint8)
-    kind_of, rank_of, axis_of, bad_pair = _tables(names)
+    kind_of, rank_of, axis_of, bad_pair = tables(names)
     end = line_ends(text, data) + 1
     if len(data) and (not end.size or end[-1] < len(data)):
         end = np.append(end, len(data))
@@ -157,7 +157,7 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
     stops = np.flatnonzero(numeric[:-1] > numeric[1:]) + 1
     per_line = np.diff(np.searchsorted(letters, end), prepend=0)
     blank = simple & (per_line == 0)
-    blank[[i for i in np.flatnonzero(~simple).tolist() if _NOTE.fullmatch(data, start[i], end[i])]] = True
+    blank[[i for i in np.flatnonzero(~simple).tolist() if NOTE.fullmatch(data, start[i], end[i])]] = True
     line = np.repeat(np.arange(lines), per_line)
     char = text[letters]
     rank, axis = rank_of.take(char), axis_of.take(char)

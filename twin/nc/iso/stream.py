@@ -13,9 +13,10 @@ import numpy as np
 
 from twin.nc.blocks import AxisWords, FrameChange, LostPositions, Move, Notice, Program, Rewrite
 from twin.nc.columns import MoveBuilder, MoveColumns
-from twin.nc.iso.bulk import LARGEST_STEPS, Formatting, Grids, NewPositions, rewritten_lines
+from twin.nc.iso.bulk import LARGEST_STEPS, Formatting, Grids, NewPositions
+from twin.nc.iso.compiled import ARRAYS, LineCode, line_code
 from twin.nc.iso.interpreter import IsoInterpreter
-from twin.nc.iso.scan import MOST_DIGITS, Scan, scan
+from twin.nc.iso.scan import MOST_DIGITS, Scan
 from twin.nc.iso.writer import IsoWriter
 from twin.nc.text import BLANK, MM_PER_INCH, Style
 from twin.nc.writer import Segments
@@ -36,14 +37,15 @@ class Chunk:
         data: their bytes.
         first: 0-based index of the first line in the program.
         names: axis names.
+        code: how simple lines are read.
 
     Attributes:
         scan: its simple lines.
         first: as given.
     """
 
-    def __init__(self, data: bytes, first: int, names: tuple[str, ...]) -> None:
-        self.scan = scan(data, names)
+    def __init__(self, data: bytes, first: int, names: tuple[str, ...], code: LineCode = ARRAYS) -> None:
+        self.scan = code.scan(data, names)
         self.first = first
 
     def __len__(self) -> int:
@@ -78,9 +80,10 @@ def runs(bulk: np.ndarray, blank: np.ndarray) -> Iterator[tuple[int, int, bool]]
 
 def chunks(program: Program, names: tuple[str, ...]) -> Iterator[Chunk]:
     """Yield a program in memory in chunks, with `DELETED_LINE` in place of empty texts."""
+    code = line_code(len(program.texts))
     for first in range(0, len(program.texts), CHUNK_LINES):
         text = "".join(one or DELETED_LINE for one in program.texts[first : first + CHUNK_LINES])
-        yield Chunk(text.encode("latin-1"), first, names)
+        yield Chunk(text.encode("latin-1"), first, names, code)
 
 
 @final
@@ -185,11 +188,21 @@ class IsoRewriter:
         style: its number format (`twin.nc.text.style_in`).
         tcp: whether tool centre point control is on at the first move.
         expand_cycles: whether drilling cycles are expanded into blocks.
+        code: how simple lines are written.
     """
 
     def __init__(
-        self, source: str, axes: AxisWords, newline: str, style: Style, *, tcp: bool, expand_cycles: bool = False
+        self,
+        source: str,
+        axes: AxisWords,
+        newline: str,
+        style: Style,
+        *,
+        tcp: bool,
+        expand_cycles: bool = False,
+        code: LineCode = ARRAYS,
     ) -> None:
+        self._code = code
         self._interpreter = IsoInterpreter(source, axes, tcp=tcp)
         self._writer = IsoWriter(source, axes, newline, style, expand_cycles=expand_cycles)
         self._grids = Grids(axes.names, [axes.increment[name] for name in axes.names])
@@ -259,7 +272,7 @@ class IsoRewriter:
             return None
         which = move_of[lines]
         formatting = Formatting(writer.style, writer.spaced, writer.lower)
-        text, formatting = rewritten_lines(
+        text, formatting = self._code.rewritten_lines(
             scan,
             slice(int(scan.start[begin]), int(scan.end[end - 1])),
             lines,
