@@ -167,7 +167,7 @@ class _Compiled:
 @final
 @dataclass(frozen=True)
 class LineCode:
-    """How simple lines are read and written: with arrays, or the same in compiled code.
+    """Reader and writer of simple lines: with arrays, or the same in compiled code.
 
     Attributes:
         scan: `twin.nc.iso.scan.scan`.
