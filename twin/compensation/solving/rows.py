@@ -68,9 +68,19 @@ class Rows:
 
     def replaced(self, legs: np.ndarray, new: Rows) -> Rows:
         """Return the rows with those of some legs replaced, still in order."""
-        keep = ~np.isin(self.leg, legs)
-        order = np.argsort(np.concatenate([self.leg[keep], new.leg]), kind="stable")
-        return _of_each(lambda mine, others: np.concatenate([mine[keep], others])[order], self, new)
+        kept = np.flatnonzero(~np.isin(self.leg, legs))
+        if not kept.size:
+            return new
+        order = np.argsort(np.concatenate([self.leg[kept], new.leg]), kind="stable")
+        place = np.flatnonzero(order >= len(kept))
+        source = kept.take(order, mode="clip")
+
+        def merged(mine: np.ndarray, others: np.ndarray) -> np.ndarray:
+            found = mine.take(source, axis=0)
+            found[place] = others[order[place] - len(kept)]
+            return found
+
+        return _of_each(merged, self, new)
 
     def distinct(self) -> Rows:
         """Return the rows without inserted moves that, as printed, equal the position before or after."""
