@@ -75,8 +75,13 @@ def map_row_chunks(rows: int, work: Callable[[slice], Part]) -> list[Part]:
     parts = [slice(start, min(start + PORTION, rows)) for start in range(0, rows, PORTION)]
     if len(parts) <= 1:
         return [work(part) for part in parts]
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, len(parts))) as pool:
-        return list(pool.map(work, parts))
+    return list(_pool(os.getpid()).map(work, parts))
+
+
+@cache
+def _pool(process: int) -> ThreadPoolExecutor:
+    """Return the threads of a process, which are started once: starting them for every call takes longer than many a call."""
+    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix=f"rows-{process}")
 
 
 def solver_description() -> str:
