@@ -137,6 +137,11 @@ def test_any_text_survives(text: str) -> None:
     translator(Language.de).page(f"<p>{escape(text)}</p>")
 
 
+def test_effects_on_the_first_page_are_german(reports: list[MachineReport]) -> None:
+    front, _, _ = machine_html(reports[1], language=Language.de).partition("<h1 class=appendix")
+    assert "Wärmedehnung des Maßstabs Z" in front and "Thermal expansion" not in front
+
+
 def test_the_3d_field_is_german(reports: list[MachineReport]) -> None:
     page = machine_html(reports[0], language=Language.de)
     assert "Abweichung in µm · Pfeile × " in page

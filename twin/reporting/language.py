@@ -47,18 +47,22 @@ class Wording:
             text = DECIMAL_POINT.sub(",", text)
         return text.replace(UNKNOWN, self.texts["unknown"])
 
+    def knows(self, name: str) -> bool:
+        """Return whether an error has words in this language (`error`)."""
+        return name.startswith("E_") or f"item_{name}" in self.texts
+
     def error(self, name: str, machine: Machine, to: str = "") -> str:
         """Return an error in words.
 
         Args:
-            name: ISO 230-1 name, or ``tool`` or ``tool_after``; names of other effects have English words only.
+            name: ISO 230-1 name, ``tool`` or ``tool_after``, or another effect, whose words are English.
             machine: the machine it belongs to.
             to: for a squareness, the reference axis; empty if unknown.
         """
+        if not self.knows(name):
+            return named(name, machine)
         if f"item_{name}" in self.texts:
             return self(f"item_{name}")
-        if not name.startswith("E_"):
-            return named(name, machine)
         component, _, axis = split_name(name)
         kind = motion_kind(name, machine)
         key = "square_about" if kind == "square" and not to else kind

@@ -71,14 +71,20 @@ def machine_html(report: MachineReport, front: FrontPage | None = None, language
     def stops_of(name: str) -> tuple[PositionEstimates, ...]:
         return tuple(stop for one in report.comparisons for stop in one.stops.get(name, ()))
 
-    to = None if language is Language.en else translator(language)
+    to, own = None if language is Language.en else translator(language), wording(language)
+
+    def error_of(name: str, reference: str = "") -> str:
+        words = own.error(name, report.machine, reference)
+        return words if to is None or own.knows(name) else to.text(words)
+
     page = render(
         "reporting/templates/report.html.j2",
         title=f"{report.machine.name}: report of the machine",
         report=report,
         front=front_page(report) if front is None else front,
         lang=language.value,
-        t=wording(language),
+        t=own,
+        error_of=error_of,
         symbols=SYMBOLS,
         to_of={one.name: one.to for one in report.constants},
         over=_over(report),
