@@ -54,13 +54,14 @@ class Sample:
             points: the points.
             keep: (n,) which of them are valid.
         """
-        place = np.mod((first + points.motion) * GOLDEN, 1.0)
-        which = np.flatnonzero((place < self._share) & keep)
+        # By motion, of which every one has many points.
+        place = np.mod((first + np.arange(points.motion.max(initial=-1) + 1)) * GOLDEN, 1.0)
+        which = np.flatnonzero((place < self._share)[points.motion] & keep)
         poses = []
         for commands, sides in ((points.nominal, points.nominal_sides), (points.written, points.written_sides)):
             written = commands.as_array(which)
             poses += [written, np.zeros(written.shape) if sides is None else sides[which]]
-        self._take((place[which], *poses))
+        self._take((place[points.motion[which]], *poses))
         while (
             self._count > CLASS_POSES
             and self._share > LEAST_SHARE
