@@ -132,6 +132,14 @@ def register_input(path: Path) -> None:
         tracker.add_input(path)
 
 
+def names_beside(path: Path) -> list[str]:
+    """Return the names of the files in the same folder; empty if there is no such folder."""
+    try:
+        return [file.name for file in path.parent.iterdir() if file.is_file()]
+    except OSError:
+        return []
+
+
 def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
     """Return the content of a file.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from twin._common.errors import InputError, closest_name
 from twin._common.file_kinds import other_kind
-from twin._common.files import read_bytes, register_input
+from twin._common.files import names_beside, read_bytes, register_input
 from twin.nc.apt.dialect import Apt
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
@@ -62,16 +62,8 @@ def find_program(path: str | Path) -> Path:
         "no such program",
         expected=f"a file, or a program that comes with twin: {' '.join(names)}",
         file=path,
-        nearest=closest_name(path.name, [*names, *_beside(path)]),
+        nearest=closest_name(path.name, [*names, *names_beside(path)]),
     )
-
-
-def _beside(path: Path) -> list[str]:
-    """Return the names of the files in the same folder; empty if there is no such folder."""
-    try:
-        return [file.name for file in path.parent.iterdir() if file.is_file()]
-    except OSError:
-        return []
 
 
 def dialect_of(path: Path) -> Dialect:

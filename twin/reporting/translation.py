@@ -1,6 +1,6 @@
 """Translate the sentences of a rendered page and of its pictures with a catalogue: `wording/<language>_sentences.yaml`.
 
-The catalogue maps an English sentence to its translation. Numbers in braces stand for any text, which is translated in turn. A sentence
+The catalogue maps an English sentence to its translation; names in braces stand for text that is translated in turn. A sentence
 without translation stays English, is marked as English for screen readers, and is counted; nothing is translated in part.
 """
 
@@ -49,7 +49,7 @@ class SentencePattern:
 
     Attributes:
         english: expression that matches the English sentence.
-        text: translation with numbered places.
+        text: translation with named places.
         fixed: length of the English text without its places; longer ones are tried first.
     """
 
@@ -145,7 +145,7 @@ class Translator:
         marked = text
         for i, code in enumerate(codes):
             marked = marked.replace(code, chr(PRIVATE + i), 1)
-        found = self._translated(" ".join(marked.split(" ")))
+        found = self._translated(marked)
         if found is not None:
             for i, code in enumerate(codes):
                 found = found.replace(chr(PRIVATE + i), code)

@@ -22,7 +22,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from twin._common.defaults import bundled_folder
 from twin._common.errors import InputError, closest_name
-from twin._common.files import check_writable, read_bytes, tracked_files, write_json
+from twin._common.files import check_writable, names_beside, read_bytes, tracked_files, write_json
 from twin.cli.shared.installation import NOT_ALL_MET
 from twin.cli.shared.lists import ListingCommand
 from twin.cli.shared.terminal import echo, is_silenced, print_error, silenced
@@ -213,9 +213,8 @@ def _refuse_missing(path: Path, *, program: bool) -> None:
         from twin.nc import find_program
 
         find_program(path)
-    bundled = [] if path.parent != Path() else [*PLANS[0].parent.iterdir(), *bundled_folder().iterdir()]
-    beside = path.parent.iterdir() if path.parent.is_dir() else ()
-    names = [file.name for file in (*beside, *bundled) if file.suffix == path.suffix]
+    bundled = [] if path.parent != Path() else [*names_beside(PLANS[0]), *names_beside(bundled_folder() / path)]
+    names = [name for name in (*names_beside(path), *bundled) if Path(name).suffix == path.suffix]
     try:
         read_bytes(path)
     except InputError as error:

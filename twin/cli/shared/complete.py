@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from twin._common.defaults import DEFAULT, bundled_folder
+from twin.cli.shared.lists import names_of
 from twin.samples import PLANS
 
 if TYPE_CHECKING:
@@ -23,30 +24,22 @@ Completer = Callable[[str], list[str]]
 
 def classes(incomplete: str) -> list[str]:
     """Complete a class of ISO/TR 16907."""
-    from twin.machine.classes import NAMES
-
-    return _starting_with(incomplete.upper(), NAMES)
+    return _starting_with(incomplete.upper(), names_of("classes"))
 
 
 def instruments(incomplete: str) -> list[str]:
     """Complete the name of an instrument."""
-    from twin.measurement.instruments import INSTRUMENTS
-
-    return _starting_with(incomplete, [one.name for one in INSTRUMENTS])
+    return _starting_with(incomplete, names_of("instruments"))
 
 
 def drifts(incomplete: str) -> list[str]:
     """Complete the name of a drift test."""
-    from twin.planning.drift import DRIFTS
-
-    return _starting_with(incomplete, [one.name for one in DRIFTS])
+    return _starting_with(incomplete, names_of("drifts"))
 
 
 def sequences(incomplete: str) -> list[str]:
     """Complete the name of a measuring sequence."""
-    from twin.planning.sequences import SEQUENCES
-
-    return _starting_with(incomplete, [one.name for one in SEQUENCES])
+    return _starting_with(incomplete, names_of("sequences"))
 
 
 def errors(ctx: Any, incomplete: str) -> list[str]:

@@ -5,73 +5,47 @@ The modules with the names are imported only when a help text is printed, or whe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from importlib import import_module
 from types import MappingProxyType
 from typing import Any, Final, final
 
 import typer
 from typer.core import TyperCommand
 
-
-def _classes() -> list[str]:
-    from twin.machine.classes import NAMES
-
-    return list(NAMES)
-
-
-def _instruments() -> list[str]:
-    from twin.measurement.instruments import INSTRUMENTS
-
-    return _names(INSTRUMENTS)
-
-
-def _relative_instruments() -> list[str]:
-    from twin.planning.sequences import SET_UPS
-
-    return list(SET_UPS)
-
-
-def _sequences() -> list[str]:
-    from twin.planning.sequences import SEQUENCES
-
-    return _names(SEQUENCES)
+_REGISTRIES: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
+    {
+        "classes": ("twin.machine.classes", "NAMES"),
+        "instruments": ("twin.measurement.instruments", "INSTRUMENTS"),
+        "relative_instruments": ("twin.planning.sequences", "SET_UPS"),
+        "sequences": ("twin.planning.sequences", "SEQUENCES"),
+        "drifts": ("twin.planning.drift", "DRIFTS"),
+        "drift_instruments": ("twin.planning.drift", "INSTRUMENTS"),
+        "measured_formats": ("twin.measurement.formats", "FORMATS"),
+        "table_formats": ("twin.machine.control", "FORMATS"),
+        "kinematics_formats": ("twin.machine.control.kinematics", "KINEMATICS"),
+    }
+)
+"""Module and registry of names, or of things that have one."""
+USUAL_TOLERANCE_UM: Final = 1.0
+"""Default tolerance of most formats of tables."""
 
 
-def _drifts() -> list[str]:
-    from twin.planning.drift import DRIFTS
-
-    return _names(DRIFTS)
-
-
-def _drift_instruments() -> list[str]:
-    from twin.planning.drift import INSTRUMENTS
-
-    return list(INSTRUMENTS)
+def _registered(which: str) -> list[str]:
+    module, registry = _REGISTRIES[which]
+    return [getattr(one, "name", one) for one in getattr(import_module(module), registry)]
 
 
-def _measured_formats() -> list[str]:
-    from twin.measurement.formats import FORMATS
-
-    return _names(FORMATS)
-
-
-def _table_formats() -> list[str]:
-    from twin.machine.control import FORMATS
-
-    return _names(FORMATS)
-
-
-def _kinematics_formats() -> list[str]:
-    from twin.machine.control.kinematics import KINEMATICS
-
-    return _names(KINEMATICS)
+def _control_formats() -> list[str]:
+    return [*_registered("table_formats"), *_registered("kinematics_formats")]
 
 
 def _other_tolerances() -> list[str]:
     from twin.machine.control import FORMATS
 
-    usual_um = 1.0
-    return ["", *(f"{one.name} {one.tolerance_um * 1e-3:g}" for one in FORMATS if one.tolerance_um != usual_um)]
+    others = (one for one in FORMATS if one.tolerance_um != USUAL_TOLERANCE_UM)
+    return ["", *(f"{one.name} {one.tolerance_um * 1e-3:g}" for one in others)]
 
 
 def _table_counts() -> list[str]:
@@ -83,21 +57,13 @@ def _table_counts() -> list[str]:
 def _product_formats() -> list[str]:
     from twin.machine.control import FORMATS
 
-    return _names(one for one in FORMATS if one.products)
+    return [one.name for one in FORMATS if one.products]
 
 
 LISTS: Final[Mapping[str, Callable[[], list[str]]]] = MappingProxyType(
-    {
-        "classes": _classes,
-        "instruments": _instruments,
-        "relative_instruments": _relative_instruments,
-        "sequences": _sequences,
-        "drifts": _drifts,
-        "drift_instruments": _drift_instruments,
-        "measured_formats": _measured_formats,
-        "table_formats": _table_formats,
-        "kinematics_formats": _kinematics_formats,
-        "control_formats": lambda: [*_table_formats(), *_kinematics_formats()],
+    {which: partial(_registered, which) for which in _REGISTRIES}
+    | {
+        "control_formats": _control_formats,
         "other_tolerances": _other_tolerances,
         "table_counts": _table_counts,
         "product_formats": _product_formats,
@@ -142,7 +108,3 @@ class ListingCommand(TyperCommand):
                     if text and f"{{{which}}}" in text:
                         setattr(option, attribute, text.replace(f"{{{which}}}", joint.join(names_of(which))))
         super().format_help(ctx, formatter)
-
-
-def _names(registered: Iterable[Any]) -> list[str]:
-    return [one.name for one in registered]

@@ -55,7 +55,7 @@ _MAYBE_NOTE: Final = 2
 
 
 class _Job(ctypes.Structure):
-    """`Scanned` of scan.cpp, field by field."""
+    """`Scanned` of lines.cpp, field by field."""
 
     _fields_ = (
         ("size", ctypes.c_int64),
@@ -211,13 +211,12 @@ def _agrees(compiled: _Compiled) -> bool:
     """Return whether a sample is read and written as by the arrays."""
     names = ("X", "Y", "Z", "B", "C")
     seen = [read(_SAMPLE, names) for read in (scan, compiled.scan)]
-    same = [getattr(one, name).tobytes() for one in seen for name in _LINES]
-    same += [getattr(one.words, name.removeprefix("word_")).tobytes() for one in seen for name in _WORDS]
-    half = len(_LINES)
-    if (
-        same[:half] != same[half : 2 * half]
-        or same[2 * half : 2 * half + len(_WORDS)] != same[2 * half + len(_WORDS) :]
-    ):
+    columns = [
+        [getattr(one, name).tobytes() for name in _LINES]
+        + [getattr(one.words, name.removeprefix("word_")).tobytes() for name in _WORDS]
+        for one in seen
+    ]
+    if columns[0] != columns[1]:
         return False
     lines, grids = np.flatnonzero(seen[0].simple), Grids(names, [0.001] * len(names))
     targets = np.cumsum(np.full((2 * len(lines), len(names)), 0.4371), axis=0) - 1.5
