@@ -15,7 +15,6 @@ from twin.kinematics.forward import Kinematics, angle_between_rad
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Reversal
 from twin.machine.machine import Machine
-from twin.numerics.spatial import tilt
 
 LENGTH = 60.0
 LIMITS = np.array([[50.0, 450.0], [50.0, 400.0], [-350.0, -50.0], [10.0, 80.0], [10.0, 300.0]])
@@ -24,10 +23,11 @@ ROUNDING_MM, ROUNDING_RAD = 1e-11, 1e-14
 
 
 def lines(n: int, seed: int) -> Commands:
-    """Return points on a hundred lines."""
+    """Return points on a hundred lines: n together."""
     rng = np.random.default_rng(seed)
     begin = rng.uniform(LIMITS[:, 0], LIMITS[:, 1], (100, 5))
-    return Commands(begin, rng.normal(size=(100, 5)), np.sort(rng.integers(0, 100, n)), rng.uniform(0.0, 1.0, n))
+    points = np.random.default_rng(n).multinomial(n, np.full(100, 0.01))  # the same for all seeds
+    return Commands(begin, rng.normal(size=(100, 5)), points)
 
 
 @pytest.mark.parametrize(
@@ -44,25 +44,35 @@ def test_poses_compared_with_nominal_ones(
     nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=LENGTH)
     comparison = PoseComparison(real, nominal)
     meant, given = lines(n, 5), lines(n, 6)
-    found = comparison.poses(meant, given)
-    reached, target = real.forward(given.as_array()), nominal.forward(meant.as_array())
+    q, written = meant.as_array(), given.as_array()
+    found = comparison.poses(q, written)
+    reached, target = real.forward(written), nominal.forward(q)
     distance = np.linalg.norm(reached.point_mm - target.point_mm, axis=1)
+    angle = angle_between_rad(reached.axis, target.axis)
     assert np.abs(found.distance_mm - distance).max() <= ROUNDING_MM
-    assert np.abs(found.angle_rad - angle_between_rad(reached.axis, target.axis)).max() <= ROUNDING_RAD
-    leaning = np.einsum("nij,ni->nj", target.rotation, reached.axis)
-    assert np.abs(found.axis_in_nominal_frame - leaning).max() <= ROUNDING_RAD
+    assert np.abs(found.angle_rad - angle).max() <= ROUNDING_RAD
     assert found.known.all()
-    assert np.abs(comparison.distance_mm(meant, given) - distance).max() <= ROUNDING_MM
-    # The same as arrays; with nominal commands as input, the deviation is that of the errors alone.
-    plain = comparison.poses(Commands(meant.as_array()), Commands(given.as_array()))
-    assert np.abs(plain.distance_mm - distance).max() <= ROUNDING_MM
-    errors = comparison.poses(given, given)
-    small = real.forward(given.as_array())
-    truth = nominal.forward(given.as_array())
-    assert np.abs(np.linalg.norm(small.point_mm - truth.point_mm, axis=1) - errors.distance_mm).max() <= ROUNDING_MM
-    assert tilt(errors.axis_in_nominal_frame) == pytest.approx(small.tilt_urad(truth) * 1e-6, abs=ROUNDING_RAD)
+    worst = np.zeros(100)
+    line = np.repeat(np.arange(100), meant.counts)
+    np.maximum.at(worst, line, distance)
+    assert np.abs(comparison.distance_mm(meant, given) - worst).max() <= ROUNDING_MM
+    # Totals, with nominal commands and with written ones, of distance, angle and tilts.
+    at_nominal = real.forward(q)
+    for totals, poses in zip(comparison.totals(meant, given, None, None), (at_nominal, reached), strict=True):
+        apart = np.linalg.norm(poses.point_mm - target.point_mm, axis=1) * 1e3
+        turned = angle_between_rad(poses.axis, target.axis) * 1e6
+        x, y, z = np.einsum("nij,ni->jn", target.rotation, poses.axis)
+        size = np.stack([apart, turned, *(np.abs(np.arctan2([-y, x], z)) * 1e6)])
+        assert totals.count == n and totals.squares == pytest.approx((size**2).sum(axis=1), rel=1e-9)
+        at = size.argmax(axis=1)
+        assert totals.largest == pytest.approx(size[:, at].T, abs=ROUNDING_RAD * 1e6)
+        assert totals.line.tolist() == line[at].tolist()
+    # The same as single points, and for some of the lines.
+    single = comparison.distance_mm(Commands(q), Commands(written))
+    assert np.abs(single - distance).max() <= ROUNDING_MM
     which = np.array([3, 1, 40])
-    assert np.array_equal(given.as_array(which), given.as_array()[which])
+    expected = np.concatenate([written[line == i] for i in which])
+    assert np.array_equal(given.of(which).as_array(), expected)
 
 
 def test_unknown_poses(dmu50: Machine, calibration: Calibration) -> None:
@@ -72,12 +82,12 @@ def test_unknown_poses(dmu50: Machine, calibration: Calibration) -> None:
     q = np.tile(LIMITS.mean(axis=1), (7, 1))
     q[1, 2], q[2, 0], q[3, 0], q[4, 0], q[5, 0] = np.nan, upper + 1e-10, upper + 1e-8, lower - 1e-8, np.inf
     known = [True, False, True, False, False, False, True]
-    assert comparison.poses(Commands(q), Commands(q)).known.tolist() == known
+    assert comparison.poses(q, q).known.tolist() == known
     # Nominal commands belong to the machine without errors, which has no curves.
-    assert comparison.poses(Commands(q), Commands(q[:1].repeat(7, axis=0))).known.tolist() == [
+    assert comparison.poses(q, q[:1].repeat(7, axis=0)).known.tolist() == [
         True, False, True, True, True, False, True,
     ]  # fmt: skip
-    assert comparison.poses(Commands(q), Commands(q)).where(np.array(known)).known.all()
+    assert [one.count for one in comparison.totals(Commands(q), Commands(q), None, None)] == [3, 3]
 
 
 def test_sides_of_a_reversal(dmu50: Machine) -> None:

@@ -21,7 +21,7 @@ import pytest
 from tests.kinematics.test_kinematics import random_commands
 from tests.machine.errors import random_calibration
 from twin.compute import batch
-from twin.compute.native import TableRows, compiler, loading, solver, solver_description, store
+from twin.compute.native import compiler, loading, solver, solver_description, store
 from twin.compute.native.compiler import Compiler, CompilerError
 from twin.compute.native.problem import BatchOutcome
 from twin.compute.native.tape import Tape, UnknownOperationError
@@ -260,6 +260,25 @@ def test_sine_and_cosine(cache: Path) -> None:
     assert np.all(np.isnan(s[~there])) and np.all(np.isnan(c[~there]))
 
 
+@compiled
+def test_arcsine_and_arctangent(cache: Path) -> None:
+    """Compare with the C library's, over small and large arguments: within two roundings."""
+    tool = compiler.find_compiler()
+    assert tool is not None
+    source = (Path(solver.__file__).parent / "simd.hpp").read_text() + (
+        'extern "C" void run(long n, const double *x, const double *y, double *s, double *t) {'
+        "for (long i = 0; i < n; i += W) { V a, b; __builtin_memcpy(&a, x + i, sizeof a); __builtin_memcpy(&b, y + i, sizeof b);"
+        "V u = vasin(a), v = vatan2(a, b); __builtin_memcpy(s + i, &u, sizeof u); __builtin_memcpy(t + i, &v, sizeof v); } }"
+    )
+    rng = np.random.default_rng(36)
+    x = np.concatenate([rng.uniform(-r, r, 4000) for r in (1e-300, 1e-9, 1e-3, 6e-3, 2e-2, 1.0)] + [[0.0, -0.0] * 4])
+    y = rng.normal(size=x.shape)
+    s, t = np.empty_like(x), np.empty_like(x)
+    store.library(source, tool).run(ctypes.c_long(len(x)), *(ctypes.c_void_p(a.ctypes.data) for a in (x, y, s, t)))
+    assert np.all(np.abs(s - np.arcsin(x)) <= 4.5e-16 * np.abs(np.arcsin(x)))
+    assert np.all(np.abs(t - np.arctan2(x, y)) <= 4.5e-16 * np.abs(np.arctan2(x, y)))
+
+
 def test_a_tape_is_its_function() -> None:
     """Compare with CasADi: all operations, conditions with not-a-number in the unused branch, multiples of an angle."""
     x = ca.SX.sym("x", 4)
@@ -270,6 +289,7 @@ def test_a_tape_is_its_function() -> None:
         *(ca.sin(k * x[3]) * ca.cos((k + 1) * x[3]) for k in range(1, 8)),
         ca.cos((x[3] * (180.0 / math.pi)) * (math.pi / 180.0)),
         ca.if_else(x[1] <= x[2], x[1], x[2]),
+        ca.asin(ca.fmin(ca.fabs(x[0]) / 4.0, 1.0)) + ca.atan2(x[1], x[2]),
         ca.jacobian(ca.fmax(0.0, x[0] - 0.2) * x[1] + ca.fmin(x[2], 0.1), x).T,
         x[0] < x[1],
     ]
@@ -303,28 +323,6 @@ def test_very_many_rows(dmu50: Machine, calibration: Calibration, monkeypatch: p
     # Metres and cosines of at most one, some hundred successive roundings.
     assert np.nanmax(np.abs(found[0] - is_logical)) <= 1e-14
     assert np.nanmax(np.abs(found[1] - np.delete(is_logical, [11, 13], axis=0))) <= 1e-14
-
-
-@pytest.mark.parametrize(
-    "rows, switch", [(3, "0"), (1000, "0"), (batch.MANY, "0"), pytest.param(loading.PORTION + 9, "1", marks=compiled)]
-)
-@pytest.mark.usefixtures("eager")
-def test_rows_taken_from_a_table(rows: int, switch: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows of a table give the same bits as expanded rows, beside other rows and one value for all."""
-    monkeypatch.setenv(loading.SWITCH_VARIABLE, switch)
-    x, y, z = ca.SX.sym("x", 3), ca.SX.sym("y", 2), ca.SX.sym("z")
-    function = batch.BatchFunction(ca.Function("f", [x, y, z], [ca.sin(x) * z, x[0] * y + x[1]]))
-    rng = np.random.default_rng(35)
-    taken = TableRows(rng.normal(size=(70, 6))[:, ::2], rng.integers(0, 70, rows).astype(np.int32))
-    own, shared = rng.normal(size=(rows, 2)), np.array([1.7])
-    found, is_logical = function(taken, own, shared), function(taken.written(), own, shared)
-    assert (function._row_function._library is not None) == (switch == "1")
-    assert all(np.array_equal(a, b) for a, b in zip(found, is_logical, strict=True))
-    table = taken.table.copy()
-    table[5, 1] = 3e5  # an angle too large for the C++
-    far = TableRows(table, taken.line)
-    found, is_logical = function(far, own, shared), function(far.written(), own, shared)
-    assert found[0] == pytest.approx(is_logical[0], abs=1e-15) and found[1] == pytest.approx(is_logical[1], rel=1e-15)
 
 
 def test_a_function_with_an_operation_not_known_here() -> None:

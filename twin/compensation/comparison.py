@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, final
@@ -10,45 +9,56 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from twin._common.units import MM
+from twin._common.units import MM, UM, URAD
+from twin.compute.along import AlongFunction, fractions
 from twin.compute.batch import BatchFunction
-from twin.compute.native import TableRows
+from twin.compute.native import Totals
 from twin.kinematics.forward import Kinematics
 
 SLACK: Final = 1e-9
 """Distance (mm, degrees) beyond a curve's domain that is rounding, as in `twin.machine.calibration.Calibration.outside`."""
+HALF: Final = np.full(1, 0.5)
+"""The fraction of a line without displacement: any."""
+QUANTITIES: Final = 4
+"""Quantities of a pose whose totals are kept: distance (µm), angle between the tool axes and its tilts (µrad)."""
 
 
 @final
 @dataclass(frozen=True)
 class Commands:
-    """(n, axes) commands, mm and degrees, either as an array or as points ``begin + share · way`` on straight lines.
+    """Commands, mm and degrees, at points on straight lines; or one point for each line, its begin.
 
     Attributes:
-        begin: (lines, axes) start of each line; the points themselves if the other attributes are None.
-        way: (lines, axes) displacement along each line.
-        line: (n,) line of each point.
-        share: (n,) fraction of that line.
+        begin: (lines, axes) start of each line.
+        way: (lines, axes) displacement along each line; None for single points.
+        points: (lines,) number of points, at fractions (k + ½)/n of the line; None for single points.
     """
 
     begin: np.ndarray
     way: np.ndarray | None = None
-    line: np.ndarray | None = None
-    share: np.ndarray | None = None
-
-    def as_array(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Return the commands as an (n, axes) array; ``which``: a selection of them."""
-        if self.way is None or self.line is None or self.share is None:
-            return np.asarray(self.begin[which])
-        line = self.line[which]
-        return np.asarray(self.begin[line] + self.share[which][:, None] * self.way[line])
+    points: np.ndarray | None = None
 
     @property
-    def inputs(self) -> tuple[np.ndarray | TableRows, ...]:
-        """Begin, displacement and fraction of every point."""
-        if self.way is None or self.line is None or self.share is None:
-            return self.begin, np.zeros(self.begin.shape[1]), np.zeros(1)
-        return TableRows(self.begin, self.line), TableRows(self.way, self.line), self.share[:, None]
+    def counts(self) -> np.ndarray:
+        """(lines,) number of points of each line."""
+        return np.ones(len(self.begin), dtype=int) if self.points is None else self.points
+
+    def of(self, lines: np.ndarray) -> Commands:
+        """Return the points of some lines: indices or (lines,) booleans."""
+        way, points = (None if array is None else array[lines] for array in (self.way, self.points))
+        return Commands(self.begin[lines], way, points)
+
+    def as_array(self) -> np.ndarray:
+        """Return the commands at all points, (n, axes)."""
+        if self.way is None or self.points is None:
+            return np.asarray(self.begin)
+        line = np.repeat(np.arange(len(self.begin)), self.points)
+        return np.asarray(self.begin[line] + fractions(self.points)[:, None] * self.way[line])
+
+    @property
+    def inputs(self) -> tuple[np.ndarray, np.ndarray]:
+        """Begin and displacement."""
+        return self.begin, np.zeros(self.begin.shape[1]) if self.way is None else self.way
 
 
 @final
@@ -59,20 +69,12 @@ class ComparedPoses:
     Attributes:
         distance_mm: (n,) distance between the functional points.
         angle_rad: (n,) angle between the tool axes.
-        axis_in_nominal_frame: (n, 3) tool axis in the nominal tool frame, the argument of `twin.numerics.spatial.tilt`.
         known: (n,) whether the commands are finite and within the domains of all curves of the machine.
     """
 
     distance_mm: np.ndarray
     angle_rad: np.ndarray
-    axis_in_nominal_frame: np.ndarray
     known: np.ndarray
-
-    def where(self, keep: np.ndarray) -> ComparedPoses:
-        """Return a selection of the poses."""
-        return ComparedPoses(
-            self.distance_mm[keep], self.angle_rad[keep], self.axis_in_nominal_frame[keep], self.known[keep]
-        )
 
 
 @final
@@ -88,57 +90,89 @@ class PoseComparison:
         self._real, self._nominal = real, nominal
 
     def distance_mm(self, nominal: Commands, commanded: Commands, approach: np.ndarray | None = None) -> np.ndarray:
-        """Return (n,) distances between the functional points.
+        """Return (lines,) the largest distance between the functional points on each line; 0 on a line without points.
 
         Args:
-            nominal: n nominal commands, for the machine without errors.
-            commanded: n commands given to the machine with errors.
-            approach: (n, axes) approach directions, as in `Kinematics.directed`.
+            nominal: nominal commands, for the machine without errors.
+            commanded: as many commands given to the machine with errors.
+            approach: (lines, axes) approach directions, as in `Kinematics.directed`.
         """
-        (distance,) = self._distance(*self._inputs(nominal, commanded, approach))
-        return distance[:, 0]
+        return self._distance.largest((*nominal.inputs, *commanded.inputs, *self._sides(approach)), nominal.counts)
 
-    def poses(self, nominal: Commands, commanded: Commands, approach: np.ndarray | None = None) -> ComparedPoses:
-        """Return the deviations in point and orientation; arguments as for `distance_mm`."""
-        distance, axis_gap, axis_in_nominal_frame, beyond = self._poses(*self._inputs(nominal, commanded, approach))
-        known = np.isfinite(distance[:, 0]) & (beyond[:, 0] <= SLACK)
-        angle = 2.0 * np.arcsin(np.minimum(axis_gap[:, 0] / 2.0, 1.0))
-        return ComparedPoses(distance[:, 0], angle, axis_in_nominal_frame, known)
+    def poses(self, nominal: np.ndarray, commanded: np.ndarray, approach: np.ndarray | None = None) -> ComparedPoses:
+        """Return the deviations in point and orientation at (n, axes) nominal and given commands."""
+        still = np.zeros(nominal.shape[1])
+        inputs = (nominal, still, commanded, still, *self._sides(approach), HALF)
+        distance, angle, beyond = (column[:, 0] for column in self._poses(*inputs))
+        return ComparedPoses(distance, angle, np.isfinite(distance) & (beyond <= SLACK))
 
-    def _inputs(
-        self, nominal: Commands, commanded: Commands, approach: np.ndarray | None
-    ) -> Iterator[np.ndarray | TableRows]:
-        yield from nominal.inputs
-        yield from commanded.inputs
-        if self._real.directed:
-            yield np.zeros(len(self._real.machine.axes)) if approach is None else approach
+    def totals(
+        self, nominal: Commands, written: Commands, before: np.ndarray | None, after: np.ndarray | None
+    ) -> tuple[Totals, Totals]:
+        """Return the totals of `QUANTITIES` with nominal and with written commands, where the poses of both are known.
+
+        Args:
+            nominal: nominal commands.
+            written: as many written ones.
+            before: (lines, axes) approach directions with nominal commands.
+            after: the same with written commands.
+        """
+        inputs = (*nominal.inputs, *written.inputs, *self._sides(before), *self._sides(after))
+        both = self._totals.totals(inputs, nominal.counts, SLACK)
+        parts = (slice(0, QUANTITIES), slice(QUANTITIES, None))
+        first, last = (Totals(both.count, both.squares[p], both.largest[p, p], both.line[p]) for p in parts)
+        return first, last
+
+    def _sides(self, approach: np.ndarray | None) -> tuple[np.ndarray, ...]:
+        if not self._real.directed:
+            return ()
+        return (np.zeros(len(self._real.machine.axes)) if approach is None else approach,)
 
     @cached_property
-    def _distance(self) -> BatchFunction:
-        inputs, distance, _, _ = self._expressions
-        return BatchFunction(ca.Function("distance", inputs, [distance]))
+    def _distance(self) -> AlongFunction:
+        inputs, meant, given, share = self._symbols()
+        sides = self._real.symbols()[1:]
+        distance, _, _ = self._compared(meant, given, sides)
+        return AlongFunction(ca.Function("distance", [*inputs, *sides, share], [distance]))
 
     @cached_property
     def _poses(self) -> BatchFunction:
-        inputs, distance, (nominal, real), beyond = self._expressions
-        axis_gap = ca.norm_2(real - nominal[:, 2])
-        return BatchFunction(ca.Function("poses", inputs, [distance, axis_gap, nominal.T @ real, beyond]))
+        inputs, meant, given, share = self._symbols()
+        sides = self._real.symbols()[1:]
+        distance, (angle, *_), beyond = self._compared(meant, given, sides)
+        return BatchFunction(ca.Function("poses", [*inputs, *sides, share], [distance, angle, beyond]))
 
     @cached_property
-    def _expressions(self) -> tuple[list[Any], Any, tuple[Any, Any], Any]:
-        """Expressions: inputs; distance in mm; nominal tool frame and real tool axis; amount by which a domain is exceeded."""
+    def _totals(self) -> AlongFunction:
+        inputs, meant, given, share = self._symbols()
+        sides, outputs, beyond = [], [], []
+        for commands in (meant, given):
+            mine = self._real.symbols()[1:]
+            distance, turned, out = self._compared(meant, commands, mine)
+            sides += mine
+            outputs += [distance * (MM / UM), *(ca.fabs(angle) / URAD for angle in turned)]
+            beyond.append(out)
+        return AlongFunction(ca.Function("totals", [*inputs, *sides, share], [*outputs, ca.fmax(*beyond)]))
+
+    def _symbols(self) -> tuple[list[Any], Any, Any, Any]:
+        """Return begin and displacement of nominal and given commands, these commands, and the fraction."""
+        axes = len(self._real.machine.axes)
+        share = ca.SX.sym("share")
+        lines = [[ca.SX.sym(f"{which}_{part}", axes) for part in ("begin", "way")] for which in ("meant", "given")]
+        meant, given = (begin + share * way for begin, way in lines)
+        return [*lines[0], *lines[1]], meant, given, share
+
+    def _compared(self, meant: Any, given: Any, sides: list[Any]) -> tuple[Any, tuple[Any, ...], Any]:
+        """Return expressions: distance in mm; angle between the tool axes and its two tilts; amount by which a domain is exceeded."""
         machine = self._real.machine
-        inputs, commands = [], []
-        for name in ("meant", "given"):
-            begin, way, share = (ca.SX.sym(name, size) for size in (len(machine.axes), len(machine.axes), 1))
-            inputs += [begin, way, share]
-            commands.append(begin + share * way)
-        sides = self._real.symbols()[1:]
-        nominal, commanded = (command * ca.DM(machine.scale) for command in commands)
+        nominal, commanded = (command * ca.DM(machine.scale) for command in (meant, given))
         frame, target = self._nominal.pose_at(nominal)
         rotation, point = self._real.pose_at(commanded, *sides)
         beyond = ca.SX(-1.0)
-        for q, (lower, upper) in zip(ca.vertsplit(commands[1]), self._real.calibration.domains(), strict=True):
+        for q, (lower, upper) in zip(ca.vertsplit(given), self._real.calibration.domains(), strict=True):
             beyond = beyond if np.isneginf(lower) else ca.fmax(beyond, lower - q)
             beyond = beyond if np.isposinf(upper) else ca.fmax(beyond, q - upper)
-        return [*inputs, *sides], ca.norm_2(point - target) / MM, (frame, rotation[:, 2]), beyond
+        apart = ca.norm_2(rotation[:, 2] - frame[:, 2])
+        leaning = frame.T @ rotation[:, 2]
+        tilts = ca.atan2(-leaning[1], leaning[2]), ca.atan2(leaning[0], leaning[2])
+        return ca.norm_2(point - target) / MM, (2.0 * ca.asin(ca.fmin(apart / 2.0, 1.0)), *tilts), beyond

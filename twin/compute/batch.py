@@ -12,7 +12,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from twin.compute.native import RowFunction, TableRows
+from twin.compute.native import RowFunction
 
 MANY: Final = 4096
 """Number of rows in a call from which `twin.compute.native.rows` is faster than CasADi's own evaluation."""
@@ -29,11 +29,14 @@ class BatchFunction:
     Args:
         function: a CasADi function with dense inputs; each input and output becomes an array of shape (rows, entries), entries
             column-major.
+
+    Attributes:
+        widths_out: number of entries of each output.
     """
 
     def __init__(self, function: ca.Function) -> None:
         self._widths_in = [function.numel_in(i) for i in range(function.n_in())]
-        self._widths_out = [function.numel_out(i) for i in range(function.n_out())]
+        self.widths_out = [function.numel_out(i) for i in range(function.n_out())]
         dense = (
             function if all(function.sparsity_out(i).is_dense() for i in range(function.n_out())) else _dense(function)
         )
@@ -46,24 +49,24 @@ class BatchFunction:
     def _row_function(self) -> RowFunction:
         return RowFunction(self._function)
 
-    def __call__(self, *inputs: np.ndarray | TableRows) -> tuple[np.ndarray, ...]:
+    def __call__(self, *inputs: np.ndarray) -> tuple[np.ndarray, ...]:
         """Evaluate all rows.
 
         Args:
-            inputs: (rows, entries) each, or (entries,) for one value shared by all rows, or rows of a table (`TableRows`).
+            inputs: (rows, entries) each, or (entries,) for one value shared by all rows.
 
         Returns:
             One (rows, entries) array per output.
         """
         rows = max((array.shape[0] for array in inputs if len(array.shape) == 2), default=1)
         arrays = [
-            array if isinstance(array, TableRows) else np.broadcast_to(np.asarray(array, dtype=float), (rows, width))
+            np.broadcast_to(np.asarray(array, dtype=float), (rows, width))
             for array, width in zip(inputs, self._widths_in, strict=True)
         ]
-        outputs = tuple(np.empty((rows, width)) for width in self._widths_out)
+        outputs = tuple(np.empty((rows, width)) for width in self.widths_out)
         if rows >= MANY and self._row_function(arrays, outputs):
             return outputs
-        columns = [array.written() if isinstance(array, TableRows) else np.ascontiguousarray(array) for array in arrays]
+        columns = [np.ascontiguousarray(array) for array in arrays]
         start = 0
         while start < rows:
             left = rows - start

@@ -8,7 +8,6 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import rows_all_true
-from twin._common.units import URAD
 from twin.compensation.account.frames import FrameUse
 from twin.compensation.account.interpolation import interpolated
 from twin.compensation.account.notes import approach_notes, condition_notes, reversal_notes, setup_notes
@@ -18,13 +17,12 @@ from twin.compensation.account.shortfalls import ShortfallTally
 from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections, CorrectionTally
 from twin.compensation.account.uncorrected import uncorrected
-from twin.compensation.comparison import Commands, ComparedPoses
+from twin.compensation.comparison import Commands
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving import Corrected, Pieces
 from twin.compensation.solving.rows import Rows
 from twin.kinematics.forward import angle_between_rad
 from twin.nc.blocks import Notice
-from twin.numerics.spatial import tilt
 from twin.uncertainty.at_tool import ToolUncertainty
 
 ENDS: Final = 16_384
@@ -150,22 +148,23 @@ class CompensationAccount:
         ways = path_errors.ways(corrected.rows, corrected.rows.printed, as_run=True)
         # An idle program is written unchanged, so its arcs stay arcs.
         ends = Commands(rows.nominal), Commands(rows.nominal if pieces.idle else rows.commands)
-        directed = bool(self._prepared.backlash.axes)
+        directed, varying = bool(self._prepared.backlash.axes), bool(pieces.conditions.names)
         if not directed:
+            keep = ~rows.backlash_move
             state = self._state(pieces, rows.motion, rows.fraction)
-            yield SimulatedPoints(rows.motion, *ends, state, state, valid=~rows.backlash_move)
+            yield SimulatedPoints(rows.motion, *ends, state, state).of(np.flatnonzero(keep))
         for portion in [dense] if directed else path_errors.portions(dense):
             samples = path_errors.samples(portion)
-            nominal = path_errors.nominal_commands(samples)
-            written = nominal if pieces.idle else path_errors.written_commands(samples, ways)
-            motion = legs[samples.leg][samples.piece]
+            nominal, written = path_errors.commands(samples, ways, point_by_point=directed or varying)
+            written = nominal if pieces.idle else written
+            motion = legs[samples.leg] if nominal.points is not None else legs[samples.leg][samples.piece]
             if directed:
                 fraction = np.concatenate([rows.fraction, path_errors.fractions(samples)])
                 yield self._with_sides(
                     corrected, ends, (nominal, written), np.concatenate([rows.motion, motion]), fraction
                 )
             else:
-                state = self._state(pieces, motion, path_errors.fractions(samples))
+                state = self._state(pieces, motion, path_errors.fractions(samples)) if varying else None
                 yield SimulatedPoints(motion, nominal, written, state, state)
 
     def _with_sides(
@@ -196,7 +195,7 @@ class CompensationAccount:
             commands.append(Commands(both))
             sides.append(corrected.pieces.conditions.at(side, motion, fraction))
         # A move that only takes up backlash has no nominal position.
-        return SimulatedPoints(motion, commands[0], commands[1], sides[0], sides[1], ~inserted)
+        return SimulatedPoints(motion, commands[0], commands[1], sides[0], sides[1]).of(np.flatnonzero(~inserted))
 
     def _state(self, pieces: Pieces, motion: np.ndarray, fraction: np.ndarray) -> np.ndarray | None:
         """Return (n, axes + channels) the conditions of points where there is no backlash; None if they are the same everywhere."""
@@ -214,17 +213,17 @@ class CompensationAccount:
             first: number of the stretch's first motion within the program.
         """
         comparison = pieces.prepared.comparison
-        before = comparison.poses(points.nominal, points.nominal, points.nominal_sides)
-        after = comparison.poses(points.nominal, points.written, points.written_sides)
-        keep = before.known & after.known
-        if points.valid is not None:
-            keep &= points.valid
-        line_of = lines[points.motion]
-        if not keep.all():
-            before, after, line_of = before.where(keep), after.where(keep), line_of[keep]
-        for tally, found in ((self._before, before), (self._after, after)):
-            _add(tally, found, line_of)
-        self._samples.setdefault(pieces.aim, Sample()).add(first, points, keep)
+        found = comparison.totals(points.nominal, points.written, points.nominal_sides, points.written_sides)
+        for tally, totals in zip((self._before, self._after), found, strict=True):
+            if totals.count:
+                tally.add(totals.largest.T, totals.squares, lines[points.motion[totals.line]], totals.count)
+
+        def known(some: SimulatedPoints) -> np.ndarray:
+            nominal, written = some.nominal.begin, some.written.begin
+            before = comparison.poses(nominal, nominal, some.nominal_sides)
+            return before.known & comparison.poses(nominal, written, some.written_sides).known
+
+        self._samples.setdefault(pieces.aim, Sample()).add(first, points, known)
 
     def _end_point_residuals_um(self, pieces: Pieces, rows: Rows) -> dict[str, np.ndarray]:
         """Return by cause (``rounding``, ``solver``) the (rows,) distance in µm of the tool point from its target at end points."""
@@ -244,18 +243,18 @@ class CompensationAccount:
         """
         aim, prepared = pieces.aim, pieces.prepared
         compensated = np.where(rows.clamped[:, None], rows.commands, rows.exact)  # rounding is reported separately
-        moved = prepared.nominal_comparison.poses(Commands(rows.nominal), Commands(compensated))
+        moved = prepared.nominal_comparison.poses(rows.nominal, compensated)
         keep = ~rows.untouched & ~rows.backlash_move & moved.known
         keep &= rows_all_true(~prepared.real.outside_domain(rows.nominal))
         if not np.any(keep):
             return
         if not keep.all():
-            rows, moved = rows.where(keep), moved.where(keep)
+            rows = rows.where(keep)
         line_of = lines[rows.motion]
         at_point = None
         if not aim.point.calibration.empty:
             at_point = _uncertainty(aim.at_point, pieces, rows)
-            self._point.add(line_of, rows.motion, moved.distance_mm * 1e3, at_point[:, 0], aim.at_point)
+            self._point.add(line_of, rows.motion, moved.distance_mm[keep] * 1e3, at_point[:, 0], aim.at_point)
         turned = ~rows.singular  # the others are listed as not corrected
         orientation_corrected = aim.scope.orientation and prepared.thesis is None
         if orientation_corrected and aim.at_axis is not None and np.any(turned):
@@ -264,7 +263,7 @@ class CompensationAccount:
                 if at_point is not None and aim.at_axis is aim.at_point
                 else _uncertainty(aim.at_axis, pieces, rows)
             )
-            size = moved.angle_rad[turned] * 1e6
+            size = moved.angle_rad[keep][turned] * 1e6
             self._axis.add(line_of[turned], rows.motion[turned], size, uncertainty[turned, 1], aim.at_axis)
 
     # --- results -----------------------------------------------------------------------------------------------------
@@ -304,13 +303,6 @@ class CompensationAccount:
                 before_max_urad=float(turn.max(initial=0.0)),
                 left_rms_um=_rms(residual) if corrected is False else 0.0 if corrected and all_corrected else None,
             )
-
-
-def _add(tally: CompensationTally, found: ComparedPoses, lines: np.ndarray) -> None:
-    """Add distances (µm), angles and tilts (µrad) of compared poses to a tally."""
-    tilts = np.abs(tilt(found.axis_in_nominal_frame).T / URAD) if lines.size else np.zeros((2, 0))
-    size = np.stack([found.distance_mm * 1e3, found.angle_rad * 1e6, *tilts])
-    tally.add(size, np.einsum("ij,ij->i", size, size), lines)
 
 
 def _uncertainty(tool: ToolUncertainty, pieces: Pieces, rows: Rows) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -19,14 +20,13 @@ possible and is not in step with anything a program repeats (H. Weyl, Math. Ann.
 
 
 class SimulatedPoints(NamedTuple):
-    """Simulated points of a program.
+    """Simulated points of a program, on straight lines.
 
     Attributes:
-        motion: (n,) motion each point is on.
+        motion: (lines,) motion each line is on.
         nominal, written: nominal commands and written commands.
-        nominal_sides, written_sides: (n, axes + channels) approach directions and conditions at these commands; None if the machine
+        nominal_sides, written_sides: (lines, axes + channels) approach directions and conditions at these commands; None if the machine
             does not depend on them.
-        valid: (n,) whether the point counts as a nominal position; None for all.
     """
 
     motion: np.ndarray
@@ -34,7 +34,13 @@ class SimulatedPoints(NamedTuple):
     written: Commands
     nominal_sides: np.ndarray | None = None
     written_sides: np.ndarray | None = None
-    valid: np.ndarray | None = None
+
+    def of(self, lines: np.ndarray) -> SimulatedPoints:
+        """Return the points of some lines, each as a line of its own."""
+        number = np.repeat(lines, self.nominal.counts[lines])
+        nominal, written = (Commands(one.of(lines).as_array()) for one in (self.nominal, self.written))
+        before, after = (None if one is None else one[number] for one in (self.nominal_sides, self.written_sides))
+        return SimulatedPoints(self.motion[number], nominal, written, before, after)
 
 
 @final
@@ -46,22 +52,30 @@ class Sample:
         self._parts: list[tuple[np.ndarray, ...]] = []
         self._count = 0
 
-    def add(self, first: int, points: SimulatedPoints, keep: np.ndarray) -> None:
+    def add(self, first: int, points: SimulatedPoints, known: Callable[[SimulatedPoints], np.ndarray]) -> None:
         """Add those points that belong to the sample.
 
         Args:
             first: number of the first motion within the program.
             points: the points.
-            keep: (n,) which of them are valid.
+            known: which of some points, each a line of its own, count.
         """
         # By motion, of which every one has many points.
         place = np.mod((first + np.arange(points.motion.max(initial=-1) + 1)) * GOLDEN, 1.0)
-        which = np.flatnonzero((place < self._share)[points.motion] & keep)
+        of_line, counts = place[points.motion], points.nominal.counts
+        share = self._share
+        while counts[of_line < share / 2.0].sum() > CLASS_POSES:
+            share /= 2.0  # will be the share afterwards, if enough of these points are known
+        for trial in (share, self._share):
+            some = points.of(np.flatnonzero(of_line < trial))
+            keep = known(some)
+            if trial == self._share or np.count_nonzero(keep) > CLASS_POSES:
+                break
         poses = []
-        for commands, sides in ((points.nominal, points.nominal_sides), (points.written, points.written_sides)):
-            written = commands.as_array(which)
-            poses += [written, np.zeros(written.shape) if sides is None else sides[which]]
-        self._take((place[points.motion[which]], *poses))
+        for commands, sides in ((some.nominal, some.nominal_sides), (some.written, some.written_sides)):
+            written = commands.as_array()[keep]
+            poses += [written, np.zeros(written.shape) if sides is None else sides[keep]]
+        self._take((place[some.motion[keep]], *poses))
         while (
             self._count > CLASS_POSES
             and self._share > LEAST_SHARE

@@ -27,13 +27,14 @@ class CompensationTally:
         self.lines = np.zeros(quantities, dtype=int)
         self._squares = np.zeros(squares)
 
-    def add(self, values: np.ndarray, squares: np.ndarray, lines: np.ndarray) -> None:
+    def add(self, values: np.ndarray, squares: np.ndarray, lines: np.ndarray, count: int | None = None) -> None:
         """Add places.
 
         Args:
-            values: (quantities, n) values at each place.
-            squares: (squares,) sums of squares over the places.
+            values: (quantities, n) values at each place, or only at those at which one of them is largest.
+            squares: (squares,) sums of squares over all places.
             lines: (n,) program line of each place.
+            count: number of all places; n if None.
         """
         if not lines.size:
             return
@@ -41,7 +42,7 @@ class CompensationTally:
         larger = np.diagonal(values[:, at]) > np.diagonal(self.largest) if self.count else np.full(len(at), True)
         self.largest[larger] = values[:, at[larger]].T
         self.lines[larger] = lines[at[larger]]
-        self.count += len(lines)
+        self.count += len(lines) if count is None else count
         self._squares += squares
 
     @property

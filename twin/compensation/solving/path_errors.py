@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 import numpy as np
 
@@ -12,25 +13,37 @@ from twin.compensation.comparison import Commands
 from twin.compensation.solving.pieces import Pieces
 from twin.compensation.solving.rows import SAME, Rows, Ways, even_cuts, repeat_with_index
 from twin.compensation.toolpath import SAMPLES_A_PIECE, spacings
+from twin.compute.along import fractions
 
 POSES: Final = 100_000
-"""Points checked at once, to bound the memory."""
+"""Points checked at once, to bound the memory, where every point needs its own commands; several times as many on straight lines."""
+POSES_ON_LINES: Final = 400_000
 
 
-class Samples(NamedTuple):
-    """Dense points inside the pieces of legs.
+@final
+@dataclass(frozen=True)
+class Samples:
+    """Dense points inside the pieces of legs, at fractions (k + ½)/n of each piece.
 
     Attributes:
         leg: (pieces,) leg of each piece.
         number: (pieces,) index of the piece within its leg.
-        piece: (n,) piece of each point.
-        within: (n,) fraction of that piece.
+        points: (pieces,) number of points n of each piece.
     """
 
     leg: np.ndarray
     number: np.ndarray
-    piece: np.ndarray
-    within: np.ndarray
+    points: np.ndarray
+
+    @cached_property
+    def piece(self) -> np.ndarray:
+        """(n,) piece of each point."""
+        return np.repeat(np.arange(len(self.leg)), self.points)
+
+    @cached_property
+    def within(self) -> np.ndarray:
+        """(n,) fraction of its piece."""
+        return fractions(self.points)
 
 
 @final
@@ -83,15 +96,14 @@ class PathErrors:
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def _portion(self, legs: np.ndarray, rows: Rows, ways: Ways) -> np.ndarray:
-        samples, aim = self.samples(legs), self._pieces.aim
-        state = self._state(samples, rows, ways) if aim.point.directed else None
-        distance = aim.comparison.distance_mm(
-            self.nominal_commands(samples), self.written_commands(samples, ways), state
-        )
+        samples, directed = self.samples(legs), self._pieces.aim.point.directed
+        nominal, written = self.commands(samples, ways, point_by_point=directed)
+        state = self._state(samples, rows, ways) if directed else None
+        distance = self._pieces.aim.comparison.distance_mm(nominal, written, state)
         # A leg merged into another has no pieces and no points.
-        points = self._points_per_piece(legs) * self._pieces.legs.count[legs]
-        worst = np.maximum.reduceat(np.append(distance, 0.0), np.cumsum(points) - points)
-        return np.where(points > 0, worst, 0.0)
+        lines = self._pieces.legs.count[legs] * (self._points_per_piece(legs) if nominal.points is None else 1)
+        worst = np.maximum.reduceat(np.append(distance, 0.0), np.cumsum(lines) - lines)
+        return np.where(lines > 0, worst, 0.0)
 
     def _state(self, samples: Samples, rows: Rows, ways: Ways) -> np.ndarray:
         """Return (n, axes + channels) directions of approach and conditions inside pieces."""
@@ -113,9 +125,10 @@ class PathErrors:
     # --- dense points ------------------------------------------------------------------------------------------------
 
     def portions(self, legs: np.ndarray) -> list[np.ndarray]:
-        """Split legs into portions of about equal size with at most about `POSES` samples."""
+        """Split legs into portions of about equal size with at most about `POSES` samples, or `POSES_ON_LINES`."""
+        most = POSES_ON_LINES if self._on_lines(self._pieces.legs.motion[legs]) else POSES
         return (
-            np.split(legs, even_cuts(self._points_per_piece(legs) * self._pieces.legs.count[legs], POSES))
+            np.split(legs, even_cuts(self._points_per_piece(legs) * self._pieces.legs.count[legs], most))
             if legs.size
             else []
         )
@@ -123,10 +136,7 @@ class PathErrors:
     def samples(self, legs: np.ndarray) -> Samples:
         """Return dense points inside the pieces of legs of interpolated motions."""
         pieces = self._pieces.legs.count[legs]
-        leg, number = repeat_with_index(legs, pieces)
-        points = np.repeat(self._points_per_piece(legs), pieces)
-        piece, point = repeat_with_index(np.arange(len(leg)), points)
-        return Samples(leg, number, piece, (point + 0.5) / points[piece])
+        return Samples(*repeat_with_index(legs, pieces), np.repeat(self._points_per_piece(legs), pieces))
 
     def _points_per_piece(self, legs: np.ndarray) -> np.ndarray:
         """Return (legs,) the number of dense points per piece of each leg."""
@@ -151,32 +161,49 @@ class PathErrors:
         begin, end = (self._pieces.legs.at(samples.leg, (samples.number + i) * share) for i in (0, 1))
         return begin, end
 
-    def nominal_commands(self, samples: Samples) -> Commands:
-        """Return the nominal commands, which the control derives from the original program."""
-        motion = self._pieces.legs.motion[samples.leg]
-        first, last = self._fractions(samples)
-        if np.all(self._pieces.straight[motion]):
-            begin, way = (words.take(motion, axis=0) for words in self._pieces.ways)
-            if np.any(first != 0.0) or np.any(last != 1.0):
-                begin, way = begin + first[:, None] * way, (last - first)[:, None] * way
-            return self._on_lines(begin, way, samples, self._pieces.tcp[motion])
-        of = motion[samples.piece]
-        words = self._pieces.words_at(of, self.fractions(samples))
-        return Commands(self._space.commands(words, self._pieces.tcp[of]))
+    def commands(self, samples: Samples, ways: Ways, *, point_by_point: bool = False) -> tuple[Commands, Commands]:
+        """Return nominal commands, which the control derives from the original program, and those of pieces that follow ``ways``.
 
-    def written_commands(self, samples: Samples, ways: Ways) -> Commands:
-        """Return the commands at the points if pieces follow the ways given."""
+        Args:
+            samples: the points.
+            ways: the ways of the pieces, as written.
+            point_by_point: whether every point shall be a line of its own, even where the commands lie on straight lines.
+        """
         row = _rows_of(samples, ways)
-        tcp = self._pieces.tcp_out[self._pieces.legs.motion[samples.leg]]
-        return self._on_lines(ways.begin.take(row, axis=0), ways.way.take(row, axis=0), samples, tcp)
+        motion = self._pieces.legs.motion[samples.leg]
+        begin, way = ways.begin.take(row, axis=0), ways.way.take(row, axis=0)
+        straight = bool(np.all(self._pieces.straight[motion]))
+        if straight:
+            first, last = self._fractions(samples)
+            meant, meant_way = (words.take(motion, axis=0) for words in self._pieces.ways)
+            if np.any(first != 0.0) or np.any(last != 1.0):
+                meant, meant_way = meant + first[:, None] * meant_way, (last - first)[:, None] * meant_way
+            if self._on_lines(motion):
+                nominal = self._line(meant, meant_way, samples.points)
+                written = self._line(begin, way, samples.points)
+                if point_by_point:
+                    return Commands(nominal.as_array()), Commands(written.as_array())
+                return nominal, written
+        of = motion[samples.piece]
+        if straight:
+            words = meant[samples.piece] + samples.within[:, None] * meant_way[samples.piece]
+        else:
+            words = self._pieces.words_at(of, self.fractions(samples))
+        new = begin[samples.piece] + samples.within[:, None] * way[samples.piece]
+        return (
+            Commands(self._space.commands(words, self._pieces.tcp[of])),
+            Commands(self._space.commands(new, self._pieces.tcp_out[of])),
+        )
 
-    def _on_lines(self, begin: np.ndarray, way: np.ndarray, samples: Samples, tcp: np.ndarray) -> Commands:
-        """Return points on straight lines in (pieces, axes) words; ``tcp``: (pieces,) mode."""
-        if self._space.tilt is None and not np.any(tcp):
-            way = way[:, np.argsort(self._space.order)]
-            return Commands(self._space.commands(begin, tcp), way, samples.piece, samples.within)
-        words = begin[samples.piece] + samples.within[:, None] * way[samples.piece]
-        return Commands(self._space.commands(words, tcp[samples.piece]))
+    def _on_lines(self, motions: np.ndarray) -> bool:
+        """Return whether straight words are straight lines of commands in some motions: no arc, no tool-tip words, no tilted plane."""
+        pieces = self._pieces
+        return self._space.tilt is None and not np.any(pieces.tcp[motions]) and bool(np.all(pieces.straight[motions]))
+
+    def _line(self, begin: np.ndarray, way: np.ndarray, points: np.ndarray) -> Commands:
+        """Return points on straight lines of words that are straight lines of commands."""
+        still = np.zeros(len(begin), dtype=bool)
+        return Commands(self._space.commands(begin, still), way[:, np.argsort(self._space.order)], points)
 
     # --- ways of pieces ----------------------------------------------------------------------------------------------
 

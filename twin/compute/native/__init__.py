@@ -29,7 +29,9 @@ exactly the true effects in 56, 64 and 68 % (one effect at λ = 30, one at 60, t
 effect it raises a false alarm in 12 %, `twin` in none.
 """
 
-from twin.compute.native.loading import solver_description
+from twin.compute.native.along import CompiledAlong, Totals
+from twin.compute.native.cpp import ROUNDING
+from twin.compute.native.loading import solver_description, worth_compiling
 from twin.compute.native.problem import (
     CONVERGED,
     OUT_OF_RANGE,
@@ -39,19 +41,22 @@ from twin.compute.native.problem import (
     InverseProblem,
     StepFunctions,
 )
-from twin.compute.native.rows import RowFunction, TableRows
+from twin.compute.native.rows import RowFunction
 from twin.compute.native.solver import Solver
 
 __all__ = [
     "CONVERGED",
     "OUT_OF_RANGE",
+    "ROUNDING",
     "SINGULAR",
     "Batch",
     "BatchOutcome",
+    "CompiledAlong",
     "InverseProblem",
     "RowFunction",
     "Solver",
     "StepFunctions",
-    "TableRows",
+    "Totals",
     "solver_description",
+    "worth_compiling",
 ]

@@ -43,6 +43,11 @@ def enabled() -> bool:
     return os.environ.get(SWITCH_VARIABLE, "") != "0"
 
 
+def worth_compiling(rows: int) -> bool:
+    """Return whether compiled code may be used and is worth its time for this number of rows in one call."""
+    return rows >= WORTH_COMPILING and enabled()
+
+
 def library(source: str) -> ctypes.CDLL | None:
     """Return the compiled library of a source: loaded before, from the cache, or compiled now; None if that fails."""
     tool = compiler.find_compiler()
@@ -72,7 +77,11 @@ def _lanes(tool: compiler.Compiler) -> int:
 
 def map_row_chunks(rows: int, work: Callable[[slice], Part]) -> list[Part]:
     """Apply a function to chunks of rows in threads and return the results; ctypes releases the GIL during the calls."""
-    parts = [slice(start, min(start + PORTION, rows)) for start in range(0, rows, PORTION)]
+    return map_parts([slice(start, min(start + PORTION, rows)) for start in range(0, rows, PORTION)], work)
+
+
+def map_parts(parts: list[slice], work: Callable[[slice], Part]) -> list[Part]:
+    """The same for parts given."""
     if len(parts) <= 1:
         return [work(part) for part in parts]
     return list(_pool(os.getpid()).map(work, parts))

@@ -106,7 +106,7 @@ class Solver:
 
     def solve(self, batch: Batch) -> BatchOutcome:
         """Solve all poses of a batch."""
-        if len(batch) < loading.WORTH_COMPILING or not loading.enabled():
+        if not loading.worth_compiling(len(batch)):
             return self._plain.solve(batch)
         if self._native is None:
             self._native = self._compiled()

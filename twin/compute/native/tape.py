@@ -55,6 +55,8 @@ OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType(
         "sqrt": Operation(ca.OP_SQRT, np.sqrt, "vsqrt({0})"),
         "sin": Operation(ca.OP_SIN, np.sin, ""),
         "cos": Operation(ca.OP_COS, np.cos, ""),
+        "asin": Operation(ca.OP_ASIN, np.arcsin, "vasin({0})"),
+        "atan2": Operation(ca.OP_ATAN2, np.arctan2, "vatan2({0}, {1})"),
         "floor": Operation(ca.OP_FLOOR, np.floor, "vfloor({0})"),
         "abs": Operation(ca.OP_FABS, np.abs, "vabs({0})"),
         "min": Operation(ca.OP_FMIN, np.fmin, "vmin({0}, {1})"),

@@ -187,7 +187,7 @@ def line_code(lines: int) -> LineCode:
     Args:
         lines: approximate number of lines of the program.
     """
-    found = None if lines < loading.WORTH_COMPILING or not loading.enabled() else _compiled()
+    found = _compiled() if loading.worth_compiling(lines) else None
     return ARRAYS if found is None else LineCode(found.scan, found.rewritten_lines)
 
 
