@@ -65,7 +65,7 @@ class AlongFunction:
         plain: Callable[[tuple[np.ndarray, ...], np.ndarray], Found],
         numbers: Callable[[Found], np.ndarray],
     ) -> Found:
-        """Return the result of compiled code, if it is worth its time and agrees on the first lines; else that of the evaluation point by point."""
+        """Return the result of compiled code, if it is worth its time and agrees on the first lines; else that of all points."""
         rows = len(points)
         arrays = tuple(np.broadcast_to(np.asarray(array, dtype=float), (rows, np.shape(array)[-1])) for array in inputs)
         if worth_compiling(int(points.sum())) and self._compiled.usable:
