@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.benchmarks.timing import machine_name, ratio, timed
-from tests.diagnosis import rivals
-from tests.diagnosis.rivals import UNHIDDEN, Design
+from tests.diagnosis.battery import UNHIDDEN
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin.diagnosis import diagnose
@@ -48,10 +47,12 @@ def measured(machine: Machine, points: int, seed: int = 5) -> Measurements:
 
 def by_bic(data: Measurements, machine: Machine) -> tuple[tuple[str, str], ...]:
     """Return the causes that stepwise selection by BIC (`statsmodels`) names."""
+    from tests.diagnosis import rivals  # needs statsmodels and scikit-learn
+
     placed = readings(data, machine, Calibration.default(machine))
     task = placed.without(placed.bad)
     candidates = [one for one in task.catalogue.candidates if one.effect not in UNHIDDEN]
-    return rivals.stepwise_bic(task.problem, candidates, design=Design(task.problem, candidates))
+    return rivals.stepwise_bic(task.problem, candidates, design=rivals.Design(task.problem, candidates))
 
 
 def by_twin(data: Measurements, machine: Machine) -> tuple[tuple[str, str], ...]:
@@ -77,6 +78,8 @@ def time_taken(machine: Machine) -> None:
 
 def named_right(draws: int) -> None:
     """Print shares of draws, with the standard deviation of a share of one half."""
+    from tests.diagnosis import rivals
+
     print(f"causes named right, % of {draws} draws (± {50.0 / np.sqrt(draws):.0f}), seconds per answer, columns:")
     for row in ROWS:
         for method, found in rivals.compared(row, draws, 1).items():
