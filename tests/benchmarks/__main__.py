@@ -8,7 +8,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from tests.benchmarks import curves, diagnosis, figures, growth, peers, programs, sequences, solve
+from tests.benchmarks import curves, diagnosis, figures, growth, programs, sequences, solve
+from tests.benchmarks.peers import run as peers
 
 EVERY: dict[str, Callable[[], object]] = {
     "solve": solve.main,
