@@ -1,4 +1,7 @@
-"""Run all benchmarks, or those named: ``python -m tests.benchmarks [NAME ...]`` (half an hour for all)."""
+"""Run all benchmarks, or those named: ``python -m tests.benchmarks [NAME ...]`` (half an hour for all).
+
+``python -m tests.benchmarks peers --write`` also writes the measured ratios into the documentation.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import sys
 from collections.abc import Callable
 
 from tests.benchmarks import curves, diagnosis, figures, growth, programs, sequences, solve
+from tests.benchmarks.peers import run as peers
 
 EVERY: dict[str, Callable[[], object]] = {
     "solve": solve.main,
@@ -15,11 +19,16 @@ EVERY: dict[str, Callable[[], object]] = {
     "figures": figures.main,
     "curves": curves.main,
     "sequences": sequences.main,
+    "peers": peers.main,
 }
 
 
-def main(names: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     """Run the named benchmarks, or all."""
+    if arguments == ["peers", "--write"]:
+        peers.main(write=True)
+        return 0
+    names = arguments
     unknown = [name for name in names if name not in EVERY]
     if unknown:
         sys.stderr.write(f"no such benchmark: {unknown[0]}; expected one of {', '.join(EVERY)}\n")

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.benchmarks.timing import machine_name, ratio, timed
-from tests.diagnosis import rivals
-from tests.diagnosis.rivals import UNHIDDEN, Design
+from tests.diagnosis.battery import UNHIDDEN
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin.diagnosis import diagnose
@@ -46,32 +45,41 @@ def measured(machine: Machine, points: int, seed: int = 5) -> Measurements:
         return Measurements.load(hidden.write(Path(folder) / "measured.csv", plan, read, u_mm=3e-3), machine)
 
 
+def by_bic(data: Measurements, machine: Machine) -> tuple[tuple[str, str], ...]:
+    """Return the causes that stepwise selection by BIC (`statsmodels`) names."""
+    from tests.diagnosis import rivals  # needs statsmodels and scikit-learn
+
+    placed = readings(data, machine, Calibration.default(machine))
+    task = placed.without(placed.bad)
+    candidates = [one for one in task.catalogue.candidates if one.effect not in UNHIDDEN]
+    return rivals.stepwise_bic(task.problem, candidates, design=rivals.Design(task.problem, candidates))
+
+
+def by_twin(data: Measurements, machine: Machine) -> tuple[tuple[str, str], ...]:
+    """Return the causes that `twin` names, without sizes, intervals and advice."""
+    found = select_causes(exclude_outliers(readings(data, machine, Calibration.default(machine))))
+    return tuple(form.key for form in found.structure.forms)
+
+
 def time_taken(machine: Machine) -> None:
     """Print the time from readings to names."""
-    calibration = Calibration.default(machine)
-
-    def by_bic(data: Measurements) -> tuple[tuple[str, str], ...]:
-        placed = readings(data, machine, calibration)
-        posed_readings = placed.without(placed.bad)
-        problem, known = posed_readings.problem, posed_readings.known
-        candidates = [one for one in known.candidates if one.effect not in UNHIDDEN]
-        return rivals.stepwise_bic(problem, candidates, design=Design(problem, candidates))
-
     print("from readings to names, processor time in s:")
     for points in POINTS:
         data = measured(machine, points)
-        names = timed(lambda data=data: select_causes(exclude_outliers(readings(data, machine, calibration))), REPEATS)  # type: ignore[misc]
+        names = timed(lambda data=data: by_twin(data, machine), REPEATS)  # type: ignore[misc]
         whole = timed(lambda data=data: diagnose(data, machine), REPEATS)  # type: ignore[misc]
-        other = timed(lambda data=data: by_bic(data), REPEATS)  # type: ignore[misc]
+        other = timed(lambda data=data: by_bic(data, machine), REPEATS)  # type: ignore[misc]
         print(f"  {len(data):,} points: {names.best:.2f} to the names, {whole.best:.2f} to the complete answer")
         print(f"    stepwise BIC (statsmodels) {other.best:.2f}: {ratio(other, names)}")
         print(f"    hidden: {'; '.join(' '.join(effect.key) for effect in EFFECTS)}")
         print(f"    twin: {'; '.join(f'{cause.effect} {cause.where}' for cause in diagnose(data, machine).causes)}")
-        print(f"    BIC:  {'; '.join(' '.join(key) for key in by_bic(data))}")
+        print(f"    BIC:  {'; '.join(' '.join(key) for key in by_bic(data, machine))}")
 
 
 def named_right(draws: int) -> None:
     """Print shares of draws, with the standard deviation of a share of one half."""
+    from tests.diagnosis import rivals
+
     print(f"causes named right, % of {draws} draws (± {50.0 / np.sqrt(draws):.0f}), seconds per answer, columns:")
     for row in ROWS:
         for method, found in rivals.compared(row, draws, 1).items():

@@ -1,7 +1,7 @@
 """Measure the speed of the inverse with errors and of alternatives: run ``python -m tests.benchmarks.solve`` (a minute).
 
 One million five-axis poses of the DMU 50 with all 30 error motions by `Inverse.solve`; then `Kinematics.forward`. For comparison, one
-pose at a time from Python: `scipy.optimize.root` on Pinocchio's kinematics; one iteration of pink (extra `prepared`, omitted if not
+pose at a time from Python: `scipy.optimize.root` on Pinocchio's kinematics; one iteration of pink (extra `peers`, omitted if not
 installed); the polynomials that the thesis's listings refit for every block, without reading files; Pinocchio's kinematics.
 
 Times are processor times of all threads, so that they are per pose and core and hardly depend on other load. Each is the smallest of
@@ -14,19 +14,18 @@ import os
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import root
 
+from tests.benchmarks.peers.inverse import LENGTH_MM, Task, by_pink, by_root, poses
+from tests.benchmarks.peers.record import installed
 from tests.benchmarks.timing import Timing, machine_name, ratio, timed
-from tests.kinematics.test_kinematics import random_commands
 from twin.compute.native import loading
 from twin.compute.native.loading import solver_description
-from twin.kinematics.forward import Kinematics, Poses
+from twin.kinematics.forward import Kinematics
 from twin.kinematics.inverse import Inverse, Status
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 
 POSES = 1_000_000
-LENGTH_MM = 100.0
 STOPS = 11
 """Number of measured points of a curve of the thesis."""
 LINEAR_DEGREES = (4, 5, 8, 8, 6, 4, 8, 6, 8)
@@ -43,15 +42,6 @@ def print_line(name: str, timing: Timing, ours: Timing | None = None) -> None:
         print(f"{line}   ({timing.processor_s.max():.3f} at most; {timing.clock_s:.3f} by the clock)")
     else:
         print(f"{line}   {ratio(timing, ours)}")
-
-
-def poses(machine: Machine, n: int, tilt: tuple[float, float]) -> tuple[Poses, np.ndarray]:
-    """Return commands over the whole range with B within ``tilt``, and the target poses of the nominal machine."""
-    rng = np.random.default_rng(3)
-    q = random_commands(machine, n, rng)
-    q[:, :3] = np.clip(q[:, :3], [8.0, 8.0, -392.0], [492.0, 442.0, -8.0])
-    q[:, 3] = rng.uniform(*tilt, n)
-    return Kinematics(machine, Calibration.zero(machine), tool_length_mm=LENGTH_MM).forward(q), q
 
 
 def ours(real: Kinematics) -> Timing:
@@ -79,51 +69,6 @@ def one_way(name: str, real: Kinematics, tilt: tuple[float, float], rotary: bool
     singular, most = 100.0 * float(np.mean(solution.where(Status.SINGULAR))), solution.point_residual_mm.max()
     print(f"    {singular:.1f} % singular; residual at most {most:.1e} mm, {solution.iterations} iterations")
     return timing
-
-
-def by_root(machine: Machine, calibration: Calibration, target: Poses, q: np.ndarray) -> Timing:
-    """Time scipy's hybrid method on Pinocchio's model with the same errors."""
-    real = Kinematics(machine, calibration, tool_length_mm=LENGTH_MM)
-    data = machine.model.createData()
-
-    def residual(position: np.ndarray, i: int) -> np.ndarray:
-        errors = np.array(real.errors(position * machine.scale)).reshape(-1, 6)
-        pin.framesForwardKinematics(machine.model, data, machine.configuration(position * machine.scale, errors))
-        pose = data.oMf[machine.work_frame].actInv(data.oMf[machine.tool_frame])
-        axis = pose.rotation[:, 2]
-        point = (pose.translation - LENGTH_MM * 1e-3 * axis) * 1e3
-        return np.concatenate([point - target.point_mm[i], 1e3 * np.cross(axis, target.axis[i])[:2]])
-
-    return timed(lambda: [root(residual, q[i], args=(i,)) for i in range(50)], 5).each(50)
-
-
-def by_pink(machine: Machine, target: Poses, q: np.ndarray) -> Timing | None:
-    """Time one iteration of pink on the model without errors, starting near the target; None if not installed."""
-    try:
-        import pink
-        from pink.tasks import RelativeFrameTask
-    except ImportError:
-        return None
-    model = pin.buildModelFromUrdf(str(machine.urdf))
-    task = RelativeFrameTask(
-        machine.model.frames[machine.tool_frame].name,
-        machine.model.frames[machine.work_frame].name,
-        position_cost=1.0,
-        orientation_cost=1.0,
-    )
-    data = model.createData()
-    places = [model.joints[model.getJointId(axis.joint)].idx_q for axis in machine.axes]
-    standing = np.zeros((50, model.nq))
-    standing[:, places] = q[:50] * machine.scale
-    standing = np.clip(standing, model.lowerPositionLimit, model.upperPositionLimit)
-
-    def once(i: int) -> None:
-        configuration = pink.Configuration(model, data, standing[i])
-        task.set_target(pin.SE3(np.array(target.rotation[i]), np.array(target.point_mm[i]) * 1e-3))
-        velocity = pink.solve_ik(configuration, [task], 1.0, solver="quadprog", safety_break=False)
-        configuration.integrate_inplace(velocity, 1.0)
-
-    return timed(lambda: [once(i) for i in range(50)], 5).each(50)
 
 
 def by_refitting() -> Timing:
@@ -173,12 +118,15 @@ def main() -> None:
     best = ours(Kinematics(machine, calibration, tool_length_mm=LENGTH_MM))
     print("the same, one pose at a time:")
     target, q = poses(machine, 1000, (20.0, 160.0))
-    print_line("scipy.optimize.root on Pinocchio", by_root(machine, calibration, target, q), best)
-    pink = by_pink(machine, target, q)
-    if pink is None:
-        print("  pink is not installed (extra `prepared`): omitted")
+    with_errors, nominal = (
+        Task(Kinematics(machine, errors, tool_length_mm=LENGTH_MM), target, q)
+        for errors in (calibration, Calibration.zero(machine))
+    )
+    print_line("scipy.optimize.root on Pinocchio", by_root(with_errors, 50).each, best)
+    if installed("pin-pink") is None:
+        print("  pink is not installed (extra `peers`): omitted")
     else:
-        print_line("pink, one iteration, no errors", pink, best)
+        print_line("pink, one iteration, no errors", by_pink(nominal, steps=1).each, best)
     print_line("the thesis's polynomials, refitted", by_refitting(), best)
     forward(machine, calibration)
 

@@ -39,11 +39,21 @@ def timed(work: Callable[[], object], repeats: int) -> Timing:
     return Timing(np.array(processor), min(clock))
 
 
+def ratio_range(other: Timing, ours: Timing) -> tuple[float, float, float]:
+    """Return the ratio of the best times, and its smallest and largest value over the repeats."""
+    low, high = other.processor_s.min() / ours.processor_s.max(), other.processor_s.max() / ours.best
+    return other.best / ours.best, float(low), float(high)
+
+
 def ratio(other: Timing, ours: Timing) -> str:
     """Return the ratio of two times, with its smallest and largest value over the repeats."""
-    low, high = other.processor_s.min() / ours.processor_s.max(), other.processor_s.max() / ours.best
-    best, low, high = (f"{x:,.0f}" if x >= 100.0 else f"{x:.2g}" for x in (other.best / ours.best, low, high))
+    best, low, high = map(number, ratio_range(other, ours))
     return f"{best:>9} times ours ({low} to {high})"
+
+
+def number(ratio: float) -> str:
+    """Return a ratio with two significant digits, from 100 on as a whole number."""
+    return f"{ratio:,.0f}" if ratio >= 100.0 else f"{ratio:.2g}"
 
 
 def peak_mb() -> float:

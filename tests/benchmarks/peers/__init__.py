@@ -1,0 +1,1 @@
+"""Comparison with other packages in the same run: `tests.benchmarks.peers.run`."""
