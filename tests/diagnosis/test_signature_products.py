@@ -21,7 +21,10 @@ from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.problem.signature_products import PointBlock, Signatures
+from twin.diagnosis.selection import pattern_test
 from twin.diagnosis.selection.cross_validation import choose_folds
+from twin.diagnosis.selection.pattern_test import _Scores, scan_patterns
+from twin.diagnosis.selection.patterns import Pattern
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -248,3 +251,50 @@ def test_many_points_are_diagnosed_as_few(dmu50: Machine, tmp_path: Path) -> Non
         assert abs(size.value - truth) < 3.0 * size.u
     assert found.gain is not None and found.gain.held_out is not None
     assert found.gain.held_out.after_um == pytest.approx(3.0, rel=0.02)
+
+
+def dense_scores(problem: Problem, pattern: Pattern, causes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (3, m) φᵀMr and (3, m, m) φᵀMφ with M as a matrix, the causes projected out of it."""
+    rows = np.arange(len(problem.residual))
+    keep = ~np.isin(rows // 3, problem.held_out)
+    basis = np.where(keep[:, None], problem.basis @ problem.root, 0.0)
+    m = np.diag(keep.astype(float)) - basis @ basis.T
+    m -= m @ causes @ np.linalg.pinv(causes.T @ m @ causes, rcond=1e-10) @ causes.T @ m
+    functions = [problem.signature(pattern.columns(99, [i])) for i in range(3)]
+    return np.stack([f.T @ m @ problem.residual for f in functions]), np.stack([f.T @ m @ f for f in functions])
+
+
+@pytest.mark.parametrize("held_out", [False, True])
+def test_scores_of_patterns_beside_an_uncertain_calibration(searched: tuple[Problem, Searcher], held_out: bool) -> None:
+    """With the calibration's uncertainty the projection is not idempotent; a cause beside it is projected out all the same."""
+    problem, searcher = searched
+    part = problem.without(split(problem) == 1) if held_out else problem
+    assert part is not None
+    form = next(one for one in searcher.candidates.forms if one.key == ("reversal", "Y"))
+    scores = _Scores(part, [form])
+    for pattern in searcher.patterns[:40:13]:
+        slope, gram = scores.of(pattern)
+        true_slope, true_gram = dense_scores(part, pattern, part.signature(form.variant.columns))
+        size = np.abs(true_gram).max()
+        assert np.abs(gram - true_gram).max() <= 1e-9 * size
+        assert np.abs(slope - true_slope).max() <= 1e-9 * np.sqrt(size) * np.linalg.norm(part.residual)
+
+
+def test_a_sample_gives_the_same_significant_patterns(
+    searched: tuple[Problem, Searcher], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scores are those of all readings; of the mean and variance for noise alone, a third of the readings gives nine tenths."""
+    problem, searcher = searched
+    whole = scan_patterns(problem, searcher.patterns, (), np.inf)
+    of_whole = _Scores(problem, ())
+    monkeypatch.setattr(pattern_test, "SAMPLED", 300)
+    some = scan_patterns(problem, searcher.patterns, (), np.inf)
+    of_some = _Scores(problem, ())
+    for pattern in searcher.patterns[::11]:
+        (slope, gram), (all_slope, all_gram) = of_some.of(pattern), of_whole.of(pattern)
+        assert np.allclose(slope, all_slope, rtol=1e-9, atol=1e-9 * np.abs(all_slope).max())
+        assert np.linalg.eigvalsh(gram).min() >= -1e-9 * np.abs(gram).max()
+        assert np.trace(gram, axis1=1, axis2=2) == pytest.approx(np.trace(all_gram, axis1=1, axis2=2), rel=0.2)
+    # Those evaluated exactly have the same p-value, and the most significant ones are among them.
+    exact = {id(one.pattern): one.log_p for one in whole[:4]}
+    assert [exact.get(id(one.pattern)) for one in some[:4]] == pytest.approx([one.log_p for one in some[:4]], rel=1e-9)

@@ -30,12 +30,12 @@ def highest_frequency(q: np.ndarray, span: float) -> float:
 
 
 def sampling_frequency(q: np.ndarray) -> float | None:
-    """Return the sampling frequency, in 1/mm, of evenly spaced positions; None if the spacing is uneven and there is no aliasing."""
+    """Return the sampling frequency, in 1/mm, of evenly spaced positions; None if no alias is as long as `SHORTEST_PERIOD`."""
     places = np.unique(np.round(q, 3))
     span = float(np.ptp(places))
     if len(places) < 2:
         return None
-    highest = 1.01 * (len(places) - 1) / span
+    highest = 1.01 * min((len(places) - 1) / span, 1.0 / SHORTEST_PERIOD)
     limit = _alias_free(places, span, highest)
     if limit >= highest:
         return None

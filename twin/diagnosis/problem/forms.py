@@ -23,6 +23,7 @@ from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
+from twin.diagnosis.problem.signature_products import Signatures
 
 FALSE_ALARM_RATE: Final = 0.03
 """Share of data sets of noise alone in which any form is accepted as a cause; patterns have a rate of their own."""
@@ -162,7 +163,7 @@ class Candidates:
         )
         noise -= basis @ (root @ (root.T @ (basis.T @ noise)))
         more = count / len(points)
-        slope = products.along(noise, points) * np.sqrt(more)
+        slope = products.with_vectors(noise, points) * np.sqrt(more)
         scale = rng.chisquare(self.dof, NULL_DATA_SETS) / self.dof if np.isfinite(self.dof) else np.ones(NULL_DATA_SETS)
         smallest_log_p = np.zeros(NULL_DATA_SETS)
         inner = [more * own for own in self._projected_blocks(products, root)]
@@ -346,16 +347,17 @@ class Candidates:
         """Return the critical value (forms,) of every form at its degrees of freedom."""
         return np.asarray(self._critical[np.arange(len(dof)), dof])
 
-    def along(self, columns: Sequence[Column]) -> np.ndarray:
-        """Return the projected inner products (columns, all) of any columns with those of the forms."""
+    def along(self, columns: Sequence[Column], basis: np.ndarray) -> np.ndarray:
+        """Return the projected inner products (columns, all) of any columns with those of the forms.
+
+        Args:
+            columns: the columns.
+            basis: (directions, columns) their inner products with the nuisance basis, without projection (`Problem.products`).
+        """
         points = np.setdiff1d(np.arange(len(self.problem.view.rows)), self.problem.held_out)
-        found = np.zeros((len(columns), len(self.slope)))
-        for start in range(0, len(columns), BATCH):
-            made = self.problem.signature(columns[start : start + BATCH])
-            kept = made.reshape(len(self.problem.view.rows), 3, -1)[points].reshape(3 * len(points), -1)
-            within = self.problem.root.T @ (self.problem.basis.T @ self.problem.zero_held_out(made))
-            found[start : start + BATCH] = self.products.along(kept, points).T - within.T @ self._on_basis
-        return found
+        own = Signatures(self.problem.view, columns)
+        raw = self.products.along(own.at, points if len(self.problem.held_out) else None)
+        return raw.T - (self.problem.root.T @ basis).T @ self._on_basis
 
     def scores(self, forms: Sequence[Form], tried: Sequence[int]) -> np.ndarray:
         """Return (tried, 3) reduction of chi², degrees of freedom and corrected log p of some forms, given others.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from typing import final
 
@@ -87,10 +87,14 @@ class Products:
         """Columns of signatures, refined ones included."""
         return self.signatures.columns
 
-    def along(self, vectors: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def with_vectors(self, vectors: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return inner products (all, r) with (3·points, r) vectors at some points, in ascending order."""
         right = vectors.reshape(len(points), 3, -1)
-        return self.signatures.along(lambda block: right[np.searchsorted(points, np.asarray(block.rows))], points)[0]
+        return self.along(lambda block: right[np.searchsorted(points, np.asarray(block.rows))], points)
+
+    def along(self, vectors: Callable[[PointBlock], np.ndarray], points: np.ndarray | None) -> np.ndarray:
+        """Return inner products (all, r) with vectors made block by block, over some points or all."""
+        return np.asarray(self.signatures.along(vectors, points).sum(axis=0))
 
     def set_residual(self, residual: np.ndarray) -> None:
         """Replace the residual (3n,)."""

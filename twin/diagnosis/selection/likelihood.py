@@ -95,7 +95,7 @@ class Likelihood:
         self._rotation, self._own = _orthogonal(found.gram, self.group, self._size)
         self._gram = self._rotation.T @ found.gram @ self._rotation
         self._slope = self._rotation.T @ found.slope
-        self._cross = self._rotation.T @ candidates.along(self.columns)
+        self._cross = self._rotation.T @ candidates.along(self.columns, found.basis)
         self._chi2, self._dof = problem.chi2, max(problem.dof, 1)
 
     def fit(self, forms: Sequence[Form], start: Model | None = None, without: int | None = None) -> Model:

@@ -27,6 +27,11 @@ EXACT: Final = 24
 """Number of tests, the most significant ones by two moments, whose p-value is evaluated exactly by eigenvalues."""
 DIRECTIONS: Final[tuple[tuple[int, ...], ...]] = ((0,), (1,), (2,), (0, 1, 2))
 """Directions of the frame that are tested: each alone, and all together."""
+SAMPLED: Final = 2048
+"""Readings of a side from which the distribution of its scores for noise alone is estimated, where there are more: enough to find the
+`EXACT` most significant tests. The scores themselves are those of all readings.
+"""
+SEED: Final = 4712
 SEEN: Final = 1e-10
 PLAUSIBLE: Final = 100.0
 """Noncentrality along a direction for which the test is most powerful: the score is taken at that variance, not at zero."""
@@ -75,8 +80,7 @@ def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Fo
     """
     if not tried:
         return []
-    beside, left = _projected_out(problem, forms)
-    scores = _Scores(problem, beside, left)
+    scores = _Scores(problem, forms)
     tests: list[tuple[float, Pattern, int, tuple[int, ...], float]] = []
     for pattern in tried:
         slope, gram = scores.of(pattern)
@@ -99,18 +103,17 @@ def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Fo
     return sorted(best.values(), key=lambda one: one.log_p)
 
 
-def _projected_out(problem: Problem, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
-    """Return (3n, k) O with xᵀMy = xᵀ(1 − OOᵀ)y for free causes, and the (3n,) residual; held-out rows are zero in both."""
-    basis = problem.zero_held_out(problem.basis @ problem.root)
-    if forms:
-        columns = problem.signature([column for form in forms for column in form.variant.columns])
-        own = problem.project(columns)
-        gram = columns.T @ own
-        values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
-        seen = values > SEEN * values[-1]
-        basis = np.concatenate([basis, own @ (vectors[:, seen] / np.sqrt(values[seen]))], axis=1)
-    residual = problem.zero_held_out(problem.residual)
-    return basis, residual - basis @ (basis.T @ residual)
+def _orthonormal(columns: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis of projected columns.
+
+    Args:
+        columns: (3n, k) columns.
+        own: the same, projected; any rows held out are zero.
+    """
+    gram = columns.T @ own
+    values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
+    seen = values > SEEN * values.max(initial=0.0)
+    return np.asarray(own @ (vectors[:, seen] / np.sqrt(values[seen])))
 
 
 @final
@@ -119,50 +122,59 @@ class _Scores:
 
     Args:
         problem: the data.
-        beside: (3n, k) basis of set-up and causes, from `_projected_out`.
-        left: (3n,) residual, from `_projected_out`.
+        forms: causes that are projected out.
     """
 
-    def __init__(self, problem: Problem, beside: np.ndarray, left: np.ndarray) -> None:
+    def __init__(self, problem: Problem, forms: Sequence[Form]) -> None:
         n = len(problem.view.rows)
+        self._problem, self._view = problem, problem.view
         self._kept = np.ones(n, dtype=bool)
         self._kept[problem.held_out] = False
-        self._basis, self._left = beside.reshape(n, 3, -1), left.reshape(n, 3)
-        self._view = problem.view
-        self._of: dict[tuple[str, str], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = {}
+        columns = problem.signature([column for form in forms for column in form.variant.columns])
+        self._causes = _orthonormal(problem.zero_held_out(columns), problem.project(columns))
+        # With the calibration's uncertainty the projection is not idempotent: the causes are fitted to the residual itself.
+        left = problem.projected - self._causes @ (self._causes.T @ problem.residual)
+        self._left = left.reshape(n, 3)
+        self._of: dict[tuple[str, str], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = {}
 
     def of(self, pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
         """Return (3, m) φᵀMr and (3, m, m) φᵀMφ along each direction."""
-        rows, weight, taken, along = self._along(pattern)
+        rows, weight, taken, own, along = self._along(pattern)
         slope = np.zeros((3, len(pattern.order)))
         gram = np.zeros((3, len(pattern.order), len(pattern.order)))
         lost = np.zeros((3, len(pattern.order), taken.shape[2]))
         alike = np.ptp(weight) <= 1e-9 * weight.max()
+        for some in pieces(len(own)):
+            slope += along[:, some] @ pattern.at(own[some])
         for some in pieces(len(rows)):
             made = pattern.at(rows[some])
-            slope += along[:, some] @ made
             lost += made.T @ taken[:, some]
             for i in range(1 if alike else 3):
                 gram[i] += made.T @ (made * weight[some, i, None])
         if alike:
             gram[1:] = gram[0]
-        return slope, gram - lost @ lost.transpose(0, 2, 1)
+        share = len(rows) / max(len(own), 1)
+        return slope, (gram - lost @ lost.transpose(0, 2, 1)) / share
 
     def exact(self, pattern_test: tuple[Pattern, int, tuple[int, ...]], dof: float) -> float:
         """Return the exact log p-value of one test (pattern, level, directions)."""
         pattern, level, directions = pattern_test
-        rows = self._along(pattern)[0]
+        rows = np.flatnonzero(pattern.own & self._kept)
         chosen = pattern.order <= level
         count = len(directions) * int(chosen.sum())
-        lost, slope, gram = np.zeros((count, self._basis.shape[2])), np.zeros(count), np.zeros((count, count))
+        problem, causes = self._problem, self._causes.reshape(len(self._kept), 3, -1)
+        within, beside = np.zeros((count, problem.basis.shape[1])), np.zeros((count, causes.shape[2]))
+        slope, gram = np.zeros(count), np.zeros((count, count))
         for some in pieces(len(rows)):
             here = rows[some]
             fields = self._fields(pattern, here)[:, :, list(directions)]
             made = pattern.at(here)[:, chosen]
             whole = (fields[:, :, :, None] * made[:, None, None, :]).reshape(3 * len(here), -1)
-            lost += whole.T @ self._basis[here].reshape(3 * len(here), -1)
+            within += whole.T @ problem.rows(here).reshape(3 * len(here), -1)
+            beside += whole.T @ causes[here].reshape(3 * len(here), -1)
             slope += whole.T @ self._left[here].reshape(-1)
             gram += whole.T @ whole
+        lost = np.concatenate([within @ problem.root, beside], axis=1)
         gram -= lost @ lost.T
         size = np.diag(gram).reshape(len(directions), -1).sum(axis=1)
         deviation = np.repeat(np.sqrt(PLAUSIBLE / np.where(size > 0.0, size, np.inf)), int(chosen.sum()))
@@ -171,19 +183,37 @@ class _Scores:
         score = float(np.sum((vectors.T @ (slope * deviation)) ** 2 / (1.0 + values)))
         return log_tail(values / (1.0 + values), score, dof)
 
-    def _along(self, pattern: Pattern) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the rows of a side with weight (r, 3), basis (3, r, k) and residual (3, r) along each direction of a frame."""
+    def _along(self, pattern: Pattern) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return what belongs to a side and the directions of a frame.
+
+        Returns:
+            A sample of the rows, with weight (r, 3) and basis (3, r, k) along each direction; all rows, with the residual (3, n).
+        """
         key = pattern.side, pattern.field
         if key not in self._of:
-            rows = np.flatnonzero(pattern.own & self._kept)
+            own = rows = np.flatnonzero(pattern.own & self._kept)
+            if len(own) > SAMPLED:
+                rows = np.sort(np.random.default_rng(SEED).choice(own, SAMPLED, replace=False))
             fields = self._fields(pattern, rows)
             self._of[key] = (
                 rows,
                 np.einsum("nki,nki->ni", fields, fields),
-                np.einsum("nki,nkq->inq", fields, self._basis[rows]),
-                np.einsum("nki,nk->in", fields, self._left[rows]),
+                np.einsum("nki,nkq->inq", fields, self._basis(rows, len(own)), optimize=True),
+                own,
+                np.einsum("nki,nk->in", self._fields(pattern, own), self._left[own]),
             )
         return self._of[key]
+
+    def _basis(self, rows: np.ndarray, count: int) -> np.ndarray:
+        """Return the basis (r, 3, k) of set-up and causes at some rows, scaled so that they stand for ``count`` of them."""
+        problem, n = self._problem, len(self._kept)
+        found = np.concatenate([problem.rows(rows) @ problem.root, self._causes.reshape(n, 3, -1)[rows]], axis=2)
+        if len(rows) == count:
+            return np.asarray(found)
+        flat = found.reshape(3 * len(rows), -1) * np.sqrt(count / len(rows))
+        # Over all rows no direction is longer than one; over a sample it may seem to be.
+        values, vectors = np.linalg.eigh(flat.T @ flat)
+        return np.asarray(flat @ (vectors / np.sqrt(np.maximum(values, 1.0)))).reshape(len(rows), 3, -1)
 
     def _fields(self, pattern: Pattern, rows: Rows) -> np.ndarray:
         return ReadingDerivatives(self._view, rows).of(pattern.derivative) * UM
