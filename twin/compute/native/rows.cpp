@@ -22,7 +22,8 @@ extern "C" int64_t run(const Rows *given) {
     for (int c = 0; c < N; ++c) {
       const double *in = job.in[c];
       const int64_t step = job.in_step[c];
-      for (int l = 0; l < W; ++l) x[c][l] = in[(i + (l < some ? l : some - 1)) * step];  // the last row again to fill a register
+      if (step == 1 && some == W) __builtin_memcpy(&x[c], in + i, sizeof(V));
+      else for (int l = 0; l < W; ++l) x[c][l] = in[(i + (l < some ? l : some - 1)) * step];  // the last row again to fill a register
       far |= vabs(x[c]) > job.far;
     }
     if (any(far)) return 1;
