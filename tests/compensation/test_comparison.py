@@ -12,6 +12,7 @@ from twin.compensation.comparison import Commands, PoseComparison
 from twin.compute import batch
 from twin.compute.native import loading
 from twin.kinematics.forward import Kinematics, angle_between_rad
+from twin.kinematics.inverse import Inverse
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Reversal
 from twin.machine.machine import Machine
@@ -99,3 +100,20 @@ def test_sides_of_a_reversal(dmu50: Machine) -> None:
     sides[:, dmu50.names.index("X")] = 1.0, -1.0, 0.0
     assert comparison.distance_mm(q, q, sides) * 1e3 == pytest.approx([3.0, 3.0, 0.0], abs=1e-9)
     assert comparison.distance_mm(q, q) * 1e3 == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+
+
+@compiled
+@pytest.mark.usefixtures("eager")
+def test_small_deviations_are_confirmed(dmu50: Machine, calibration: Calibration) -> None:
+    """Angles of tenths of a microradian have a tenth of a nanoradian of rounding: no reason to refuse the compiled code."""
+    real, nominal = Kinematics(dmu50, calibration), Kinematics(dmu50, Calibration.zero(dmu50))
+    q = np.tile([100.0, 100.0, -100.0, 30.0, 10.0], (400, 1))
+    way = np.zeros_like(q)
+    q[1::2, 0], way[:, 0] = 110.0, np.tile([10.0, -10.0], 200)
+    meant = Commands(q, way, np.full(400, 5))
+    target = nominal.forward(q)
+    written = Inverse(real).solve(target, q).positions
+    comparison = PoseComparison(real, nominal)
+    _, after = comparison.totals(meant, Commands(written, way, meant.points), None, None)
+    assert comparison._totals._confirmed
+    assert after.count == 2000 and after.largest[1, 1] < 1.0

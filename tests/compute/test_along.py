@@ -108,6 +108,20 @@ def test_the_number_of_processors_changes_no_digit(monkeypatch: pytest.MonkeyPat
 
 @compiled
 @pytest.mark.usefixtures("eager")
+def test_values_that_are_rounding_errors_are_no_reason_to_doubt_the_code() -> None:
+    """A machine without errors has deviations of 1e-16: any two evaluations differ by all of it."""
+    begin, way, points, _, _ = lines(300)
+    x, move, share = ca.SX.sym("x", 2), ca.SX.sym("way", 2), ca.SX.sym("share")
+    at = x + share * move
+    nothing = ca.fabs(ca.sin(at[0]) ** 2 + ca.cos(at[0]) ** 2 - 1.0) + 1e-7 * ca.fabs(ca.sin(3.0 * at[1]) / 3.0)
+    for outputs in ([nothing], [nothing, nothing, -1.0 + 0.0 * at[0]]):
+        function = AlongFunction(ca.Function("f", [x, move, share], outputs))
+        _ = function.largest((begin, way), points) if len(outputs) == 1 else function.totals((begin, way), points, 0.0)
+        assert function._confirmed
+
+
+@compiled
+@pytest.mark.usefixtures("eager")
 def test_wrong_code_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """Code that disagrees on the first lines is refused, with one warning."""
     begin, way, points, _, _ = lines(300)

@@ -21,6 +21,8 @@ HALF: Final = np.full(1, 0.5)
 """The fraction of a line without displacement: any."""
 QUANTITIES: Final = 4
 """Quantities of a pose whose totals are kept: distance (µm), angle between the tool axes and its tilts (µrad)."""
+UNITS: Final = np.array([MM / UM, *[1.0 / URAD] * 3])
+"""These for each mm and radian, in which rounding errors are compared."""
 
 
 @final
@@ -120,7 +122,9 @@ class PoseComparison:
         inputs = (*nominal.inputs, *written.inputs, *self._sides(before), *self._sides(after))
         both = self._totals.totals(inputs, nominal.counts, SLACK)
         parts = (slice(0, QUANTITIES), slice(QUANTITIES, None))
-        first, last = (Totals(both.count, both.squares[p], both.largest[p, p], both.line[p]) for p in parts)
+        first, last = (
+            Totals(both.count, both.squares[p] * UNITS**2, both.largest[p, p] * UNITS, both.line[p]) for p in parts
+        )
         return first, last
 
     def _sides(self, approach: np.ndarray | None) -> tuple[np.ndarray, ...]:
@@ -150,7 +154,7 @@ class PoseComparison:
             mine = self._real.symbols()[1:]
             distance, turned, out = self._compared(meant, commands, mine)
             sides += mine
-            outputs += [distance * (MM / UM), *(ca.fabs(angle) / URAD for angle in turned)]
+            outputs += [distance, *(ca.fabs(angle) for angle in turned)]
             beyond.append(out)
         return AlongFunction(ca.Function("totals", [*inputs, *sides, share], [*outputs, ca.fmax(*beyond)]))
 

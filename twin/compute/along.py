@@ -55,7 +55,7 @@ class AlongFunction:
         def plain(inputs: tuple[np.ndarray, ...], points: np.ndarray) -> Totals:
             return self._totals(inputs, points, slack)
 
-        return self._chosen(inputs, points, compiled, plain, lambda found: np.append(found.squares, found.count))
+        return self._chosen(inputs, points, compiled, plain, _means)
 
     def _chosen(
         self,
@@ -124,6 +124,11 @@ def fractions(points: np.ndarray) -> np.ndarray:
     return (number + 0.5) / np.repeat(points, points)
 
 
+def _means(found: Totals) -> np.ndarray:
+    """Return number of points and root mean squares."""
+    return np.append(np.sqrt(found.squares / max(found.count, 1)), found.count)
+
+
 def _alike(found: np.ndarray, plain: np.ndarray) -> bool:
-    """Return whether two results agree to rounding."""
+    """Return whether two results agree to rounding, relative to the value or to one."""
     return bool(np.allclose(found, plain, rtol=ROUNDING, atol=ROUNDING, equal_nan=True))

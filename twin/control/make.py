@@ -67,13 +67,16 @@ class ControlTables:
         return (*found, *(f"no table available for {one} um" for one in self.left_out))
 
 
-def make(machine: Machine, calibration: Calibration, request: Request) -> ControlTables:
+def make(
+    machine: Machine, calibration: Calibration, request: Request, required: RequiredCorrections | None = None
+) -> ControlTables:
     """Make the tables and read them back.
 
     Args:
         machine: the machine.
         calibration: its errors; corrections that its control applies are disregarded.
         request: format and settings.
+        required: the required corrections, if known from another format with the same settings.
 
     Raises:
         InputError: an unknown format; a calibration whose estimate did not converge, or that was measured with tables on while
@@ -88,9 +91,10 @@ def make(machine: Machine, calibration: Calibration, request: Request) -> Contro
     only = (f"only for {held}",) if held else ()
     request = replace(request, notes=(*request.notes, *only, *warning_texts(calibration.warnings), *doubts))
     old = _old_tables(machine, calibration, request)
-    required = RequiredCorrections(
-        machine, calibration, request.at, request.tool_length_mm, request.classes, request.conditions
-    )
+    if required is None:
+        required = RequiredCorrections(
+            machine, calibration, request.at, request.tool_length_mm, request.classes, request.conditions
+        )
     plan = design_of(form).plan(required, request, old)
     if not plan.correction.contents():
         raise InputError(

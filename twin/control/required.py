@@ -8,10 +8,11 @@ correction is complete; with fewer it corrects the part along them. It is a firs
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import URAD
 from twin.kinematics.forward import Kinematics
@@ -21,6 +22,9 @@ from twin.machine.effects import Effect
 from twin.machine.iso16907 import error_motion_of, iso_class
 from twin.machine.machine import Axis, Machine
 from twin.uncertainty.budget import random_approach, volume_inside_domains
+
+REMEMBERED: Final = 256
+"""Corrections at the positions of a column that are remembered: every format asks for the same ones."""
 
 
 @final
@@ -69,6 +73,7 @@ class RequiredCorrections:
             )
         self._classes = classes
         self._real: dict[tuple[str, ...], Kinematics] = {}
+        self._known: dict[tuple[tuple[str, ...], int, bytes], np.ndarray] = {}
 
     def kinematics_with(self, errors: Calibration) -> Kinematics:
         """Return the kinematics with the given errors, this tool length and these conditions."""
@@ -112,8 +117,13 @@ class RequiredCorrections:
             positions: (n, axes) mm and degrees.
             side: direction of approach of these axes: +1, −1, 0 unknown.
         """
-        goal = self.nominal.forward(positions).point_mm
-        return step_back(self.kinematics_of_axes(axes), positions, self._sides(axes, positions, side), goal) * 1e3
+        key = axes, side, positions.tobytes()
+        if key not in self._known:
+            if len(self._known) >= REMEMBERED:
+                self._known.clear()
+            goal, sides = self.nominal.forward(positions).point_mm, self._sides(axes, positions, side)
+            self._known[key] = read_only(step_back(self.kinematics_of_axes(axes), positions, sides, goal) * 1e3)
+        return self._known[key]
 
     def uncorrectable_share(self, effect: Effect) -> float:
         """Return the share of an effect at the point that the linear axes cannot correct; 0 with three of them."""

@@ -53,15 +53,17 @@ def tables_left(
     """
     if errors.control is not None or not errors.settled or real.calibration.empty:
         return ()
-    found = []
+    found: list[TablesLeft] = []
+    required = None
     for form in FORMATS:
         if form.correction is not TableSum:
             continue
         request = Request(form.name, tool_length_mm=real.tool_length_mm, conditions=real.conditions)
         try:
-            made = make(real.machine, real.calibration, request)
+            made = make(real.machine, real.calibration, request, required)
         except InputError:
             continue
+        required = made.required
         account = account_of(made, errors, real.calibration, missing)
         found.append(TablesLeft(form.name, made.required.at, real.tool_length_mm, account.remains, account.carried))
     return tuple(sorted(found, key=lambda one: -one.remains.reduction))
