@@ -111,9 +111,8 @@ def test_small_deviations_are_confirmed(dmu50: Machine, calibration: Calibration
     way = np.zeros_like(q)
     q[1::2, 0], way[:, 0] = 110.0, np.tile([10.0, -10.0], 200)
     meant = Commands(q, way, np.full(400, 5))
-    target = nominal.forward(q)
-    written = Inverse(real).solve(target, q).positions
+    begin, end = (Inverse(real).solve(nominal.forward(at), at).positions for at in (q, q + way))
     comparison = PoseComparison(real, nominal)
-    _, after = comparison.totals(meant, Commands(written, way, meant.points), None, None)
+    _, after = comparison.totals(meant, Commands(begin, end - begin, meant.points), None, None)
     assert comparison._totals._confirmed
     assert after.count == 2000 and after.largest[1, 1] < 1.0
