@@ -64,7 +64,7 @@ class Sample:
         place = np.mod((first + np.arange(points.motion.max(initial=-1) + 1)) * GOLDEN, 1.0)
         of_line, counts = place[points.motion], points.nominal.counts
         share = self._share
-        while counts[of_line < share / 2.0].sum() > CLASS_POSES:
+        while share > LEAST_SHARE and counts[of_line < share / 2.0].sum() > CLASS_POSES:
             share /= 2.0  # will be the share afterwards, if enough of these points are known
         for trial in (share, self._share):
             some = points.of(np.flatnonzero(of_line < trial))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import final
 
@@ -13,8 +12,8 @@ import casadi as ca
 import numpy as np
 
 from twin.compute.native import loading
-from twin.compute.native.cpp import LARGEST_ANGLE, LARGEST_TAPE, routine
-from twin.compute.native.tape import Tape
+from twin.compute.native.cpp import LARGEST_ANGLE
+from twin.compute.native.routine import CompiledRoutine
 
 
 class _AlongJob(ctypes.Structure):
@@ -75,18 +74,18 @@ class CompiledAlong:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self._function = function
+        self._routine = CompiledRoutine(function, "along.cpp")
         self._refused = False
 
     @property
     def usable(self) -> bool:
         """Whether compiled code can evaluate the function."""
-        return not self._refused and self._library is not None
+        return not self._refused and self._routine.library("along") is not None
 
     def refuse(self) -> None:
         """Stop using the compiled code, whose results are wrong."""
         self._refused = True
-        loading.disable(self._source, "its results are wrong")
+        self._routine.refuse()
 
     def largest(self, inputs: Sequence[np.ndarray], points: np.ndarray) -> np.ndarray | None:
         """Return (lines,) the largest value, at least 0, of the function on each line; None if an angle is too large for the C++.
@@ -101,7 +100,7 @@ class CompiledAlong:
 
     def totals(self, inputs: Sequence[np.ndarray], points: np.ndarray, slack: float) -> Totals | None:
         """Return the totals of all outputs but the last, over the points at which the last is at most ``slack``; or None, as above."""
-        tape = self._tape
+        tape = self._routine.tape
         found: dict[int, Totals] = {}
 
         def room(part: slice, job: _AlongJob) -> None:
@@ -122,7 +121,7 @@ class CompiledAlong:
         self, inputs: Sequence[np.ndarray], points: np.ndarray, slack: float, room: Callable[[slice, _AlongJob], None]
     ) -> list[tuple[int, int]] | None:
         """Evaluate parts of the lines in threads; return first line and number of known points of each."""
-        library = self._library
+        library = self._routine.library("along")
         columns = [array[:, k] for array in inputs for k in range(array.shape[1])]
         steps = np.array([column.strides[0] // column.itemsize for column in columns], dtype=np.int64)
         starts = np.array([column.ctypes.data for column in columns])
@@ -131,7 +130,12 @@ class CompiledAlong:
         def part(lines: slice) -> tuple[int, int, int]:
             values = starts + 8 * lines.start * steps
             job = _AlongJob(lines.stop - lines.start, far=LARGEST_ANGLE, slack=slack)
-            for name, array in (("in", values), ("in_step", steps), ("points", points[lines]), ("k", self._constants)):
+            for name, array in (
+                ("in", values),
+                ("in_step", steps),
+                ("points", points[lines]),
+                ("k", self._routine.constants),
+            ):
                 setattr(job, name, array.ctypes.data)
             room(lines, job)
             status = library.along(ctypes.byref(job)) if library is not None else 1
@@ -139,32 +143,6 @@ class CompiledAlong:
 
         found = loading.map_parts(_even(points), part)
         return None if any(status for status, _, _ in found) else [(start, count) for _, start, count in found]
-
-    @cached_property
-    def _tape(self) -> Tape | None:
-        return Tape.of(self._function)
-
-    @cached_property
-    def _source(self) -> str:
-        tape = self._tape
-        if tape is None:
-            return ""
-        sizes = f"enum {{ N = {tape.inputs}, O = {tape.outputs} }};"
-        return "\n".join([loading.cpp_text("simd.hpp"), sizes, routine("row", tape), loading.cpp_text("along.cpp")])
-
-    @cached_property
-    def _library(self) -> ctypes.CDLL | None:
-        tape = self._tape
-        if tape is None or len(tape.nodes) > LARGEST_TAPE:
-            return None
-        library = loading.library(self._source)
-        if library is not None:
-            library.along.restype = ctypes.c_int64
-        return library
-
-    @cached_property
-    def _constants(self) -> np.ndarray:
-        return np.array(self._tape.constants if self._tape is not None else ())
 
 
 def _even(points: np.ndarray) -> list[slice]:

@@ -12,8 +12,6 @@ from twin.compute.native.tape import LOGICAL, OPERATIONS, Tape
 
 LARGEST_ANGLE: Final = 1e5
 """Largest angle in radians that the C++ reduces without loss, 16,000 turns of a table; poses beyond it are left to NumPy."""
-LARGEST_TAPE: Final = 5_000
-"""Largest number of instructions that is compiled; the compiler takes a third of a millisecond for each."""
 ROUNDING: Final = 1e-10
 """Tolerance of that comparison, relative to the value or to one; rounding errors of either are a thousandth of it."""
 

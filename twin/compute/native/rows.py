@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Final, final
 
 import casadi as ca
 import numpy as np
 
 from twin.compute.native import loading
-from twin.compute.native.cpp import LARGEST_ANGLE, LARGEST_TAPE, ROUNDING, routine
+from twin.compute.native.cpp import LARGEST_ANGLE, ROUNDING
+from twin.compute.native.routine import CompiledRoutine
 from twin.compute.native.tape import Tape
 
 TRIED: Final = 256
@@ -37,7 +37,7 @@ class RowFunction:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self._function = function
+        self._routine = CompiledRoutine(function, "rows.cpp")
         self._library: ctypes.CDLL | None = None
 
     def __call__(self, inputs: Sequence[np.ndarray], outputs: tuple[np.ndarray, ...]) -> bool:
@@ -50,53 +50,34 @@ class RowFunction:
         Returns:
             False if the function has an unsupported operation (`twin.compute.native.tape`) and nothing was done.
         """
-        if self._tape is None:
+        tape = self._routine.tape
+        if tape is None:
             return False
         columns = [one[:, k] for one in inputs for k in range(one.shape[1])]
         found = [array[:, k] for array in outputs for k in range(array.shape[1])]
-        wanted = loading.worth_compiling(len(outputs[0])) and len(self._tape.nodes) <= LARGEST_TAPE
+        wanted = loading.worth_compiling(len(outputs[0]))
         if wanted and self._library is None:
-            self._library = self._confirmed(loading.library(self._source), columns)
+            self._library = self._confirmed(tape, columns)
         # Angles too large for the C++, and infinity, are left to NumPy.
         if self._library is None or not wanted or not self._compiled(self._library, columns, found):
-            self._plain(columns, found)
+            for column, values in zip(found, tape(columns), strict=True):
+                column[:] = values
         return True
 
-    @cached_property
-    def _tape(self) -> Tape | None:
-        return Tape.of(self._function)
-
-    @cached_property
-    def _source(self) -> str:
-        tape = self._tape
-        if tape is None:
-            return ""
-        sizes = f"enum {{ N = {tape.inputs}, O = {tape.outputs} }};"
-        return "\n".join([loading.cpp_text("simd.hpp"), sizes, routine("row", tape), loading.cpp_text("rows.cpp")])
-
-    @cached_property
-    def _constants(self) -> np.ndarray:
-        return np.array(self._tape.constants if self._tape is not None else ())
-
-    def _plain(self, columns: list[np.ndarray], found: list[np.ndarray]) -> None:
-        if self._tape is not None:
-            for column, values in zip(found, self._tape(columns), strict=True):
-                column[:] = values
-
-    def _confirmed(self, library: ctypes.CDLL | None, columns: list[np.ndarray]) -> ctypes.CDLL | None:
+    def _confirmed(self, tape: Tape, columns: list[np.ndarray]) -> ctypes.CDLL | None:
         """Return the library if NumPy gives the same results for the first rows."""
-        if library is None or self._tape is None:
+        library = self._routine.library("run")
+        if library is None:
             return None
-        library.run.restype = ctypes.c_int64
         some = [column[:TRIED] for column in columns]
-        plain = self._tape(some)
+        plain = tape(some)
         fast = np.empty_like(plain)
         if not self._compiled(library, some, list(fast)):
             return library
         there = np.isfinite(plain)
         if np.all(np.abs(fast - plain)[there] <= ROUNDING * np.maximum(1.0, np.abs(plain[there]))):
             return library
-        loading.disable(self._source, "its results are wrong")
+        self._routine.refuse()
         return None
 
     def _compiled(self, library: ctypes.CDLL, columns: list[np.ndarray], found: list[np.ndarray]) -> bool:
@@ -106,7 +87,7 @@ class RowFunction:
 
         def part(rows: slice) -> int:
             given, out = (start + 8 * rows.start * step for start, step in zip(starts, steps, strict=True))
-            arrays = (given, steps[0], out, steps[1], self._constants)
+            arrays = (given, steps[0], out, steps[1], self._routine.constants)
             job = _RowsJob(rows.stop - rows.start, *(one.ctypes.data for one in arrays), far=LARGEST_ANGLE)
             return int(library.run(ctypes.byref(job)))
 
