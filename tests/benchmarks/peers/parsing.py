@@ -115,7 +115,7 @@ def sections(machine: Machine) -> tuple[Section, ...]:
     return (
         section(
             "Reading a five-axis program (points are blocks)",
-            "`Dialect.read` and `Dialect.moves`, which interpret the program in memory: an object for each move",
+            "`Dialect.read` and `Dialect.moves`, which interpret the program in memory, an object for each move",
             by_twin(machine),
             [
                 Peer(

@@ -102,7 +102,7 @@ def row(peer: Peer, ours: Timing) -> Row:
 
 def section(title: str, work: str, ours: Measured, peers: Iterable[Peer]) -> Section:
     """Measure all peers of a task and print each line as it is measured."""
-    line = f"{work}: {number(ours.each.best)} µs per point ({ours.points:,} points). {ours.result}"
+    line = f"{work}: {number(ours.each.best)} µs per point ({ours.points:,} points); {ours.result}"
     print(f"{title}\n  twin: {line}", flush=True)
     rows: Sequence[Row] = []
     for peer in peers:
