@@ -51,7 +51,7 @@ def test_an_error_of_an_installed_peer_is_not_hidden() -> None:
 def test_a_section_prints_every_line(capsys: pytest.CaptureFixture[str]) -> None:
     peers = [Peer((MISSING,), "inverts", never), Peer(("numpy",), "inverts", lambda: OTHER)]
     found = section("Inverse", "`solve`", Measured(OURS, 10, "exact"), peers)
-    assert found.ours == "`solve`: 2 µs per point (10 points). exact"
+    assert found.ours == "`solve`: 2 µs per point (10 points); exact"
     lines = capsys.readouterr().out.splitlines()
     assert lines == ["Inverse", f"  twin: {found.ours}", *(one.text() for one in found.rows)]
 
