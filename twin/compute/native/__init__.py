@@ -23,11 +23,11 @@ script. If the calibration has a covariance, U of a long program is computed at 
 % (`twin/compensation/account/interpolation.py`).
 
 **Measurements** (an earlier run). 100,000 points: `identify` 46 s and 1.2 GB, `diagnose` 40 s and 1.2 GB (the command, with table and
-page, 46 s). With an uncertain calibration `diagnose` takes longer: 79 s and 1.9 GB with 188 uncertain parameters, 102 s and 2.4 GB with
-350. Both grow in proportion to the points. Stepwise BIC with statsmodels on the same candidates takes, from readings to named causes,
-1.3 times as long (1.2 to 1.7) at 1,000 points and 3.7 times (3.3 to 4.4) at 3,000. In 25 draws each (± 10 %) it finds exactly the true
-effects in 56, 64 and 68 % (one effect at λ = 30, one at 60, two at 60), `twin` in 80, 100 and 92 %. Without any effect it raises a
-false alarm in 12 %, `twin` in none.
+page, 46 s). With an uncertain calibration `diagnose` takes longer: 134 s and 3.0 GB with 398 uncertain parameters (2026-11-24). Both
+grow in proportion to the points. Stepwise BIC with statsmodels on the same candidates takes, from readings to named causes, 1.3 times
+as long (1.2 to 1.7) at 1,000 points and 3.7 times (3.3 to 4.4) at 3,000. In 25 draws each (± 10 %) it finds exactly the true effects in
+56, 64 and 68 % (one effect at λ = 30, one at 60, two at 60), `twin` in 80, 100 and 92 %. Without any effect it raises a false alarm in
+12 %, `twin` in none.
 """
 
 from twin.compute.native.along import CompiledAlong, Totals
