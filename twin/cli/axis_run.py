@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from twin._common.counts import count_with_noun
@@ -15,10 +13,12 @@ from twin._common.defaults import DEFAULT
 from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import CALIBRATION, TABLE, CommandResult, JsonOption, command
+from twin.cli.shared.command import CALIBRATION, EXISTING, TABLE, CommandResult, JsonOption, command
 from twin.cli.shared.words import three_numbers
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from twin.identification.axis_run import AxisLayout
 
 MOST_ROWS = 30_000
@@ -49,7 +49,9 @@ class RunUncertaintyChoice(StrEnum):
 )
 def axis_run(
     readings: Annotated[
-        Path, typer.Argument(help="Table of readings, one column per beam.", autocompletion=complete.tables)
+        Path,
+        typer.Argument(help="Table of readings, one column per beam.", autocompletion=complete.tables),
+        EXISTING,
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Calibration file to write: six curves of the axis."), CALIBRATION
@@ -96,6 +98,10 @@ def simulate_axis_run(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Simulate a run of one linear axis with the errors of a calibration, measured by a multi-axis interferometer."""
+    from importlib.metadata import version
+
+    import numpy as np
+
     from twin.identification.axis_run import AxisLayout, simulate_run
 
     loaded = options.machine(machine)
@@ -150,6 +156,8 @@ def _layout_file(path: Path) -> Path:
 
 
 def _positions(text: str, layout: AxisLayout) -> np.ndarray:
+    import numpy as np
+
     first, last, count = three_numbers("--positions", text, text, "from,to,count")
     lower, upper = layout.axis.lower, layout.axis.upper
     inside = lower is None or upper is None or lower <= min(first, last) <= max(first, last) <= upper

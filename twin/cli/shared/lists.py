@@ -1,44 +1,22 @@
 """Names that options list: ``{instruments}`` in the help of an option stands for the names of all instruments.
 
-The modules with the names are imported only when a help text is printed, or when such an option is used.
+The names come from `twin._common.families`; what else the help of `twin control` says of the formats is imported when it is printed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from importlib import import_module
 from types import MappingProxyType
 from typing import Any, Final, final
 
 import typer
 from typer.core import TyperCommand
 
-_REGISTRIES: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
-    {
-        "classes": ("twin.machine.classes", "NAMES"),
-        "instruments": ("twin.measurement.instruments", "INSTRUMENTS"),
-        "relative_instruments": ("twin.planning.sequences", "SET_UPS"),
-        "sequences": ("twin.planning.sequences", "SEQUENCES"),
-        "drifts": ("twin.planning.drift", "DRIFTS"),
-        "drift_instruments": ("twin.planning.drift", "INSTRUMENTS"),
-        "measured_formats": ("twin.measurement.formats", "FORMATS"),
-        "table_formats": ("twin.machine.control", "FORMATS"),
-        "kinematics_formats": ("twin.machine.control.kinematics", "KINEMATICS"),
-    }
-)
-"""Module and registry of names, or of things that have one."""
+from twin._common import families
+from twin.machine.classes import NAMES
+
 USUAL_TOLERANCE_UM: Final = 1.0
 """Default tolerance of most formats of tables."""
-
-
-def _registered(which: str) -> list[str]:
-    module, registry = _REGISTRIES[which]
-    return [getattr(one, "name", one) for one in getattr(import_module(module), registry)]
-
-
-def _control_formats() -> list[str]:
-    return [*_registered("table_formats"), *_registered("kinematics_formats")]
 
 
 def _other_tolerances() -> list[str]:
@@ -60,39 +38,53 @@ def _product_formats() -> list[str]:
     return [one.name for one in FORMATS if one.products]
 
 
-LISTS: Final[Mapping[str, Callable[[], list[str]]]] = MappingProxyType(
-    {which: partial(_registered, which) for which in _REGISTRIES}
-    | {
-        "control_formats": _control_formats,
+NAMES_OF: Final[Mapping[str, Sequence[str]]] = MappingProxyType(
+    {
+        "classes": NAMES,
+        "instruments": tuple(families.INSTRUMENTS),
+        "relative_instruments": families.SEQUENCE_INSTRUMENTS,
+        "sequences": tuple(families.SEQUENCES),
+        "drifts": tuple(families.DRIFTS),
+        "drift_instruments": families.DRIFT_INSTRUMENTS,
+        "measured_formats": tuple(families.MEASURED_FORMATS),
+        "table_formats": tuple(families.TABLE_FORMATS),
+        "kinematics_formats": tuple(families.KINEMATICS_FORMATS),
+        "control_formats": (*families.TABLE_FORMATS, *families.KINEMATICS_FORMATS),
+        "effects": tuple(name for name in families.EFFECTS if name not in families.ERROR_MOTIONS),
+    }
+)
+"""Names that an option can have as its value, by list."""
+FACTS: Final[Mapping[str, Callable[[], list[str]]]] = MappingProxyType(
+    {
         "other_tolerances": _other_tolerances,
         "table_counts": _table_counts,
         "product_formats": _product_formats,
     }
 )
-
-
-def names_of(which: str) -> Sequence[str]:
-    """Return the names of a list; ``which``: one of `LISTS`."""
-    return LISTS[which]()
+"""Other lists of the help texts, each as a function that imports what it describes."""
 
 
 def one_of(which: str) -> dict[str, Any]:
     """Return the arguments of `typer.Option` for an option whose value is one name of a list.
 
     Args:
-        which: one of `LISTS`.
+        which: one of `NAMES_OF`.
     """
 
     def checked(value: str) -> str:
-        names = names_of(which)
+        names = NAMES_OF[which]
         if value not in names:
             raise typer.BadParameter(f"{value!r} is not one of {', '.join(map(repr, names))}.")
         return value
 
     def completed(incomplete: str) -> list[str]:
-        return [name for name in names_of(which) if name.startswith(incomplete)]
+        return [name for name in NAMES_OF[which] if name.startswith(incomplete)]
 
     return {"parser": checked, "metavar": f"[{{{which}}}]", "autocompletion": completed}
+
+
+def _shown(which: str) -> Sequence[str]:
+    return NAMES_OF[which] if which in NAMES_OF else FACTS[which]()
 
 
 @final
@@ -102,9 +94,9 @@ class ListingCommand(TyperCommand):
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the help, with the lists."""
         for option in self.params:
-            for which in LISTS:
+            for which in (*NAMES_OF, *FACTS):
                 for attribute, joint in (("help", ", "), ("metavar", "|")):
                     text = getattr(option, attribute, None)
                     if text and f"{{{which}}}" in text:
-                        setattr(option, attribute, text.replace(f"{{{which}}}", joint.join(names_of(which))))
+                        setattr(option, attribute, text.replace(f"{{{which}}}", joint.join(_shown(which))))
         super().format_help(ctx, formatter)

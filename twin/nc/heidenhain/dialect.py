@@ -10,6 +10,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.families import PROGRAM_SUFFIXES
 from twin.nc.blocks import AxisWords, Interpretation, Move, Program, Rewrite
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
 from twin.nc.emit import rewrites_by_line
@@ -31,7 +32,7 @@ class Heidenhain(Dialect):
     """Heidenhain plain language."""
 
     name = "heidenhain"
-    suffixes = (".h",)
+    suffixes = PROGRAM_SUFFIXES["heidenhain"]
     shared_suffixes = (".txt",)
     begins = re.compile(rb"\s*\d*\s*BEGIN\s+PGM\s", re.IGNORECASE)
 
