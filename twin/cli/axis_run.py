@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from twin.identification.axis_run import AxisLayout
+    from twin.machine.calibration import Calibration
 
 MOST_ROWS = 30_000
 """Largest number of rows of a simulated run, as many as `twin axis-run` can evaluate."""
@@ -98,8 +100,6 @@ def simulate_axis_run(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Simulate a run of one linear axis with the errors of a calibration, measured by a multi-axis interferometer."""
-    from importlib.metadata import version
-
     import numpy as np
 
     from twin.identification.axis_run import AxisLayout, simulate_run
@@ -126,14 +126,8 @@ def simulate_axis_run(
         approach=np.tile(np.repeat([1.0, -1.0], n), rounds),
         noise=noise,
     )
-    known = ", ".join(
-        f"{name} {value:.3g}" for name, value in zip(axis_layout.beams.installation, stands, strict=True) if value
-    )
-    comment = (
-        f"simulated by twin {version('twin')}: {loaded.name}, calibration {truth.path or 'none'}, {axis_layout.name}, "
-        f"seed {seed}, {'with' if noise else 'without'} noise\ninstallation errors of the layout (m, rad, 1): {known}"
-    )
-    table.save(output, axis_layout, comment=comment)
+    installed = dict(zip(axis_layout.beams.installation, (float(v) for v in stands), strict=True))
+    table.save(output, axis_layout, comment=_comment(truth, axis_layout, seed, noise, installed))
     report = {
         "schema": "twin.simulated_run/1",
         "readings": str(output),
@@ -146,9 +140,20 @@ def simulate_axis_run(
         "seed": seed,
         "noise": noise,
         "rows": len(table),
-        "stands_off": dict(zip(axis_layout.beams.installation, (float(v) for v in stands), strict=True)),
+        "stands_off": installed,
     }
     return CommandResult("", lambda: report, written=f"written: {{}}, {count_with_noun(len(table), 'row')}")
+
+
+def _comment(truth: Calibration, layout: AxisLayout, seed: int, noise: bool, installed: Mapping[str, float]) -> str:
+    """Return the comment of a simulated table; ``installed``: installation errors by name."""
+    from importlib.metadata import version
+
+    known = ", ".join(f"{name} {value:.3g}" for name, value in installed.items() if value)
+    return (
+        f"simulated by twin {version('twin')}: {truth.machine.name}, calibration {truth.path or 'none'}, {layout.name}, "
+        f"seed {seed}, {'with' if noise else 'without'} noise\ninstallation errors of the layout (m, rad, 1): {known}"
+    )
 
 
 def _layout_file(path: Path) -> Path:

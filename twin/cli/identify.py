@@ -121,9 +121,7 @@ def identify(
         found = found.evaluated_with(replace(Calibration.load(folder / output.name, loaded), path=None))
     calibration.save(output)
     if html_file is not None:
-        from twin.identification.page import (
-            identification_html,
-        )  # imports matplotlib, which is slow and needed only here
+        from twin.identification.page import identification_html  # imports matplotlib, slow and needed only here
 
         write_atomic(html_file, identification_html(found))
     text = found.to_text()

@@ -17,7 +17,7 @@ from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.drift import AxisOption, DriftOption, DriftRequest, HighestOption, SpectrumOption
-from twin.cli.shared.words import three_numbers
+from twin.cli.shared.words import not_negative, three_numbers
 
 if TYPE_CHECKING:
     from twin.machine.calibration import Calibration
@@ -170,8 +170,7 @@ def plan(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Plan the measurement that gives the smallest uncertainty in the available time."""
-    if seed < 0:
-        raise InputError("--seed must not be negative", expected="0 or more", value=seed)
+    not_negative("--seed", seed)
     if (output is None) is (judged is None):
         raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
     _check_combination(after, causes, reduce, instrument)

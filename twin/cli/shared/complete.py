@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from twin._common.defaults import DEFAULT, bundled_folder
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.cli.shared.lists import NAMES_OF
+from twin.cli.shared.lists import LISTS
 from twin.samples import PLANS
 
 if TYPE_CHECKING:
@@ -25,22 +25,22 @@ Completer = Callable[[str], list[str]]
 
 def classes(incomplete: str) -> list[str]:
     """Complete a class of ISO/TR 16907."""
-    return _starting_with(incomplete.upper(), NAMES_OF["classes"])
+    return _starting_with(incomplete.upper(), LISTS["classes"])
 
 
 def instruments(incomplete: str) -> list[str]:
     """Complete the name of an instrument."""
-    return _starting_with(incomplete, NAMES_OF["instruments"])
+    return _starting_with(incomplete, LISTS["instruments"])
 
 
 def drifts(incomplete: str) -> list[str]:
     """Complete the name of a drift test."""
-    return _starting_with(incomplete, NAMES_OF["drifts"])
+    return _starting_with(incomplete, LISTS["drifts"])
 
 
 def sequences(incomplete: str) -> list[str]:
     """Complete the name of a measuring sequence."""
-    return _starting_with(incomplete, NAMES_OF["sequences"])
+    return _starting_with(incomplete, LISTS["sequences"])
 
 
 def errors(ctx: Any, incomplete: str) -> list[str]:
@@ -56,7 +56,7 @@ def aims(ctx: Any, incomplete: str) -> list[str]:
 def causes(ctx: Any, incomplete: str) -> list[str]:
     """Complete an effect and its location, two words in quotes."""
     # Until the effect is complete, listing all its locations would give hundreds of entries.
-    effects = _starting_with(incomplete, sorted(NAMES_OF["effects"]))
+    effects = _starting_with(incomplete, sorted(LISTS["effects"]))
     if incomplete not in effects and " " not in incomplete:
         return effects
     from twin.machine.effects import MACHINE_EFFECTS
