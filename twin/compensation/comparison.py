@@ -171,12 +171,12 @@ class PoseComparison:
         machine = self._real.machine
         nominal, commanded = (command * ca.DM(machine.scale) for command in (meant, given))
         frame, target = self._nominal.pose_at(nominal)
-        rotation, point = self._real.pose_at(commanded, *sides)
+        point, axis = self._real.tip_and_axis_at(commanded, *sides)
         beyond = ca.SX(-1.0)
         for q, (lower, upper) in zip(ca.vertsplit(given), self._real.calibration.domains(), strict=True):
             beyond = beyond if np.isneginf(lower) else ca.fmax(beyond, lower - q)
             beyond = beyond if np.isposinf(upper) else ca.fmax(beyond, q - upper)
-        apart = ca.norm_2(rotation[:, 2] - frame[:, 2])
-        leaning = frame.T @ rotation[:, 2]
+        apart = ca.norm_2(axis - frame[:, 2])
+        leaning = frame.T @ axis
         tilts = ca.atan2(-leaning[1], leaning[2]), ca.atan2(leaning[0], leaning[2])
         return ca.norm_2(point - target) / MM, (2.0 * ca.asin(ca.fmin(apart / 2.0, 1.0)), *tilts), beyond
