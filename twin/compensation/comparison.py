@@ -9,6 +9,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
+from twin._common.arrays import rows_all_true
 from twin._common.units import MM, UM, URAD
 from twin.compute.along import AlongFunction, fractions
 from twin.compute.batch import BatchFunction
@@ -107,6 +108,11 @@ class PoseComparison:
         inputs = (nominal, still, commanded, still, *self._sides(approach), HALF)
         distance, angle, beyond = (column[:, 0] for column in self._poses(*inputs))
         return ComparedPoses(distance, angle, np.isfinite(distance) & (beyond <= SLACK))
+
+    def known(self, commanded: np.ndarray) -> np.ndarray:
+        """Return (n,) whether (n, axes) commands are finite and within the domains of all curves, as `ComparedPoses.known`."""
+        lower, upper = np.transpose(self._real.calibration.domains())
+        return rows_all_true(np.isfinite(commanded) & (commanded >= lower - SLACK) & (commanded <= upper + SLACK))
 
     def totals(
         self, nominal: Commands, written: Commands, before: np.ndarray | None, after: np.ndarray | None

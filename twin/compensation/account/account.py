@@ -219,9 +219,7 @@ class CompensationAccount:
                 tally.add(totals.largest.T, totals.squares, lines[points.motion[totals.line]], totals.count)
 
         def known(some: SimulatedPoints) -> np.ndarray:
-            nominal, written = some.nominal.begin, some.written.begin
-            before = comparison.poses(nominal, nominal, some.nominal_sides)
-            return before.known & comparison.poses(nominal, written, some.written_sides).known
+            return comparison.known(some.nominal.begin) & comparison.known(some.written.begin)
 
         self._samples.setdefault(pieces.aim, Sample()).add(first, points, known)
 

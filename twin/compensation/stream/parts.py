@@ -19,10 +19,8 @@ from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
 
 STRETCH_BYTES: Final = 1 << 18
 """Bytes read, written and read back at once: few enough for the data derived from them to stay in cache."""
-PART_LINES: Final = 60_000
-"""Lines solved together. All parts of a long program are about equally long, and none is shorter than this, so that compiled solving
-pays off (`twin.compute.native`); longer parts would only need more memory.
-"""
+PART_LINES: Final = 8_192
+"""Lines solved together, few enough for their numbers to stay in cache. All parts of a long program are about equally long."""
 
 
 @final
@@ -35,6 +33,7 @@ class ProgramFile:
     Attributes:
         size: bytes.
         lines: approximate number of lines.
+        parts: number of parts in which it is solved.
 
     Raises:
         InputError: it cannot be read, or is not a program.
@@ -49,6 +48,7 @@ class ProgramFile:
             self.size += len(data)
             self.lines += data.count(b"\n") or data.count(b"\r")
         check.finish()
+        self.parts = max(self.lines // PART_LINES, 1)
 
     def begins(self) -> tuple[str, Style]:
         """Return its line ending and the style of its numbers."""
@@ -145,7 +145,7 @@ class PartReader:
 
     def parts(self) -> Iterator[ProgramPart]:
         """Yield the program as read; if reading `failed`, everything before."""
-        a_part = self._source.lines / max(self._source.lines // PART_LINES, 1)
+        a_part = self._source.lines / self._source.parts
         full, read = a_part, list[ReadStretch]()
         motions = [MotionColumns.of({}, len(self._prepared.space.axes.names))]
         try:

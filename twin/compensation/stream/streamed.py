@@ -27,9 +27,10 @@ from twin.compensation.solving.rows import even_cuts
 from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
 from twin.compensation.toolpath import SAMPLES_A_PIECE, ToolPath, spacings
+from twin.compute.native import one_of
 from twin.nc.iso.bulk import NewPositions
 
-POSES: Final = 12 * PART_LINES
+POSES: Final = 24 * PART_LINES
 """Poses solved and checked at once before any block is split: six for each short block of the longest part. Longer blocks need more
 poses, so fewer of them are solved at once.
 """
@@ -138,23 +139,26 @@ class Streamed:
             InputError: a position that the calibration does not cover.
         """
         cuts: list[Corrected] = []
-        if len(part.motions) > part.context and part.aim is not None:
-            begin = part.context
-            for end in _ends(part, self._prepared.options.tolerance_mm):
-                context = min(begin, 1)
-                motions = part.motions.part(begin - context, end)
-                path = ToolPath(motions, motions)
-                pieces = Pieces(self._prepared, path, part.aim, ISO, source=str(self._source.path))
+        begin = part.context
+        ends = _ends(part, self._prepared.options.tolerance_mm) if part.aim is not None else ()
+        for end in ends if len(part.motions) > begin else ():
+            context = min(begin, 1)
+            motions = part.motions.part(begin - context, end)
+            path = ToolPath(motions, motions)
+            pieces = Pieces(self._prepared, path, part.aim, ISO, source=str(self._source.path))
+            with one_of(self._source.parts):
                 cuts.append(correct(pieces, _silent, context=context))
-                begin = end
+            begin = end
         return new_positions(cuts, part.moves, len(self._prepared.space.axes.names)), cuts
 
     def _add(self, solved: Future[Solved]) -> None:
         """Add a part to the report."""
-        for cut in solved.result()[1]:
-            if self._account is None:
-                self._account = CompensationAccount(self._prepared, cut.pieces.aim, str(self._source.path))
-            self._account.add(cut)
+        cuts = solved.result()[1]
+        with one_of(self._source.parts):
+            for cut in cuts:
+                if self._account is None:
+                    self._account = CompensationAccount(self._prepared, cut.pieces.aim, str(self._source.path))
+                self._account.add(cut)
 
 
 def _empty(out: BinaryIO) -> None:
