@@ -17,8 +17,8 @@ from tests.nc.test_simple_blocks import LONG, ODD, SWAPPED, mixed_iso
 from twin.compute.native import compiler, loading
 from twin.nc.blocks import AxisWords
 from twin.nc.iso import stream as iso_stream
-from twin.nc.iso.compiled import ARRAYS, line_code
-from twin.nc.iso.scan import Scan, scan
+from twin.nc.lines.compiled import ARRAYS, line_code
+from twin.nc.lines.scan import Scan, scan
 
 NAMES = st.sampled_from([("X", "Y", "Z", "B", "C"), ("X", "Y", "Z"), ("Z", "Y", "X", "a", "c"), ("X1", "Y"), ()])
 PIECES = [

@@ -30,10 +30,10 @@ from twin.nc.blocks import AxisWords, Interpretation, Program
 from twin.nc.columns import MoveColumns
 from twin.nc.iso import stream as iso_stream
 from twin.nc.iso import vocabulary
-from twin.nc.iso.bulk import NewPositions
-from twin.nc.iso.compiled import ARRAYS, LineCode
+from twin.nc.lines.bulk import NewPositions
+from twin.nc.lines.compiled import ARRAYS, LineCode
 from twin.nc.iso.interpreter import IsoInterpreter
-from twin.nc.iso.scan import scan
+from twin.nc.lines.scan import scan
 from twin.nc.iso.stream import Chunk, IsoReader, IsoRewriter
 from twin.nc.text import Style, newline_of, style_in
 

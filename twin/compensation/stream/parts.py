@@ -13,7 +13,7 @@ from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.toolpath import Follower, MotionColumns
 from twin.nc.blocks import Notice
 from twin.nc.columns import MoveColumns
-from twin.nc.iso.compiled import line_code
+from twin.nc.lines.compiled import line_code
 from twin.nc.iso.stream import Chunk, IsoReader
 from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
 

@@ -10,8 +10,8 @@ from twin.compensation.checked import check, unreadable
 from twin.compensation.prepared import PreparedMachine
 from twin.compensation.stream.parts import ProgramFile, ProgramPart, ReadStretch
 from twin.nc.header import HEAD_LINES
-from twin.nc.iso.bulk import NewPositions
-from twin.nc.iso.compiled import line_code
+from twin.nc.lines.bulk import NewPositions
+from twin.nc.lines.compiled import line_code
 from twin.nc.iso.dialect import Iso
 from twin.nc.iso.stream import Chunk, IsoReader, IsoRewriter
 

@@ -15,9 +15,9 @@ from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
 from twin.nc.emit import rewrites_by_line
 from twin.nc.header import first_lines, insert_comments
 from twin.nc.iso import vocabulary
-from twin.nc.iso.bulk import NewPositions
+from twin.nc.lines.bulk import NewPositions
 from twin.nc.iso.calls import IsoInliner
-from twin.nc.iso.compiled import line_code
+from twin.nc.lines.compiled import line_code
 from twin.nc.iso.stream import CHUNK_LINES, DELETED_LINE, IsoReader, IsoRewriter, chunks
 from twin.nc.iso.technology import line_words
 from twin.nc.technology import LineWords

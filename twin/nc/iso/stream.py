@@ -1,6 +1,6 @@
 """ISO programs processed in chunks: read, written and read back, with the modal state carried from chunk to chunk.
 
-Runs of simple lines are processed together (`twin.nc.iso.scan`, `twin.nc.iso.bulk`), all other lines by the interpreter and the writer
+Runs of simple lines are processed together (`twin.nc.lines.scan`, `twin.nc.lines.bulk`), all other lines by the interpreter and the writer
 of blocks.
 """
 
@@ -13,10 +13,10 @@ import numpy as np
 
 from twin.nc.blocks import AxisWords, FrameChange, LostPositions, Move, Notice, Program, Rewrite
 from twin.nc.columns import MoveBuilder, MoveColumns
-from twin.nc.iso.bulk import LARGEST_STEPS, Formatting, Grids, NewPositions
-from twin.nc.iso.compiled import ARRAYS, LineCode, line_code
+from twin.nc.lines.bulk import LARGEST_STEPS, Formatting, Grids, NewPositions
+from twin.nc.lines.compiled import ARRAYS, LineCode, line_code
 from twin.nc.iso.interpreter import IsoInterpreter
-from twin.nc.iso.scan import MOST_DIGITS, Scan
+from twin.nc.lines.scan import MOST_DIGITS, Scan
 from twin.nc.iso.writer import IsoWriter
 from twin.nc.text import BLANK, MM_PER_INCH, Style
 from twin.nc.writer import Segments

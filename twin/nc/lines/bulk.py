@@ -12,7 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.nc.emit import SAME_NUMBER, OutputState
-from twin.nc.iso.scan import Scan, Words
+from twin.nc.lines.scan import Scan, Words
 from twin.nc.text import Style, grid
 
 LARGEST_STEPS: Final = 1e11
