@@ -168,20 +168,17 @@ def test_branches_of_the_dmu50(dmu50: Machine) -> None:
         both[:, 3:] = solutions[:, k]
         # Near B = 0 the closed form loses half its digits: it is a start for Newton, not an answer.
         assert np.abs(nominal.forward(both).axis - axis).max() <= 1e-7
-    for i in range(len(q)):
-        found = branches.nearest(solutions[i], q[i, 3:] + [0.3, -0.3])
-        assert found is not None
-        assert np.abs(found - q[i, 3:]).max() <= 1e-6
+    found = branches.nearest(solutions, q[:, 3:] + [0.3, -0.3])
+    assert np.abs(found - q[:, 3:]).max() <= 1e-6
 
 
 def test_upright_tool_keeps_c(dmu50: Machine) -> None:
     branches = Branches(Kinematics(dmu50, Calibration.zero(dmu50)))
-    upright = branches.all(np.array([[0.0, 0.0, 1.0]]))[0]
-    found = branches.nearest(upright, np.array([10.0, 417.0]))
-    assert found is not None
+    upright = branches.all(np.array([[0.0, 0.0, 1.0]]))
+    (found,) = branches.nearest(upright, np.array([[10.0, 417.0]]))
     assert found == pytest.approx([0.0, 417.0], abs=1e-6)
-    below = branches.all(np.array([[0.0, 0.6, -0.8]]))[0]
-    assert branches.nearest(below, np.zeros(2)) is None
+    below = branches.all(np.array([[0.0, 0.6, -0.8]]))
+    assert np.isnan(branches.nearest(below, np.zeros((1, 2)))).all()
 
 
 def test_both_branches_exist_and_each_is_kept() -> None:

@@ -15,10 +15,11 @@ from tests.conftest import beside
 from tests.nc.nc_support import AXES, iso_program, plain_program
 from twin._common.errors import InputError
 from twin.nc import dialect_for
-from twin.nc.blocks import AxisWords, Kind, Rewrite
+from twin.nc.blocks import AxisWords, Kind
+from twin.nc.columns import NewPositions
 from twin.nc.heidenhain import vocabulary as heidenhain_vocabulary
-from twin.nc.iso import stream
 from twin.nc.iso import vocabulary as iso_vocabulary
+from twin.nc.lines import chunks
 from twin.nc.simple_blocks import NOTHING, SimpleBlocks
 
 ISO, PLAIN = (dialect_for(Path(name)) for name in ("a.nc", "a.h"))
@@ -186,14 +187,14 @@ def outcome(work):
 
 
 def new_positions(reading, seed, width):
-    """Return rewrites of most moves: shifted or not, in one or more segments, with tool vectors or without."""
+    """Return new positions of most moves: shifted or not, in one or more segments, with tool vectors or without."""
     choice = random.Random(seed)
     tilted = choice.random() < 0.7
     most = choice.choice([1, 1, 2, 3])
     kept = choice.choice([0.0, 0.15, 0.5])
     lean = choice.choice([0, 0, 1])
-    rewrites = []
-    for move in reading.moves:
+    new = {}
+    for index, move in enumerate(reading.moves):
         if move.machine or choice.random() < kept:
             continue
         size = choice.choice([0.0, 0.0004, 0.05, 7.0])
@@ -205,8 +206,8 @@ def new_positions(reading, seed, width):
         if move.vector is not None and tilted:
             vectors = np.array([move.vector] * segments) + 0.01 * choice.randint(0, lean)
             vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-        rewrites.append(Rewrite(move, rows, vectors))
-    return rewrites
+        new[index] = (rows, vectors)
+    return NewPositions.of(len(reading.moves), width, new)
 
 
 @contextmanager
@@ -216,7 +217,7 @@ def way(name):
         if name == "tokens":
             for vocabulary in (iso_vocabulary, heidenhain_vocabulary):
                 patch.setattr(vocabulary, "simple_pattern", lambda names: SimpleBlocks(NOTHING, (), ()))
-        patch.setattr(stream, "SHORTEST_RUN", 1 if name == "runs" else 10**9)
+        patch.setattr(chunks, "SHORTEST_RUN", 1 if name == "runs" else 10**9)
         yield
 
 
@@ -234,8 +235,8 @@ def check(dialect, text, seed, axes=AXES, *, tcp=False):
         assert all(reading == general for reading in others)
         return
     assert all(shown(reading) == shown(general) for reading in others)
-    rewrites = new_positions(general, seed, len(axes.names))
-    first, *others = by_every_way(lambda: dialect.rewrite(program, axes, general, rewrites))
+    new = new_positions(general, seed, len(axes.names))
+    first, *others = by_every_way(lambda: dialect.rewrite(program, axes, general, new))
     assert all(text == first for text in others)
 
 

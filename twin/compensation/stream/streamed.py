@@ -27,7 +27,7 @@ from twin.compensation.solving.rows import even_cuts
 from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
 from twin.compensation.toolpath import SAMPLES_A_PIECE, ToolPath, spacings
-from twin.nc.lines.bulk import NewPositions
+from twin.nc.columns import NewPositions
 
 POSES: Final = 12 * PART_LINES
 """Poses solved and checked at once before any block is split: six for each short block of the longest part. Longer blocks need more

@@ -23,14 +23,12 @@ class IsoDrilling(IsoTilt):
     """Drilling cycles: those of Fanuc and LinuxCNC, and calls of SINUMERIK by ``MCALL``.
 
     Attributes:
-        motion: motion code in force, None before the first.
         plane: 17, 18 or 19.
         incremental: whether words are relative.
         cycle: the cycle executed after every positioning, or None.
         code: G code of a Fanuc cycle in force, empty if there is none.
     """
 
-    motion: int | None = None
     plane = 17
     incremental = False
     cycle: Drilling | None = None

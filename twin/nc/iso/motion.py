@@ -30,7 +30,7 @@ class IsoMotion(IsoDrilling):
 
     @property
     def runs_allowed(self) -> bool:
-        """Whether simple lines can be interpreted together: no cycle, pending work offset, incremental mode or tool vector."""
+        """See `Interpreter.runs_allowed`: no cycle, pending work offset, incremental mode or tool vector."""
         return self.cycle is None and self.offset == self.used_offset and not self.incremental and self.vector is None
 
     def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:
