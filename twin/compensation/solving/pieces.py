@@ -233,7 +233,7 @@ class Pieces:
         if rows.size:
             vectors[rows] = np.round(space.nominal.forward(commands[rows]).axis, self.vector_decimals)
             unit = vectors[rows] / np.linalg.norm(vectors[rows], axis=1, keepdims=True)
-            found = space.branches.nearest(space.branches.all(unit), commands[np.ix_(rows, rotary)])
-            known = np.isfinite(found).all(axis=1)
-            commands[np.ix_(rows[known], rotary)] = found[known]
+            before = commands[:, rotary][rows]
+            found = space.branches.nearest(space.branches.all(unit), before)
+            commands[rows[:, None], rotary] = np.where(np.isnan(found), before, found)
         return commands, vectors
