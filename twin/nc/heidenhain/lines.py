@@ -14,14 +14,27 @@ from typing import Final
 import numpy as np
 
 from twin.nc.lines.compiled import LineCode
-from twin.nc.lines.scan import Scan
+from twin.nc.lines.scan import Scan, line_ends
 
-_HEAD: Final = re.compile(rb"(?:\A|(?<=[\r\n]))[ \t]*+(?:\d++[ \t]*+)?+(?:L[ \t]|[;*%])")
-"""A head without anything that matters before its last characters: of an L block, or of a comment."""
 _IMAGE: Final = bytes(
     ord(".") if c == ord(",") else ord("?") if chr(c).islower() or c in b"GN" else c for c in range(256)
 )
 """Characters of the image: a point for a decimal comma; for letters that only ISO lines may have, a character that they cannot have."""
+_BLANK, _DIGIT, _OTHER, _KEYWORD, _COMMENT = range(5)
+_KINDS: Final = bytes(
+    _BLANK
+    if c in b" \t"
+    else _DIGIT
+    if c in b"0123456789"
+    else _KEYWORD
+    if c == ord("L")
+    else _COMMENT
+    if c in b";*%"
+    else _OTHER
+    for c in range(256)
+)
+LONGEST_HEAD: Final = 32
+"""Most characters before the keyword of a simple line: blanks and the block number."""
 _RAPID: Final = re.compile(rb"[ \t]FMAX(?=[ \t\r\n])")
 
 
@@ -36,7 +49,7 @@ def scan(data: bytes, names: tuple[str, ...], code: LineCode) -> Scan:
     Returns:
         The simple lines, of motion code 0 with ``FMAX`` and 1 without.
     """
-    image = _HEAD.sub(_head, data.translate(_IMAGE))
+    image = _with_iso_heads(data)
     if b"R0" in image:
         for end in (b" ", b"\r", b"\n"):
             image = image.replace(b" R0" + end, b"   " + end)
@@ -55,8 +68,28 @@ def scan(data: bytes, names: tuple[str, ...], code: LineCode) -> Scan:
     return replace(found, data=data, text=text, simple=simple, code=motion)
 
 
-def _head(match: re.Match[bytes]) -> bytes:
-    """Return the image of a head: ``G1`` for an L block, ``%``, which begins a comment line, for a comment."""
-    head = match.group()
-    mark = b"G1" if head[-2:-1] == b"L" else b"%"
-    return mark.rjust(len(head))
+def _with_iso_heads(data: bytes) -> bytes:
+    """Return the image of a text in which the head of an L block ends in ``G1``, and that of a comment in ``%``."""
+    image = np.frombuffer(bytearray(data.translate(_IMAGE)), dtype=np.uint8)
+    text, kind = (np.frombuffer(one, dtype=np.uint8) for one in (data, data.translate(_KINDS)))
+    starts = np.concatenate([[0], line_ends(text, data) + 1])
+    at = np.flatnonzero(kind >= _KEYWORD)
+    start = starts[np.searchsorted(starts, at, side="right") - 1]
+    good = at - start <= LONGEST_HEAD
+    good &= (kind[at] == _COMMENT) | (kind.take(at + 1, mode="clip") == _BLANK)
+    at, start = at[good], start[good]
+    numbers, within = np.zeros(len(at), dtype=int), np.zeros(len(at), dtype=bool)
+    good = np.ones(len(at), dtype=bool)
+    longest = int((at - start).max(initial=0))
+    for i in range(longest):
+        here = np.where(start + i < at, kind.take(start + i, mode="clip"), _BLANK)
+        good &= here <= _DIGIT
+        numbers += (here == _DIGIT) & ~within
+        within = here == _DIGIT
+    good &= numbers <= 1
+    at, start = at[good], start[good]
+    for i in range(longest):
+        image[start[start + i < at] + i] = ord(" ")
+    moves = at[kind[at] == _KEYWORD]
+    image[at], image[moves], image[moves + 1] = ord("%"), ord("G"), ord("1")
+    return image.tobytes()

@@ -76,7 +76,7 @@ def simple_pattern(names: tuple[str, ...]) -> SimpleBlocks:
     return simple_blocks(names, head, r"[+-]?+\d{1,9}+(?:[.,]\d*+)?+", others, "", rf"(?:R0[ \t]*+)?+{feed}")
 
 
-_NUMBERS: Final = re.compile(r"((?:\A|(?<=[\r\n]))(?:\xef\xbb\xbf)?+[ \t\f\x1a]*+)(\d++)(?![.,\d])", re.ASCII)
+_NUMBERS: Final = re.compile(r"([\r\n](?:\xef\xbb\xbf)?+[ \t\f\x1a]*+)(\d++)(?![.,\d])", re.ASCII)
 _CONTINUES: Final = re.compile(r"~[^\S\r\n]*+(?:\r\n|\n|\r)")
 UNNUMBERED: Final = "\0"
 """Mark, which no program has, before a line that continues a block and so has no number."""
@@ -89,13 +89,13 @@ def renumbered(text: str, numbers: Callable[[list[str]], Iterable[int]]) -> str:
         text: the lines.
         numbers: function that returns the new numbers for the old ones, or more. An old number that begins with a zero keeps its width.
     """
-    parts = _NUMBERS.split(text)
+    parts = _NUMBERS.split(f"\n{text}")
     old = parts[2::3]
     parts[2::3] = [
         str(new).zfill(len(before)) if before[0] == "0" else str(new)
         for before, new in zip(old, numbers(old), strict=False)
     ]
-    return "".join(parts).replace(UNNUMBERED, "")
+    return "".join(parts)[1:].replace(UNNUMBERED, "")
 
 
 def with_continued_marked(text: str) -> str:

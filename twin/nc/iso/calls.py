@@ -27,7 +27,6 @@ _RETURN: Final = re.compile(r"(?<!\w)(?:M[ \t]*0*(?:99|17|30|2)(?![\d=])|RET(?!\
 _LIKELY: Final = re.compile(
     r"[ \t]*(?:N\d+[ \t]*)?(?:O[ \t]*[\d<]|L[ \t]*\d|[A-Z_][A-Z_]|.*(?:M[ \t]*1?98|G[ \t]*65))", _FLAGS
 )
-"""Beginning of every line that may be a call, and of few others."""
 _LOCALS: Final = 33
 """Number of local variables of a macro."""
 _O_WORD: Final = re.compile(r"O[ \t]*(\d+|<[^>]*>)[ \t]*(SUB|ENDSUB|RETURN|CALL)(?!\w)[ \t]*(.*)", _FLAGS | re.DOTALL)
@@ -54,9 +53,13 @@ _SUFFIXES: Final = ("", ".spf", ".mpf", ".nc", ".ngc", ".txt", ".tap", ".iso")
 class IsoInliner(Inliner):
     """Writes out the subprograms of ISO programs."""
 
+    def likely(self, text: str) -> bool:
+        """See `Inliner.likely`."""
+        return _LIKELY.match(text) is not None
+
     def call(self, line: Line) -> Call | None:
         """See `Inliner.call`."""
-        if not _LIKELY.match(line.text):
+        if not self.likely(line.text):
             return None
         text = line.text[_NUMBER.match(line.text).end() :]  # type: ignore[union-attr]  # it matches anything
         bare = _NOTES.sub("", text).strip()
