@@ -229,3 +229,13 @@ class NewPositions:
             vectors if np.isfinite(vectors).all() else None,
             None if shares is None or np.isnan(shares).any() else shares,
         )
+
+
+def fill_forward(values: np.ndarray, said: np.ndarray, before: Sequence[float]) -> None:
+    """Fill the gaps in every column of an array with the last value before them; ``before``: the values before its first row."""
+    if said.all():
+        return
+    values[0] = np.where(said[0], values[0], before)
+    at = np.where(said, np.arange(len(values))[:, None], 0)
+    np.maximum.accumulate(at, axis=0, out=at)
+    values[:] = np.take_along_axis(values, at, axis=0)

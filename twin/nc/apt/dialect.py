@@ -8,16 +8,16 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.nc.apt.reader import AptReader
+from twin.nc.apt.program import read, rewritten
 from twin.nc.apt.statements import statement_at, statements
 from twin.nc.apt.technology import line_words
-from twin.nc.apt.writer import VECTOR_DECIMALS, AptWriter
+from twin.nc.apt.writer import VECTOR_DECIMALS
 from twin.nc.blocks import AxisWords, Interpretation, Kind, Program
-from twin.nc.columns import NewPositions
+from twin.nc.columns import NewPositions, as_columns
 from twin.nc.dialect import Dialect
 from twin.nc.header import first_lines, insert_comments
 from twin.nc.technology import FeedUnit, LineWords
-from twin.nc.text import MM_PER_INCH, Style, format_number, newline_of
+from twin.nc.text import MM_PER_INCH, Style, format_number
 
 _REMARK: Final = re.compile(r"[ \t]*+(?:\$\$[^\r\n]*+)?+[\r\n]*+", re.ASCII)
 _LOCATION: Final = re.compile(r"[ \t]*+GOTO[ \t]*+/[ \t\d.,+-]++[\r\n]*+", re.ASCII | re.IGNORECASE)
@@ -35,29 +35,13 @@ class Apt(Dialect):
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
         """See `Dialect.moves`. Cutter locations are tool-tip coordinates whatever ``tcp`` says."""
-        reader = AptReader(program.source, axes)
-        for statement in statements(program.texts):
-            reader.step(statement)
-        return Interpretation(tuple(reader.moves), tuple(reader.notices))
+        return read(program, axes)
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, new: NewPositions) -> str:
         """See `Dialect.rewrite`."""
-        if not np.any(new.count):
-            return program.text
-        index_of = {move.line: index for index, move in enumerate(reading.moves)}
-        reader = AptReader(program.source, axes)
-        writer = AptWriter(newline_of(program))
-        for statement in statements(program.texts):
-            before = len(reader.moves)
-            reader.step(statement)
-            moved = len(reader.moves) > before
-            index = index_of[statement.line] if moved else -1
-            rewrite = new.of_move(index, reading.moves[index]) if moved else None
-            if rewrite is None:
-                writer.write_unchanged(statement.raw, tilts=moved and len(statement.texts) == 6)
-            else:
-                writer.location(statement, rewrite, rewrite.positions.tolist(), reader.unit)
-        return "".join(writer.out)
+        return (
+            rewritten(program, axes, as_columns(axes.names, reading.moves), new) if np.any(new.count) else program.text
+        )
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.with_comments`: after ``PARTNO``."""

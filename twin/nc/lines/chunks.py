@@ -7,13 +7,13 @@ writer of blocks of the language.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, final
 
 import numpy as np
 
 from twin.nc.blocks import AxisWords, FrameChange, Interpretation, LostPositions, Notice, Program
-from twin.nc.columns import NO_VECTOR, MoveBuilder, MoveColumns, NewPositions
+from twin.nc.columns import NO_VECTOR, MoveBuilder, MoveColumns, NewPositions, fill_forward
 from twin.nc.lines.bulk import LARGEST_STEPS, Formatting, Grids
 from twin.nc.lines.compiled import ARRAYS, LineCode, line_code
 from twin.nc.lines.scan import MOST_DIGITS, Scan
@@ -344,13 +344,3 @@ def motions(scan: Scan, lines: np.ndarray, before: int | None) -> np.ndarray | N
         code[0] = before
     said = code >= 0
     return np.asarray(code[np.maximum.accumulate(np.where(said, np.arange(len(code)), 0))])
-
-
-def fill_forward(values: np.ndarray, said: np.ndarray, before: Sequence[float]) -> None:
-    """Fill the gaps in every column of an array with the last value before them; ``before``: the values before its first row."""
-    if said.all():
-        return
-    values[0] = np.where(said[0], values[0], before)
-    at = np.where(said, np.arange(len(values))[:, None], 0)
-    np.maximum.accumulate(at, axis=0, out=at)
-    values[:] = np.take_along_axis(values, at, axis=0)
