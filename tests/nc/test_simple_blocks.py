@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from tests.conftest import beside
 from tests.nc.nc_support import AXES, iso_program, plain_program
 from twin._common.errors import InputError
+from twin.compute.native import loading
 from twin.nc import dialect_for
 from twin.nc.blocks import AxisWords, Kind
 from twin.nc.columns import NewPositions
@@ -22,7 +23,7 @@ from twin.nc.iso import vocabulary as iso_vocabulary
 from twin.nc.lines import chunks
 from twin.nc.simple_blocks import NOTHING, SimpleBlocks
 
-ISO, PLAIN = (dialect_for(Path(name)) for name in ("a.nc", "a.h"))
+ISO, PLAIN, APT = (dialect_for(Path(name)) for name in ("a.nc", "a.h", "a.cls"))
 SWAPPED = AxisWords(("X", "Y", "Z"), ("C", "A"), {"X": 0.001, "Y": 0.005, "Z": 0.0001, "A": 0.001, "C": 0.01})
 LONG = AxisWords(("X", "Y", "Z"), ("B1", "C"), dict.fromkeys(("X", "Y", "Z", "B1", "C"), 0.001))
 ODD = AxisWords(("X", "Y", "Z"), ("N",), dict.fromkeys("XYZN", 0.001))
@@ -173,6 +174,88 @@ def mixed_plain(draw):
     return eol.join(lines) + draw(st.sampled_from([eol, ""]))
 
 
+@st.composite
+def long_runs_plain(draw):
+    """Draw programs in plain language that are nearly all simple blocks in capitals: long runs, some with decimal commas."""
+    comma, numbered = draw(st.booleans()), draw(st.booleans())
+    eol = draw(EOL)
+
+    def plain():
+        if rarely(draw, 20):
+            return draw(
+                st.sampled_from(
+                    ["", " ", "; c", "* - section", "L", "L R0", "X+1", "L Y+2.5 M8", "l x+1", "L F500 X+1"]
+                )
+            )
+        tail = draw(
+            st.sampled_from(["", "", " R0", " R0 FMAX", " F500", "\tFMAX", " F1.5 ", " R0 F5.", " FMAX R0", " R0 R0"])
+        )
+        text = "L " + draw(axis_words(AXES.names, glue=(" ", " ", "\t", "  "), plus=True)) + tail
+        return text.replace(".", ",") if comma else text
+
+    start = ["BEGIN PGM a MM", "L X+1 Y+1 Z+1 B+1 C+1"]
+    lines = [*start, *(plain() for _ in range(draw(st.integers(1, 30))))]
+    if numbered:
+        first = draw(st.sampled_from([0, 7, 95]))
+        width = draw(st.sampled_from([0, 0, 4]))
+        lines = [f"{i:0{width}d} {text}" for i, text in enumerate(lines, first)]
+    return eol.join(lines) + draw(st.sampled_from([eol, ""]))
+
+
+@st.composite
+def mixed_apt(draw):
+    """Draw cutter locations: simple statements and others."""
+    eol = draw(EOL)
+    usual = st.integers(-99999, 99999).map(lambda v: f"{v / 1000:.4f}")
+    strange = st.sampled_from(
+        ["0", "-0.0", "5", "-5.", ".5", "+1.5", "1.5E1", "2D0", " 3.5", "1.123456789", "-0.000001", "-.0"]
+    )
+    numbers = st.one_of(usual, usual, usual, strange) if draw(st.booleans()) else usual
+    vectors = [
+        "0,0,1",
+        "0.000000,0.600000,0.800000",
+        "0.6,-0.0,0.8",
+        "0,0.5,0.5",
+        "-1,0,0",
+        ".6,0,.8",
+        "0.0,0.7071068,0.7071068",
+    ]
+
+    def location():
+        head = draw(st.sampled_from(["GOTO/"] * 9 + ["GOTO / ", "goto/", " GOTO/"]))
+        words = [draw(numbers) for _ in range(3)]
+        tilt = draw(st.sampled_from(["", *vectors])) if draw(st.booleans()) else vectors[1]
+        tail = draw(st.sampled_from([""] * 9 + [" ", "\t", " $$ here"]))
+        return head + ",".join([*words, *([tilt] if tilt else [])]) + tail
+
+    special = [
+        "RAPID",
+        "FEDRAT/500",
+        "UNITS/INCHES",
+        "UNITS/MM",
+        "$$ note, GOTO/1,2,3",
+        "",
+        " ",
+        "%",
+        "(x)",
+        "PAINT/COLOR,1",
+        "X1",
+    ]
+    special += [
+        "FROM/1,2,3",
+        "GOTO/1,2,$",
+        "GOTO/1,2,3,0,0,2",
+        "GOTO/1,2,3,0,0.8,0.59",
+        f"GOTO/1,$ {eol} 2,3,0,0,1",
+        "N10 GOTO/1,2,3",
+    ]
+    lines = [
+        location() if draw(st.integers(0, 6)) else draw(st.sampled_from(special))
+        for _ in range(draw(st.integers(1, 25)))
+    ]
+    return eol.join(["UNITS/MM", "GOTO/0,0,0,0,0,1", *lines]) + draw(st.sampled_from([eol, ""]))
+
+
 def shown(reading):
     """Return an interpretation in comparable form (NaN equals NaN, sets are sorted)."""
     return [repr(move._replace(named=tuple(sorted(move.named)))) for move in reading.moves], repr(reading.notices)
@@ -212,18 +295,19 @@ def new_positions(reading, seed, width):
 
 @contextmanager
 def way(name):
-    """Read and write token by token, by the patterns of simple blocks, or (ISO) all simple blocks of a run together."""
+    """Read and write token by token, by the patterns of simple blocks, or all simple blocks of a run together."""
     with pytest.MonkeyPatch.context() as patch:
         if name == "tokens":
             for vocabulary in (iso_vocabulary, heidenhain_vocabulary):
                 patch.setattr(vocabulary, "simple_pattern", lambda names: SimpleBlocks(NOTHING, (), ()))
-        patch.setattr(chunks, "SHORTEST_RUN", 1 if name == "runs" else 10**9)
+        patch.setattr(chunks, "SHORTEST_RUN", 1 if name in ("runs", "compiled") else 10**9)
+        patch.setattr(loading, "WORTH_COMPILING", 1 if name == "compiled" else 10**9)
         yield
 
 
 def by_every_way(work):
     """Yield the outcome of a function by each path."""
-    for name in ("tokens", "plain", "runs"):
+    for name in ("tokens", "plain", "runs", "compiled"):
         with way(name):
             yield outcome(work)
 
@@ -267,7 +351,20 @@ def test_plain_language(text, seed, tcp):
         check(PLAIN, text, seed, tcp=tcp)
 
 
-@pytest.mark.parametrize("name", ["tokens", "plain"])
+@MANY
+@given(text=long_runs_plain(), seed=SEED)
+def test_long_runs_of_plain_language(text, seed):
+    check(PLAIN, text, seed)
+
+
+@MANY
+@given(text=mixed_apt(), seed=SEED)
+@example(text="GOTO/0,0,0,0,0,1\nGOTO/1,2,$\nGOTO/1,2,3\nGOTO/4,5,6\n", seed=1)
+def test_locations(text, seed):
+    check(APT, text, seed)
+
+
+@pytest.mark.parametrize("name", ["tokens", "plain", "runs"])
 def test_fmax_is_a_rapid_of_its_own_block(name):
     """Heidenhain: FMAX applies to its block only, any other feed until the next; both readers must distinguish them."""
     lines = {
