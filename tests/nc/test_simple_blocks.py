@@ -364,6 +364,17 @@ def test_locations(text, seed):
     check(APT, text, seed)
 
 
+def test_no_negative_zero_in_locations():
+    program = APT.read(b"GOTO/0.0,0.0,0.000000,0,0,1\n" * 3, "test")
+    reading = APT.moves(program, AXES, tcp=True)
+    rows = np.array([[-1e-9, -0.0, -4e-7, np.nan, np.nan], [-0.0, -2e-5, 1.0, np.nan, np.nan]])
+    tools = np.array([[-1e-12, -0.0, 1.0], [-1e-9, 0.0, 1.0]])
+    new = NewPositions.of(3, 5, {i: (rows, tools) for i in range(3)})
+    first, *others = by_every_way(lambda: APT.rewrite(program, AXES, reading, new))
+    assert "-0.00000," not in first and "-0.00002,1.000000,-0.000000001,0,1\n" in first
+    assert all(text == first for text in others)
+
+
 @pytest.mark.parametrize("name", ["tokens", "plain", "runs"])
 def test_fmax_is_a_rapid_of_its_own_block(name):
     """Heidenhain: FMAX applies to its block only, any other feed until the next; both readers must distinguish them."""
