@@ -130,21 +130,27 @@ def _play(way: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
         (n,) from −1 to +1, changing over a distance of ``width``; 0 until the axis moves, and again where its position is unknown. (n,)
         +1, −1, or 0 before it has reached either end.
     """
-    rate = 2.0 / width
+    rate, step = 2.0 / width, np.diff(way, prepend=np.nan)
+    # Steps that change the state: any step unless it has reached an end, there only those back; and gaps.
+    changes = {side: np.flatnonzero((step * side < 0.0) | np.isnan(step)) for side in (1.0, -1.0)}
+    between = np.flatnonzero(step != 0.0)
+    states, sides, steps = np.zeros(len(way)), np.zeros(len(way)), step.tolist()
     state = side = 0.0
-    last = np.nan
-    states, sides = [], []
-    for place in way.tolist():
-        if place != place:
-            state = side = 0.0
-        elif last == last:
-            state = min(1.0, max(-1.0, state + rate * (place - last)))
-            if state in (-1.0, 1.0):
-                side = state
-        last = place
-        states.append(state)
-        sides.append(side)
-    return np.array(states), np.array(sides)
+    at = 0
+    while at < len(way):
+        moved = steps[at]
+        if moved == 0.0 or moved * state > 0.0 and state in changes:
+            those = changes.get(state, between)
+            place = int(np.searchsorted(those, at))
+            end = int(those[place]) if place < len(those) else len(way)
+            states[at:end], sides[at:end] = state, side
+            at = end
+            continue
+        state = 0.0 if moved != moved else min(1.0, max(-1.0, state + rate * moved))
+        side = 0.0 if moved != moved else state if state in changes else side
+        states[at], sides[at] = state, side
+        at += 1
+    return states, sides
 
 
 def _from_reversal(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
@@ -167,6 +173,8 @@ def _from_reversal(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
 def _with_passages(path: ToolPath, motion: np.ndarray, way: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
     """Return one axis's positions with those of passed-through lines inserted, and a mask of the original ones."""
     moved = [passage for passage in path.passages if passage.moved[axis]]
+    if not moved:
+        return way, np.ones(len(way), dtype=bool)
     at = np.searchsorted(motion, [passage.before for passage in moved], side="left")
     places = np.insert(way, at, [passage.commands[axis] for passage in moved])
     return places, np.insert(np.ones(len(way), dtype=bool), at, False)
