@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.compensation import backlash
@@ -32,16 +32,17 @@ def from_reversal(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
     """Move each change of side back to behind the last extreme point before it, since the one before or the last gap."""
     found = sides.copy()
     first = 0
-    for at in range(1, len(way)):
+    for at in range(len(way)):
         if np.isnan(way[at]):
             first = at + 1
-        elif sides[at] != sides[at - 1]:
+        elif at and sides[at] != sides[at - 1]:
             height = way[first:at] * sides[at]
             first += max(i for i, one in enumerate(height) if one <= min(height) + STILL)
             found[first + 1 : at] = sides[at]
     return found
 
 
+@settings(max_examples=400)
 @given(
     steps=st.lists(
         st.one_of(st.integers(-3, 3), st.integers(-3, 3), st.floats(-3, 3), st.sampled_from([5e-4, -5e-4]), st.none()),
