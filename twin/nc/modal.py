@@ -38,11 +38,13 @@ class Interpreter(ABC):
         tcp: whether tool centre point control is on.
         tcp_word: the word that switched it last; empty: none yet.
         motion: motion code in force, None before the first and in languages without.
+        repeated: moves of the third linear axis that follow each simple line, of a drilling cycle: height and whether it is a rapid.
     """
 
     heidenhain = False
     """Whether arithmetic is that of plain language."""
     motion: int | None = None
+    repeated: tuple[tuple[float, bool], ...] = ()
 
     def __init__(
         self, source: str, axes: AxisWords, *, tcp: bool, tcp_on: Iterable[str], tcp_off: Iterable[str]

@@ -153,6 +153,8 @@ class PartReader:
             for data in self._source.stretches():
                 read.append(self._read(data))
                 motions.append(self._followed(read[-1], sum(len(stretch.moves) for stretch in read[:-1])))
+                if self.drills:
+                    break  # such a program is compensated as a whole
                 if self.lines >= full:
                     full += a_part
                     part = self._part(read, motions)

@@ -7,17 +7,14 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final, final
 
-import numpy as np
-
 from twin.nc.blocks import AxisWords, Move
 from twin.nc.columns import MoveColumns, NewPositions
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
 from twin.nc.heidenhain.vocabulary import UNNUMBERED, renumbered
 from twin.nc.heidenhain.writer import HeidenhainWriter
 from twin.nc.lines.bulk import Formatting
-from twin.nc.lines.chunks import Chunk, ChunkRewriter
+from twin.nc.lines.chunks import Chunk, ChunkRewriter, Run
 from twin.nc.lines.compiled import LineCode
-from twin.nc.lines.scan import Scan
 from twin.nc.text import Style
 from twin.nc.writer import Segments
 
@@ -60,17 +57,17 @@ class HeidenhainRewriter(ChunkRewriter):
         written = self._writer.block(self._interpreter.step(line, text, move), segments.get(0))
         return f"{UNNUMBERED}{written}" if continued else written
 
-    def formatting(self, scan: Scan, whole: slice, lines: np.ndarray, motion: np.ndarray) -> Formatting | None:
+    def formatting(self, run: Run) -> Formatting | None:
         """See `ChunkRewriter.formatting`. Lines with decimal commas are written as if with points: None if both occur."""
-        data, style = scan.data[whole], self._writer.style
+        data, style = run.scan.data[run.whole], self._writer.style
         if (b"." if style.comma else b",") in data:
             return None
         self._comma = style.comma
         return Formatting(style, True, False)
 
-    def written(self, scan: Scan, lines: np.ndarray, count: np.ndarray, text: bytes, formatting: Formatting) -> bytes:
+    def written(self, run: Run, text: bytes, formatting: Formatting) -> bytes:
         """See `ChunkRewriter.written`."""
-        if count.max() > 1:
+        if run.count.max() > 1:
             text = _SPLIT.sub(self._segments, text)
         if self._comma:
             text = text.replace(b".", b",")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -177,6 +177,9 @@ class ChunkReader:
             return False
         words = slice(scan.first[lines[0]], scan.first[lines[-1] + 1])
         axis, value = scan.words.axis[words], scan.words.value[words]
+        repeated = state.repeated
+        if repeated and not only_places(scan, lines, state.linear - 1):
+            return False
         if state.inch:
             value = np.where(axis < state.linear, value * MM_PER_INCH, value)
         position = np.full((len(lines), len(state.names)), np.nan)
@@ -187,11 +190,68 @@ class ChunkReader:
             return False  # the interpreter refuses one of these lines
         named = said @ (1 << np.arange(len(state.names)))
         fill_forward(position, said, state.position)
-        vector, tcp = np.broadcast_to(NO_VECTOR, (len(lines), 3)), np.full(len(lines), state.tcp)
-        found.extend(MoveColumns(state.names, chunk.first + lines, motion == 0, tcp, named, position, vector, {}))
+        rapid, of = motion == 0, chunk.first + lines
+        if repeated:
+            self.drills = True
+            of, position, named, rapid = _with_repeated(repeated, state.linear - 1, of, position, named, rapid)
+        vector, tcp = np.broadcast_to(NO_VECTOR, (len(of), 3)), np.full(len(of), state.tcp)
+        found.extend(MoveColumns(state.names, of, rapid, tcp, named, position, vector, {}))
         state.position = position[-1].tolist()
         state.motion = int(motion[-1])
         return True
+
+
+def only_places(scan: Scan, lines: np.ndarray, drilling: int) -> bool:
+    """Return whether simple lines have no motion code and no word of the axis ``drilling``."""
+    words = slice(scan.first[lines[0]], scan.first[lines[-1] + 1])
+    return not (np.any(scan.code[lines] >= 0) or np.any(scan.words.axis[words] == drilling))
+
+
+def _with_repeated(
+    repeated: tuple[tuple[float, bool], ...],
+    drilling: int,
+    line: np.ndarray,
+    position: np.ndarray,
+    named: np.ndarray,
+    rapid: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return columns of moves with those of a drilling cycle behind each.
+
+    Args:
+        repeated: see `Interpreter`.
+        drilling: the axis that drills.
+        line: as for `MoveColumns`.
+        position: the same.
+        named: the same.
+        rapid: the same.
+    """
+    each = 1 + len(repeated)
+    line, position, named, rapid = (np.repeat(column, each, axis=0) for column in (line, position, named, rapid))
+    for place, (height, fast) in enumerate(repeated, 1):
+        position[place::each, drilling], named[place::each], rapid[place::each] = height, 1 << drilling, fast
+    return line, position, named, rapid
+
+
+class Run(NamedTuple):
+    """Simple lines that are written together.
+
+    Attributes:
+        scan: the text.
+        whole: the range of the text that contains the lines.
+        lines: (n,) indices of the lines.
+        motion: (n,) their motion codes.
+        segments: (moves,) number of segments of each of their moves.
+        count: (n,) number of segments of each line.
+        targets: (segments, axes) their end positions.
+    """
+
+    scan: Scan
+    whole: slice
+    lines: np.ndarray
+    motion: np.ndarray
+    segments: np.ndarray
+    count: np.ndarray
+    targets: np.ndarray
 
 
 class ChunkRewriter(ABC):
@@ -221,25 +281,16 @@ class ChunkRewriter(ABC):
         """
 
     @abstractmethod
-    def formatting(self, scan: Scan, whole: slice, lines: np.ndarray, motion: np.ndarray) -> Formatting | None:
-        """Return the formatting in force; None if the modal state does not allow to write simple lines together.
-
-        Args:
-            scan: the text.
-            whole: the range of the text that contains the lines.
-            lines: (n,) indices of the lines.
-            motion: (n,) their motion codes.
-        """
+    def formatting(self, run: Run) -> Formatting | None:
+        """Return the formatting in force; None if the modal state does not allow to write these lines together."""
 
     @abstractmethod
-    def written(self, scan: Scan, lines: np.ndarray, count: np.ndarray, text: bytes, formatting: Formatting) -> bytes:
+    def written(self, run: Run, text: bytes, formatting: Formatting) -> bytes:
         """Take over the state after lines that were written together, and return their final text.
 
         Args:
-            scan: the text.
-            lines: (n,) indices of the lines.
-            count: (n,) number of segments of each.
-            text: the lines as written.
+            run: the lines.
+            text: as written.
             formatting: formatting after the last of them.
         """
 
@@ -266,11 +317,9 @@ class ChunkRewriter(ABC):
         general = new.count == 0
         general[list(moves.special)] = True
         general |= moves.by_vector
-        bulk = np.zeros(len(chunk), dtype=bool)
-        bulk[at_line] = ~general & self._exact_in_steps(
-            moves.named[~general], new.positions[new.rows(np.flatnonzero(~general))]
-        )
-        bulk &= scan.simple & (np.diff(of_line) == 1)
+        exact = self._exact_in_steps(moves.named[~general], new.positions[new.rows(np.flatnonzero(~general))])
+        bulk = scan.simple & (np.diff(of_line) > 0) & exact
+        bulk[at_line[general]] = False
         out: list[bytes] = []
         for begin, end, together in runs(bulk, scan.blank):
             at = begin
@@ -301,28 +350,31 @@ class ChunkRewriter(ABC):
         if not state.runs_allowed or state.inch or writer.style.min_decimals > MOST_DIGITS:
             return None
         lines = begin + np.flatnonzero(scan.simple[begin:end])
-        if not lines.size:
+        motion = motions(scan, lines, state.motion) if lines.size else None
+        if motion is None:
             return None
-        motion = motions(scan, lines, state.motion)
-        whole = slice(int(scan.start[begin]), int(scan.end[end - 1]))
-        formatting = None if motion is None else self.formatting(scan, whole, lines, motion)
-        if motion is None or formatting is None:
-            return None
-        which = of_line[lines]
-        text, formatting = self._code.rewritten_lines(
+        first = of_line[lines]
+        which = np.arange(first[0], of_line[lines[-1] + 1])
+        segments = new.count[which]
+        run = Run(
             scan,
-            whole,
+            slice(int(scan.start[begin]), int(scan.end[end - 1])),
             lines,
-            new.count[which],
+            motion,
+            segments,
+            np.add.reduceat(segments, first - first[0]),
             new.positions[new.rows(which)],
-            writer.said,
-            formatting,
-            self._grids,
+        )
+        formatting = self.formatting(run)
+        if formatting is None:
+            return None
+        text, formatting = self._code.rewritten_lines(
+            scan, run.whole, lines, run.count, run.targets, writer.said, formatting, self._grids
         )
         writer.style, writer.lower = formatting.style, formatting.lower
         state.motion = int(motion[-1])
         state.position = moves.position[which[-1]].tolist()
-        return self.written(scan, lines, new.count[which], text, formatting)
+        return self.written(run, text, formatting)
 
 
 def _segments(which: range, moves: MoveColumns, new: NewPositions) -> dict[int, Segments]:
