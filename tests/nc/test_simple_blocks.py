@@ -174,6 +174,55 @@ def mixed_plain(draw):
     return eol.join(lines) + draw(st.sampled_from([eol, ""]))
 
 
+CYCLES = [
+    *(
+        "G81 X1 Y1 Z-5 R2 F300",
+        "G99 G81 X1 Y1 Z-5 R2",
+        "G98 G82 X1 Y1 Z-5 R2 P0.5",
+        "G83 X1 Y1 Z-7 R2 Q3",
+        "G73 X1 Z-4 R1 Q1.5",
+    ),
+    *(
+        "G85 X1 Y1 Z-3 R2",
+        "G99 G89 X1 Z-3 R2 P1",
+        "G84 X1 Z-9 R3",
+        "MCALL CYCLE81(10,0,2,-5)",
+        "MCALL CYCLE82(10.,0.,3.,-6.,,0.5)",
+    ),
+    *(
+        "MCALL CYCLE83(10,0,1,-9,,-3,,0,0,0,1,1)",
+        "MCALL CYCLE85(10,0,2,-5,,0.5,80,120)",
+        "MCALL CYCLE84(10,0,2,-5,,0.5,3,,0.8)",
+    ),
+]
+
+
+@st.composite
+def drilled(draw):
+    """Draw drilling cycles with the places of holes, mostly simple lines, some of them split by other words."""
+    eol, small = draw(EOL), rarely(draw, 6)
+    number = st.integers(-99999, 99999).map(lambda v: f"{v / 1000:.3f}")
+    lines = ["G0 X0. Y0. Z20. B0. C0."]
+    for _ in range(draw(st.integers(1, 3))):
+        lines.append(draw(st.sampled_from(CYCLES)))
+        for _ in range(draw(st.integers(1, 12))):
+            if rarely(draw, 15):
+                lines.append(
+                    draw(
+                        st.sampled_from(
+                            ["", "(c)", "G0 X5", "X1 Z3", "X1 M8", "X1Y2", "G99", "N5 X7 F200", "X1 Y1 R3 Z-4"]
+                        )
+                    )
+                )
+            else:
+                glue = "" if rarely(draw, 12) else " "
+                names = draw(st.sampled_from([("X",), ("Y",), ("X", "Y"), ("X", "Y"), ("X", "Y"), ("X", "Y", "C")]))
+                lines.append(glue.join(f"{name}{draw(number)}" for name in names))
+        lines.append(draw(st.sampled_from(["G80", "MCALL", "", "G80 G0 Z20"])))
+    text = eol.join(lines) + draw(st.sampled_from([eol, ""]))
+    return text.lower() if small else text
+
+
 @st.composite
 def long_runs_plain(draw):
     """Draw programs in plain language that are nearly all simple blocks in capitals: long runs, some with decimal commas."""
@@ -349,6 +398,12 @@ def test_iso_on_other_machines(data, seed, axes):
 def test_plain_language(text, seed, tcp):
     if text.strip():
         check(PLAIN, text, seed, tcp=tcp)
+
+
+@MANY
+@given(text=drilled(), seed=SEED)
+def test_drilling(text, seed):
+    check(ISO, text, seed)
 
 
 @MANY

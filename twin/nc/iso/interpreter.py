@@ -56,7 +56,7 @@ class IsoInterpreter(IsoMotion):
         """
         self._line, self._block_text = line, text
         found = self._simple.pattern.fullmatch(text)
-        if found is not None:
+        if found is not None and not (self.code and self._changes_cycle(found)):
             return self._simple_block(found)
         begin = len(BOM) if line == 0 and text.startswith(BOM) else 0
         stripped = text[begin:].strip(" \t\r\n\f\x1a")
@@ -77,6 +77,11 @@ class IsoInterpreter(IsoMotion):
         """See `Interpreter.moves`."""
         block = None if text in BLANK else self.step(line, text)
         return () if block is None else block.moves
+
+    def _changes_cycle(self, match: re.Match[str]) -> bool:
+        """Return whether a simple block has a word that has another meaning, or ends the cycle, while one of Fanuc is in force."""
+        depth = (group for group, axis in self._simple.axes if self.names[axis].upper() == "Z")
+        return any(match[group] is not None for group in (2, *depth, *(group for group, _ in self._simple.others)))
 
     def _simple_block(self, match: re.Match[str]) -> IsoBlock:
         """Interpret a simple block from the groups of its pattern."""
