@@ -406,6 +406,16 @@ def test_drilling(text, seed):
     check(ISO, text, seed)
 
 
+@pytest.mark.parametrize("cycle", CYCLES)
+@pytest.mark.parametrize(
+    "places", ["X1 Y2\nX3. Y4.5\nY5\nX6 Y7\n", "X1Y2\nX3.Y4.5\nX6Y7\n", "X1 Y2\n\nX3. Y4.5\n(c)\nX6 Y7\n"]
+)
+def test_each_drilling_cycle(cycle, places):
+    text = f"G0 X0. Y0. Z20. B0. C0.\n{cycle}\n{places}G80\nMCALL\nX1 Y1\n"
+    for seed in range(30):
+        check(ISO, text, seed)
+
+
 @MANY
 @given(text=long_runs_plain(), seed=SEED)
 def test_long_runs_of_plain_language(text, seed):
