@@ -208,11 +208,7 @@ def drilled(draw):
         for _ in range(draw(st.integers(1, 12))):
             if rarely(draw, 15):
                 lines.append(
-                    draw(
-                        st.sampled_from(
-                            ["", "(c)", "G0 X5", "X1 Z3", "X1 M8", "X1Y2", "G99", "N5 X7 F200", "X1 Y1 R3 Z-4"]
-                        )
-                    )
+                    draw(st.sampled_from(["", "(c)", "X1 Z3", "X1 M8", "X1Y2", "G99", "N5 X7 F200", "X1 Y1 R3 Z-4"]))
                 )
             else:
                 glue = "" if rarely(draw, 12) else " "

@@ -168,7 +168,7 @@ def _stretches(step: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray, n
 
     Returns:
         (m,) first step of each stretch, (m,) first step of its last way in one direction, (m,) the step behind it, and (m,) the
-        position at its end; NaN where it is unknown.
+        position behind it; NaN where it is unknown.
     """
     direction = np.sign(np.nan_to_num(step))
     says = np.where((direction != 0.0) | np.isnan(step), np.arange(len(step)), 0)

@@ -65,7 +65,7 @@ class Inliner(ABC):
 
     @cached_property
     def lines(self) -> list[Line]:
-        """Its lines."""
+        """The lines of the program."""
         return [Line(text, self.program.source, i) for i, text in enumerate(self.program.texts, 1)]
 
     @abstractmethod

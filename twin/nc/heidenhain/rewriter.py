@@ -67,7 +67,7 @@ class HeidenhainRewriter(ChunkRewriter):
 
     def written(self, run: Run, text: bytes, formatting: Formatting) -> bytes:
         """See `ChunkRewriter.written`."""
-        if run.count.max() > 1:
+        if run.per_line.max() > 1:
             text = _SPLIT.sub(self._segments, text)
         if self._comma:
             text = text.replace(b".", b",")

@@ -79,9 +79,10 @@ class IsoInterpreter(IsoMotion):
         return () if block is None else block.moves
 
     def _changes_cycle(self, match: re.Match[str]) -> bool:
-        """Return whether a simple block has a word that has another meaning, or ends the cycle, while one of Fanuc is in force."""
+        """Return whether a simple block without a motion word has a word that belongs to the cycle of Fanuc in force."""
         depth = (group for group, axis in self._simple.axes if self.names[axis].upper() == "Z")
-        return any(match[group] is not None for group in (2, *depth, *(group for group, _ in self._simple.others)))
+        others = (group for group, _ in self._simple.others)
+        return match[2] is None and any(match[group] is not None for group in (*depth, *others))
 
     def _simple_block(self, match: re.Match[str]) -> IsoBlock:
         """Interpret a simple block from the groups of its pattern."""

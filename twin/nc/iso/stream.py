@@ -95,7 +95,7 @@ class IsoRewriter(ChunkRewriter):
             return False
         steps = np.rint(np.nan_to_num(run.targets) / self._grids.step)
         moved = (steps[1:] != steps[:-1]).any(axis=1)
-        moved[np.cumsum(run.count)[:-1] - 1] = True
+        moved[np.cumsum(run.per_line)[:-1] - 1] = True
         return bool(moved.all())
 
     def written(self, run: Run, text: bytes, formatting: Formatting) -> bytes:

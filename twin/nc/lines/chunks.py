@@ -241,7 +241,7 @@ class Run(NamedTuple):
         lines: (n,) indices of the lines.
         motion: (n,) their motion codes.
         segments: (moves,) number of segments of each of their moves.
-        count: (n,) number of segments of each line.
+        per_line: (n,) number of segments of each line.
         targets: (segments, axes) their end positions.
     """
 
@@ -250,7 +250,7 @@ class Run(NamedTuple):
     lines: np.ndarray
     motion: np.ndarray
     segments: np.ndarray
-    count: np.ndarray
+    per_line: np.ndarray
     targets: np.ndarray
 
 
@@ -369,7 +369,7 @@ class ChunkRewriter(ABC):
         if formatting is None:
             return None
         text, formatting = self._code.rewritten_lines(
-            scan, run.whole, lines, run.count, run.targets, writer.said, formatting, self._grids
+            scan, run.whole, lines, run.per_line, run.targets, writer.said, formatting, self._grids
         )
         writer.style, writer.lower = formatting.style, formatting.lower
         state.motion = int(motion[-1])
