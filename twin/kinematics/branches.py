@@ -10,6 +10,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.arrays import rows_all_true
 from twin._common.errors import InputError
 from twin._common.units import DEG
 from twin.kinematics.forward import Kinematics
@@ -109,10 +110,11 @@ class Branches:
             for shift in (0.0, -1.0, 1.0):
                 candidate = np.where(free, previous, angles + 360.0 * (turns + shift))
                 candidate = candidate + 360.0 * ((candidate < lower) * 1.0 - (candidate > upper) * 1.0)
-                travel = np.abs(np.clip(candidate, *self._limits.T) - previous).max(axis=1)
-                inside = ((candidate >= lower) & (candidate <= upper)).all(axis=1) & ~free.all(axis=1)
+                clipped = np.clip(candidate, *self._limits.T)
+                travel = np.maximum(*np.abs(clipped - previous).T)
+                inside = rows_all_true((candidate >= lower) & (candidate <= upper)) & ~(free[:, 0] & free[:, 1])
                 better = inside & (travel < least)
-                best[better], least[better] = np.clip(candidate[better], *self._limits.T), travel[better]
+                best[better], least[better] = clipped[better], travel[better]
         return best
 
     def along(self, solutions: np.ndarray, before: np.ndarray, offset: np.ndarray) -> np.ndarray:
