@@ -231,11 +231,13 @@ def _ranges(begin: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.repeat(begin - np.cumsum(length) + length, length) + np.arange(length.sum()), length
 
 
-def _with_passages(path: ToolPath, motion: np.ndarray, way: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return one axis's positions with those of passed-through lines inserted, and a mask of the original ones."""
+def _with_passages(
+    path: ToolPath, motion: np.ndarray, way: np.ndarray, axis: int
+) -> tuple[np.ndarray, np.ndarray | slice]:
+    """Return one axis's positions with those of passed-through lines inserted, and which are the original ones."""
     moved = [passage for passage in path.passages if passage.moved[axis]]
     if not moved:
-        return way, np.ones(len(way), dtype=bool)
+        return way, slice(None)
     at = np.searchsorted(motion, [passage.before for passage in moved], side="left")
     places = np.insert(way, at, [passage.commands[axis] for passage in moved])
     return places, np.insert(np.ones(len(way), dtype=bool), at, False)
