@@ -80,9 +80,8 @@ class IsoInterpreter(IsoMotion):
 
     def _changes_cycle(self, match: re.Match[str]) -> bool:
         """Return whether a simple block without a motion word has a word that belongs to the cycle of Fanuc in force."""
-        depth = (group for group, axis in self._simple.axes if self.names[axis].upper() == "Z")
-        others = (group for group, _ in self._simple.others)
-        return match[2] is None and any(match[group] is not None for group in (*depth, *others))
+        groups = [group for group, axis in self._simple.axes if self.names[axis].upper() == "Z"]
+        return match[2] is None and any(match[i] is not None for i in (*groups, *dict(self._simple.others)))
 
     def _simple_block(self, match: re.Match[str]) -> IsoBlock:
         """Interpret a simple block from the groups of its pattern."""
