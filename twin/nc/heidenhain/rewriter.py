@@ -13,7 +13,7 @@ from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
 from twin.nc.heidenhain.vocabulary import UNNUMBERED, renumbered
 from twin.nc.heidenhain.writer import HeidenhainWriter
 from twin.nc.lines.bulk import Formatting
-from twin.nc.lines.chunks import Chunk, ChunkRewriter, Run
+from twin.nc.lines.chunks import Chunk, ChunkRewriter, SimpleRun
 from twin.nc.lines.compiled import LineCode
 from twin.nc.text import Style
 from twin.nc.writer import Segments
@@ -57,7 +57,7 @@ class HeidenhainRewriter(ChunkRewriter):
         written = self._writer.block(self._interpreter.step(line, text, move), segments.get(0))
         return f"{UNNUMBERED}{written}" if continued else written
 
-    def formatting(self, run: Run) -> Formatting | None:
+    def formatting(self, run: SimpleRun) -> Formatting | None:
         """See `ChunkRewriter.formatting`. Lines with decimal commas are written as if with points: None if both occur."""
         data, style = run.scan.data[run.whole], self._writer.style
         if (b"." if style.comma else b",") in data:
@@ -65,7 +65,7 @@ class HeidenhainRewriter(ChunkRewriter):
         self._comma = style.comma
         return Formatting(style, True, False)
 
-    def written(self, run: Run, text: bytes, formatting: Formatting) -> bytes:
+    def written(self, run: SimpleRun, text: bytes, formatting: Formatting) -> bytes:
         """See `ChunkRewriter.written`."""
         if run.per_line.max() > 1:
             text = _SPLIT.sub(self._segments, text)

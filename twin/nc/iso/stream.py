@@ -12,7 +12,7 @@ from twin.nc.blocks import AxisWords
 from twin.nc.iso.interpreter import IsoInterpreter
 from twin.nc.iso.writer import CODE, IsoWriter
 from twin.nc.lines.bulk import Formatting
-from twin.nc.lines.chunks import ChunkReader, ChunkRewriter, Run, only_places
+from twin.nc.lines.chunks import ChunkReader, ChunkRewriter, SimpleRun, only_places
 from twin.nc.lines.compiled import ARRAYS, LineCode
 from twin.nc.text import Style
 from twin.nc.writer import Segments
@@ -65,7 +65,7 @@ class IsoRewriter(ChunkRewriter):
         block = self._interpreter.step(line, text)
         return text if block is None else self._writer.block(line, block, segments)
 
-    def formatting(self, run: Run) -> Formatting | None:
+    def formatting(self, run: SimpleRun) -> Formatting | None:
         """See `ChunkRewriter.formatting`."""
         writer, scan, lines = self._writer, run.scan, run.lines
         if self._interpreter.feed_mode == "93" or (scan.code[lines[0]] < 0 and writer.motion != run.motion[0]):
@@ -75,7 +75,7 @@ class IsoRewriter(ChunkRewriter):
         writer.motion = int(run.motion[-1])
         return Formatting(writer.style, writer.spaced, writer.lower)
 
-    def _drills_alike(self, run: Run) -> bool:
+    def _drills_alike(self, run: SimpleRun) -> bool:
         """Return whether lines, one after the other, name places of holes, and every segment of a stroke moves."""
         writer, scan, lines, text = self._writer, run.scan, run.lines, run.scan.text
         if not writer.expand_cycles or not only_places(scan, lines, writer.linear - 1):
@@ -98,7 +98,7 @@ class IsoRewriter(ChunkRewriter):
         moved[np.cumsum(run.per_line)[:-1] - 1] = True
         return bool(moved.all())
 
-    def written(self, run: Run, text: bytes, formatting: Formatting) -> bytes:
+    def written(self, run: SimpleRun, text: bytes, formatting: Formatting) -> bytes:
         """See `ChunkRewriter.written`."""
         self._writer.spaced = formatting.spaced
         coded = run.lines[run.scan.code[run.lines] >= 0]
@@ -106,7 +106,7 @@ class IsoRewriter(ChunkRewriter):
             self._writer.wide = bool(run.scan.wide[coded[-1]])
         return text if self._interpreter.cycle is None else self._with_strokes(run, text)
 
-    def _with_strokes(self, run: Run, text: bytes) -> bytes:
+    def _with_strokes(self, run: SimpleRun, text: bytes) -> bytes:
         """Return lines of holes whose strokes have been written as segments, with their motion words, feeds and blocks behind."""
         out = _LINE.findall(text)
         strokes = self._interpreter.strokes()

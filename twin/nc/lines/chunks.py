@@ -232,7 +232,7 @@ def _with_repeated(
     return line, position, named, rapid
 
 
-class Run(NamedTuple):
+class SimpleRun(NamedTuple):
     """Simple lines that are written together.
 
     Attributes:
@@ -281,11 +281,11 @@ class ChunkRewriter(ABC):
         """
 
     @abstractmethod
-    def formatting(self, run: Run) -> Formatting | None:
+    def formatting(self, run: SimpleRun) -> Formatting | None:
         """Return the formatting in force; None if the modal state does not allow to write these lines together."""
 
     @abstractmethod
-    def written(self, run: Run, text: bytes, formatting: Formatting) -> bytes:
+    def written(self, run: SimpleRun, text: bytes, formatting: Formatting) -> bytes:
         """Take over the state after lines that were written together, and return their final text.
 
         Args:
@@ -356,7 +356,7 @@ class ChunkRewriter(ABC):
         first = of_line[lines]
         which = np.arange(first[0], of_line[lines[-1] + 1])
         segments = new.count[which]
-        run = Run(
+        run = SimpleRun(
             scan,
             slice(int(scan.start[begin]), int(scan.end[end - 1])),
             lines,
