@@ -8,7 +8,7 @@ import numpy as np
 
 from twin._common.errors import InputError, OutputError
 from twin.compensation.solving.rows import repeat_with_index
-from twin.nc.iso.bulk import NewPositions
+from twin.nc.columns import NewPositions
 
 PRINTED_MM: Final = 2e-4
 """Largest difference (mm, degrees) that printing can cause: half a unit of the last decimal, also for inch words."""

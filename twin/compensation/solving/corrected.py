@@ -21,7 +21,7 @@ from twin.compensation.solving.rows import Rows
 from twin.compensation.toolpath import check_domains
 from twin.kinematics.inverse import SLACK
 from twin.machine.effects.empirical import check_ranges
-from twin.nc.iso.bulk import NewPositions
+from twin.nc.columns import NewPositions
 
 LARGEST_SPLIT: Final = 4096
 """Most pieces per block; an error that needs more cannot be reduced by splitting."""

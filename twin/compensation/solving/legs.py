@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.compensation.prepared import PreparedMachine
 from twin.compensation.solving.rows import repeat_with_index
-from twin.compensation.toolpath import PathMotion
+from twin.compensation.toolpath import PathMotion, ToolPath
 
 STEP_DEG: Final = 2.0
 """Step of the search for reversals on an arc or a turn of the tool, degrees."""
@@ -72,13 +72,13 @@ class Legs:
 
 
 def turning_points(
-    prepared: PreparedMachine, motions: Sequence[PathMotion], which: np.ndarray, axes: Sequence[int]
+    prepared: PreparedMachine, path: ToolPath, which: np.ndarray, axes: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the points at which axes reverse inside motions.
 
     Args:
         prepared: the machine without errors, and the set-up.
-        motions: all motions.
+        path: all motions.
         which: indices of the interpolated ones.
         axes: indices of the axes to consider.
 
@@ -86,8 +86,11 @@ def turning_points(
         (k,) motion and (k,) fraction, in order. Points closer than two least increments to another one or to an end point of the
         motion are omitted, because rounded words cannot represent them.
     """
-    curved = np.array([i for i in which if _can_turn(motions[i])] if axes else [], dtype=int)
-    if not curved.size:
+    columns, motions = path.columns, path.motions
+    can_turn = columns.tcp & (columns.start[:, 3:] != columns.end[:, 3:]).any(axis=1)
+    can_turn[list(columns.special)] = True
+    curved = which[can_turn[which]]
+    if not axes or not curved.size:
         return np.zeros(0, dtype=int), np.zeros(0)
     counts = np.array([_steps(motions[i]) for i in curved])
     of, index = repeat_with_index(curved, counts + 1)
@@ -107,10 +110,6 @@ def turning_points(
         found_of.append(of[first])
         found_at.append((low + high) / 2.0)
     return _resolvable(prepared, motions, np.concatenate(found_of), np.concatenate(found_at))
-
-
-def _can_turn(motion: PathMotion) -> bool:
-    return motion.move.arc is not None or (motion.move.tcp and bool(np.any(motion.start[3:] != motion.end[3:])))
 
 
 def _steps(motion: PathMotion) -> int:

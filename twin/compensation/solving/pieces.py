@@ -80,12 +80,11 @@ class Pieces:
         check_one_mode(prepared.calibration, self.tcp_out, source, tcp=prepared.options.tcp)
         self.straight = np.ones(len(columns), dtype=bool)
         self.straight[[i for i, move in columns.special.items() if move.arc is not None]] = False
-        self.by_vector = np.zeros(len(columns), dtype=bool)
-        self.by_vector[[i for i, move in columns.special.items() if move.vector is not None and not posted]] = True
+        self.by_vector = columns.by_vector & (not posted)
         self.interpolated = ~columns.rapid & rows_all_true(np.isfinite(self.start))
         # From outside the range there is no nominal path; such a start is reported with its own block.
         self.interpolated &= ~prepared.outside(self.space.commands(self.start, self.tcp))
-        turning = turning_points(prepared, path.motions, np.flatnonzero(self.interpolated), aim.backlash.axes)
+        turning = turning_points(prepared, path, np.flatnonzero(self.interpolated), aim.backlash.axes)
         self.legs = Legs.of(len(columns), turning)
         if not self.idle:
             whole = np.ones(len(columns), dtype=int)
@@ -234,8 +233,7 @@ class Pieces:
         if rows.size:
             vectors[rows] = np.round(space.nominal.forward(commands[rows]).axis, self.vector_decimals)
             unit = vectors[rows] / np.linalg.norm(vectors[rows], axis=1, keepdims=True)
-            for row, solutions in zip(rows, space.branches.all(unit), strict=True):
-                found = space.branches.nearest(solutions, commands[row, rotary])
-                if found is not None:
-                    commands[row, rotary] = found
+            before = commands[:, rotary][rows]
+            found = space.branches.nearest(space.branches.all(unit), before)
+            commands[rows[:, None], rotary] = np.where(np.isnan(found), before, found)
         return commands, vectors

@@ -88,7 +88,8 @@ class Rows:
         for behind in (False, True):
             vectors = np.nan_to_num(rows.vectors)
             alike = (np.abs(np.diff(rows.printed, axis=0)) < SAME).all(axis=1) & ~np.diff(vectors, axis=0).any(axis=1)
-            rows = rows.where(~(rows.backlash_move & (np.append(alike, False) if behind else np.append(False, alike))))
+            omitted = rows.backlash_move & (np.append(alike, False) if behind else np.append(False, alike))
+            rows = rows.where(~omitted) if np.any(omitted) else rows
         return rows
 
 

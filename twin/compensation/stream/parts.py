@@ -13,8 +13,9 @@ from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.toolpath import Follower, MotionColumns
 from twin.nc.blocks import Notice
 from twin.nc.columns import MoveColumns
-from twin.nc.iso.compiled import line_code
-from twin.nc.iso.stream import Chunk, IsoReader
+from twin.nc.iso.stream import iso_reader
+from twin.nc.lines.chunks import Chunk
+from twin.nc.lines.compiled import line_code
 from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
 
 STRETCH_BYTES: Final = 1 << 18
@@ -129,7 +130,7 @@ class PartReader:
     def __init__(self, prepared: PreparedMachine, source: ProgramFile, turns: bool | None) -> None:
         self._prepared, self._source = prepared, source
         self._aim = None if turns is None else prepared.aim(turns=turns)
-        self._reader = IsoReader(str(source.path), prepared.space.axes, tcp=prepared.options.tcp)
+        self._reader = iso_reader(str(source.path), prepared.space.axes, tcp=prepared.options.tcp)
         self._code = line_code(source.lines)
         self._follower = Follower(str(source.path), prepared.space)
         self._notices: list[Notice] = []
@@ -152,6 +153,8 @@ class PartReader:
             for data in self._source.stretches():
                 read.append(self._read(data))
                 motions.append(self._followed(read[-1], sum(len(stretch.moves) for stretch in read[:-1])))
+                if self.drills:
+                    break  # such a program is compensated as a whole
                 if self.lines >= full:
                     full += a_part
                     part = self._part(read, motions)

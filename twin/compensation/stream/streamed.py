@@ -28,7 +28,7 @@ from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, 
 from twin.compensation.stream.writer import ISO, PartWriter
 from twin.compensation.toolpath import SAMPLES_A_PIECE, ToolPath, spacings
 from twin.compute.native import one_of
-from twin.nc.iso.bulk import NewPositions
+from twin.nc.columns import NewPositions
 
 POSES: Final = 24 * PART_LINES
 """Poses solved and checked at once before any block is split: six for each short block of the longest part. Longer blocks need more

@@ -175,11 +175,12 @@ class WordSpace:
         """Return the (n, axes) commands that the control derives from (n, axes) words; ``tcp``: (n,) mode of each."""
         shifted = words + self.offset
         if np.any(tcp) or self.tilt is not None:
-            rows = np.flatnonzero((tcp | (self.tilt is not None)) & np.isfinite(words).all(axis=1))
-            start = np.zeros((len(rows), len(self.order)))
+            rows = self._tip_rows(words, tcp)
+            points = words[rows, :3]
+            start = np.zeros((len(points), len(self.order)))
             start[:, self.order[3:]] = shifted[rows, 3:]
             reached = self.nominal.forward(start)
-            points = words[rows, :3] if self.tilt is None else words[rows, :3] @ self.tilt.rotation.T
+            points = points if self.tilt is None else points @ self.tilt.rotation.T
             target = Poses(points + self.origin, reached.rotation)
             shifted[rows] = self.inverse.solve(target, start, rotary=False).positions[:, self.order]
         if np.all(self.order == np.arange(len(self.order))):
@@ -196,11 +197,16 @@ class WordSpace:
     def words(self, commands: np.ndarray, tcp: np.ndarray) -> np.ndarray:
         """Return the (n, axes) words from which the control derives (n, axes) commands; ``tcp``: (n,) mode of each."""
         words = commands[:, self.order] - self.offset
-        rows = np.flatnonzero((tcp | (self.tilt is not None)) & np.isfinite(commands).all(axis=1))
-        if rows.size:
+        if np.any(tcp) or self.tilt is not None:
+            rows = self._tip_rows(commands, tcp)
             points = self.nominal.forward(commands[rows]).point_mm - self.origin
             words[rows, :3] = points if self.tilt is None else points @ self.tilt.rotation
         return words
+
+    def _tip_rows(self, known: np.ndarray, tcp: np.ndarray) -> np.ndarray | slice:
+        """Return the rows whose words are places of the tool tip or on a tilted plane, and that are ``known`` (n, axes)."""
+        chosen = (tcp | (self.tilt is not None)) & rows_all_true(np.isfinite(known))
+        return slice(None) if chosen.all() else np.flatnonzero(chosen)
 
 
 def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:

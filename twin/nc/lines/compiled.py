@@ -14,8 +14,8 @@ import numpy as np
 from twin.compute.native import loading
 from twin.nc.blocks import AxisWords
 from twin.nc.emit import SAME_NUMBER, OutputState
-from twin.nc.iso.bulk import Formatting, Grids, rewritten_lines
-from twin.nc.iso.scan import NOTE, Scan, Words, scan, tables
+from twin.nc.lines.bulk import Formatting, Grids, rewritten_lines
+from twin.nc.lines.scan import NOTE, Scan, Words, scan, tables
 from twin.nc.text import Style
 
 _POINTERS: Final = ctypes.c_void_p
@@ -90,7 +90,7 @@ class _Compiled:
     library: ctypes.CDLL
 
     def scan(self, data: bytes, names: tuple[str, ...]) -> Scan:
-        """As `twin.nc.iso.scan.scan`."""
+        """As `twin.nc.lines.scan.scan`."""
         text = np.frombuffer(data, dtype=np.uint8)
         kind, rank, axis, bad = tables(names)
         given = dict(
@@ -131,7 +131,7 @@ class _Compiled:
         formatting: Formatting,
         grids: Grids,
     ) -> tuple[bytes, Formatting]:
-        """As `twin.nc.iso.bulk.rewritten_lines`."""
+        """As `twin.nc.lines.bulk.rewritten_lines`."""
         axes = targets.shape[1]
         own = {
             "line": np.ascontiguousarray(lines, dtype=np.int64),
@@ -170,8 +170,8 @@ class LineCode:
     """Reader and writer of simple lines: with arrays, or the same in compiled code.
 
     Attributes:
-        scan: `twin.nc.iso.scan.scan`.
-        rewritten_lines: `twin.nc.iso.bulk.rewritten_lines`.
+        scan: `twin.nc.lines.scan.scan`.
+        rewritten_lines: `twin.nc.lines.bulk.rewritten_lines`.
     """
 
     scan: Callable[[bytes, tuple[str, ...]], Scan]
@@ -194,7 +194,7 @@ def line_code(lines: int) -> LineCode:
 @cache
 def _compiled() -> _Compiled | None:
     """Return the compiled code; None if it cannot be compiled, or differs from the arrays on a sample."""
-    source = resources.files("twin.nc.iso").joinpath("lines.cpp").read_text(encoding="utf-8")
+    source = resources.files("twin.nc.lines").joinpath("lines.cpp").read_text(encoding="utf-8")
     found = loading.library(source)
     if found is None:
         return None

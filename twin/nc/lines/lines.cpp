@@ -1,4 +1,4 @@
-// Simple lines of an ISO program, read as `twin.nc.iso.scan.scan` and written as `twin.nc.iso.bulk.rewritten_lines` do with arrays; they are
+// Simple lines of an ISO program, read as `twin.nc.lines.scan.scan` and written as `twin.nc.lines.bulk.rewritten_lines` do with arrays; they are
 // compared in tests.
 #include <cmath>
 #include <cstdint>
