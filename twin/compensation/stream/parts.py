@@ -95,14 +95,12 @@ class ProgramPart:
 
     Attributes:
         read: the stretches.
-        motions: their motions, preceded by the last one of the part before; moves are counted through the whole part.
-        context: number of motions from the part before: 1, or 0 for the first part.
+        motions: their motions; moves are counted through the whole part.
         aim: errors to correct; None until a motion has been read.
     """
 
     read: Sequence[ReadStretch]
     motions: MotionColumns
-    context: int
     aim: CorrectionAim | None
 
     @property
@@ -147,8 +145,7 @@ class PartReader:
     def parts(self) -> Iterator[ProgramPart]:
         """Yield the program as read; if reading `failed`, everything before."""
         a_part = self._source.lines / self._source.parts
-        full, read = a_part, list[ReadStretch]()
-        motions = [MotionColumns.of({}, len(self._prepared.space.axes.names))]
+        full, read, motions = a_part, list[ReadStretch](), list[MotionColumns]()
         try:
             for data in self._source.stretches():
                 read.append(self._read(data))
@@ -157,15 +154,15 @@ class PartReader:
                     break  # such a program is compensated as a whole
                 if self.lines >= full:
                     full += a_part
-                    part = self._part(read, motions)
-                    read, motions = [], [part.motions.part(max(len(part.motions) - 1, 0), len(part.motions))]
-                    yield part
+                    yield self._part(read, motions)
+                    read, motions = [], []
         except InputError as error:
             self.failed = error
         yield self._part(read, motions)
 
     def _part(self, read: list[ReadStretch], motions: list[MotionColumns]) -> ProgramPart:
-        return ProgramPart(read, MotionColumns.joined(motions), len(motions[0]), self._aim)
+        none = MotionColumns.of({}, len(self._prepared.space.axes.names))
+        return ProgramPart(read, MotionColumns.joined(motions or [none]), self._aim)
 
     def _read(self, data: bytes) -> ReadStretch:
         stretch = Chunk(data, self.lines, self._prepared.space.axes.names, self._code)

@@ -75,16 +75,14 @@ class CompiledAlong:
 
     def __init__(self, function: ca.Function) -> None:
         self._routine = CompiledRoutine(function, "along.cpp")
-        self._refused = False
 
     @property
     def usable(self) -> bool:
         """Whether compiled code can evaluate the function."""
-        return not self._refused and self._routine.library("along") is not None
+        return self._routine.library("along") is not None
 
     def refuse(self) -> None:
         """Stop using the compiled code, whose results are wrong."""
-        self._refused = True
         self._routine.refuse()
 
     def largest(self, inputs: Sequence[np.ndarray], points: np.ndarray) -> np.ndarray | None:
