@@ -411,9 +411,9 @@ class Calibration:
 
     def outside_domains(self, positions: np.ndarray) -> np.ndarray:
         """Return (n, axes) whether positions (mm, degrees) leave the domain of a curve by more than rounding."""
-        bounds = self.domains()
-        slack = 1e-9
-        return np.asarray((positions < bounds[:, 0] - slack) | (positions > bounds[:, 1] + slack))
+        lower, upper = (self.domains() + [-1e-9, 1e-9]).T
+        below, above = positions < lower, positions > upper
+        return below | above if above.any() else below
 
     def state(self, positions: np.ndarray) -> dict[str, np.ndarray]:
         """Return the positions (n, axes) as arrays (n,) by axis name."""

@@ -14,7 +14,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.prepared import PreparedMachine
-from twin.compensation.solving.rows import repeat_with_index
+from twin.compensation.solving.rows import repeat_with_index, taken
 from twin.compensation.toolpath import PathMotion, ToolPath
 
 STEP_DEG: Final = 2.0
@@ -60,8 +60,15 @@ class Legs:
         last = mine & (self.end == 1.0)
         self.begin[last], self.count[mine], self.count[last] = 0.0, 0, 1
 
+    def whole(self, legs: np.ndarray) -> bool:
+        """Return whether each of some legs is a motion in one piece."""
+        columns = ((self.count, 1), (self.begin, 0.0), (self.end, 1.0))
+        return all(bool(np.all(taken(column, legs) == value)) for column, value in columns)
+
     def ends(self, legs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the leg of every piece of some legs, and the fraction of the motion at the piece's end point."""
+        if self.whole(legs):
+            return legs, np.ones(len(legs))
         of, number = repeat_with_index(legs, self.count[legs])
         share = (number + 1) / self.count[of]
         return of, np.where(share == 1.0, self.end[of], self.at(of, share))

@@ -11,7 +11,7 @@ import numpy as np
 from twin._common.arrays import rows_all_true
 from twin.compensation.comparison import Commands
 from twin.compensation.solving.pieces import Pieces
-from twin.compensation.solving.rows import SAME, Rows, Ways, even_cuts, repeat_with_index
+from twin.compensation.solving.rows import SAME, Rows, Ways, even_cuts, repeat_with_index, taken
 from twin.compensation.toolpath import SAMPLES_A_PIECE, spacings
 from twin.compute.along import fractions
 
@@ -152,14 +152,18 @@ class PathErrors:
 
     def samples(self, legs: np.ndarray) -> Samples:
         """Return dense points inside the pieces of legs of interpolated motions."""
+        if self._pieces.legs.whole(legs):
+            return Samples(legs, np.zeros(len(legs), dtype=int), self._points_per_piece(legs))
         pieces = self._pieces.legs.count[legs]
         return Samples(*repeat_with_index(legs, pieces), np.repeat(self._points_per_piece(legs), pieces))
 
     def _points_per_piece(self, legs: np.ndarray) -> np.ndarray:
         """Return (legs,) the number of dense points per piece of each leg."""
         all_legs = self._pieces.legs
-        share = all_legs.end[legs] - all_legs.begin[legs]
-        points = np.ceil(self._spacings[all_legs.motion[legs]] * share / np.maximum(all_legs.count[legs], 1))
+        lengths = taken(self._spacings, taken(all_legs.motion, legs))
+        if not all_legs.whole(legs):
+            lengths = lengths * (all_legs.end[legs] - all_legs.begin[legs]) / np.maximum(all_legs.count[legs], 1)
+        points = np.ceil(lengths)
         return np.maximum(SAMPLES_A_PIECE, points).astype(int)
 
     @cached_property
@@ -187,13 +191,13 @@ class PathErrors:
             point_by_point: whether every point shall be a line of its own, even where the commands lie on straight lines.
         """
         row = _rows_of(samples, ways)
-        motion = self._pieces.legs.motion[samples.leg]
-        begin, way = ways.begin.take(row, axis=0), ways.way.take(row, axis=0)
+        motion = taken(self._pieces.legs.motion, samples.leg)
+        begin, way = taken(ways.begin, row), taken(ways.way, row)
         straight = bool(np.all(self._pieces.straight[motion]))
         if straight:
-            first, last = self._fractions(samples)
-            meant, meant_way = (words.take(motion, axis=0) for words in self._pieces.ways)
-            if np.any(first != 0.0) or np.any(last != 1.0):
+            meant, meant_way = (taken(words, motion) for words in self._pieces.ways)
+            if not self._pieces.legs.whole(samples.leg):
+                first, last = self._fractions(samples)
                 meant, meant_way = meant + first[:, None] * meant_way, (last - first)[:, None] * meant_way
             if self._on_lines(motion):
                 nominal = self._line(meant, meant_way, samples.points)
@@ -220,7 +224,7 @@ class PathErrors:
     def _line(self, begin: np.ndarray, way: np.ndarray, points: np.ndarray) -> Commands:
         """Return points on straight lines of words that are straight lines of commands."""
         still = np.zeros(len(begin), dtype=bool)
-        return Commands(self._space.commands(begin, still), way[:, np.argsort(self._space.order)], points)
+        return Commands(self._space.commands(begin, still), self._space.displacements(way), points)
 
     # --- ways of pieces ----------------------------------------------------------------------------------------------
 
@@ -296,4 +300,4 @@ class PathErrors:
 
 def _rows_of(samples: Samples, ways: Ways) -> np.ndarray:
     """Return (pieces,) the row of each piece's end point."""
-    return np.asarray(ways.rows[ways.first[samples.leg] + samples.number])
+    return taken(ways.rows, taken(ways.first, samples.leg) + samples.number)

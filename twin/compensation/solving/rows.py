@@ -113,6 +113,14 @@ class Ways(NamedTuple):
     first: np.ndarray
 
 
+def taken(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return some rows of an array; the array itself if these are all of them, in order."""
+    n = len(values)
+    if len(rows) == n and (n == 0 or (rows[0] == 0 and rows[-1] == n - 1 and bool(np.all(rows[1:] > rows[:-1])))):
+        return values
+    return values.take(rows, axis=0)
+
+
 def repeat_with_index(things: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Repeat each of (n,) items by its count, and number the repetitions 0, 1, 2 … within each."""
     return np.repeat(things, count), np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
