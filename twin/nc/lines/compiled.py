@@ -19,7 +19,7 @@ from twin.nc.lines.scan import NOTE, Scan, Words, scan, tables
 from twin.nc.text import Style
 
 _POINTERS: Final = ctypes.c_void_p
-_TABLES: Final = ("text", "kind", "bad", "rank", "axis")
+_TABLES: Final = ("text", "kind", "rank", "axis")
 _LINES: Final = {
     "start": np.int64,
     "end": np.int64,
@@ -92,18 +92,21 @@ class _Compiled:
     def scan(self, data: bytes, names: tuple[str, ...]) -> Scan:
         """As `twin.nc.lines.scan.scan`."""
         text = np.frombuffer(data, dtype=np.uint8)
-        kind, rank, axis, bad = tables(names)
-        given = dict(
-            zip(_TABLES, (text, np.frombuffer(kind, np.uint8), np.frombuffer(bad, np.uint8), rank, axis), strict=True)
-        )
+        kind, rank, axis, _ = tables(names)
+        given = dict(zip(_TABLES, (text, np.frombuffer(kind, np.uint8), rank, axis), strict=True))
         job = _Job(size=len(data), **{name: values.ctypes.data for name, values in given.items()})
-        self.library.count(ctypes.byref(job))
-        sizes = {name: job.lines + (name == "first") for name in _LINES} | dict.fromkeys(_WORDS, job.words)
-        made = {name: np.empty(sizes[name], dtype=kind_) for name, kind_ in (_LINES | _WORDS).items()}
-        for name, values in made.items():
+        # Upper bounds: memory that is not written is not taken.
+        lines, words = data.count(b"\n") + data.count(b"\r") + 2, len(data) // 2 + 1
+        room = {
+            name: np.empty(size, dtype=kind_)
+            for names_, size in ((_LINES, lines), (_WORDS, words))
+            for name, kind_ in names_.items()
+        }
+        for name, values in room.items():
             setattr(job, name, values.ctypes.data)
         self.library.scan(ctypes.byref(job))
-        words = Words(**{name.removeprefix("word_"): made[name][: job.words].copy() for name in _WORDS})
+        made = {name: room[name][: job.lines + (name == "first")] for name in _LINES}
+        found = Words(**{name.removeprefix("word_"): room[name][: job.words] for name in _WORDS})
         blank = made["blank"] == 1
         for i in np.flatnonzero(made["blank"] == _MAYBE_NOTE).tolist():
             blank[i] = NOTE.fullmatch(data, made["start"][i], made["end"][i]) is not None
@@ -116,7 +119,7 @@ class _Compiled:
             blank,
             made["code"],
             made["wide"],
-            words,
+            found,
             made["first"],
         )
 
@@ -198,7 +201,7 @@ def _compiled() -> _Compiled | None:
     found = loading.library(source)
     if found is None:
         return None
-    for function, job in ((found.count, _Job), (found.scan, _Job), (found.rewrite, _RewriteJob)):
+    for function, job in ((found.scan, _Job), (found.rewrite, _RewriteJob)):
         function.argtypes, function.restype = (ctypes.POINTER(job),), None
     compiled = _Compiled(found)
     if not _agrees(compiled):
