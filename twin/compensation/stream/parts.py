@@ -20,7 +20,7 @@ from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
 
 STRETCH_BYTES: Final = 1 << 18
 """Bytes read, written and read back at once: few enough for the data derived from them to stay in cache."""
-PART_LINES: Final = 8_192
+PART_LINES: Final = 16_384
 """Lines solved together, few enough for their numbers to stay in cache. All parts of a long program are about equally long."""
 
 

@@ -30,7 +30,7 @@ from twin.compensation.toolpath import SAMPLES_A_PIECE, MotionColumns, ToolPath,
 from twin.compute.native import one_of
 from twin.nc.columns import NewPositions
 
-POSES: Final = 24 * PART_LINES
+POSES: Final = 12 * PART_LINES
 """Poses solved and checked at once before any block is split: six for each short block of the longest part. Longer blocks need more
 poses, so fewer of them are solved at once.
 """
