@@ -176,13 +176,14 @@ class PoseComparison:
         """Return expressions: distance in mm; angle between the tool axes and its two tilts; amount by which a domain is exceeded."""
         machine = self._real.machine
         nominal, commanded = (command * ca.DM(machine.scale) for command in (meant, given))
-        frame, target = self._nominal.pose_at(nominal)
+        frame, _ = self._nominal.pose_at(nominal)
+        target, upright = self._nominal.tip_and_axis_at(nominal)
         point, axis = self._real.tip_and_axis_at(commanded, *sides)
         beyond = ca.SX(-1.0)
         for q, (lower, upper) in zip(ca.vertsplit(given), self._real.calibration.domains(), strict=True):
             beyond = beyond if np.isneginf(lower) else ca.fmax(beyond, lower - q)
             beyond = beyond if np.isposinf(upper) else ca.fmax(beyond, q - upper)
-        apart = ca.norm_2(axis - frame[:, 2])
+        apart = ca.norm_2(axis - upright)
         leaning = frame.T @ axis
         tilts = ca.atan2(-leaning[1], leaning[2]), ca.atan2(leaning[0], leaning[2])
         return ca.norm_2(point - target) / MM, (2.0 * ca.asin(ca.fmin(apart / 2.0, 1.0)), *tilts), beyond
