@@ -24,6 +24,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from twin._common.bundled import find_program
     from twin._common.errors import InputError
     from twin.comparison import compare
     from twin.compensation import Compensator, Options, compensate, compensate_file
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
     from twin.measurement.importing import import_table
     from twin.measurement.simulate import Placement, simulate
     from twin.measurement.table import Measurements
-    from twin.nc import find_program, read_program
+    from twin.nc import read_program
     from twin.nc.tables import load_offsets, load_tools
     from twin.notebook.field import error_field
     from twin.notebook.frames import calibration_from_frame, measurements_from_frame, to_frame
@@ -193,7 +194,7 @@ _HOMES = {
     "evaluate_drift": ("twin.standards", "evaluate_drift"),
     "evaluation_html": ("twin.standards.page", "evaluation_html"),
     "execute_file": ("twin.compensation.execute", "execute_file"),
-    "find_program": ("twin.nc", "find_program"),
+    "find_program": ("twin._common.bundled", "find_program"),
     "fit_thermal": ("twin.thermal", "fit_thermal"),
     "identify": ("twin.identification", "identify"),
     "identify_as_thesis": ("twin.identification.thesis.identify", "identify_as_thesis"),

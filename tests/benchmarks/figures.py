@@ -19,6 +19,7 @@ from tests.identification.test_thesis_findings import gains
 from tests.kinematics.test_kinematics import random_commands, reference_pose
 from tests.machine.errors import random_calibration
 from tests.truth.reference import sorby_forward, sorby_inverse
+from twin._common.bundled import find_program
 from twin.compensation import Compensator, Options
 from twin.compute.batch import BatchFunction
 from twin.identification import identify
@@ -29,7 +30,7 @@ from twin.machine.chain import chain_function
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
-from twin.nc import dialect_for, find_program, read_program
+from twin.nc import dialect_for, read_program
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
 from twin.samples.dmu50_calibration import as_drawn

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.machine.errors import random_calibration
 from tests.truth.reference import dmu50_pose
+from twin._common.bundled import find_program
 from twin._common.errors import InputError
 from twin.compensation import Compensator, Options
 from twin.compensation.execute import execute
@@ -20,7 +21,7 @@ from twin.identification.table import TableTilt
 from twin.kinematics.forward import Kinematics, Poses, angle_between_rad
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.nc import find_program, read_program
+from twin.nc import read_program
 from twin.numerics.covariance import Covariance
 from twin.numerics.spatial import fused_angles
 from twin.uncertainty.budget import error_budget

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from tests.nc.nc_support import AXES, iso_positions, new_positions, plain_positions, read_moves
+from twin._common.bundled import find_program
 from twin._common.errors import InputError
-from twin.nc import dialect_for, find_program, read_program
+from twin.nc import dialect_for, read_program
 from twin.nc.blocks import Kind
 
 APT = dialect_for(Path("a.cls"))

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from tests.nc.nc_support import AXES
+from twin._common.bundled import find_program
 from twin._common.errors import InputError
-from twin.nc import DIALECTS, find_program, read_program
+from twin.nc import DIALECTS, read_program
 from twin.nc.technology import FeedUnit, LineWords, Technology
 
 NAN = float("nan")

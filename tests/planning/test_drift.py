@@ -11,16 +11,17 @@ import pytest
 from tests.cli.commands import refused
 from tests.truth.reference import dmu50_pose
 from twin import cli
+from twin._common.families import DRIFT_INSTRUMENTS
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
-from twin.planning.drift import DRIFTS, INSTRUMENTS, DriftPlan, drift_plan
+from twin.planning.drift import DRIFTS, DriftPlan, drift_plan
 from twin.planning.sequences import InstrumentSizes
 from twin.standards import evaluate_drift
 
 LENGTH = 120.0
 OPTIONS = {"environment": {}, "spindle": {"highest_rpm": 12000.0}, "axes": {"axis": "Y"}}
 every_pair = pytest.mark.parametrize(
-    ("name", "instrument"), [(one.name, tool) for one in DRIFTS for tool in INSTRUMENTS]
+    ("name", "instrument"), [(one.name, tool) for one in DRIFTS for tool in DRIFT_INSTRUMENTS]
 )
 
 

@@ -132,6 +132,22 @@ def register_input(path: Path) -> None:
         tracker.add_input(path)
 
 
+def folder_entries(folder: Path, what: str) -> list[Path]:
+    """Return the paths in a folder by name.
+
+    Args:
+        folder: the folder.
+        what: what it is, in words, for the message.
+
+    Raises:
+        InputError: it is not a folder that can be read.
+    """
+    try:
+        return sorted(folder.iterdir())
+    except OSError as error:
+        raise InputError(f"{what} cannot be read", expected="a folder", file=folder, value=error.strerror) from error
+
+
 def names_beside(path: Path) -> list[str]:
     """Return the names of the files in the same folder; empty if there is no such folder."""
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from twin.cli.shared import installation
@@ -14,6 +15,8 @@ def main(arguments: list[str] | None = None) -> None:
 
     The commands are imported in this function because they need those packages.
     """
+    # Before NumPy is imported: starting its threads takes longer than importing it, and all large computations limit it to one.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     words = sys.argv[1:] if arguments is None else arguments
     if words[:1] == ["doctor"] and not {"-h", "--help"} & set(words) and not installation.can_start():
         installation.exit_with_findings()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from twin._common.counts import count_with_noun
@@ -15,11 +14,14 @@ from twin._common.defaults import DEFAULT
 from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import CALIBRATION, TABLE, CommandResult, JsonOption, command
+from twin.cli.shared.command import CALIBRATION, EXISTING, TABLE, CommandResult, JsonOption, command
 from twin.cli.shared.words import three_numbers
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from twin.identification.axis_run import AxisLayout
+    from twin.machine.calibration import Calibration
 
 MOST_ROWS = 30_000
 """Largest number of rows of a simulated run, as many as `twin axis-run` can evaluate."""
@@ -49,7 +51,9 @@ class RunUncertaintyChoice(StrEnum):
 )
 def axis_run(
     readings: Annotated[
-        Path, typer.Argument(help="Table of readings, one column per beam.", autocompletion=complete.tables)
+        Path,
+        typer.Argument(help="Table of readings, one column per beam.", autocompletion=complete.tables),
+        EXISTING,
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Calibration file to write: six curves of the axis."), CALIBRATION
@@ -96,6 +100,8 @@ def simulate_axis_run(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Simulate a run of one linear axis with the errors of a calibration, measured by a multi-axis interferometer."""
+    import numpy as np
+
     from twin.identification.axis_run import AxisLayout, simulate_run
 
     loaded = options.machine(machine)
@@ -120,14 +126,8 @@ def simulate_axis_run(
         approach=np.tile(np.repeat([1.0, -1.0], n), rounds),
         noise=noise,
     )
-    known = ", ".join(
-        f"{name} {value:.3g}" for name, value in zip(axis_layout.beams.installation, stands, strict=True) if value
-    )
-    comment = (
-        f"simulated by twin {version('twin')}: {loaded.name}, calibration {truth.path or 'none'}, {axis_layout.name}, "
-        f"seed {seed}, {'with' if noise else 'without'} noise\ninstallation errors of the layout (m, rad, 1): {known}"
-    )
-    table.save(output, axis_layout, comment=comment)
+    installed = dict(zip(axis_layout.beams.installation, (float(v) for v in stands), strict=True))
+    table.save(output, axis_layout, comment=_comment(truth, axis_layout, seed, noise, installed))
     report = {
         "schema": "twin.simulated_run/1",
         "readings": str(output),
@@ -140,9 +140,20 @@ def simulate_axis_run(
         "seed": seed,
         "noise": noise,
         "rows": len(table),
-        "stands_off": dict(zip(axis_layout.beams.installation, (float(v) for v in stands), strict=True)),
+        "stands_off": installed,
     }
     return CommandResult("", lambda: report, written=f"written: {{}}, {count_with_noun(len(table), 'row')}")
+
+
+def _comment(truth: Calibration, layout: AxisLayout, seed: int, noise: bool, installed: Mapping[str, float]) -> str:
+    """Return the comment of a simulated table; ``installed``: installation errors by name."""
+    from importlib.metadata import version
+
+    known = ", ".join(f"{name} {value:.3g}" for name, value in installed.items() if value)
+    return (
+        f"simulated by twin {version('twin')}: {truth.machine.name}, calibration {truth.path or 'none'}, {layout.name}, "
+        f"seed {seed}, {'with' if noise else 'without'} noise\ninstallation errors of the layout (m, rad, 1): {known}"
+    )
 
 
 def _layout_file(path: Path) -> Path:
@@ -150,6 +161,8 @@ def _layout_file(path: Path) -> Path:
 
 
 def _positions(text: str, layout: AxisLayout) -> np.ndarray:
+    import numpy as np
+
     first, last, count = three_numbers("--positions", text, text, "from,to,count")
     lower, upper = layout.axis.lower, layout.axis.upper
     inside = lower is None or upper is None or lower <= min(first, last) <= max(first, last) <= upper

@@ -9,7 +9,7 @@ import typer
 
 from twin._common.defaults import DEFAULT
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import POSITIVE, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.command import EXISTING, POSITIVE, CommandResult, JsonOption, command, progress_bar
 
 
 @command(
@@ -18,13 +18,16 @@ from twin.cli.shared.command import POSITIVE, CommandResult, JsonOption, command
 )
 def compare(
     first: Annotated[
-        Path, typer.Argument(metavar="OLDER", help="Older calibration.", autocompletion=complete.calibrations)
+        Path,
+        typer.Argument(metavar="OLDER", help="Older calibration.", autocompletion=complete.calibrations),
+        EXISTING,
     ],
     second: Annotated[
         Path,
         typer.Argument(
             metavar="NEWER", help="Newer calibration of the same machine.", autocompletion=complete.calibrations
         ),
+        EXISTING,
     ],
     machine: options.MachineOption = DEFAULT,
     tool_length: options.ToolOption = None,

@@ -157,7 +157,8 @@ def _compensated(
 
 
 def _compensate_one(program: Path, output: Path, compensator: Compensator, *, strict: bool) -> CommandResult:
-    from twin.nc import dialect_for, dialect_of, find_program
+    from twin._common.bundled import find_program
+    from twin.nc import dialect_for, dialect_of
 
     source = find_program(program)
     dialect = dialect_of(source)

@@ -14,7 +14,7 @@ from twin._common.errors import InputError
 from twin._common.files import check_folder, check_writable, write_json
 from twin.cli.shared.command import POSITIVE, JsonOption, Output, command, progress_bar
 from twin.cli.shared.installation import NOT_ALL_MET
-from twin.cli.shared.lists import names_of, one_of
+from twin.cli.shared.lists import LISTS, one_of
 from twin.cli.shared.options import (
     CalibrationOption,
     LoadOption,
@@ -107,6 +107,7 @@ def control(
     lists what the control now corrects. Every file is read back and compared with the model before it is written.
     `twin doc control` describes the formats.
     """
+    _check_use(read, files, kind, to, kinematics, output)
     from twin.control import KinematicsRequest
 
     loaded = machine_of(machine)
@@ -114,7 +115,6 @@ def control(
     around = conditions(temperature, time, rpm, load)
     around.check(errors)
     fixed = _positions(at)
-    _check_use(read, files, kind, to, kinematics, output)
     if read and kind is not None and files:
         _read(errors, kind, files, fixed, tool_length, around, json_file)
         return
@@ -158,9 +158,7 @@ def _check_use(
         expected = "FILES --format F, and neither --to nor --kinematics nor -o"
         raise InputError("invalid use of --read", expected=expected, value=" ".join(map(str, files or [])))
     if not read and ((to is None and kinematics is None) or output is None or files or kind is not None):
-        formats = (
-            f"--to {'|'.join(names_of('table_formats'))} or --kinematics {'|'.join(names_of('kinematics_formats'))}"
-        )
+        formats = f"--to {'|'.join(LISTS['table_formats'])} or --kinematics {'|'.join(LISTS['kinematics_formats'])}"
         raise InputError("no output chosen", expected=f"{formats} with -o FOLDER, or --read FILES --format F")
 
 
@@ -183,7 +181,7 @@ def _read(
     from twin.control import compare_kinematics, compare_tables
     from twin.uncertainty.budget import without_missing_channels
 
-    if kind in names_of("table_formats"):
+    if kind in LISTS["table_formats"]:
         known, _ = without_missing_channels(around, errors)
         compared = compare_tables(errors.machine, known, kind, files, fixed, tool_length, around)
         _print(compared, errors, around, json_file)

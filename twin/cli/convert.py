@@ -9,11 +9,13 @@ import typer
 
 from twin._common.defaults import DEFAULT
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, command
+from twin.cli.shared.command import EXISTING, POSITIVE, TABLE, CommandResult, JsonOption, command
 from twin.cli.shared.lists import one_of
 from twin.cli.shared.words import axis_values
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILES", help="Files of one format, each one round or more.")]
+Files = Annotated[
+    list[Path], typer.Argument(metavar="FILES", help="Files of one format, each one round or more."), EXISTING
+]
 FormatOption = Annotated[
     str | None,
     typer.Option(

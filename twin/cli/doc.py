@@ -7,13 +7,9 @@ import inspect
 from typing import Annotated, Final
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from twin._common.errors import InputError, closest_name
 from twin.cli.shared.command import CommandResult, JsonOption, command
-from twin.cli.shared.manual import ManualPage
 
 PAGES: Final = {
     "programs": "twin.compensation",
@@ -61,6 +57,12 @@ def doc(
     pages = {name: page_text(module) for name, module in PAGES.items() if page in (None, name)}
 
     def show() -> None:
+        from rich.console import Console
+        from rich.table import Table
+        from rich.text import Text
+
+        from twin.cli.shared.manual import ManualPage
+
         console = Console()
         if page is not None:
             console.print(ManualPage(pages[page]))

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from twin._common.defaults import DEFAULT
-from twin._common.errors import InputError, closest_name
+from twin._common.errors import InputError, closest_name, require_name
+from twin._common.families import INSTRUMENTS
 from twin._common.files import scratch_folder, write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption, command, progress_bar
@@ -82,6 +83,8 @@ def identify(
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
 ) -> CommandResult:
     """Identify error motions, squareness and axis locations, with uncertainties, from measured points."""
+    if instrument is not None:
+        require_name("instrument", instrument, INSTRUMENTS)
     from twin.identification import identify as run_identification
     from twin.machine.calibration import Calibration
     from twin.measurement.instruments import instrument_named
@@ -118,9 +121,7 @@ def identify(
         found = found.evaluated_with(replace(Calibration.load(folder / output.name, loaded), path=None))
     calibration.save(output)
     if html_file is not None:
-        from twin.identification.page import (
-            identification_html,
-        )  # imports matplotlib, which is slow and needed only here
+        from twin.identification.page import identification_html  # imports matplotlib, slow and needed only here
 
         write_atomic(html_file, identification_html(found))
     text = found.to_text()

@@ -15,6 +15,7 @@ from twin._common.files import check_writable
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import TABLE, CommandResult, JsonOption, command
 from twin.cli.shared.installation import BAD_INPUT
+from twin.samples import TABLES
 
 if TYPE_CHECKING:
     from twin.measurement.importing import ImportedTable
@@ -61,12 +62,11 @@ def import_(
     measurement table is written. Otherwise only a mapping is written, for a person to confirm, and the exit status is 2; the same
     command with --columns then applies it. `twin doc import` lists the words that are known.
     """
+    path = options.bundled_sample(file, "table", "table of measured points", [table.name for table in TABLES])
     from twin.measurement.importing import import_table as run_import
-    from twin.samples import TABLES
 
     loaded = options.machine(machine)
     given = columns if columns is not None and columns.exists() else None
-    path = options.bundled_sample(file, "table", "table of measured points", [table.name for table in TABLES])
     found = run_import(path, loaded, columns=given, sheet=sheet, plan=None if plan is None else options.plan_file(plan))
     if found.confirmed:
         found.save(output)

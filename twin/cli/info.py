@@ -5,23 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from importlib.metadata import version
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, final
 
-import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from twin._common.defaults import DEFAULT
 from twin._common.errors import InputError, printable
-from twin._common.json_form import json_form
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import options
 from twin.cli.shared.command import CALIBRATION, URDF, CommandResult, JsonOption, command, progress_bar
 
 if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
     from twin.kinematics.forward import Kinematics
     from twin.machine.calibration import Calibration
     from twin.uncertainty.at_tool import UncertaintyMap
@@ -67,14 +66,14 @@ def info(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Show axes, ranges, frames and error budget of a machine; convert its calibration to another datum, or calibrate its URDF."""
+    if output is not None and datum is None:
+        raise InputError("--output needs --datum", expected="--datum with --output", file=output)
     from twin.kinematics.forward import Kinematics
     from twin.machine.calibrated_urdf import calibrated_urdf
     from twin.uncertainty.at_tool import ToolUncertainty
     from twin.uncertainty.budget import error_budget, without_missing_channels
 
     loaded = options.machine(machine)
-    if output is not None and datum is None:
-        raise InputError("--output needs --datum", expected="--datum with --output", file=output)
     given = options.calibration_of(calibration, loaded)
     errors = given if datum is None else given.in_datum(datum.value)
     at = options.conditions(temperature, time, rpm, load)
@@ -124,6 +123,9 @@ class _Info:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the printed content for JSON; null for unknown values."""
+        from importlib.metadata import version
+
+        from twin._common.json_form import json_form
         from twin.compute.native import solver_description
 
         machine, errors = self.errors.machine, self.errors
@@ -170,6 +172,8 @@ class _Info:
 
     def show(self) -> None:
         """Print the content."""
+        from rich.console import Console
+
         from twin.machine.conditions import needed_values
         from twin.machine.datum import EXPLANATION
 
@@ -197,6 +201,10 @@ class _Info:
 
     def _show_machine(self, console: Console) -> None:
         """Print files, axes and error frames of the machine."""
+        from importlib.metadata import version
+
+        from rich.table import Table
+
         from twin.compute.native import solver_description
 
         machine, given, shown = self.errors.machine, self.given, self.errors
@@ -243,7 +251,9 @@ def _uncertainty_lines(over: UncertaintyMap | None, without: list[str]) -> list[
 
 
 def _budget_table(title: str, rows: tuple[BudgetRow, ...], *, peak: bool) -> Table:
-    known = any(np.isfinite(row.peak_u) for row in rows)
+    from rich.table import Table
+
+    known = any(isfinite(row.peak_u) for row in rows)
     headers = ["error", "class", "peak", *(["peak u (k = 1)"] if known else [])] if peak else ["class"]
     tilt = [] if peak else ["tool axis tilt RMS, about x / y"]
     table = Table(*headers, "tool RMS", "tool max", *tilt, title=title, title_justify="left")
@@ -255,7 +265,7 @@ def _budget_table(title: str, rows: tuple[BudgetRow, ...], *, peak: bool) -> Tab
             else [row.name]
         )
         if peak and known:
-            start.append(f"{row.peak_u:.2f} {unit}" if np.isfinite(row.peak_u) else "unknown")
+            start.append(f"{row.peak_u:.2f} {unit}" if isfinite(row.peak_u) else "unknown")
         leans = [] if peak else ["{:.1f} / {:.1f} µrad".format(*row.tilt_rms_urad)]
         table.add_row(*start, f"{row.tool_rms_um:.2f} µm", f"{row.tool_max_um:.2f} µm", *leans)
     return table

@@ -61,11 +61,11 @@ def path(
 
     The tolerance applies to the path executed by the machine with its errors. Corners and blocks outside such runs are kept.
     """
+    from twin._common.bundled import find_program
     from twin.compensation import Options
     from twin.compensation.fewer_blocks import refit
     from twin.compensation.fewer_blocks.points import is_points
     from twin.machine.iso16907 import Scope
-    from twin.nc import find_program
 
     loaded = options.machine(machine)
     found = source if is_points(source) else find_program(source)

@@ -11,12 +11,13 @@ import typer
 
 from twin._common.counts import count_with_noun
 from twin._common.defaults import DEFAULT
-from twin._common.errors import InputError
+from twin._common.errors import InputError, require_name
+from twin._common.families import INSTRUMENTS, SEQUENCE_INSTRUMENTS
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.drift import AxisOption, DriftOption, DriftRequest, HighestOption, SpectrumOption
-from twin.cli.shared.words import three_numbers
+from twin.cli.shared.words import not_negative, three_numbers
 
 if TYPE_CHECKING:
     from twin.machine.calibration import Calibration
@@ -169,6 +170,14 @@ def plan(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Plan the measurement that gives the smallest uncertainty in the available time."""
+    not_negative("--seed", seed)
+    if (output is None) is (judged is None):
+        raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
+    _check_combination(after, causes, reduce, instrument)
+    test = DriftRequest(drift, highest_rpm, spectrum, axis, feed, seed, program_file)
+    for_drift = test.wanted(bool(causes or reduce or judged or sequence or radius))
+    if instrument is not None and not for_drift:
+        require_name("instrument", instrument, INSTRUMENTS)
     from twin.planning import Kit
     from twin.planning.kit import bundled_kit
     from twin.planning.sequences import InstrumentSizes
@@ -176,13 +185,7 @@ def plan(
     loaded = options.machine(machine)
     own = Kit.default(loaded) if kit is None else Kit.load(bundled_kit(kit), loaded)
     errors = options.calibration_of(calibration, loaded)
-    if seed < 0:
-        raise InputError("--seed must not be negative", expected="0 or more", value=seed)
-    if (output is None) is (judged is None):
-        raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
-    _check_combination(after, causes, reduce, instrument)
-    test = DriftRequest(drift, highest_rpm, spectrum, axis, feed, seed, program_file)
-    if test.wanted(bool(causes or reduce or judged or sequence or radius)):
+    if for_drift:
         own_sizes = InstrumentSizes(tool_length, **_sizes(sphere_diameter, ball_diameter, clearance, None, None))
         return test.planned(loaded, own, instrument, spheres, minutes, own_sizes, output)
     sizes = _sizes(sphere_diameter, ball_diameter, clearance, radius, feed)
@@ -248,13 +251,11 @@ def _check_combination(
     after: Path | None, causes: tuple[str, str] | None, reduce: list[str] | None, instrument: str | None
 ) -> None:
     """Raise `InputError` for options that exclude each other."""
-    from twin.planning.sequences import SET_UPS
-
     if after is not None and causes is None:
         raise InputError("--after needs --separate", expected="two causes to distinguish", value=after)
     if causes is not None and reduce:
         raise InputError("--separate and --reduce exclude each other", expected="one of them", value=" ".join(reduce))
-    if instrument in SET_UPS and (causes is not None or reduce):
+    if instrument in SEQUENCE_INSTRUMENTS and (causes is not None or reduce):
         raise InputError("--instrument plans a sequence", expected="no --separate and no --reduce", value=instrument)
 
 
@@ -278,17 +279,14 @@ class _SequenceRequest:
         """Return whether a measuring sequence is wanted.
 
         Raises:
-            InputError: an option of a sequence without its instrument, or an unknown instrument.
+            InputError: an option of a sequence without its instrument.
         """
-        from twin.measurement.instruments import instrument_named
-        from twin.planning.sequences import SET_UPS
-
-        if self.instrument is not None and instrument_named(self.instrument).name in SET_UPS:
+        if self.instrument in SEQUENCE_INSTRUMENTS:
             return True
         if self.sequence is not None or self.spheres or self.sizes or self.program is not None:
             raise InputError(
                 "a measuring sequence needs its instrument",
-                expected=f"--instrument {' or '.join(SET_UPS)}",
+                expected=f"--instrument {' or '.join(SEQUENCE_INSTRUMENTS)}",
                 value=self.instrument,
             )
         return False

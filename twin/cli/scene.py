@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from twin._common.defaults import DEFAULT
@@ -50,7 +49,7 @@ def scene(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Animate the machine running a program, with programmed and actual tool path, in one self-contained HTML file."""
-    from twin.nc import find_program
+    from twin._common.bundled import find_program
     from twin.reporting.scene import draw_program  # imports meshcat, which is slow and needed only here
 
     loaded = options.machine(machine)
@@ -83,6 +82,8 @@ def scene(
 
 
 def _report(output: Path, source: Path, errors: Calibration, tool_length_mm: float, run: Execution) -> dict[str, Any]:
+    import numpy as np
+
     distance = np.linalg.norm(run.reached_mm - run.meant_mm, axis=1) * 1e3
     return {
         "schema": "twin.scene/1",

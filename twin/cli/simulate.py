@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from twin._common.counts import count_with_noun
 from twin._common.defaults import DEFAULT
-from twin._common.errors import InputError
+from twin._common.errors import require_name
+from twin._common.families import INSTRUMENTS
 from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import TABLE, CommandResult, JsonOption, command, progress_bar
-from twin.cli.shared.words import pairs, three_numbers
+from twin.cli.shared.words import not_negative, pairs, three_numbers
 
 if TYPE_CHECKING:
     from twin.machine.calibration import Calibration
@@ -67,26 +66,27 @@ def simulate(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Simulate the measurement of a plan on the machine with the errors of a calibration."""
+    require_name("instrument", instrument, INSTRUMENTS)
+    not_negative("--seed", seed)
+    source = options.plan_file(plan)
+    from numpy.random import default_rng
+
     from twin.measurement.instruments import instrument_named
     from twin.measurement.simulate import simulate as run_simulation
     from twin.measurement.table import Measurements
 
     loaded = options.machine(machine)
-    reader = instrument_named(instrument)
-    if seed < 0:
-        raise InputError("--seed must not be negative", expected="0 or more", value=seed)
-    around = _surroundings(air, drift)
-    source = options.plan_file(plan)
+    reader, around = instrument_named(instrument), _surroundings(air, drift)
     truth = options.calibration_of(calibration, loaded)
     with progress_bar() as bar:
         bar("reading", 0.0)
         planned = Measurements.load(source, loaded, plan=True)
         bar("measuring", 0.3)
-        rng = np.random.default_rng(seed)
-        measured, setting = run_simulation(planned, loaded, truth, reader, rng, noise=noise, surroundings=around)
-    head = _head(truth, reader.name, seed, noise)
-    comment = [head, around.describe(), setting.describe()]
-    measured.save(output, loaded, comment="\n".join(part for part in comment if part))
+        measured, setting = run_simulation(
+            planned, loaded, truth, reader, default_rng(seed), noise=noise, surroundings=around
+        )
+    comment = (_head(truth, reader.name, seed, noise), around.describe(), setting.describe())
+    measured.save(output, loaded, comment="\n".join(filter(None, comment)))
     report = {
         "schema": "twin.simulation/1",
         "measured": str(output),
@@ -123,6 +123,8 @@ def _notes(planned: Measurements) -> list[str]:
 
 def _head(truth: Calibration, instrument: str, seed: int, noise: bool) -> str:
     """Return the first comment of a simulated table."""
+    from importlib.metadata import version
+
     return (
         f"simulated by twin {version('twin')}: {truth.machine.name}, calibration {truth.path or 'none'}, instrument {instrument}, "
         f"seed {seed}, {'with' if noise else 'without'} noise"

@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.shared import options
-from twin.cli.shared.command import CALIBRATION, HTML, TABLE, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.command import CALIBRATION, EXISTING, HTML, TABLE, CommandResult, JsonOption, command, progress_bar
 
 if TYPE_CHECKING:
     from twin.thermal import ThermalModel, ThermalPrediction, ThermalRecord
@@ -27,7 +26,9 @@ TOO_FAR = 2.0
 )
 def thermal(
     record: Annotated[
-        Path, typer.Argument(help="Record: time_s, spindle_rpm, T_<sensor>_degC and displacements <name>_um.")
+        Path,
+        typer.Argument(help="Record: time_s, spindle_rpm, T_<sensor>_degC and displacements <name>_um."),
+        EXISTING,
     ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Write the fitted model to this YAML file."), CALIBRATION
@@ -101,7 +102,7 @@ def _predictions(
 
 def _holds(prediction: ThermalPrediction) -> bool:
     """Return whether no error is much larger than expected."""
-    return not bool(np.any(prediction.rms_um > TOO_FAR * prediction.expected_rms_um))
+    return not (prediction.rms_um > TOO_FAR * prediction.expected_rms_um).any()
 
 
 def _report(model: ThermalModel, shown: list[tuple[ThermalRecord, ThermalPrediction]]) -> dict[str, Any]:

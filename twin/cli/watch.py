@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from twin._common.defaults import DEFAULT
-from twin._common.files import write_atomic
+from twin._common.files import folder_entries, write_atomic
 from twin.cli.shared import options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress_bar
 from twin.cli.shared.words import pairs
@@ -56,6 +56,7 @@ def watch(
     FOLDER.watch.sqlite beside the folder remembers what was read and said. The exit status is 3 if an error changed, or if the
     calibration is proven not to meet the tolerance.
     """
+    folder_entries(folder, "the folder of checks")
     from twin.watching import WatchSettings
     from twin.watching import watch as run_watch
     from twin.watching.check import parsed_date

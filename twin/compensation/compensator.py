@@ -14,6 +14,7 @@ from typing import BinaryIO, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.bundled import find_program
 from twin._common.errors import InputError
 from twin._common.files import atomic_file, tracked_files
 from twin._common.progress import Progress, silent
@@ -33,7 +34,7 @@ from twin.compensation.toolpath import (
 )
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.nc import dialect_for, dialect_of, find_program, read_program
+from twin.nc import dialect_for, dialect_of, read_program
 from twin.nc.blocks import Interpretation, Notice, Program
 from twin.nc.columns import NewPositions, as_columns
 from twin.nc.dialect import Dialect

@@ -13,6 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, final
 
+from twin._common.bundled import find_program
 from twin._common.errors import InputError, OutputError
 from twin._common.files import check_writable, move_into_place, scratch_folder, write_atomic, write_json
 from twin._common.progress import Progress, silent
@@ -21,7 +22,7 @@ from twin.compensation.prepared import Options
 from twin.compute.parallel import Workers, map_as_completed
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.nc import DIALECTS, find_program
+from twin.nc import DIALECTS
 
 TEXT_SUFFIX: Final = ".report.txt"
 JSON_SUFFIX: Final = ".report.json"

@@ -27,7 +27,7 @@ READABLE: Final = 20
 class CurveEntry(BaseModel):
     """One error motion."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     unit: str
     domain: tuple[float, float]
     basis: str
@@ -41,7 +41,7 @@ class CurveEntry(BaseModel):
 class ColumnEntry(BaseModel):
     """One column of an empirical effect."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     column: str
     functions: Literal["half_waves", "whole_turns", "direction"]
     order: int | None = None
@@ -51,7 +51,7 @@ class ColumnEntry(BaseModel):
 class EffectEntry(BaseModel):
     """One effect; the last four fields apply only to an empirical effect."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     effect: str
     where: str
     parameters: dict[str, float]
@@ -64,7 +64,7 @@ class EffectEntry(BaseModel):
 class CovarianceEntry(BaseModel):
     """Joint covariance of all parameters: its lower triangle in rows, or compressed with its SHA-256 (`Covariance.to_compressed`)."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     parameters: tuple[str, ...]
     lower: str | None = None
     compressed: str | None = None
@@ -74,7 +74,7 @@ class CovarianceEntry(BaseModel):
 class TableFileEntry(BaseModel):
     """One table of the control."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     file: str
     format: str
     classes: tuple[BasicClass, ...]
@@ -84,7 +84,7 @@ class TableFileEntry(BaseModel):
 class ControlEntry(BaseModel):
     """Correction tables and kinematics active in the control."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     errors_are: Literal["uncorrected", "remaining"]
     tables: tuple[TableFileEntry, ...] = ()
     kinematics: Annotated[tuple[TableFileEntry, ...], Field(max_length=1)] = ()
@@ -99,7 +99,7 @@ class ControlEntry(BaseModel):
 class CalibrationFile(BaseModel):
     """A calibration file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     schema_: Literal["twin.calibration/1"] = Field(alias="schema")
     machine: str
     source: str

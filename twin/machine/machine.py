@@ -22,8 +22,9 @@ import numpy as np
 import pinocchio as pin
 
 from twin._common.arrays import read_only
+from twin._common.bundled import find_bundled, is_file
 from twin._common.defaults import DEFAULT, bundled_folder
-from twin._common.errors import InputError, closest_name
+from twin._common.errors import InputError
 from twin._common.units import DEG, MM
 from twin._common.yaml_files import EntryPath, line_of, load_yaml
 from twin.display import Cell, card, chain, pairs, span, table
@@ -146,7 +147,7 @@ class Machine:
         self.tcp_on = tuple(word.upper() for word in entries.programs.tcp_on)
         self.tcp_off = tuple(word.upper() for word in entries.programs.tcp_off)
         self.default_calibration = None if entries.calibration is None else _relative_to(path, entries.calibration)
-        if not _is_file(self.urdf):
+        if not is_file(self.urdf):
             raise InputError(
                 "no such URDF",
                 expected="a path relative to the machine file",
@@ -367,36 +368,6 @@ class Machine:
 
     def _link(self, frame: int) -> str:
         return str(self.model.frames[frame].name)
-
-
-def find_bundled(name: str | Path, suffix: str, expected: str) -> Path:
-    """Return the path of a file given by its path or, for one that comes with `twin`, by its name.
-
-    Raises:
-        InputError: there is no such file; the message lists the files that come with `twin`.
-    """
-    path = Path(name)
-    if _is_file(path):
-        return path
-    bundled = bundled_folder()
-    for candidate in (bundled / path.name, bundled / f"{path.name}{suffix}"):
-        if path.parent == Path(".") and _is_file(candidate):
-            return candidate
-    known = sorted(file.name for file in bundled.glob(f"*{suffix}") if file.name.count(".") == suffix.count("."))
-    meant = [*known, *(name.removesuffix(suffix) for name in known)]
-    raise InputError(
-        "not found",
-        expected=f"{expected}, or one that comes with twin ({', '.join(known)})",
-        file=path,
-        nearest=closest_name(path.name, meant),
-    )
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # name too long, or with an invalid character
-        return False
 
 
 def _relative_to(path: Path, name: str) -> Path:

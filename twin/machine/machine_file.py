@@ -32,7 +32,7 @@ _Position = Annotated[float, Field(ge=-MAX_POSITION, le=MAX_POSITION)]
 class AxisEntry(BaseModel):
     """One axis."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9]*$")]
     joint: str
     kind: Literal["linear", "rotary"]
@@ -45,7 +45,7 @@ class AxisEntry(BaseModel):
 class Frames(BaseModel):
     """Links that are the tool and work frames, and axis coordinates of the URDF's zero position."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     tool: str
     work: str
     origin: dict[str, _Position] = {}
@@ -55,7 +55,7 @@ class Frames(BaseModel):
 class Programs(BaseModel):
     """Defaults for programs on this machine."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     tool_length: Annotated[float, Field(ge=0, le=LONGEST_TOOL_MM)] = 0.0
     tcp_on: tuple[str, ...] = ()
     tcp_off: tuple[str, ...] = ()
@@ -65,7 +65,7 @@ class Programs(BaseModel):
 class Magnitudes(BaseModel):
     """Prior standard deviations of errors of one kind, µm and µrad."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     um: Annotated[float, Field(gt=0.0, le=1e5)] = 1000.0
     urad: Annotated[float, Field(gt=0.0, le=1e5)] = 1000.0
 
@@ -73,7 +73,7 @@ class Magnitudes(BaseModel):
 class Plausible(BaseModel):
     """Prior standard deviations by kind: error motions; squareness and locations of rotary axes."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     motion: Magnitudes = Magnitudes()
     location: Magnitudes = Magnitudes()
 
@@ -81,7 +81,7 @@ class Plausible(BaseModel):
 class MachineFile(BaseModel):
     """A machine file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     schema_: Literal["twin.machine/1"] = Field(alias="schema")
     name: str
     urdf: str

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from twin._common.errors import InputError, closest_name
+from twin._common.bundled import find_program
+from twin._common.errors import InputError
 from twin._common.file_kinds import other_kind
-from twin._common.files import names_beside, read_bytes, register_input
+from twin._common.files import read_bytes, register_input
 from twin.nc.apt.dialect import Apt
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
 from twin.nc.heidenhain.dialect import Heidenhain
 from twin.nc.iso.dialect import Iso
 
-_SAMPLES = Path(__file__).resolve().parents[1] / "samples"
 DIALECTS: tuple[Dialect, ...] = (Iso(), Heidenhain(), Apt())
 
 
@@ -41,28 +41,6 @@ def dialect_for(path: Path, data: bytes | None = None) -> Dialect:
         raise InputError(f"{kind}, not an NC program", expected=expected, file=path)
     raise InputError(
         "unknown NC program type", expected=f"a file name ending in one of {known}", file=path, value=suffix
-    )
-
-
-def find_program(path: str | Path) -> Path:
-    """Return the path of a program: a file, else a sample program that comes with twin.
-
-    Raises:
-        InputError: there is neither.
-    """
-    path = Path(path)
-    if path.exists():
-        return path
-    bundled = _SAMPLES / path.name
-    if path.parent == Path() and bundled.is_file():
-        return bundled
-    known = {suffix for dialect in DIALECTS for suffix in dialect.suffixes}
-    names = sorted(file.name for file in _SAMPLES.glob("*") if file.suffix in known)
-    raise InputError(
-        "no such program",
-        expected=f"a file, or a program that comes with twin: {' '.join(names)}",
-        file=path,
-        nearest=closest_name(path.name, [*names, *names_beside(path)]),
     )
 
 

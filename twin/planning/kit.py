@@ -13,10 +13,11 @@ import pinocchio as pin
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
+from twin._common.bundled import find_bundled
 from twin._common.errors import InputError, closest_name
 from twin._common.units import DEG
 from twin._common.yaml_files import EntryPath, load_yaml
-from twin.machine.machine import Machine, find_bundled
+from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument
 from twin.measurement.simulate import Placement, Station
 from twin.uncertainty.budget import volume

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from twin._common.arrays import read_only
 from twin._common.csv_tables import read_table
 from twin._common.errors import InputError, closest_name
-from twin._common.files import read_bytes
+from twin._common.files import folder_entries, read_bytes
 from twin._common.units import MM
 from twin.identification.constant_errors import NEGLIGIBLE, constant_errors, constant_unknowns, scale_unit
 from twin.identification.inputs import prepare
@@ -105,13 +105,7 @@ def files_of(folder: Path) -> tuple[list[CheckFile], list[str]]:
     Raises:
         InputError: it is not a folder that can be read, or a table cannot be read.
     """
-    try:
-        entries = sorted(folder.iterdir())
-    except OSError as error:
-        raise InputError(
-            "the folder of checks cannot be read", expected="a folder", file=folder, value=error.strerror
-        ) from error
-    visible = [path for path in entries if not path.name.startswith(".")]
+    visible = [path for path in folder_entries(folder, "the folder of checks") if not path.name.startswith(".")]
     tables = [path for path in visible if path.suffix.lower() == SUFFIX and path.is_file()]
     found = [CheckFile(path.name, hashlib.sha256(read_bytes(path)).hexdigest(), path) for path in tables]
     return found, [path.name for path in visible if path not in tables]

@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar, final, get_args, get_type_hints
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from twin._common.bundled import find_bundled, find_program
 from twin._common.defaults import bundled_folder
 from twin._common.errors import InputError, closest_name
 from twin._common.files import check_writable, names_beside, read_bytes, tracked_files, write_json
@@ -58,6 +57,8 @@ EXISTING: Final = "existing"
 """Marker of the path of a file that must exist, unless it is the bare name of one that comes with twin."""
 PROGRAM: Final = "program"
 """Marker of the path of an NC program: as `EXISTING`, with the error of a program."""
+MACHINE: Final = "machine"
+"""Marker of the machine's name: it is looked up before the command imports what it needs."""
 POSITIVE: Final = "positive"
 """Marker of a number that must be positive."""
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
@@ -112,12 +113,7 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
 
         def run(*arguments: Any, **options: Any) -> None:
             values = inspect.signature(function).bind(*arguments, **options).arguments
-            for parameter, value in values.items():
-                option = f"--{parameter.replace('_', '-')}"
-                if isinstance(value, float) and isfinite(value):  # the command itself checks the rest
-                    usable_number(option, value, value)
-                if value is not None and POSITIVE in hints[parameter]:
-                    positive(option, value)
+            _check_numbers(values, hints)
             outputs = _selected_paths(values, paths, outputs=True)
             with tracked_files() as files:
                 for parameter, mark in paths.items():
@@ -133,6 +129,8 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
                 for parameter, mark in paths.items():
                     if mark is not None and values.get(parameter) is not None:
                         _check_output(values[parameter], mark)
+                for parameter in (one for one in values if MACHINE in hints[one]):
+                    find_bundled(values[parameter], ".yaml", "a machine file")
                 result = function(*arguments, **options)
                 if result is not None:
                     _report(result, outputs, values.get("json_file"))
@@ -167,10 +165,14 @@ def path_parameters(function: Callable[..., Any]) -> dict[str, Output | None]:
 @contextmanager
 def progress_bar() -> Iterator[Any]:
     """Show a progress bar on stderr; show nothing if stderr is not a terminal."""
+    from rich.console import Console
+
     console = Console(stderr=True)
     if not console.is_terminal or is_silenced():  # a disabled `Progress` of rich before 14.1 writes an empty line
         yield lambda stage, fraction: None
         return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
     columns = (
         TextColumn("{task.description:>10}"),
         BarColumn(),
@@ -201,6 +203,15 @@ def _report(result: CommandResult, outputs: Sequence[Path], json_file: Path | No
         raise typer.Exit(status)
 
 
+def _check_numbers(values: Mapping[str, Any], hints: Mapping[str, list[Any]]) -> None:
+    for parameter, value in values.items():
+        option = f"--{parameter.replace('_', '-')}"
+        if isinstance(value, float) and isfinite(value):  # the command itself checks the rest
+            usable_number(option, value, value)
+        if value is not None and POSITIVE in hints[parameter]:
+            positive(option, value)
+
+
 def _is_bundled(path: Path) -> bool:
     """Return whether the path is the bare name of a file that comes with twin."""
     samples = PLANS[0].parent
@@ -210,8 +221,6 @@ def _is_bundled(path: Path) -> bool:
 def _refuse_missing(path: Path, *, program: bool) -> None:
     """Raise the `InputError` of an input that does not exist, with the most similar name of its folder or of the bundled files."""
     if program:
-        from twin.nc import find_program
-
         find_program(path)
     bundled = [] if path.parent != Path() else [*names_beside(PLANS[0]), *names_beside(bundled_folder() / path)]
     names = [name for name in (*names_beside(path), *bundled) if Path(name).suffix == path.suffix]

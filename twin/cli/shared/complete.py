@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from twin._common.defaults import DEFAULT, bundled_folder
-from twin.cli.shared.lists import names_of
+from twin._common.families import PROGRAM_SUFFIXES
+from twin.cli.shared.lists import LISTS
 from twin.samples import PLANS
 
 if TYPE_CHECKING:
@@ -24,22 +25,22 @@ Completer = Callable[[str], list[str]]
 
 def classes(incomplete: str) -> list[str]:
     """Complete a class of ISO/TR 16907."""
-    return _starting_with(incomplete.upper(), names_of("classes"))
+    return _starting_with(incomplete.upper(), LISTS["classes"])
 
 
 def instruments(incomplete: str) -> list[str]:
     """Complete the name of an instrument."""
-    return _starting_with(incomplete, names_of("instruments"))
+    return _starting_with(incomplete, LISTS["instruments"])
 
 
 def drifts(incomplete: str) -> list[str]:
     """Complete the name of a drift test."""
-    return _starting_with(incomplete, names_of("drifts"))
+    return _starting_with(incomplete, LISTS["drifts"])
 
 
 def sequences(incomplete: str) -> list[str]:
     """Complete the name of a measuring sequence."""
-    return _starting_with(incomplete, names_of("sequences"))
+    return _starting_with(incomplete, LISTS["sequences"])
 
 
 def errors(ctx: Any, incomplete: str) -> list[str]:
@@ -54,14 +55,14 @@ def aims(ctx: Any, incomplete: str) -> list[str]:
 
 def causes(ctx: Any, incomplete: str) -> list[str]:
     """Complete an effect and its location, two words in quotes."""
+    # Until the effect is complete, listing all its locations would give hundreds of entries.
+    effects = _starting_with(incomplete, sorted(LISTS["effects"]))
+    if incomplete not in effects and " " not in incomplete:
+        return effects
     from twin.machine.effects import MACHINE_EFFECTS
 
     machine = _machine(ctx)
-    places = {one.name: one.places(machine) for one in MACHINE_EFFECTS if one.places(machine)}
-    # Until the effect is complete, listing all its locations would give hundreds of entries.
-    effects = _starting_with(incomplete, sorted(places))
-    if incomplete not in effects and " " not in incomplete:
-        return effects
+    places = {one.name: one.places(machine) for one in MACHINE_EFFECTS}
     return _starting_with(
         incomplete, [f"{effect} {where}" for effect, wheres in sorted(places.items()) for where in wheres]
     )
@@ -120,9 +121,7 @@ def _files(incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
 
 def programs(incomplete: str) -> list[str]:
     """Complete an NC program: one that comes with twin, or a file."""
-    from twin.nc import DIALECTS
-
-    suffixes = tuple(sorted({suffix for dialect in DIALECTS for suffix in dialect.suffixes}))
+    suffixes = tuple(sorted({suffix for some in PROGRAM_SUFFIXES.values() for suffix in some}))
     return _named_or_file(lambda: _samples(suffixes), suffixes)(incomplete)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, final
 import typer
 
 from twin._common.errors import InputError
+from twin._common.families import DRIFT_INSTRUMENTS, DRIFTS
 from twin.cli.shared import complete
 from twin.cli.shared.command import POSITIVE, CommandResult
 from twin.cli.shared.words import three_numbers
@@ -58,9 +59,7 @@ class DriftRequest:
         Raises:
             InputError: an option of a drift test without its name, or beside options of another plan.
         """
-        from twin.planning.drift import DRIFTS
-
-        names = "|".join(one.name for one in DRIFTS)
+        names = "|".join(DRIFTS)
         if self.name is None and (self.highest_rpm is not None or self.spectrum or self.axis is not None):
             raise InputError("--highest-rpm, --spectrum and --axis need --drift", expected=f"--drift {names}")
         if self.name is not None and others:
@@ -78,11 +77,11 @@ class DriftRequest:
         output: Path | None,
     ) -> CommandResult:
         """Plan the drift test and write it."""
-        from twin.planning.drift import INSTRUMENTS, drift_plan
+        from twin.planning.drift import drift_plan
         from twin.planning.programs import drift_steps, format_of, write_program
 
-        chosen = instrument or INSTRUMENTS[0]
-        part = "sphere" if chosen == INSTRUMENTS[0] else "nest"
+        chosen = instrument or DRIFT_INSTRUMENTS[0]
+        part = "sphere" if chosen == DRIFT_INSTRUMENTS[0] else "nest"
         places = {
             f"{part} {k + 1}": three_numbers("--spheres", text, text, "x,y,z in mm")
             for k, text in enumerate(spheres or [])

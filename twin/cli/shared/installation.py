@@ -1,17 +1,15 @@
-"""Check which packages are installed and can be imported. This module imports none of them, so it works if one is broken."""
+"""Check which packages are installed and can be imported. This module imports none of them, so it works if one is broken.
+
+Every command imports this module: what only the checks need is imported by them.
+"""
 
 from __future__ import annotations
 
 import os
-import platform
-import shutil
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from time import perf_counter
 from types import MappingProxyType
 from typing import Final, Literal, NoReturn, final
@@ -97,6 +95,8 @@ def broken() -> Mapping[str, str]:
     """
     if imports_all():
         return {}
+    from concurrent.futures import ThreadPoolExecutor
+
     modules = _modules()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         reasons = dict(zip(modules, pool.map(_failure, modules.values()), strict=True))
@@ -157,6 +157,8 @@ def shown(findings: Sequence[Finding], seconds: float) -> str:
 
 def python() -> Finding:
     """Check the version of Python."""
+    import platform
+
     detail = f"{platform.python_version()} ({sys.executable}), twin {_version('twin') or 'not installed'}"
     if sys.version_info < EARLIEST:
         return Finding("Python", "FAILED", detail, f"install Python {'.'.join(map(str, EARLIEST))} or newer")
@@ -196,6 +198,8 @@ def extras() -> list[Finding]:
 
 def browser() -> Finding:
     """Look for the browser that the tests of the scene use."""
+    import shutil
+
     for name in BROWSERS:
         path = shutil.which(name)
         if path is not None:
@@ -223,6 +227,8 @@ def size() -> list[Finding]:
 
 
 def _version(name: str) -> str | None:
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(name)
     except PackageNotFoundError:
@@ -245,6 +251,8 @@ def _modules() -> dict[str, str]:
 
 def _failure(modules: str) -> str | None:
     """Return, in one line, why the import of modules fails in a child process; None if it succeeds."""
+    import subprocess
+
     words = [sys.executable, "-P", "-c", f"import {modules}"]
     try:
         ended = subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=IMPORT_S)

@@ -1,79 +1,41 @@
 """Names that options list: ``{instruments}`` in the help of an option stands for the names of all instruments.
 
-The modules with the names are imported only when a help text is printed, or when such an option is used.
+They come from `twin._common.families`, which imports nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from importlib import import_module
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final, final
 
 import typer
 from typer.core import TyperCommand
 
-_REGISTRIES: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
+from twin._common import families
+from twin.machine.classes import NAMES
+
+LISTS: Final[Mapping[str, Sequence[str]]] = MappingProxyType(
     {
-        "classes": ("twin.machine.classes", "NAMES"),
-        "instruments": ("twin.measurement.instruments", "INSTRUMENTS"),
-        "relative_instruments": ("twin.planning.sequences", "SET_UPS"),
-        "sequences": ("twin.planning.sequences", "SEQUENCES"),
-        "drifts": ("twin.planning.drift", "DRIFTS"),
-        "drift_instruments": ("twin.planning.drift", "INSTRUMENTS"),
-        "measured_formats": ("twin.measurement.formats", "FORMATS"),
-        "table_formats": ("twin.machine.control", "FORMATS"),
-        "kinematics_formats": ("twin.machine.control.kinematics", "KINEMATICS"),
+        "classes": NAMES,
+        "instruments": tuple(families.INSTRUMENTS),
+        "relative_instruments": families.SEQUENCE_INSTRUMENTS,
+        "sequences": tuple(families.SEQUENCES),
+        "drifts": tuple(families.DRIFTS),
+        "drift_instruments": families.DRIFT_INSTRUMENTS,
+        "measured_formats": tuple(families.MEASURED_FORMATS),
+        "table_formats": tuple(families.TABLE_FORMATS),
+        "kinematics_formats": tuple(families.KINEMATICS_FORMATS),
+        "product_formats": families.PRODUCT_FORMATS,
+        "other_tolerances": ("", *(f"{name} {1e-3 * um:g}" for name, um in families.TABLE_TOLERANCES_UM.items())),
+        "table_counts": tuple(
+            f"{name}: default {most}; {fewer}" for name, (most, fewer) in families.TABLE_COUNTS.items()
+        ),
+        "control_formats": (*families.TABLE_FORMATS, *families.KINEMATICS_FORMATS),
+        "effects": tuple(name for name in families.EFFECTS if name not in families.ERROR_MOTIONS),
     }
 )
-"""Module and registry of names, or of things that have one."""
-USUAL_TOLERANCE_UM: Final = 1.0
-"""Default tolerance of most formats of tables."""
-
-
-def _registered(which: str) -> list[str]:
-    module, registry = _REGISTRIES[which]
-    return [getattr(one, "name", one) for one in getattr(import_module(module), registry)]
-
-
-def _control_formats() -> list[str]:
-    return [*_registered("table_formats"), *_registered("kinematics_formats")]
-
-
-def _other_tolerances() -> list[str]:
-    from twin.machine.control import FORMATS
-
-    others = (one for one in FORMATS if one.tolerance_um != USUAL_TOLERANCE_UM)
-    return ["", *(f"{one.name} {one.tolerance_um * 1e-3:g}" for one in others)]
-
-
-def _table_counts() -> list[str]:
-    from twin.machine.control import FORMATS
-
-    return ["; ".join(f"{one.name}: default {one.tables}; {one.fewer_tables}" for one in FORMATS if one.tables)]
-
-
-def _product_formats() -> list[str]:
-    from twin.machine.control import FORMATS
-
-    return [one.name for one in FORMATS if one.products]
-
-
-LISTS: Final[Mapping[str, Callable[[], list[str]]]] = MappingProxyType(
-    {which: partial(_registered, which) for which in _REGISTRIES}
-    | {
-        "control_formats": _control_formats,
-        "other_tolerances": _other_tolerances,
-        "table_counts": _table_counts,
-        "product_formats": _product_formats,
-    }
-)
-
-
-def names_of(which: str) -> Sequence[str]:
-    """Return the names of a list; ``which``: one of `LISTS`."""
-    return LISTS[which]()
+"""Lists by their name: values of options, and facts about formats."""
 
 
 def one_of(which: str) -> dict[str, Any]:
@@ -84,13 +46,13 @@ def one_of(which: str) -> dict[str, Any]:
     """
 
     def checked(value: str) -> str:
-        names = names_of(which)
+        names = LISTS[which]
         if value not in names:
             raise typer.BadParameter(f"{value!r} is not one of {', '.join(map(repr, names))}.")
         return value
 
     def completed(incomplete: str) -> list[str]:
-        return [name for name in names_of(which) if name.startswith(incomplete)]
+        return [name for name in LISTS[which] if name.startswith(incomplete)]
 
     return {"parser": checked, "metavar": f"[{{{which}}}]", "autocompletion": completed}
 
@@ -106,5 +68,5 @@ class ListingCommand(TyperCommand):
                 for attribute, joint in (("help", ", "), ("metavar", "|")):
                     text = getattr(option, attribute, None)
                     if text and f"{{{which}}}" in text:
-                        setattr(option, attribute, text.replace(f"{{{which}}}", joint.join(names_of(which))))
+                        setattr(option, attribute, text.replace(f"{{{which}}}", joint.join(LISTS[which])))
         super().format_help(ctx, formatter)

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from twin._common.bundled import find_program
 from twin._common.errors import InputError, closest_name
 from twin.cli.shared import complete
-from twin.cli.shared.command import EXISTING, POSITIVE
+from twin.cli.shared.command import EXISTING, MACHINE, POSITIVE
 from twin.cli.shared.terminal import echo
 from twin.cli.shared.words import axis_values, number, pairs, three_numbers
 
@@ -39,6 +40,7 @@ MachineOption = Annotated[
         help="Machine file, or the name of a bundled machine.",
         autocompletion=complete.machines,
     ),
+    MACHINE,
 ]
 CalibrationOption = Annotated[
     Path | None,
@@ -204,8 +206,6 @@ def bundled_sample(path: Path, what: str, kind: str, known: Sequence[str]) -> Pa
     Raises:
         InputError: there is no such file.
     """
-    from twin.nc import find_program
-
     try:
         return find_program(path)  # finds any kind of file
     except InputError:

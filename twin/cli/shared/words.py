@@ -188,6 +188,16 @@ def positive(option: str, value: float) -> None:
         raise InputError(f"{option} must be positive", expected="a number above 0", value=value)
 
 
+def not_negative(option: str, value: int) -> None:
+    """Raise `InputError` if a number is negative.
+
+    Raises:
+        InputError: it is.
+    """
+    if value < 0:
+        raise InputError(f"{option} must not be negative", expected="0 or more", value=value)
+
+
 def tolerances(entries: Sequence[str]) -> dict[str, float]:
     """Return the tolerances, each given as ``SYMBOL=NUMBER``.
 

@@ -1,7 +1,8 @@
 """Independent tasks run through joblib: in this process, on processes of this computer (loky), or on a Dask cluster.
 
 A task is a pure function of its arguments, including its seed, and runs with one thread of linear algebra. Its result therefore does
-not depend on the number of workers nor on the worker that runs it, and a task whose worker died can be repeated.
+not depend on the number of workers nor on the worker that runs it, and a task whose worker died can be repeated. joblib is imported
+with the first tasks: a command for one program has none.
 """
 
 from __future__ import annotations
@@ -14,15 +15,12 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
 from typing import Any, Final, TypeVar, final
 
-import cloudpickle
-from joblib import Parallel, cpu_count, delayed
 from threadpoolctl import threadpool_limits
 
 from twin._common.errors import InputError, OutputError
@@ -99,6 +97,9 @@ def map_as_completed(
     Raises:
         InputError: raised by a task; workers died repeatedly during one task; there is no usable cluster at the address.
     """
+    import cloudpickle
+    from joblib import cpu_count
+
     own = Workers() if workers is None else workers
     processes = min(cpu_count() if own.processes is None else own.processes, len(tasks))
     if own.scheduler is None and processes <= 1:
@@ -155,6 +156,10 @@ def _in_this_process(
 def _on_processes(
     common: bytes, tasks: Sequence[Any], processes: int, name: Callable[[int], str]
 ) -> Generator[tuple[int, Any], None, None]:
+    from concurrent.futures.process import BrokenProcessPool
+
+    from joblib import Parallel
+
     left = dict.fromkeys(range(len(tasks)))
     deaths: Counter[int] = Counter()
     while left:
@@ -206,6 +211,8 @@ def _exit_with(parent: int) -> None:
 def _on_cluster(
     common: bytes, tasks: Sequence[Any], address: str, tls: Tls | None, name: Callable[[int], str]
 ) -> Generator[tuple[int, Any], None, None]:
+    from joblib import Parallel
+
     from twin.compute.parallel.cluster import connected  # Dask is optional and slow to import
 
     with connected(address, tls, name) as (backend, threads):
@@ -235,6 +242,9 @@ def _closing(results: Any) -> Iterator[Any]:
 def _calls(
     common: bytes, tasks: Sequence[Any], some: Sequence[int], out: set[int], expected: dict[str, str] | None
 ) -> Iterator[Any]:
+    import cloudpickle
+    from joblib import delayed
+
     for index in some:
         out.add(index)
         yield delayed(work)(index, common, cloudpickle.dumps(tasks[index]), expected)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Generic, TypeVar
 
+from twin._common import families
 from twin._common.files import scratch_folder
 from twin.machine.classes import BasicClass
 from twin.machine.control.correction import Correction
@@ -29,11 +30,7 @@ class TableFormat(ABC, Generic[C]):
         classes: classes of ISO/TR 16907 whose errors it corrects, completely or in part.
         points: largest number of nodes along an axis.
         rounding: half of the last digit written, µm and µrad.
-        tolerance_um: default tolerance of the interpolation.
-        tables: default number of tables in the control; None if it is not limited.
-        fewer_tables: note on controls that have fewer tables.
         across: for tables of axes, whether a table can move another axis than its argument.
-        products: whether two tables can be multiplied.
         wraps: whether positions of an unlimited rotary axis are wrapped into one turn.
         directions: whether tables may depend on the direction of approach.
         crossed_directions: whether tables that move another axis may depend on it too.
@@ -53,17 +50,28 @@ class TableFormat(ABC, Generic[C]):
     classes: ClassVar[tuple[BasicClass, ...]]
     points: ClassVar[int]
     rounding: ClassVar[tuple[float, float]]
-    tolerance_um: ClassVar[float] = 1.0
-    tables: ClassVar[int | None] = None
-    fewer_tables: ClassVar[str] = ""
     across: ClassVar[bool] = False
-    products: ClassVar[bool] = False
     wraps: ClassVar[bool] = False
     directions: ClassVar[bool] = False
     crossed_directions: ClassVar[bool] = False
     knows_machine: ClassVar[bool] = False
     unread: ClassVar[tuple[str, ...]] = ()
     unchecked: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def tolerance_um(self) -> float:
+        """Default tolerance of the interpolation."""
+        return families.TABLE_TOLERANCES_UM.get(self.name, families.USUAL_TOLERANCE_UM)
+
+    @property
+    def tables(self) -> int | None:
+        """Default number of tables in the control; None if it is not limited."""
+        return families.TABLE_COUNTS[self.name][0] if self.name in families.TABLE_COUNTS else None
+
+    @property
+    def products(self) -> bool:
+        """Whether two tables can be multiplied."""
+        return self.name in families.PRODUCT_FORMATS
 
     def files(self, machine: Machine) -> tuple[str, ...]:
         """Return the names of all files that may be written."""

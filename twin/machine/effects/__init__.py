@@ -1,6 +1,6 @@
 """Effects that make a real machine differ from its nominal kinematics, one file per effect; a model is an ordered tuple of effects.
 
-To add an effect, write one file with its class and `Specification` and add it to `twin.machine.effects.entries.MACHINE_EFFECTS`.
+To add an effect, write one file with its class and `Specification` and add it to `twin._common.families.EFFECTS`.
 """
 
 from twin.machine.effects.base import Effect, Frame, Parameter, assemble

@@ -13,55 +13,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from twin._common import families
 from twin._common.errors import InputError, closest_name
 from twin.machine.effects.base import Effect
-from twin.machine.effects.cross_axis import CROSS_AXIS
-from twin.machine.effects.error_motion import ANGULAR_ERROR_MOTION, POSITIONING, ROTARY_ERROR_MOTION, STRAIGHTNESS
-from twin.machine.effects.gravity_compliance import CARRIED_LOAD, GRAVITY_COMPLIANCE, PAYLOAD, GravityCompliance
-from twin.machine.effects.harmonic import HARMONIC
-from twin.machine.effects.location import AXIS_LOCATION
+from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, GravityCompliance
 from twin.machine.effects.payload import Payload, Side
-from twin.machine.effects.pitch_error import PITCH_ERROR
-from twin.machine.effects.reversal import REVERSAL
-from twin.machine.effects.reversal_curve import REVERSAL_CURVE
-from twin.machine.effects.scale_growth import SCALE_GROWTH
 from twin.machine.effects.specification import Specification
-from twin.machine.effects.spindle_growth import SPINDLE_GROWTH
-from twin.machine.effects.squareness import SQUARENESS
-from twin.machine.effects.table_load import TABLE_LOAD, TableLoad
-from twin.machine.effects.thermal_drift import THERMAL_DRIFT
-from twin.machine.effects.thermal_expansion import THERMAL_EXPANSION
-from twin.machine.effects.thermal_growth import THERMAL_GROWTH
-from twin.machine.effects.thermal_lag import THERMAL_LAG
-from twin.machine.effects.thermal_tilt import THERMAL_TILT
-from twin.machine.effects.zero_offset import ZERO_OFFSET
+from twin.machine.effects.table_load import TableLoad
 from twin.machine.machine import Machine
 
-MACHINE_EFFECTS: Final[tuple[Specification, ...]] = (
-    REVERSAL,
-    ZERO_OFFSET,
-    PITCH_ERROR,
-    THERMAL_EXPANSION,
-    SCALE_GROWTH,
-    REVERSAL_CURVE,
-    SQUARENESS,
-    AXIS_LOCATION,
-    POSITIONING,
-    STRAIGHTNESS,
-    ANGULAR_ERROR_MOTION,
-    ROTARY_ERROR_MOTION,
-    HARMONIC,
-    CROSS_AXIS,
-    THERMAL_GROWTH,
-    THERMAL_LAG,
-    THERMAL_TILT,
-    THERMAL_DRIFT,
-    SPINDLE_GROWTH,
-    TABLE_LOAD,
-    GRAVITY_COMPLIANCE,
-    PAYLOAD,
-    CARRIED_LOAD,
-)
+MACHINE_EFFECTS: Final[tuple[Specification, ...]] = families.members("twin.machine.effects", families.EFFECTS)
 """Specifications of all machine effects."""
 
 

@@ -10,6 +10,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common import families
 from twin._common.arrays import read_only
 from twin._common.counts import count_with_noun
 from twin._common.errors import InputError, closest_name
@@ -19,25 +20,11 @@ from twin.machine.machine import Machine
 from twin.measurement.checks import check_ranges
 from twin.measurement.contacts import SphereCentre
 from twin.measurement.formats.base import Conversion, FormatSpecification, Given, MeasuredFormat
-from twin.measurement.formats.contact_table import ContactTable
-from twin.measurement.formats.heidenhain import HeidenhainContacts
 from twin.measurement.formats.lines import MAX_BYTES
-from twin.measurement.formats.linuxcnc import LinuxCncProbeLog
-from twin.measurement.formats.renishaw_ballbar import RenishawBallbar
-from twin.measurement.formats.renishaw_laser import RenishawLaser
-from twin.measurement.formats.tf5245 import Tf5245
 from twin.measurement.formats.tracker import TrackerExport
 from twin.measurement.table import Measurements
 
-FORMATS: Final[tuple[MeasuredFormat, ...]] = (
-    ContactTable(),
-    LinuxCncProbeLog(),
-    Tf5245(),
-    HeidenhainContacts(),
-    RenishawBallbar(),
-    RenishawLaser(),
-    TrackerExport(),
-)
+FORMATS: Final[tuple[MeasuredFormat, ...]] = families.members("twin.measurement.formats", families.MEASURED_FORMATS)
 """All formats."""
 
 

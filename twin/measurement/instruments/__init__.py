@@ -1,14 +1,16 @@
-"""Instruments: what each reads of a point, and with which uncertainty. A new instrument is one file and one entry in `INSTRUMENTS`.
+"""Instruments: what each reads of a point, and with which uncertainty.
 
-The multi-axis interferometer (`twin.measurement.instruments.multi_axis`) reads the pose of a carriage, not points, and has its own
-command; it has the same `InstrumentSpecification`.
+A new instrument is one file and one entry in `twin._common.families.INSTRUMENTS`. The multi-axis interferometer
+(`twin.measurement.instruments.multi_axis`) reads the pose of a carriage, not points, and has its own command; it has the same
+`InstrumentSpecification`.
 """
 
 from typing import Final
 
 import numpy as np
 
-from twin._common.errors import InputError, closest_name
+from twin._common import families
+from twin._common.errors import require_name
 from twin.measurement.instruments.ball_bar import BallBar
 from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification, Reads, StationInstruments
 from twin.measurement.instruments.interferometer import TrackingInterferometer
@@ -19,18 +21,9 @@ from twin.measurement.instruments.multi_axis_solve import Displacement, measure
 from twin.measurement.instruments.probe import TouchProbe
 from twin.measurement.instruments.r_test import RTest
 from twin.measurement.instruments.refraction import STANDARD_AIR, Air, length_scale, refractive_index
-from twin.measurement.instruments.tracker import AT960, AT960_ABSOLUTE, LaserTracker
+from twin.measurement.instruments.tracker import LaserTracker
 
-INSTRUMENTS: Final[tuple[Instrument, ...]] = (
-    AT960,
-    AT960_ABSOLUTE,
-    TrackingInterferometer(),
-    LinearInterferometer(),
-    Level(),
-    TouchProbe(),
-    RTest(),
-    BallBar(),
-)
+INSTRUMENTS: Final[tuple[Instrument, ...]] = families.members(__name__, families.INSTRUMENTS)
 """Instruments whose readings a measurement table can contain; the first of several alike is the default (`default_instrument`)."""
 
 
@@ -40,12 +33,8 @@ def instrument_named(name: str) -> Instrument:
     Raises:
         InputError: an unknown name.
     """
-    names = [one.name for one in INSTRUMENTS]
-    if name not in names:
-        raise InputError(
-            "no such instrument", expected=f"one of {', '.join(names)}", value=name, nearest=closest_name(name, names)
-        )
-    return INSTRUMENTS[names.index(name)]
+    require_name("instrument", name, families.INSTRUMENTS)
+    return next(one for one in INSTRUMENTS if one.name == name)
 
 
 def default_instrument(reads: Reads, side: str = SIDES[0], largest_mm: float = np.inf) -> Instrument:

@@ -1,7 +1,7 @@
 """Base class of the instruments: readings, their covariance, and what they ride on.
 
 A new instrument is one file with an `InstrumentSpecification` and one class, and one entry in
-`twin.measurement.instruments.INSTRUMENTS`.
+`twin._common.families.INSTRUMENTS`.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.families import PROGRAM_SUFFIXES
 from twin.nc.apt.program import read, rewritten
 from twin.nc.apt.statements import statement_at, statements
 from twin.nc.apt.technology import line_words
@@ -28,7 +29,7 @@ class Apt(Dialect):
     """APT cutter locations: tool-tip coordinates and tool vectors, independent of the machine's kinematics."""
 
     name = "apt"
-    suffixes = (".cls", ".apt")
+    suffixes = PROGRAM_SUFFIXES["apt"]
     vector_decimals = VECTOR_DECIMALS
     linear_increment_mm = 1e-5
     cutter_locations = True

@@ -10,6 +10,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.families import PROGRAM_SUFFIXES
 from twin.nc.blocks import AxisWords, Interpretation, Program
 from twin.nc.columns import NewPositions, as_columns
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
@@ -34,7 +35,7 @@ class Heidenhain(Dialect):
     """Heidenhain plain language."""
 
     name = "heidenhain"
-    suffixes = (".h",)
+    suffixes = PROGRAM_SUFFIXES["heidenhain"]
     shared_suffixes = (".txt",)
     begins = re.compile(rb"\s*\d*\s*BEGIN\s+PGM\s", re.IGNORECASE)
 

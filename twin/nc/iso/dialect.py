@@ -9,6 +9,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.families import PROGRAM_SUFFIXES
 from twin.nc.blocks import AxisWords, Interpretation, Program
 from twin.nc.columns import NewPositions, as_columns
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
@@ -43,7 +44,7 @@ class Iso(Dialect):
     """G-code."""
 
     name = "iso"
-    suffixes = (".nc", ".ngc", ".tap", ".mpf", ".txt", ".iso", ".eia")
+    suffixes = PROGRAM_SUFFIXES["iso"]
     in_chunks = True
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:

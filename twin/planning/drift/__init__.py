@@ -1,19 +1,20 @@
-"""Drift tests after ISO 230-3 as sequences of readings over time; a new one is one file and one entry in `DRIFTS`."""
+"""Drift tests after ISO 230-3 as sequences of readings over time.
+
+A new one is one file and one entry in `twin._common.families.DRIFTS`.
+"""
 
 from __future__ import annotations
 
 from typing import Any, Final
 
-from twin._common.errors import InputError, closest_name
+from twin._common import families
+from twin._common.errors import require_name
 from twin.machine.machine import Machine
-from twin.planning.drift.axes import AXES
-from twin.planning.drift.environment import ENVIRONMENT
 from twin.planning.drift.plan import DriftPlan, make_drift_plan
-from twin.planning.drift.specification import INSTRUMENTS
-from twin.planning.drift.spindle import SPINDLE
+from twin.planning.drift.specification import DriftSequence
 from twin.planning.kit import Kit
 
-DRIFTS: Final = (ENVIRONMENT, SPINDLE, AXES)
+DRIFTS: Final[tuple[DriftSequence, ...]] = families.members(__name__, families.DRIFTS)
 """All drift sequences."""
 
 
@@ -25,12 +26,8 @@ def drift_plan(
     Raises:
         InputError: an unknown name, and as `make_drift_plan`.
     """
-    names = [one.name for one in DRIFTS]
-    if name not in names:
-        raise InputError(
-            "no such drift test", expected=f"one of {', '.join(names)}", value=name, nearest=closest_name(name, names)
-        )
-    return make_drift_plan(machine, DRIFTS[names.index(name)], instrument, kit, **more)
+    require_name("drift test", name, families.DRIFTS)
+    return make_drift_plan(machine, next(one for one in DRIFTS if one.name == name), instrument, kit, **more)
 
 
-__all__ = ["DRIFTS", "INSTRUMENTS", "DriftPlan", "drift_plan"]
+__all__ = ["DRIFTS", "DriftPlan", "drift_plan"]

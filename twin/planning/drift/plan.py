@@ -14,6 +14,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
+from twin._common.families import DRIFT_INSTRUMENTS
 from twin._common.files import write_atomic
 from twin.display import card, note, pairs, readable
 from twin.machine.machine import Machine
@@ -21,7 +22,6 @@ from twin.measurement.columns import comment_lines, csv_text, number_cells
 from twin.measurement.instruments import instrument_named
 from twin.measurement.table import Measurements
 from twin.planning.drift.specification import (
-    INSTRUMENTS,
     STANDARD,
     UNVERIFIED,
     DriftSchedule,
@@ -200,7 +200,7 @@ def make_drift_plan(
     Args:
         machine: the machine.
         sequence: the sequence.
-        instrument: one of `INSTRUMENTS`.
+        instrument: one of `twin._common.families.DRIFT_INSTRUMENTS`.
         kit: usable ranges; `Kit.default` if None.
         places_mm: parts on the table by name, in the work frame; None: near the rim of the table.
         minutes: duration without setting up; None: that of the sequence.
@@ -248,9 +248,9 @@ def _task(
     Raises:
         InputError: an unknown instrument or axis, an impossible number, a wrong number of parts on the table.
     """
-    if instrument not in INSTRUMENTS:
+    if instrument not in DRIFT_INSTRUMENTS:
         raise InputError(
-            "no such instrument for a drift test", expected=f"one of {', '.join(INSTRUMENTS)}", value=instrument
+            "no such instrument for a drift test", expected=f"one of {', '.join(DRIFT_INSTRUMENTS)}", value=instrument
         )
     sizes.check()
     axis = _axis(machine, options.get("axis"))

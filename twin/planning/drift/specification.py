@@ -12,8 +12,6 @@ from twin._common.errors import InputError
 from twin.machine.machine import Axis
 from twin.planning.sequences import SequenceTask
 
-INSTRUMENTS: Final = ("probe", "r-test", "displacement")
-"""Touch probe and sphere, R-test, or displacement sensors around a mandrel."""
 READ_S: Final = 300.0
 """Time between readings of sensors, s."""
 PROBE_EVERY_S: Final = 600.0
@@ -31,7 +29,7 @@ class DriftTask:
 
     Attributes:
         base: machine, instrument geometry, parts on the table, sizes, minutes and seed.
-        instrument: one of `INSTRUMENTS`.
+        instrument: one of `twin._common.families.DRIFT_INSTRUMENTS`.
         highest_rpm: highest spindle speed; None if not given.
         spectrum: whether the speeds change at random instead of in steps.
         axis: index of the axis that moves.

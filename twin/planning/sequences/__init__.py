@@ -1,19 +1,19 @@
 """Measuring sequences for instruments that measure the tool relative to the table: touch probe, R-test, ball bar.
 
-A new sequence is one file with a `MeasuringSequence` and one entry in `SEQUENCES`. A sequence gives rotary positions, parts on the
-table and offsets; `reach` computes the linear axes from the nominal kinematics and drops the points that are out of reach.
+A new sequence is one file with a `MeasuringSequence` and one entry in `twin._common.families.SEQUENCES`. A sequence gives rotary
+positions, parts on the table and offsets; `reach` computes the linear axes from the nominal kinematics and drops the points that are
+out of reach.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
+from twin._common import families
 from twin._common.errors import InputError, closest_name
-from twin.planning.sequences.best import BEST
-from twin.planning.sequences.circles import CIRCLES
 from twin.planning.sequences.contacts import ContactPose, contact_poses
 from twin.planning.sequences.expectation import Expectation, expectation, minutes_of, sequence_table
-from twin.planning.sequences.interpolation import INTERPOLATION, NOT_DESCRIBED
+from twin.planning.sequences.interpolation import NOT_DESCRIBED
 from twin.planning.sequences.reach import Reached, apart_clearance, clearance_of, default_place, reach
 from twin.planning.sequences.specification import (
     SET_UPS,
@@ -22,9 +22,8 @@ from twin.planning.sequences.specification import (
     SequencePoints,
     SequenceTask,
 )
-from twin.planning.sequences.turns import TURNS
 
-SEQUENCES: Final = (BEST, TURNS, *INTERPOLATION, CIRCLES)
+SEQUENCES: Final[tuple[MeasuringSequence, ...]] = families.members(__name__, families.SEQUENCES)
 """All sequences; the first for an instrument is its default."""
 
 

@@ -9,6 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.families import SEQUENCE_INSTRUMENTS
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.planning.kit import Kit
@@ -33,11 +34,12 @@ class PartNames:
     set_up_s: float
 
 
-SET_UPS: Final = {
-    "probe": PartNames("probe", "sphere", "spheres", "tip", 180.0),
-    "r-test": PartNames("nest", "ball", "nests", "ball", 900.0),
-    "ball-bar": PartNames("pivot", "ball", "pivots", "ball", 300.0),
-}
+_PARTS: Final = (
+    PartNames("probe", "sphere", "spheres", "tip", 180.0),
+    PartNames("nest", "ball", "nests", "ball", 900.0),
+    PartNames("pivot", "ball", "pivots", "ball", 300.0),
+)
+SET_UPS: Final = dict(zip(SEQUENCE_INSTRUMENTS, _PARTS, strict=True))
 """Parts of each instrument that measures the tool relative to the table, by the name of the instrument."""
 
 

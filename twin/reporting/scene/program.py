@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
+from twin._common.bundled import find_program
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin._common.progress import Progress, silent
@@ -16,7 +17,6 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
-from twin.nc import find_program
 from twin.reporting.scene.draw import scene_html
 from twin.reporting.scene.path import ScenePath
 

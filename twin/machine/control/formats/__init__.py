@@ -1,4 +1,4 @@
-"""All table formats, one file each; to add one, write its file and add it to `FORMATS`."""
+"""All table formats, one file each; to add one, write its file and add it to `twin._common.families.TABLE_FORMATS`."""
 
 from __future__ import annotations
 
@@ -6,25 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from twin._common import families
 from twin._common.errors import InputError
 from twin.machine.control.correction import Correction
 from twin.machine.control.format import TableFormat
-from twin.machine.control.formats.grid import SpatialGrid
-from twin.machine.control.formats.heidenhain import HeidenhainTables
-from twin.machine.control.formats.isg import Isg
-from twin.machine.control.formats.linuxcnc import LinuxCnc
-from twin.machine.control.formats.siemens import Siemens
-from twin.machine.control.formats.siemens_eec import SiemensEec
 from twin.machine.machine import Machine
 
-FORMATS: Final[tuple[TableFormat[Any], ...]] = (
-    LinuxCnc(),
-    HeidenhainTables(),
-    Siemens(),
-    Isg(),
-    SpatialGrid(),
-    SiemensEec(),
-)
+FORMATS: Final[tuple[TableFormat[Any], ...]] = families.members(__name__, families.TABLE_FORMATS)
 """All formats."""
 
 

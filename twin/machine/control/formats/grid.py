@@ -41,7 +41,6 @@ class SpatialGrid(TableFormat[CorrectionGrid]):
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG")
     points = 101
     rounding = (0.5 * 10.0**-_DIGITS, 0.0)
-    tolerance_um = 5.0
 
     def write(self, correction: CorrectionGrid, notes: Sequence[str] = ()) -> dict[str, str]:
         """See `TableFormat.write`."""

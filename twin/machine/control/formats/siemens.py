@@ -59,11 +59,7 @@ class Siemens(TableFormat[TableSum]):
     """Points of a table of the 828D; on the 840D sl MD18342 sets the number."""
     rounding = (0.0005, 0.0088)
     directions = True
-    tables = 62
-    """Default number of tables (not checked; two for each of 31 axes)."""
-    fewer_tables = "828D: 8"
     across = True
-    products = True
     wraps = True
     crossed_directions = True
     unchecked = (
@@ -92,7 +88,7 @@ class Siemens(TableFormat[TableSum]):
             by = len(blocks) + 2 if others else 0
             blocks.append(_block(len(blocks), term.axis, first.scaled(scale), DIGITS, machine, by))
             blocks += [_block(len(blocks), term.axis, factor, _FACTOR_DIGITS, machine, 0) for factor in others]
-        if len(blocks) > self.tables:
+        if self.tables is not None and len(blocks) > self.tables:
             raise InputError("too many compensation tables", expected=f"at most {self.tables}", value=len(blocks))
         head = ["%_N_CEC_MPF", *(f"; {note}" for note in notes), f"; {axis_numbers(machine, 'is')}"]
         return {FILE: "\n".join([*head, *blocks, "M30"]) + "\n"}

@@ -1,20 +1,17 @@
-"""Kinematics of a control's five-axis transformation, one format a file; to add one, write its file and add it to `KINEMATICS`.
+"""Kinematics of a control's five-axis transformation, one format a file.
 
-They act only while the transformation is active (tool centre point mode).
+To add one, write its file and add it to `twin._common.families.KINEMATICS_FORMATS`. They act only while the transformation is active
+(tool centre point mode).
 """
 
 from __future__ import annotations
 
 from typing import Final
 
+from twin._common import families
 from twin._common.errors import InputError
-from twin.machine.control.kinematics.fanuc import FanucTable
 from twin.machine.control.kinematics.format import KinematicsFormat
 from twin.machine.control.kinematics.geometry import KinematicCorrection, TableGeometry, linear_shift, table_geometry
-from twin.machine.control.kinematics.heidenhain_table import HeidenhainTable
-from twin.machine.control.kinematics.linuxcnc_trt import LinuxCncTrt
-from twin.machine.control.kinematics.siemens_chain import SiemensChain
-from twin.machine.control.kinematics.siemens_trafo5 import SiemensTrafo5
 
 __all__ = [
     "KINEMATICS",
@@ -26,13 +23,7 @@ __all__ = [
     "table_geometry",
 ]
 
-KINEMATICS: Final[tuple[KinematicsFormat, ...]] = (
-    LinuxCncTrt(),
-    SiemensChain(),
-    SiemensTrafo5(),
-    HeidenhainTable(),
-    FanucTable(),
-)
+KINEMATICS: Final[tuple[KinematicsFormat, ...]] = families.members(__name__, families.KINEMATICS_FORMATS)
 """All formats."""
 
 

@@ -1,0 +1,49 @@
+"""Tests of the tables of names: each name is that of the member behind it."""
+
+from __future__ import annotations
+
+import pytest
+
+from twin._common import families
+from twin.machine.control import FORMATS as TABLE_FORMATS
+from twin.machine.control import KINEMATICS
+from twin.machine.effects import MACHINE_EFFECTS
+from twin.machine.machine import Machine
+from twin.measurement.formats import FORMATS as MEASURED_FORMATS
+from twin.measurement.instruments import INSTRUMENTS
+from twin.nc import DIALECTS
+from twin.planning.drift import DRIFTS
+from twin.planning.sequences import SEQUENCES, SET_UPS
+
+
+@pytest.mark.parametrize(
+    ("table", "found"),
+    [
+        (families.INSTRUMENTS, INSTRUMENTS),
+        (families.MEASURED_FORMATS, MEASURED_FORMATS),
+        (families.TABLE_FORMATS, TABLE_FORMATS),
+        (families.KINEMATICS_FORMATS, KINEMATICS),
+        (families.EFFECTS, MACHINE_EFFECTS),
+        (families.SEQUENCES, SEQUENCES),
+        (families.DRIFTS, DRIFTS),
+        (families.PROGRAM_SUFFIXES, DIALECTS),
+    ],
+)
+def test_members_have_the_names_of_their_table(table: dict[str, object], found: tuple[object, ...]) -> None:
+    assert [getattr(one, "name") for one in found] == list(table)  # noqa: B009
+
+
+def test_a_wrong_name_is_found() -> None:
+    with pytest.raises(LookupError, match="no member of the name 'levels'"):
+        families.members("twin.measurement.instruments", {"levels": "level:Level"})
+
+
+def test_names_refer_to_members() -> None:
+    assert set(families.SEQUENCE_INSTRUMENTS) == set(SET_UPS) <= set(families.INSTRUMENTS)
+    assert {*families.TABLE_TOLERANCES_UM, *families.TABLE_COUNTS, *families.PRODUCT_FORMATS} <= set(
+        families.TABLE_FORMATS
+    )
+
+
+def test_effects_without_places_are_curves(dmu50: Machine) -> None:
+    assert {one.name for one in MACHINE_EFFECTS if not one.places(dmu50)} == families.ERROR_MOTIONS

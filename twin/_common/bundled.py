@@ -1,0 +1,66 @@
+"""Files given by their path or, if they come with `twin`, by their name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from twin._common.defaults import bundled_folder
+from twin._common.errors import InputError, closest_name
+from twin._common.families import PROGRAM_SUFFIXES
+from twin._common.files import names_beside
+
+_SAMPLES: Final = Path(__file__).resolve().parents[1] / "samples"
+
+
+def find_bundled(name: str | Path, suffix: str, expected: str) -> Path:
+    """Return the path of a file given by its path or, for one that comes with `twin`, by its name.
+
+    Raises:
+        InputError: there is no such file; the message lists the files that come with `twin`.
+    """
+    path = Path(name)
+    if is_file(path):
+        return path
+    bundled = bundled_folder()
+    for candidate in (bundled / path.name, bundled / f"{path.name}{suffix}"):
+        if path.parent == Path(".") and is_file(candidate):
+            return candidate
+    known = sorted(file.name for file in bundled.glob(f"*{suffix}") if file.name.count(".") == suffix.count("."))
+    meant = [*known, *(name.removesuffix(suffix) for name in known)]
+    raise InputError(
+        "not found",
+        expected=f"{expected}, or one that comes with twin ({', '.join(known)})",
+        file=path,
+        nearest=closest_name(path.name, meant),
+    )
+
+
+def find_program(path: str | Path) -> Path:
+    """Return the path of a program: a file, else a sample program that comes with twin.
+
+    Raises:
+        InputError: there is neither.
+    """
+    path = Path(path)
+    if path.exists():
+        return path
+    bundled = _SAMPLES / path.name
+    if path.parent == Path() and bundled.is_file():
+        return bundled
+    known = {suffix for suffixes in PROGRAM_SUFFIXES.values() for suffix in suffixes}
+    names = sorted(file.name for file in _SAMPLES.glob("*") if file.suffix in known)
+    raise InputError(
+        "no such program",
+        expected=f"a file, or a program that comes with twin: {' '.join(names)}",
+        file=path,
+        nearest=closest_name(path.name, [*names, *names_beside(path)]),
+    )
+
+
+def is_file(path: Path) -> bool:
+    """Return whether the path is that of a file; False for a path that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # name too long, or with an invalid character
+        return False

@@ -1,0 +1,128 @@
+"""Names of the members of each family, and where each member is defined.
+
+This module imports nothing of `twin`: options and shell completion list names without importing what has them. A package makes its
+tuple of members from its table with `members`, so that a name is listed in one place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, Final
+
+INSTRUMENTS: Final = {
+    "tracker": "tracker:AT960",
+    "tracker-absolute": "tracker:AT960_ABSOLUTE",
+    "interferometer": "interferometer:TrackingInterferometer",
+    "linear-interferometer": "linear:LinearInterferometer",
+    "level": "level:Level",
+    "probe": "probe:TouchProbe",
+    "r-test": "r_test:RTest",
+    "ball-bar": "ball_bar:BallBar",
+}
+"""Instruments whose readings a measurement table can contain: `twin.measurement.instruments`."""
+MEASURED_FORMATS: Final = {
+    "contacts": "contact_table:ContactTable",
+    "linuxcnc": "linuxcnc:LinuxCncProbeLog",
+    "tf5245": "tf5245:Tf5245",
+    "heidenhain": "heidenhain:HeidenhainContacts",
+    "renishaw-ballbar": "renishaw_ballbar:RenishawBallbar",
+    "renishaw-laser": "renishaw_laser:RenishawLaser",
+    "tracker": "tracker:TrackerExport",
+}
+"""Formats of measured data of other programs: `twin.measurement.formats`."""
+TABLE_FORMATS: Final = {
+    "linuxcnc": "linuxcnc:LinuxCnc",
+    "heidenhain": "heidenhain:HeidenhainTables",
+    "siemens": "siemens:Siemens",
+    "isg": "isg:Isg",
+    "grid": "grid:SpatialGrid",
+    "siemens_eec": "siemens_eec:SiemensEec",
+}
+"""Formats of compensation tables: `twin.machine.control.formats`."""
+USUAL_TOLERANCE_UM: Final = 1.0
+TABLE_TOLERANCES_UM: Final = {"grid": 5.0}
+"""Default tolerances of the interpolation of those formats whose default is not `USUAL_TOLERANCE_UM`."""
+TABLE_COUNTS: Final = {"siemens": (62, "828D: 8")}
+"""Default number of tables (not checked; two for each of 31 axes), and controls that have fewer, of formats that limit the number."""
+PRODUCT_FORMATS: Final = ("siemens",)
+"""Formats that can multiply two tables."""
+KINEMATICS_FORMATS: Final = {
+    "linuxcnc-trt": "linuxcnc_trt:LinuxCncTrt",
+    "siemens-chain": "siemens_chain:SiemensChain",
+    "siemens-trafo5": "siemens_trafo5:SiemensTrafo5",
+    "heidenhain-kinematics": "heidenhain_table:HeidenhainTable",
+    "fanuc-five-axis": "fanuc:FanucTable",
+}
+"""Formats of a control's kinematics: `twin.machine.control.kinematics`."""
+EFFECTS: Final = {
+    "reversal": "reversal:REVERSAL",
+    "zero_offset": "zero_offset:ZERO_OFFSET",
+    "pitch_error": "pitch_error:PITCH_ERROR",
+    "thermal_expansion": "thermal_expansion:THERMAL_EXPANSION",
+    "scale_growth": "scale_growth:SCALE_GROWTH",
+    "reversal_curve": "reversal_curve:REVERSAL_CURVE",
+    "squareness": "squareness:SQUARENESS",
+    "axis_location": "location:AXIS_LOCATION",
+    "positioning": "error_motion:POSITIONING",
+    "straightness": "error_motion:STRAIGHTNESS",
+    "angular_error_motion": "error_motion:ANGULAR_ERROR_MOTION",
+    "error_motion": "error_motion:ROTARY_ERROR_MOTION",
+    "harmonic": "harmonic:HARMONIC",
+    "cross_axis": "cross_axis:CROSS_AXIS",
+    "thermal_growth": "thermal_growth:THERMAL_GROWTH",
+    "thermal_lag": "thermal_lag:THERMAL_LAG",
+    "thermal_tilt": "thermal_tilt:THERMAL_TILT",
+    "thermal_drift": "thermal_drift:THERMAL_DRIFT",
+    "spindle_growth": "spindle_growth:SPINDLE_GROWTH",
+    "table_load": "table_load:TABLE_LOAD",
+    "gravity_compliance": "gravity_compliance:GRAVITY_COMPLIANCE",
+    "payload": "gravity_compliance:PAYLOAD",
+    "carried_load": "gravity_compliance:CARRIED_LOAD",
+}
+"""Effects of a machine: `twin.machine.effects`."""
+ERROR_MOTIONS: Final = frozenset({"positioning", "straightness", "angular_error_motion", "error_motion"})
+"""Effects among them that are curves of a calibration: they have no places of their own."""
+SEQUENCES: Final = {
+    "best": "best:BEST",
+    "turns": "turns:TURNS",
+    **{name: "interpolation:INTERPOLATION" for name in ("ak1", "ak2", "ak4", "bk1", "bk2", "bk4")},
+    "circles": "circles:CIRCLES",
+}
+"""Measuring sequences: `twin.planning.sequences`."""
+SEQUENCE_INSTRUMENTS: Final = ("probe", "r-test", "ball-bar")
+"""Instruments that measure the tool relative to the table: measuring sequences are planned for them."""
+DRIFTS: Final = {"environment": "environment:ENVIRONMENT", "spindle": "spindle:SPINDLE", "axes": "axes:AXES"}
+"""Drift tests after ISO 230-3: `twin.planning.drift`."""
+DRIFT_INSTRUMENTS: Final = ("probe", "r-test", "displacement")
+"""Touch probe and sphere, R-test, or displacement sensors around a mandrel."""
+
+PROGRAM_SUFFIXES: Final = {
+    "iso": (".nc", ".ngc", ".tap", ".mpf", ".txt", ".iso", ".eia"),
+    "heidenhain": (".h",),
+    "apt": (".cls", ".apt"),
+}
+"""File name suffixes of each program language (`twin.nc`), in small letters, with the dot."""
+
+
+def members(package: str, table: Mapping[str, str]) -> tuple[Any, ...]:
+    """Import the members of a family and return them in the order of their table.
+
+    Args:
+        package: package of their modules.
+        table: module and attribute by name; the attribute is a member, its class, or a tuple that contains it.
+
+    Raises:
+        LookupError: a member has another name than in the table.
+    """
+    return tuple(_member(name, package, home) for name, home in table.items())
+
+
+def _member(name: str, package: str, home: str) -> Any:
+    module, attribute = home.split(":")
+    found = getattr(import_module(f"{package}.{module}"), attribute)
+    some = found if isinstance(found, tuple) else (found() if isinstance(found, type) else found,)
+    for member in some:
+        if member.name == name:
+            return member
+    raise LookupError(f"{package}.{module}.{attribute} has no member of the name {name!r}")
