@@ -9,7 +9,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.threads import map_chunks
+from twin._common.threads import THREADS, map_chunks
 from twin.diagnosis.candidates.signatures import Column, Freedom, ReadingDerivatives, SignatureTerm
 from twin.identification.network import LinearisedReadings
 from twin.numerics.functions import Functions, Rows, pieces
@@ -101,38 +101,55 @@ class Signatures:
             rows: the points to sum over, as one part; all points, by part, if None.
         """
 
-        def partial(own: Sequence[int]) -> np.ndarray:
-            total: dict[tuple[int, Functions, Freedom, int], np.ndarray] = {}
-            for run in own:
-                part, block = part_of(run), self._block(run, runs)
-                right = vectors(block).transpose(1, 2, 0)
-                buffers = np.empty((2, BLOCK_WIDTH, right.shape[2]))
-                for few in pieces(right.shape[1], BLOCK_WIDTH):
-                    some = np.ascontiguousarray(right[:, few])
-                    for freedom, lookups in self._by_freedom.items():
-                        present = {of: found for of in lookups if (found := block.values(of)) is not None}
-                        if not present:
-                            continue
-                        projected = _along_derivative(block.derivatives[freedom], some, buffers)
-                        for functions, values in present.items():
-                            # A derivative may multiply only a few of the functions.
-                            index = lookups[functions][1]
-                            found = projected @ (values[:, index] if _some(functions, index) else values)
-                            key = part, functions, freedom, few.start
-                            if key in total:
-                                total[key] += found
-                            else:
-                                total[key] = found
-            found = np.zeros((count, len(self.columns), right.shape[1]))
-            while total:
-                (part, functions, freedom, start), values = total.popitem()
-                columns, index, weight = self._lookup[functions][freedom]
-                own_values = values.T if _some(functions, index) else values.T[index]
-                _add_rows(found[part, :, start : start + len(values)], columns, weight[:, None] * own_values)
-            return found
-
         runs, part_of, count = self._runs_of(rows)
-        return reduce(np.ndarray.__iadd__, map_chunks(range(len(runs)), partial))
+        if not self.columns:
+            runs = runs[:1]  # only for the number of vectors
+        by_part: list[list[int]] = [[] for _ in range(count)]
+        for run in range(len(runs)):
+            by_part[part_of(run)].append(run)
+        # A part is summed by one thread: no thread holds the sums of all parts, and the result does not depend on their order.
+        shares = by_part if count > 1 else [own for own in (by_part[0][i::THREADS] for i in range(THREADS)) if own]
+        found: list[np.ndarray] = [np.empty(0)] * len(shares)
+
+        def fill(own: Sequence[int]) -> None:
+            for share in own:
+                found[share] = self._along_runs(vectors, [(run, runs) for run in shares[share]])
+
+        map_chunks(range(len(shares)), fill)
+        return np.stack(found) if count > 1 else reduce(np.ndarray.__iadd__, found)[None]
+
+    def _along_runs(
+        self, vectors: Callable[[PointBlock], np.ndarray], own: Sequence[tuple[int, Sequence[np.ndarray]]]
+    ) -> np.ndarray:
+        """Return inner products (columns, r) with r vectors, summed over some runs."""
+        total: dict[tuple[Functions, Freedom, int], np.ndarray] = {}
+        for run in own:
+            block = self._block(*run)
+            right = vectors(block).transpose(1, 2, 0)
+            buffers = np.empty((2, BLOCK_WIDTH, right.shape[2]))
+            for few in pieces(right.shape[1], BLOCK_WIDTH):
+                some = np.ascontiguousarray(right[:, few])
+                for freedom, lookups in self._by_freedom.items():
+                    present = {of: found for of in lookups if (found := block.values(of)) is not None}
+                    if not present:
+                        continue
+                    projected = _along_derivative(block.derivatives[freedom], some, buffers)
+                    for functions, values in present.items():
+                        # A derivative may multiply only a few of the functions.
+                        index = lookups[functions][1]
+                        found = projected @ (values[:, index] if _some(functions, index) else values)
+                        key = functions, freedom, few.start
+                        if key in total:
+                            total[key] += found
+                        else:
+                            total[key] = found
+        found = np.zeros((len(self.columns), right.shape[1]))
+        while total:
+            (functions, freedom, start), values = total.popitem()
+            columns, index, weight = self._lookup[functions][freedom]
+            own_values = values.T if _some(functions, index) else values.T[index]
+            _add_rows(found[:, start : start + len(values)], columns, weight[:, None] * own_values)
+        return found
 
     def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:
         """Return the inner products within groups of columns: (parts, groups, w, w) for each array (groups, w).
@@ -231,6 +248,29 @@ class Signatures:
                 for i in range(3):
                     _add_rows(found[i], at, weighted * derivative[:, i])
         return found.transpose(2, 0, 1)
+
+    def combined(self, coefficients: np.ndarray) -> np.ndarray:
+        """Return linear combinations (n, 3, r) of the signatures at all points, from coefficients (columns, r)."""
+        width = coefficients.shape[1]
+        found = np.empty((len(self.view.rows), 3, width))
+
+        def fill(own: Sequence[int]) -> None:
+            for run in own:
+                block, rows = self._block(run, self._runs), self._runs[run]
+                total = np.zeros((3, len(rows), width))
+                for freedom, lookups in self._by_freedom.items():
+                    sums = np.zeros((len(rows), width))
+                    for functions, (columns, index, weight) in lookups.items():
+                        values = block.values(functions)
+                        if values is not None:
+                            sums += values[:, index] @ (weight[:, None] * coefficients[columns])
+                    derivative = block.derivatives[freedom]
+                    for i in range(3):
+                        total[i] += derivative[:, i, None] * sums
+                found[rows] = total.transpose(1, 0, 2)
+
+        map_chunks(range(len(self._runs)), fill)
+        return found
 
     def _block(self, run: int, runs: Sequence[np.ndarray]) -> PointBlock:
         """Return the block of a run, from the cache if the function values of all points fit there."""
