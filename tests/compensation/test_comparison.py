@@ -83,7 +83,7 @@ def test_unknown_poses(dmu50: Machine, calibration: Calibration) -> None:
     q = np.tile(LIMITS.mean(axis=1), (7, 1))
     q[1, 2], q[2, 0], q[3, 0], q[4, 0], q[5, 0] = np.nan, upper + 1e-10, upper + 1e-8, lower - 1e-8, np.inf
     known = [True, False, True, False, False, False, True]
-    assert comparison.poses(q, q).known.tolist() == known
+    assert comparison.poses(q, q).known.tolist() == comparison.known(q).tolist() == known
     # Nominal commands belong to the machine without errors, which has no curves.
     assert comparison.poses(q, q[:1].repeat(7, axis=0)).known.tolist() == [
         True, False, True, True, True, False, True,

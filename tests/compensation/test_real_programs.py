@@ -69,10 +69,8 @@ def test_compensated_on_a_machine_of_the_same_kind(
     noted = {note.line for note in report.notes} | {line for one in report.not_corrected for line in one.lines}
     read, dialect = read_program(programs / name)
     reading = dialect.moves(read, Compensator(trunnion, errors).prepared.space.axes, tcp=False)
-    rewritten = {id(rewrite.move) for rewrite in result.rewrites}
-    for move in reading.moves:
-        by_line = any(rewrite.move.line == move.line for rewrite in result.rewrites)
-        assert by_line or id(move) in rewritten or move.line + 1 in noted
+    for move, count in zip(reading.moves, result.new.count, strict=True):
+        assert count or move.line + 1 in noted
 
 
 def test_the_compensated_boat_is_on_the_nominal_path(programs: Path, trunnion: Machine, errors: Calibration) -> None:

@@ -21,8 +21,8 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import read_program
-from twin.nc.iso import stream as iso_stream
 from twin.nc.iso.stream import IsoRewriter
+from twin.nc.lines import chunks
 
 SAMPLES = Path(__file__).resolve().parents[2] / "twin" / "samples"
 LENGTH = 120.0
@@ -60,7 +60,7 @@ def both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
 
     def cut(size: int, shortest: int, lines: int) -> None:
         monkeypatch.setattr(parts, "STRETCH_BYTES", size)
-        monkeypatch.setattr(iso_stream, "SHORTEST_RUN", shortest)
+        monkeypatch.setattr(chunks, "SHORTEST_RUN", shortest)
         monkeypatch.setattr(parts, "PART_LINES", lines)
 
     def run(text: str | bytes, compensator: Compensator, *stretches: tuple[int, int, int]) -> str:

@@ -168,20 +168,17 @@ def test_branches_of_the_dmu50(dmu50: Machine) -> None:
         both[:, 3:] = solutions[:, k]
         # Near B = 0 the closed form loses half its digits: it is a start for Newton, not an answer.
         assert np.abs(nominal.forward(both).axis - axis).max() <= 1e-7
-    for i in range(len(q)):
-        found = branches.nearest(solutions[i], q[i, 3:] + [0.3, -0.3])
-        assert found is not None
-        assert np.abs(found - q[i, 3:]).max() <= 1e-6
+    found = branches.nearest(solutions, q[:, 3:] + [0.3, -0.3])
+    assert np.abs(found - q[:, 3:]).max() <= 1e-6
 
 
 def test_upright_tool_keeps_c(dmu50: Machine) -> None:
     branches = Branches(Kinematics(dmu50, Calibration.zero(dmu50)))
-    upright = branches.all(np.array([[0.0, 0.0, 1.0]]))[0]
-    found = branches.nearest(upright, np.array([10.0, 417.0]))
-    assert found is not None
+    upright = branches.all(np.array([[0.0, 0.0, 1.0]]))
+    (found,) = branches.nearest(upright, np.array([[10.0, 417.0]]))
     assert found == pytest.approx([0.0, 417.0], abs=1e-6)
-    below = branches.all(np.array([[0.0, 0.6, -0.8]]))[0]
-    assert branches.nearest(below, np.zeros(2)) is None
+    below = branches.all(np.array([[0.0, 0.6, -0.8]]))
+    assert np.isnan(branches.nearest(below, np.zeros((1, 2)))).all()
 
 
 def test_both_branches_exist_and_each_is_kept() -> None:
@@ -212,3 +209,30 @@ def test_both_branches_exist_and_each_is_kept() -> None:
         assert np.abs(real.forward(solution.positions[inside]).point_mm - target.point_mm[inside]).max() <= 1e-9
     apart = np.abs(solutions[:, 0, 0] - solutions[:, 1, 0])
     assert apart.min() > 30.0
+
+
+@pytest.mark.parametrize("name", ["dmu50", "xyzbc_trunnion"])
+@pytest.mark.parametrize("window", [1, 3, 64])
+def test_positions_along_a_path_are_those_found_one_by_one(
+    name: str, window: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Turns of C, the pole, jumps to the other branch, and a vector without a solution."""
+    monkeypatch.setattr("twin.kinematics.branches.FIRST_WINDOW", window)
+    machine = Machine.load(name)
+    branches = Branches(Kinematics(machine, Calibration.zero(machine)))
+    rng = np.random.default_rng(16)
+    for spread in (0.02, 0.5, 3.0):
+        tilt, turn = np.abs(np.cumsum(rng.normal(0, spread * 0.2, 300))) % 1.2, np.cumsum(rng.normal(0.1, spread, 300))
+        tilt[100:110] = 0.0
+        axis = np.column_stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
+        axis[280] = [0.0, 0.6, -0.8]
+        solutions, offset = branches.all(axis), np.array([0.0, 12.5])
+        found, before = [], np.array([3.0, 400.0])
+        for solution in solutions:
+            (there,) = branches.nearest(solution[None], (before + offset)[None]) - offset
+            if np.isnan(there).any():
+                break
+            before = there
+            found.append(before)
+        assert len(found) == 280
+        np.testing.assert_array_equal(branches.along(solutions, np.array([3.0, 400.0]), offset), found)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from hypothesis import strategies as st
 
-from twin.nc.blocks import AxisWords, Interpretation, Move, Rewrite
+from twin.nc.blocks import AxisWords, Interpretation, Move
+from twin.nc.columns import NewPositions
 from twin.nc.dialect import Dialect
 
 AXES = AxisWords(
@@ -37,18 +38,25 @@ def rewritten(
     """Return the output with every move replaced by ``rows(move, start, end)``, and all those rows in order."""
     program = dialect.read(text.encode("latin-1"), "test")
     reading = dialect.moves(program, AXES, tcp=tcp)
-    rewrites = []
+    new = {}
     intended = []
     last = np.full(len(NAMES), np.nan)
-    for move in reading.moves:
+    for index, move in enumerate(reading.moves):
         end = np.array(move.position)
         if not move.machine:
             segments = rows(move, last, end)
             tool = None if vectors is None or move.vector is None else vectors(move, len(segments))
-            rewrites.append(Rewrite(move, segments, tool))
+            new[index] = (segments, tool)
             intended.extend(segments)
         last = end
-    return dialect.rewrite(program, AXES, reading, rewrites), intended
+    return dialect.rewrite(program, AXES, reading, new_positions(reading, new)), intended
+
+
+def new_positions(
+    reading: Interpretation, new: Mapping[int, tuple[np.ndarray, np.ndarray | None]], width: int = len(NAMES)
+) -> NewPositions:
+    """Return replacements by the index of the move: positions, and tool vectors or None."""
+    return NewPositions.of(len(reading.moves), width, new)
 
 
 def distinct(rows: list[np.ndarray]) -> list[tuple[float, ...]]:

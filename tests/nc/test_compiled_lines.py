@@ -16,9 +16,9 @@ from tests.nc.test_iso_stream import check
 from tests.nc.test_simple_blocks import LONG, ODD, SWAPPED, mixed_iso
 from twin.compute.native import compiler, loading
 from twin.nc.blocks import AxisWords
-from twin.nc.iso import stream as iso_stream
-from twin.nc.iso.compiled import ARRAYS, line_code
-from twin.nc.iso.scan import Scan, scan
+from twin.nc.lines import chunks as line_chunks
+from twin.nc.lines.compiled import ARRAYS, line_code
+from twin.nc.lines.scan import Scan, scan
 
 NAMES = st.sampled_from([("X", "Y", "Z", "B", "C"), ("X", "Y", "Z"), ("Z", "Y", "X", "a", "c"), ("X1", "Y"), ()])
 PIECES = [
@@ -65,7 +65,7 @@ def test_the_compiled_scanner_reads_the_same(text: str, names: tuple[str, ...]) 
 @pytest.fixture(autouse=True, scope="module")
 def every_run_at_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(iso_stream, "SHORTEST_RUN", 1)
+        patch.setattr(line_chunks, "SHORTEST_RUN", 1)
         yield
 
 

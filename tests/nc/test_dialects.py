@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.nc.nc_support import AXES
+from tests.nc.nc_support import AXES, new_positions
 from twin.nc import DIALECTS, dialect_for
-from twin.nc.blocks import Kind, Program, Rewrite
+from twin.nc.blocks import Kind, Program
 from twin.nc.dialect import Dialect
 
 EVERY = pytest.mark.parametrize("dialect", DIALECTS, ids=lambda one: one.name)
@@ -60,10 +60,10 @@ def test_a_move_is_rewritten_and_every_other_byte_kept(dialect: Dialect) -> None
     text = points_text(dialect)
     program = dialect.read(text.encode(), "test")
     reading = dialect.moves(program, AXES, tcp=True)
-    assert dialect.rewrite(program, AXES, reading, []) == text
+    assert dialect.rewrite(program, AXES, reading, new_positions(reading, {})) == text
     move = reading.moves[1]
     row = np.array([[1.75, -2.5, 3.5, np.nan, np.nan]])
-    written = dialect.rewrite(program, AXES, reading, [Rewrite(move, row)])
+    written = dialect.rewrite(program, AXES, reading, new_positions(reading, {1: (row, None)}))
     assert written != text
     np.testing.assert_allclose(positions(dialect, written)[1], row[0, :3])
     changed = [a != b for a, b in zip(program.texts, dialect.read(written.encode(), "test").texts, strict=True)]
@@ -98,12 +98,13 @@ def test_a_new_program_or_cutter_locations(dialect: Dialect) -> None:
     writer.finish()
     text = "".join(writer.out)
     program = dialect.read(text.encode(), "test")
-    moves = dialect.moves(program, AXES, tcp=False).moves
+    reading = dialect.moves(program, AXES, tcp=False)
+    moves = reading.moves
     assert [move.kind for move in moves] == [Kind.RAPID, Kind.LINEAR]
     np.testing.assert_allclose([move.position for move in moves], [[0, 0, 10, 0, 90], [1, 0, 10, 0, 90]])
     assert dialect.renumbered(program, text) == text
     with pytest.raises(ValueError, match="cannot be written"):
-        dialect.posted(program, dialect.moves(program, AXES, tcp=False), [], AXES, dialect)
+        dialect.posted(program, reading, new_positions(reading, {}), AXES, dialect)
 
 
 @EVERY
@@ -116,6 +117,6 @@ def test_lines_taken_out_leave_the_others_their_numbers(dialect: Dialect) -> Non
     before, after = (dialect.moves(one, AXES, tcp=True) for one in (program, left))
     assert [move.line for move in after.moves] == [move.line for move in before.moves if move.line != gone]
     row = np.array([[0.0, 0.0, -0.25, np.nan, np.nan]])
-    text = dialect.rewrite(left, AXES, after, [Rewrite(after.moves[-1], row)])
+    text = dialect.rewrite(left, AXES, after, new_positions(after, {len(after.moves) - 1: (row, None)}))
     assert text.count("\n") == len(texts) - 1
     np.testing.assert_allclose(positions(dialect, text), [POINTS[0], row[0, :3]], atol=1e-9)

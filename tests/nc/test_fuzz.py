@@ -12,10 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import beside
-from tests.nc.nc_support import AXES, apt_program, iso_program, plain_program
+from tests.nc.nc_support import AXES, apt_program, iso_program, new_positions, plain_program
 from twin._common.errors import InputError
 from twin.nc import dialect_for
-from twin.nc.blocks import Rewrite
 
 DIALECTS = {name: dialect_for(Path(name)) for name in ("a.nc", "a.h", "a.cls")}
 ALL = pytest.mark.parametrize("dialect", DIALECTS.values(), ids=lambda d: d.name)
@@ -69,14 +68,14 @@ def run(dialect, data):
         program = dialect.read(data, "fuzz")
         assert program.text.encode("latin-1") == data
         reading = dialect.moves(program, AXES, tcp=False)
-        assert dialect.rewrite(program, AXES, reading, []) == program.text
-        rewrites = []
-        for move in reading.moves:
+        assert dialect.rewrite(program, AXES, reading, new_positions(reading, {})) == program.text
+        new = {}
+        for index, move in enumerate(reading.moves):
             if not move.machine:
                 end = np.array(move.position) + 0.0125
                 tool = None if move.vector is None else np.array([move.vector] * 2)
-                rewrites.append(Rewrite(move, np.array([end - 0.5, end]), tool))
-        return dialect.rewrite(program, AXES, reading, rewrites)
+                new[index] = (np.array([end - 0.5, end]), tool)
+        return dialect.rewrite(program, AXES, reading, new_positions(reading, new))
     except InputError as error:
         assert error.expected
         assert error.file == "fuzz"

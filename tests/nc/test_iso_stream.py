@@ -6,7 +6,6 @@ import random
 import re
 from collections.abc import Iterator
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -28,13 +27,13 @@ from tests.nc.test_simple_blocks import (
 )
 from twin.nc.blocks import AxisWords, Interpretation, Program
 from twin.nc.columns import MoveColumns
-from twin.nc.iso import stream as iso_stream
 from twin.nc.iso import vocabulary
-from twin.nc.iso.bulk import NewPositions
-from twin.nc.iso.compiled import ARRAYS, LineCode
 from twin.nc.iso.interpreter import IsoInterpreter
-from twin.nc.iso.scan import scan
-from twin.nc.iso.stream import Chunk, IsoReader, IsoRewriter
+from twin.nc.iso.stream import IsoRewriter, iso_reader
+from twin.nc.lines import chunks as line_chunks
+from twin.nc.lines.chunks import Chunk
+from twin.nc.lines.compiled import ARRAYS, LineCode
+from twin.nc.lines.scan import scan
 from twin.nc.text import Style, newline_of, style_in
 
 SEED = st.integers(0, 10**6)
@@ -45,7 +44,7 @@ MANY = settings(max_examples=200)
 def every_run_at_once() -> Iterator[None]:
     """Process runs of any length together; `pytest.MonkeyPatch` by hand, since hypothesis rejects function-scoped fixtures."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(iso_stream, "SHORTEST_RUN", 1)
+        patch.setattr(line_chunks, "SHORTEST_RUN", 1)
         yield
 
 
@@ -57,7 +56,7 @@ def chunks(program: Program, names: tuple[str, ...], size: int, code: LineCode =
 def read(
     program: Program, axes: AxisWords, size: int, tcp: bool, code: LineCode = ARRAYS
 ) -> tuple[list[tuple[Chunk, MoveColumns]], Interpretation, bool]:
-    reader = IsoReader(program.source, axes, tcp=tcp)
+    reader = iso_reader(program.source, axes, tcp=tcp)
     parts = [(chunk, reader.read(chunk)) for chunk in chunks(program, axes.names, size, code)]
     moves = tuple(move for _, columns in parts for move in columns)
     return parts, Interpretation(moves, tuple(reader.notices()), tuple(reader.lost_positions())), reader.drills
@@ -76,11 +75,9 @@ def check(
     parts, reading, drills = found
     assert shown(whole) == shown(reading)
     assert whole.lost_positions == reading.lost_positions
-    rewrites = {id(one.move): one for one in new_positions(whole, seed, len(axes.names))}
-    # Streams do not support cycles, nor compensation a vector that is kept while its block is rewritten.
-    vectors_stay = any(one.move.vector is not None and one.vectors is None for one in rewrites.values())
-    # Nor do they comment out a call of no cycle.
-    if drills or vectors_stay or not rewrites or "MCALL" in text:
+    new = new_positions(whole, seed, len(axes.names))
+    # Streams do not support cycles, nor do they comment out a call of no cycle.
+    if drills or not new.count.any() or "MCALL" in text:
         return
 
     def written() -> str:
@@ -88,26 +85,13 @@ def check(
         rewriter = IsoRewriter(program.source, axes, newline_of(program), style, tcp=whole.moves[0].tcp, code=code)
         out, at = [], 0
         for chunk, moves in parts:
-            mine = [rewrites.get(id(move)) for move in whole.moves[at : at + len(moves)]]
+            out.append(rewriter.write(chunk, moves, new.part(at, at + len(moves))))
             at += len(moves)
-            count = np.array([0 if one is None else len(one.positions) for one in mine], dtype=int)
-            there = [one for one in mine if one is not None]
-            nothing = np.full((1, 3), np.nan)
-            vectors = [
-                np.repeat(nothing, len(one.positions), 0) if one.vectors is None else one.vectors for one in there
-            ]
-            new = NewPositions(
-                first=np.cumsum(count) - count,
-                count=count,
-                positions=np.concatenate([np.zeros((0, len(axes.names))), *(one.positions for one in there)]),
-                vectors=np.concatenate([np.zeros((0, 3)), *vectors]),
-            )
-            out.append(rewriter.write(chunk, moves, new))
         return b"".join(out).decode("latin-1")
 
     found = outcome(written)
     with way("tokens"):
-        assert found == outcome(lambda: ISO.rewrite(program, axes, whole, rewrites.values()))
+        assert found == outcome(lambda: ISO.rewrite(program, axes, whole, new))
 
 
 @MANY

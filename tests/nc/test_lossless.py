@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.nc.nc_support import AXES, apt_program, iso_program, plain_program, read_moves
+from tests.nc.nc_support import AXES, apt_program, iso_program, new_positions, plain_program, read_moves
 from twin._common.errors import InputError
 from twin.nc import dialect_for
 
@@ -23,7 +23,7 @@ def check(dialect, text):
     program = dialect.read(data, "demo")
     assert program.text.encode("latin-1") == data
     reading = dialect.moves(program, AXES, tcp=False)
-    assert dialect.rewrite(program, AXES, reading, []) == text
+    assert dialect.rewrite(program, AXES, reading, new_positions(reading, {})) == text
     return reading
 
 

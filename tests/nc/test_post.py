@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.nc.nc_support import AXES, iso_positions, plain_positions, read_moves
+from tests.nc.nc_support import AXES, iso_positions, new_positions, plain_positions, read_moves
 from twin._common.bundled import find_program
 from twin._common.errors import InputError
 from twin.nc import dialect_for, read_program
-from twin.nc.blocks import Kind, Rewrite
+from twin.nc.blocks import Kind
 
 APT = dialect_for(Path("a.cls"))
 TEXT = (
@@ -29,8 +29,8 @@ ROWS = [
 def posted(to):
     program = APT.read(TEXT.encode(), "dir/my part.cls")
     reading = APT.moves(program, AXES, tcp=True)
-    rewrites = [Rewrite(m, np.array(r, dtype=float)) for m, r in zip(reading.moves, ROWS, strict=True)]
-    return APT.posted(program, reading, rewrites, AXES, dialect_for(Path(to)))
+    new = {i: (np.array(rows, dtype=float), None) for i, rows in enumerate(ROWS)}
+    return APT.posted(program, reading, new_positions(reading, new), AXES, dialect_for(Path(to)))
 
 
 WANTED = [(0, 0, 10, 0, 0), (1, 1, 5, 10, 20), (1.5, 1.25, 4, 36.87, 90), (1.5, 4, 4, 36.87, 90)]
@@ -64,7 +64,8 @@ def test_a_move_nobody_solved_is_not_left_out_in_silence():
     program = APT.read(TEXT.encode(), "a.cls")
     reading = APT.moves(program, AXES, tcp=True)
     with pytest.raises(ValueError, match="line 5"):
-        APT.posted(program, reading, [Rewrite(reading.moves[1], np.zeros((1, 5)))], AXES, dialect_for(Path("a.nc")))
+        new = new_positions(reading, {1: (np.zeros((1, 5)), None)})
+        APT.posted(program, reading, new, AXES, dialect_for(Path("a.nc")))
 
 
 def test_programs_by_name(tmp_path):

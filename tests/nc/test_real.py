@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.conftest import beside
-from tests.nc.nc_support import AXES, iso_positions
+from tests.nc.nc_support import AXES, iso_positions, new_positions
 from twin.nc import dialect_for
-from twin.nc.blocks import Kind, Rewrite
+from twin.nc.blocks import Kind
 from twin.nc.text import printed
 
 PROGRAMS = {
@@ -30,7 +30,7 @@ def load(name):
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_written_back_unchanged(name):
     data, dialect, program, reading = load(name)
-    assert dialect.rewrite(program, AXES, reading, []).encode("latin-1") == data
+    assert dialect.rewrite(program, AXES, reading, new_positions(reading, {})).encode("latin-1") == data
     moves, words = PROGRAMS[name]
     assert len(reading.moves) == moves
     assert sum(not move.machine for move in reading.moves) == words
@@ -39,16 +39,16 @@ def test_written_back_unchanged(name):
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_shifted_and_read_again(name):
     _, dialect, program, reading = load(name)
-    rewrites, intended = [], []
-    for move in reading.moves:
+    new, intended = {}, []
+    for index, move in enumerate(reading.moves):
         if move.machine:
             continue
         x, y, z, b, c = move.position
         row = [printed(v, 0.001) for v in (x + 0.1 * np.sin(y), y + 0.05, z - 0.01 * np.cos(x), b + 0.002, c - 0.003)]
         row = [v if np.isfinite(v) else o for v, o in zip(row, move.position, strict=True)]
         intended.append(row)
-        rewrites.append(Rewrite(move, np.array([row])))
-    text = dialect.rewrite(program, AXES, reading, rewrites)
+        new[index] = (np.array([row]), None)
+    text = dialect.rewrite(program, AXES, reading, new_positions(reading, new))
     again = dialect.moves(dialect.read(text.encode("latin-1"), name), AXES, tcp=False)
     found = [move for move in again.moves if not move.machine]
     assert all(move.kind is not Kind.ARC for move in found)

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.nc.nc_support import AXES, read_moves
+from tests.nc.nc_support import AXES, new_positions, read_moves
 from twin._common.errors import InputError
 from twin.nc import dialect_for
-from twin.nc.blocks import Rewrite
 
 ISO = dialect_for(Path("a.nc"))
 PLAIN = dialect_for(Path("a.h"))
@@ -229,8 +228,8 @@ def test_drilling_written_out():
     program = ISO.read(text.encode(), "t")
     reading = ISO.moves(program, AXES, tcp=False)
     assert [m.position[2] for m in reading.moves] == [0, 0, 3, -6, 10, 10, 3, -6, 10, 10]
-    rewrites = [Rewrite(m, np.add([m.position], (0.1, 0, 0, 0, 0))) for m in reading.moves[1:]]
-    lines = ISO.rewrite(program, AXES, reading, rewrites).splitlines()[2:]
+    new = {i: (np.add([m.position], (0.1, 0, 0, 0, 0)), None) for i, m in enumerate(reading.moves) if i}
+    lines = ISO.rewrite(program, AXES, reading, new_positions(reading, new)).splitlines()[2:]
     assert lines == [
         ";MCALL CYCLE82(10.,0.,3.,-6.,,0.5)",
         *("X5.1 Y5.", "Z3.", "G1 Z-6.", "G4 F0.5", "G0 Z10."),

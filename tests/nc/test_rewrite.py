@@ -16,13 +16,14 @@ from tests.nc.nc_support import (
     distinct,
     iso_positions,
     iso_program,
+    new_positions,
     plain_positions,
     plain_program,
     read_moves,
     rewritten,
 )
 from twin.nc import dialect_for
-from twin.nc.blocks import Kind, Rewrite
+from twin.nc.blocks import Kind
 from twin.nc.text import printed
 
 ISO = dialect_for(Path("a.nc"))
@@ -170,12 +171,12 @@ def test_incremental_plain_language_counts_from_what_was_said():
 def test_untouched_incremental_block_counts_from_the_rewritten_one():
     program = ISO.read(b"G90 G0 X0 Y0 Z0 B0 C0\nG1 X10\nG91 X1\nG90 Y5\n", "t")
     reading = ISO.moves(program, AXES, tcp=False)
-    first, last = reading.moves[1], reading.moves[3]
-    rewrites = [
-        Rewrite(first, np.array([[10.5, 0, 0, 0, 0]])),
-        Rewrite(last, np.array([[11.5, 5, 0, 0, 0]])),
+    new = {1: (np.array([[10.5, 0, 0, 0, 0]]), None), 3: (np.array([[11.5, 5, 0, 0, 0]]), None)}
+    assert ISO.rewrite(program, AXES, reading, new_positions(reading, new)).splitlines()[1:] == [
+        "G1 X10.5",
+        "G91 X1",
+        "G90 Y5",
     ]
-    assert ISO.rewrite(program, AXES, reading, rewrites).splitlines()[1:] == ["G1 X10.5", "G91 X1", "G90 Y5"]
 
 
 def piece(text, *rows, dialect=ISO, tcp=False, vectors=None):
@@ -183,8 +184,8 @@ def piece(text, *rows, dialect=ISO, tcp=False, vectors=None):
     program = dialect.read(text.encode(), "t")
     reading = dialect.moves(program, AXES, tcp=tcp)
     tool = None if vectors is None else np.array(vectors)
-    rewrite = Rewrite(reading.moves[-1], np.array(rows, dtype=float), tool)
-    lines = dialect.rewrite(program, AXES, reading, [rewrite]).splitlines()
+    new = {len(reading.moves) - 1: (np.array(rows, dtype=float), tool)}
+    lines = dialect.rewrite(program, AXES, reading, new_positions(reading, new)).splitlines()
     return lines[reading.moves[-1].line :]
 
 
@@ -241,8 +242,8 @@ def test_a_skipped_block_is_skipped_whole_and_trusted_for_nothing():
     program = ISO.read(text.encode(), "t")
     reading = ISO.moves(program, AXES, tcp=False)
     rows = [[(5, 5, 0, 0, 0), (10, 10, 0, 0, 0)], [(20, 10, 0, 0, 0)]]
-    rewrites = [Rewrite(m, np.array(r, dtype=float)) for m, r in zip(reading.moves[1:], rows, strict=True)]
-    lines = ISO.rewrite(program, AXES, reading, rewrites).splitlines()[2:]
+    new = {i: (np.array(r, dtype=float), None) for i, r in enumerate(rows, 1)}
+    lines = ISO.rewrite(program, AXES, reading, new_positions(reading, new)).splitlines()[2:]
     assert lines[:2] == ["/G1 X5. Y5.", "/X10. Y10."]
     assert lines[2].startswith("G1 X20.")
     assert all(name in lines[2] for name in NAMES)
@@ -255,8 +256,8 @@ def test_after_machine_coordinates_everything_named_is_said_again():
     program = ISO.read(text.encode(), "t")
     reading = ISO.moves(program, AXES, tcp=False)
     assert np.isnan(reading.moves[-1].position[0])
-    rewrite = Rewrite(reading.moves[-1], np.array([[5.0, 6.0, 2.0, 0.0, 0.0]]))
-    assert ISO.rewrite(program, AXES, reading, [rewrite]).splitlines()[-1] == "G1 Y6. X5."
+    new = {len(reading.moves) - 1: (np.array([[5.0, 6.0, 2.0, 0.0, 0.0]]), None)}
+    assert ISO.rewrite(program, AXES, reading, new_positions(reading, new)).splitlines()[-1] == "G1 Y6. X5."
 
 
 def test_an_arc_becomes_straight_pieces():
@@ -265,8 +266,8 @@ def test_an_arc_becomes_straight_pieces():
     reading = ISO.moves(program, AXES, tcp=False)
     arc = reading.moves[1]
     assert arc.kind is Kind.ARC
-    rewrite = Rewrite(arc, np.array([[5.0, 5.0, 0, 0, 0], [10.0, 0.0, 0, 0, 0]]))
-    lines = ISO.rewrite(program, AXES, reading, [rewrite]).splitlines()[2:]
+    new = {1: (np.array([[5.0, 5.0, 0, 0, 0], [10.0, 0.0, 0, 0, 0]]), None)}
+    lines = ISO.rewrite(program, AXES, reading, new_positions(reading, new)).splitlines()[2:]
     assert lines == ["G1 X5. Y5. F100", "X10. Y0.", "G2 X20. I5. J0", "G1 X0", "Y3"]
 
 

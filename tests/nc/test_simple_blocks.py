@@ -14,14 +14,16 @@ from hypothesis import strategies as st
 from tests.conftest import beside
 from tests.nc.nc_support import AXES, iso_program, plain_program
 from twin._common.errors import InputError
+from twin.compute.native import loading
 from twin.nc import dialect_for
-from twin.nc.blocks import AxisWords, Kind, Rewrite
+from twin.nc.blocks import AxisWords, Kind
+from twin.nc.columns import NewPositions
 from twin.nc.heidenhain import vocabulary as heidenhain_vocabulary
-from twin.nc.iso import stream
 from twin.nc.iso import vocabulary as iso_vocabulary
+from twin.nc.lines import chunks
 from twin.nc.simple_blocks import NOTHING, SimpleBlocks
 
-ISO, PLAIN = (dialect_for(Path(name)) for name in ("a.nc", "a.h"))
+ISO, PLAIN, APT = (dialect_for(Path(name)) for name in ("a.nc", "a.h", "a.cls"))
 SWAPPED = AxisWords(("X", "Y", "Z"), ("C", "A"), {"X": 0.001, "Y": 0.005, "Z": 0.0001, "A": 0.001, "C": 0.01})
 LONG = AxisWords(("X", "Y", "Z"), ("B1", "C"), dict.fromkeys(("X", "Y", "Z", "B1", "C"), 0.001))
 ODD = AxisWords(("X", "Y", "Z"), ("N",), dict.fromkeys("XYZN", 0.001))
@@ -172,6 +174,133 @@ def mixed_plain(draw):
     return eol.join(lines) + draw(st.sampled_from([eol, ""]))
 
 
+CYCLES = [
+    *(
+        "G81 X1 Y1 Z-5 R2 F300",
+        "G99 G81 X1 Y1 Z-5 R2",
+        "G98 G82 X1 Y1 Z-5 R2 P0.5",
+        "G83 X1 Y1 Z-7 R2 Q3",
+        "G73 X1 Z-4 R1 Q1.5",
+    ),
+    *(
+        "G85 X1 Y1 Z-3 R2",
+        "G99 G89 X1 Z-3 R2 P1",
+        "G84 X1 Z-9 R3",
+        "MCALL CYCLE81(10,0,2,-5)",
+        "MCALL CYCLE82(10.,0.,3.,-6.,,0.5)",
+    ),
+    *(
+        "MCALL CYCLE83(10,0,1,-9,,-3,,0,0,0,1,1)",
+        "MCALL CYCLE85(10,0,2,-5,,0.5,80,120)",
+        "MCALL CYCLE84(10,0,2,-5,,0.5,3,,0.8)",
+    ),
+]
+
+
+@st.composite
+def drilled(draw):
+    """Draw drilling cycles with the places of holes, mostly simple lines, some of them split by other words."""
+    eol, small = draw(EOL), rarely(draw, 6)
+    number = st.integers(-99999, 99999).map(lambda v: f"{v / 1000:.3f}")
+    lines = ["G0 X0. Y0. Z20. B0. C0."]
+    for _ in range(draw(st.integers(1, 3))):
+        lines.append(draw(st.sampled_from(CYCLES)))
+        for _ in range(draw(st.integers(1, 12))):
+            if rarely(draw, 15):
+                lines.append(
+                    draw(st.sampled_from(["", "(c)", "X1 Z3", "X1 M8", "X1Y2", "G99", "N5 X7 F200", "X1 Y1 R3 Z-4"]))
+                )
+            else:
+                glue = "" if rarely(draw, 12) else " "
+                names = draw(st.sampled_from([("X",), ("Y",), ("X", "Y"), ("X", "Y"), ("X", "Y"), ("X", "Y", "C")]))
+                lines.append(glue.join(f"{name}{draw(number)}" for name in names))
+        lines.append(draw(st.sampled_from(["G80", "MCALL", "", "G80 G0 Z20"])))
+    text = eol.join(lines) + draw(st.sampled_from([eol, ""]))
+    return text.lower() if small else text
+
+
+@st.composite
+def long_runs_plain(draw):
+    """Draw programs in plain language that are nearly all simple blocks in capitals: long runs, some with decimal commas."""
+    comma, numbered = draw(st.booleans()), draw(st.booleans())
+    eol = draw(EOL)
+
+    def plain():
+        if rarely(draw, 20):
+            return draw(
+                st.sampled_from(
+                    ["", " ", "; c", "* - section", "L", "L R0", "X+1", "L Y+2.5 M8", "l x+1", "L F500 X+1"]
+                )
+            )
+        tail = draw(
+            st.sampled_from(["", "", " R0", " R0 FMAX", " F500", "\tFMAX", " F1.5 ", " R0 F5.", " FMAX R0", " R0 R0"])
+        )
+        text = "L " + draw(axis_words(AXES.names, glue=(" ", " ", "\t", "  "), plus=True)) + tail
+        return text.replace(".", ",") if comma else text
+
+    start = ["BEGIN PGM a MM", "L X+1 Y+1 Z+1 B+1 C+1"]
+    lines = [*start, *(plain() for _ in range(draw(st.integers(1, 30))))]
+    if numbered:
+        first = draw(st.sampled_from([0, 7, 95]))
+        width = draw(st.sampled_from([0, 0, 4]))
+        lines = [f"{i:0{width}d} {text}" for i, text in enumerate(lines, first)]
+    return eol.join(lines) + draw(st.sampled_from([eol, ""]))
+
+
+@st.composite
+def mixed_apt(draw):
+    """Draw cutter locations: simple statements and others."""
+    eol = draw(EOL)
+    usual = st.integers(-99999, 99999).map(lambda v: f"{v / 1000:.4f}")
+    strange = st.sampled_from(
+        ["0", "-0.0", "5", "-5.", ".5", "+1.5", "1.5E1", "2D0", " 3.5", "1.123456789", "-0.000001", "-.0"]
+    )
+    numbers = st.one_of(usual, usual, usual, strange) if draw(st.booleans()) else usual
+    vectors = [
+        "0,0,1",
+        "0.000000,0.600000,0.800000",
+        "0.6,-0.0,0.8",
+        "0,0.5,0.5",
+        "-1,0,0",
+        ".6,0,.8",
+        "0.0,0.7071068,0.7071068",
+    ]
+
+    def location():
+        head = draw(st.sampled_from(["GOTO/"] * 9 + ["GOTO / ", "goto/", " GOTO/"]))
+        words = [draw(numbers) for _ in range(3)]
+        tilt = draw(st.sampled_from(["", *vectors])) if draw(st.booleans()) else vectors[1]
+        tail = draw(st.sampled_from([""] * 9 + [" ", "\t", " $$ here"]))
+        return head + ",".join([*words, *([tilt] if tilt else [])]) + tail
+
+    special = [
+        "RAPID",
+        "FEDRAT/500",
+        "UNITS/INCHES",
+        "UNITS/MM",
+        "$$ note, GOTO/1,2,3",
+        "",
+        " ",
+        "%",
+        "(x)",
+        "PAINT/COLOR,1",
+        "X1",
+    ]
+    special += [
+        "FROM/1,2,3",
+        "GOTO/1,2,$",
+        "GOTO/1,2,3,0,0,2",
+        "GOTO/1,2,3,0,0.8,0.59",
+        f"GOTO/1,$ {eol} 2,3,0,0,1",
+        "N10 GOTO/1,2,3",
+    ]
+    lines = [
+        location() if draw(st.integers(0, 6)) else draw(st.sampled_from(special))
+        for _ in range(draw(st.integers(1, 25)))
+    ]
+    return eol.join(["UNITS/MM", "GOTO/0,0,0,0,0,1", *lines]) + draw(st.sampled_from([eol, ""]))
+
+
 def shown(reading):
     """Return an interpretation in comparable form (NaN equals NaN, sets are sorted)."""
     return [repr(move._replace(named=tuple(sorted(move.named)))) for move in reading.moves], repr(reading.notices)
@@ -186,14 +315,14 @@ def outcome(work):
 
 
 def new_positions(reading, seed, width):
-    """Return rewrites of most moves: shifted or not, in one or more segments, with tool vectors or without."""
+    """Return new positions of most moves: shifted or not, in one or more segments, with tool vectors or without."""
     choice = random.Random(seed)
     tilted = choice.random() < 0.7
     most = choice.choice([1, 1, 2, 3])
     kept = choice.choice([0.0, 0.15, 0.5])
     lean = choice.choice([0, 0, 1])
-    rewrites = []
-    for move in reading.moves:
+    new = {}
+    for index, move in enumerate(reading.moves):
         if move.machine or choice.random() < kept:
             continue
         size = choice.choice([0.0, 0.0004, 0.05, 7.0])
@@ -205,24 +334,25 @@ def new_positions(reading, seed, width):
         if move.vector is not None and tilted:
             vectors = np.array([move.vector] * segments) + 0.01 * choice.randint(0, lean)
             vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-        rewrites.append(Rewrite(move, rows, vectors))
-    return rewrites
+        new[index] = (rows, vectors)
+    return NewPositions.of(len(reading.moves), width, new)
 
 
 @contextmanager
 def way(name):
-    """Read and write token by token, by the patterns of simple blocks, or (ISO) all simple blocks of a run together."""
+    """Read and write token by token, by the patterns of simple blocks, or all simple blocks of a run together."""
     with pytest.MonkeyPatch.context() as patch:
         if name == "tokens":
             for vocabulary in (iso_vocabulary, heidenhain_vocabulary):
                 patch.setattr(vocabulary, "simple_pattern", lambda names: SimpleBlocks(NOTHING, (), ()))
-        patch.setattr(stream, "SHORTEST_RUN", 1 if name == "runs" else 10**9)
+        patch.setattr(chunks, "SHORTEST_RUN", 1 if name in ("runs", "compiled") else 10**9)
+        patch.setattr(loading, "WORTH_COMPILING", 1 if name == "compiled" else 10**9)
         yield
 
 
 def by_every_way(work):
     """Yield the outcome of a function by each path."""
-    for name in ("tokens", "plain", "runs"):
+    for name in ("tokens", "plain", "runs", "compiled"):
         with way(name):
             yield outcome(work)
 
@@ -234,8 +364,8 @@ def check(dialect, text, seed, axes=AXES, *, tcp=False):
         assert all(reading == general for reading in others)
         return
     assert all(shown(reading) == shown(general) for reading in others)
-    rewrites = new_positions(general, seed, len(axes.names))
-    first, *others = by_every_way(lambda: dialect.rewrite(program, axes, general, rewrites))
+    new = new_positions(general, seed, len(axes.names))
+    first, *others = by_every_way(lambda: dialect.rewrite(program, axes, general, new))
     assert all(text == first for text in others)
 
 
@@ -266,7 +396,47 @@ def test_plain_language(text, seed, tcp):
         check(PLAIN, text, seed, tcp=tcp)
 
 
-@pytest.mark.parametrize("name", ["tokens", "plain"])
+@MANY
+@given(text=drilled(), seed=SEED)
+def test_drilling(text, seed):
+    check(ISO, text, seed)
+
+
+@pytest.mark.parametrize("cycle", CYCLES)
+@pytest.mark.parametrize(
+    "places", ["X1 Y2\nX3. Y4.5\nY5\nX6 Y7\n", "X1Y2\nX3.Y4.5\nX6Y7\n", "X1 Y2\n\nX3. Y4.5\n(c)\nX6 Y7\n"]
+)
+def test_each_drilling_cycle(cycle, places):
+    text = f"G0 X0. Y0. Z20. B0. C0.\n{cycle}\n{places}G80\nMCALL\nX1 Y1\n"
+    for seed in range(30):
+        check(ISO, text, seed)
+
+
+@MANY
+@given(text=long_runs_plain(), seed=SEED)
+def test_long_runs_of_plain_language(text, seed):
+    check(PLAIN, text, seed)
+
+
+@MANY
+@given(text=mixed_apt(), seed=SEED)
+@example(text="GOTO/0,0,0,0,0,1\nGOTO/1,2,$\nGOTO/1,2,3\nGOTO/4,5,6\n", seed=1)
+def test_locations(text, seed):
+    check(APT, text, seed)
+
+
+def test_no_negative_zero_in_locations():
+    program = APT.read(b"GOTO/0.0,0.0,0.000000,0,0,1\n" * 3, "test")
+    reading = APT.moves(program, AXES, tcp=True)
+    rows = np.array([[-1e-9, -0.0, -4e-7, np.nan, np.nan], [-0.0, -2e-5, 1.0, np.nan, np.nan]])
+    tools = np.array([[-1e-12, -0.0, 1.0], [-1e-9, 0.0, 1.0]])
+    new = NewPositions.of(3, 5, {i: (rows, tools) for i in range(3)})
+    first, *others = by_every_way(lambda: APT.rewrite(program, AXES, reading, new))
+    assert "-0.00000," not in first and "-0.00002,1.000000,-0.000000001,0,1\n" in first
+    assert all(text == first for text in others)
+
+
+@pytest.mark.parametrize("name", ["tokens", "plain", "runs"])
 def test_fmax_is_a_rapid_of_its_own_block(name):
     """Heidenhain: FMAX applies to its block only, any other feed until the next; both readers must distinguish them."""
     lines = {

@@ -133,13 +133,7 @@ def _space() -> WordSpace:
 
 def _rotary(space: WordSpace, axes: np.ndarray) -> np.ndarray:
     """Return (n, 2) rotary positions, each on the branch of the one before."""
-    found = []
-    standing = np.zeros(2)
-    for solutions in space.branches.all(axes):
-        nearest = space.branches.nearest(solutions, standing)
-        standing = standing if nearest is None else nearest
-        found.append(standing)
-    return np.array(found)
+    return space.branches.along(space.branches.all(axes), np.zeros(2), np.zeros(2))
 
 
 def main() -> None:

@@ -36,6 +36,9 @@ UNEVEN: Final = 0.05
 NEGLIGIBLE: Final = 1e-8
 """Reversal value (mm, degrees) below which the control corrects it fully, apart from rounding."""
 
+FEW: Final = 16
+"""Stretches of a way up to which each is followed step by step; more are followed together."""
+
 LEAST_REVERSAL: Final = 1.5
 """Least increments by which an axis must come back to count as reversed: one is rounding, two are a reversal."""
 
@@ -130,43 +133,111 @@ def _play(way: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
         (n,) from −1 to +1, changing over a distance of ``width``; 0 until the axis moves, and again where its position is unknown. (n,)
         +1, −1, or 0 before it has reached either end.
     """
-    rate = 2.0 / width
-    state = side = 0.0
-    last = np.nan
-    states, sides = [], []
-    for place in way.tolist():
-        if place != place:
-            state = side = 0.0
-        elif last == last:
-            state = min(1.0, max(-1.0, state + rate * (place - last)))
-            if state in (-1.0, 1.0):
-                side = state
-        last = place
-        states.append(state)
-        sides.append(side)
-    return np.array(states), np.array(sides)
+    states, sides = np.zeros(len(way)), np.zeros(len(way))
+    if not len(way):
+        return states, sides
+    rate, step = 2.0 / width, np.diff(way, prepend=np.nan)
+    first, last, behind, known = _stretches(step, rate)
+    at, state, side = first.copy(), np.append(0.0, known[:-1]), np.append(0.0, known[:-1])
+    those = np.flatnonzero(at < behind)
+    while len(those) > FEW:
+        here, moved = at[those], step[at[those]]
+        gap, before = np.isnan(moved), state[those]
+        now = np.where(gap, 0.0, np.clip(before + rate * moved, -1.0, 1.0))
+        state[those], side[those] = now, np.where(gap | (np.abs(now) == 1.0), now, side[those])
+        states[here], sides[here] = now, side[those]
+        at[those] = here + 1
+        those = those[((here < last[those]) | (now != known[those])) & (here + 1 < behind[those])]
+    for one in those.tolist():
+        part = slice(at[one], behind[one])
+        states[part], sides[part] = _followed(step[part], rate, state[one], side[one])
+        at[one] = behind[one]
+    rest, left = _ranges(at, behind)
+    states[rest], sides[rest] = np.repeat(state, left), np.repeat(side, left)
+    return states, sides
+
+
+def _stretches(step: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return stretches of a way at whose ends the position within the play is known whatever it was before.
+
+    It is known at an end of the play after a way in one direction that is longer than the play, and 0 after a gap.
+
+    Args:
+        step: (n,) steps of the axis, NaN at gaps; n > 0.
+        rate: change of the position within the play per step of one.
+
+    Returns:
+        (m,) first step of each stretch, (m,) first step of its last way in one direction, (m,) the step behind it, and (m,) the
+        position behind it; NaN where it is unknown.
+    """
+    direction = np.sign(np.nan_to_num(step))
+    says = np.where((direction != 0.0) | np.isnan(step), np.arange(len(step)), 0)
+    direction = direction[np.maximum.accumulate(says)]
+    begins = np.append(0, np.flatnonzero(direction[1:] != direction[:-1]) + 1)
+    one_way, direction = np.add.reduceat(np.nan_to_num(step), begins), direction[begins]
+    known = np.where(direction == 0.0, 0.0, np.where(np.abs(one_way) * rate >= 2.0 + STILL, direction, np.nan))
+    certain = np.isfinite(known)
+    certain[-1] = True
+    behind = np.append(begins[1:], len(step))[certain]
+    return np.append(0, behind[:-1]), begins[certain], behind, known[certain]
+
+
+def _followed(step: np.ndarray, rate: float, state: float, side: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the positions within the play and the ends last reached, as `_play`, after steps one by one."""
+    # Steps that change the state: any step unless it has reached an end, there only those back; and gaps.
+    changes = {end: np.flatnonzero((step * end < 0.0) | np.isnan(step)) for end in (1.0, -1.0)}
+    between = np.flatnonzero(step != 0.0)
+    states, sides, steps = np.zeros(len(step)), np.zeros(len(step)), step.tolist()
+    at = 0
+    while at < len(steps):
+        moved = steps[at]
+        if moved == 0.0 or (moved * state > 0.0 and state in changes):
+            those = changes.get(state, between)
+            place = int(np.searchsorted(those, at))
+            end = int(those[place]) if place < len(those) else len(steps)
+            states[at:end], sides[at:end] = state, side
+            at = end
+            continue
+        state = 0.0 if moved != moved else min(1.0, max(-1.0, state + rate * moved))
+        side = 0.0 if moved != moved else state if state in changes else side
+        states[at], sides[at] = state, side
+        at += 1
+    return states, sides
 
 
 def _from_reversal(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
     """Return sides that are detected late, moved back to the preceding extreme point."""
     found = sides.copy()
-    unknown = np.flatnonzero(np.isnan(way))
-    first = 0
-    for at in np.flatnonzero(np.diff(sides) != 0.0) + 1:
-        side = sides[at]
-        if side == 0.0:
-            continue
-        gaps = unknown[: np.searchsorted(unknown, at)]
-        first = max(first, int(gaps[-1]) + 1 if gaps.size else 0)
-        window = way[first:at] * side
-        first += int(np.flatnonzero(window <= window.min() + STILL)[-1])
-        found[first + 1 : at] = side
+    at = np.flatnonzero(np.diff(sides) != 0.0) + 1
+    at = at[sides[at] != 0.0]
+    if not at.size:
+        return found
+    # The extreme point lies behind the detection of the reversal before, which is behind the extreme point of that one.
+    gaps = np.append(-1, np.flatnonzero(np.isnan(way)))
+    begin = np.maximum(np.append(0, at[:-1]), gaps[np.searchsorted(gaps, at) - 1] + 1)
+    places, length = _ranges(begin, at)
+    heights = way[places] * np.repeat(sides[at], length)
+    firsts = np.cumsum(length) - length
+    lowest = np.repeat(np.minimum.reduceat(heights, firsts), length)
+    extreme = np.maximum.reduceat(np.where(heights <= lowest + STILL, places, -1), firsts)
+    places, length = _ranges(extreme + 1, at)
+    found[places] = np.repeat(sides[at], length)
     return found
 
 
-def _with_passages(path: ToolPath, motion: np.ndarray, way: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return one axis's positions with those of passed-through lines inserted, and a mask of the original ones."""
+def _ranges(begin: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the whole numbers of (n,) ranges, one range after the other, and the (n,) length of each."""
+    length = np.maximum(end - begin, 0)
+    return np.repeat(begin - np.cumsum(length) + length, length) + np.arange(length.sum()), length
+
+
+def _with_passages(
+    path: ToolPath, motion: np.ndarray, way: np.ndarray, axis: int
+) -> tuple[np.ndarray, np.ndarray | slice]:
+    """Return one axis's positions with those of passed-through lines inserted, and which are the original ones."""
     moved = [passage for passage in path.passages if passage.moved[axis]]
+    if not moved:
+        return way, slice(None)
     at = np.searchsorted(motion, [passage.before for passage in moved], side="left")
     places = np.insert(way, at, [passage.commands[axis] for passage in moved])
     return places, np.insert(np.ones(len(way), dtype=bool), at, False)

@@ -9,6 +9,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
+from twin._common.arrays import rows_all_true
 from twin._common.units import MM, UM, URAD
 from twin.compute.along import AlongFunction, fractions
 from twin.compute.batch import BatchFunction
@@ -108,6 +109,11 @@ class PoseComparison:
         distance, angle, beyond = (column[:, 0] for column in self._poses(*inputs))
         return ComparedPoses(distance, angle, np.isfinite(distance) & (beyond <= SLACK))
 
+    def known(self, commanded: np.ndarray) -> np.ndarray:
+        """Return (n,) whether (n, axes) commands are finite and within the domains of all curves, as `ComparedPoses.known`."""
+        lower, upper = np.transpose(self._real.calibration.domains())
+        return rows_all_true(np.isfinite(commanded) & (commanded >= lower - SLACK) & (commanded <= upper + SLACK))
+
     def totals(
         self, nominal: Commands, written: Commands, before: np.ndarray | None, after: np.ndarray | None
     ) -> tuple[Totals, Totals]:
@@ -170,13 +176,14 @@ class PoseComparison:
         """Return expressions: distance in mm; angle between the tool axes and its two tilts; amount by which a domain is exceeded."""
         machine = self._real.machine
         nominal, commanded = (command * ca.DM(machine.scale) for command in (meant, given))
-        frame, target = self._nominal.pose_at(nominal)
-        rotation, point = self._real.pose_at(commanded, *sides)
+        frame, _ = self._nominal.pose_at(nominal)
+        target, upright = self._nominal.tip_and_axis_at(nominal)
+        point, axis = self._real.tip_and_axis_at(commanded, *sides)
         beyond = ca.SX(-1.0)
         for q, (lower, upper) in zip(ca.vertsplit(given), self._real.calibration.domains(), strict=True):
             beyond = beyond if np.isneginf(lower) else ca.fmax(beyond, lower - q)
             beyond = beyond if np.isposinf(upper) else ca.fmax(beyond, q - upper)
-        apart = ca.norm_2(rotation[:, 2] - frame[:, 2])
-        leaning = frame.T @ rotation[:, 2]
+        apart = ca.norm_2(axis - upright)
+        leaning = frame.T @ axis
         tilts = ca.atan2(-leaning[1], leaning[2]), ca.atan2(leaning[0], leaning[2])
         return ca.norm_2(point - target) / MM, (2.0 * ca.asin(ca.fmin(apart / 2.0, 1.0)), *tilts), beyond

@@ -31,12 +31,12 @@ from twin.compensation.toolpath import (
     motions_of,
     sections,
     spaces,
-    turns_tool,
 )
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import dialect_for, dialect_of, read_program
-from twin.nc.blocks import Interpretation, Notice, Program, Rewrite
+from twin.nc.blocks import Interpretation, Notice, Program
+from twin.nc.columns import NewPositions, as_columns
 from twin.nc.dialect import Dialect
 from twin.nc.inline import errors_in_files
 
@@ -50,7 +50,7 @@ class Compensation:
         text: the program, to be written as latin-1.
         report: what was corrected and what was not.
         reading: the program as read.
-        rewrites: the new positions, in words.
+        new: the new positions of its moves, in words.
         path: the program as motions.
         nominal: (rows, axes) nominal commands of every block's pieces, mm and degrees.
         exact: (rows, axes) compensated commands before the linear words were rounded.
@@ -63,7 +63,7 @@ class Compensation:
     text: str
     report: Report
     reading: Interpretation
-    rewrites: tuple[Rewrite, ...]
+    new: NewPositions
     path: ToolPath
     nominal: np.ndarray
     exact: np.ndarray
@@ -139,15 +139,15 @@ class Compensator:
         posted = written.name != dialect.name
         progress("solving", 0.1)
         found = self._corrected(program, dialect, reading, path, motions_of(parts, path), progress, posted=posted)
-        rewrites = tuple(rewrite for one in found for rewrite in _rewrites(one, reading))
+        new = _with_shares(new_positions(found, len(reading.moves), len(axes.names)), found)
         progress("writing", 0.8)
         if posted:
-            text = dialect.posted(program, reading, rewrites, axes, written)
+            text = dialect.posted(program, reading, new, axes, written)
         else:
-            text = dialect.rewrite(program, axes, reading, rewrites)
-        if rewrites:
+            text = dialect.rewrite(program, axes, reading, new)
+        if np.any(new.count):
             text = written.with_comments(text, prepared.comments)
-        self._check(program, reading, found, text, written, posted=posted)
+        self._check(program, reading, new, text, written, posted=posted)
         progress("checking", 0.9)
         numbers = program.numbers
         account = CompensationAccount(
@@ -165,7 +165,7 @@ class Compensator:
         )
         progress("done", 1.0)
         columns = [np.concatenate(column) for column in zip(*map(_columns, found), strict=True)]
-        return Compensation(text, report, reading, rewrites, path, *map(read_only, columns))
+        return Compensation(text, report, reading, new, path, *map(read_only, columns))
 
     def _corrected(
         self,
@@ -180,7 +180,7 @@ class Compensator:
     ) -> list[Corrected]:
         """Return every section of the program corrected, under the conditions of its blocks."""
         prepared = self.prepared
-        turns = turns_tool(reading.moves, prepared.space.axes)
+        turns = as_columns(prepared.space.axes.names, reading.moves).turns(prepared.space.axes.rotary)
         conditions = block_conditions(
             program,
             dialect,
@@ -209,7 +209,7 @@ class Compensator:
         self,
         program: Program,
         reading: Interpretation,
-        found: Sequence[Corrected],
+        new: NewPositions,
         text: str,
         written: Dialect,
         *,
@@ -221,9 +221,8 @@ class Compensator:
             read_back = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
         except InputError as error:
             raise unreadable(program.source, error) from error
-        new = new_positions(found, len(reading.moves), len(axes.names))
-        got = np.array([move.position for move in read_back.moves]).reshape(-1, len(axes.names))
-        check(program.source, program.numbers[[move.line for move in reading.moves]], new, got)
+        moves, got = (as_columns(axes.names, one.moves) for one in (reading, read_back))
+        check(program.source, program.numbers[moves.line], new, got.position)
 
     def compensate_file(
         self, program: Path, output: Path, progress: Progress = silent, *, into: Dialect | None = None
@@ -364,24 +363,20 @@ def _columns(found: Corrected) -> tuple[np.ndarray, ...]:
     return rows.nominal, rows.exact, rows.commands, moves, lines, rows.backlash_move
 
 
-def _rewrites(found: Corrected, reading: Interpretation) -> Iterator[Rewrite]:
-    """Yield a rewrite for every motion with new words, in order."""
-    new, context = found.new, found.context
-    by_vector, moves = found.pieces.by_vector[context:], found.pieces.path.columns.move[context:]
-    for i in np.flatnonzero(new.count).tolist():
-        part = slice(new.first[i], new.first[i] + new.count[i])
-        vectors = new.vectors[part] if by_vector[i] else None
-        yield Rewrite(reading.moves[moves[i]], new.positions[part], vectors, _shares(found, part))
+def _with_shares(new: NewPositions, stretches: Sequence[Corrected]) -> NewPositions:
+    """Return new positions with the shares of the moves' time, where moves are inserted that take up backlash."""
+    if not any(np.any(found.rows.backlash_move) for found in stretches):
+        return new
+    return replace(new, shares=np.concatenate([_shares(found) for found in stretches]))
 
 
-def _shares(found: Corrected, part: slice) -> np.ndarray | None:
-    """Return the share of a motion's time for each of its rows; None if all are equal. One degree counts as one millimetre."""
-    rows = found.rows
-    taken = rows.backlash_move[part]
-    if not np.any(taken):
-        return None
-    shares = np.diff(rows.fraction[part], prepend=0.0)
-    before = rows.printed[np.maximum(np.arange(part.start, part.stop) - 1, 0)]
-    way = np.linalg.norm(rows.printed[part] - before, axis=1)
-    shares[taken] = way[taken] / max(float(way.sum()), found.pieces.increment[0])
-    return np.clip(shares, 1e-6, 1.0)
+def _shares(found: Corrected) -> np.ndarray:
+    """Return (rows,) the share of its motion's time for each row, NaN if all are equal. One degree counts as one millimetre."""
+    rows, taken = found.rows, found.rows.backlash_move
+    starts = np.append(True, rows.motion[1:] != rows.motion[:-1])[: len(taken)]
+    shares = rows.fraction - np.where(starts, 0.0, np.roll(rows.fraction, 1))
+    way = np.linalg.norm(np.diff(rows.printed, axis=0, prepend=rows.printed[:1]), axis=1)
+    total = np.bincount(rows.motion, way)[rows.motion]
+    shares[taken] = way[taken] / np.maximum(total[taken], found.pieces.increment[0])
+    with_backlash = np.bincount(rows.motion, taken)[rows.motion] > 0
+    return np.where(with_backlash, np.clip(shares, 1e-6, 1.0), np.nan)

@@ -10,10 +10,15 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.arrays import rows_all_true
 from twin._common.errors import InputError
 from twin._common.units import DEG
 from twin.kinematics.forward import Kinematics
 
+SLACK_DEG: Final = 1e-6
+"""Angle by which a solution may lie outside a limit: a vector with nine decimals may miss it by this much."""
+FIRST_WINDOW: Final = 64
+"""Vectors solved at once at first; more after each window that was confirmed as a whole."""
 PARALLEL: Final = 1e-9
 """Sine below which the tool counts as parallel to a rotary axis, so that turning this axis does not change its direction."""
 
@@ -86,41 +91,72 @@ class Branches:
         found[~reachable] = np.nan
         return found / DEG
 
-    def nearest(self, solutions: np.ndarray, previous: np.ndarray) -> np.ndarray | None:
-        """Return the solution for one vector nearest to the present rotary positions, including whole turns.
+    def nearest(self, solutions: np.ndarray, previous: np.ndarray) -> np.ndarray:
+        """Return the solution for each vector nearest to the rotary positions before it, including whole turns.
 
         Args:
-            solutions: (2, 2) as returned by `all`.
-            previous: (2,) degrees.
+            solutions: (n, 2, 2) as returned by `all`.
+            previous: (n, 2) degrees.
 
         Returns:
-            (2,) degrees within the axes' ranges, or None.
+            (n, 2) degrees within the axes' ranges, NaN where there is no solution.
         """
-        best: np.ndarray | None = None
-        for solution in solutions:
-            if np.all(np.isnan(solution)):
-                continue
-            angles = np.where(np.isnan(solution), previous, solution)
+        best, least = np.full(previous.shape, np.nan), np.full(len(previous), np.inf)
+        lower, upper = self._limits.T[0] - SLACK_DEG, self._limits.T[1] + SLACK_DEG
+        for solution in (solutions[:, 0], solutions[:, 1]):
+            free = np.isnan(solution)
+            angles = np.where(free, previous, solution)
             turns = np.round((previous - angles) / 360.0)
             for shift in (0.0, -1.0, 1.0):
-                candidate = angles + 360.0 * (turns + shift)
-                candidate = np.where(np.isnan(solution), previous, candidate)
-                inside = self._into_range(candidate)
-                if inside is not None and (best is None or _travel(inside, previous) < _travel(best, previous)):
-                    best = inside
+                candidate = np.where(free, previous, angles + 360.0 * (turns + shift))
+                candidate = candidate + 360.0 * ((candidate < lower) * 1.0 - (candidate > upper) * 1.0)
+                clipped = np.clip(candidate, *self._limits.T)
+                travel = np.maximum(*np.abs(clipped - previous).T)
+                inside = rows_all_true((candidate >= lower) & (candidate <= upper)) & ~(free[:, 0] & free[:, 1])
+                better = inside & (travel < least)
+                best[better], least[better] = clipped[better], travel[better]
         return best
 
-    def _into_range(self, angles: np.ndarray) -> np.ndarray | None:
-        lower, upper = self._limits.T
-        slack = 1e-6  # a vector given with nine decimals may miss a limit by this much
-        shifted = angles + 360.0 * np.where(angles < lower - slack, 1.0, np.where(angles > upper + slack, -1.0, 0.0))
-        if np.any((shifted < lower - slack) | (shifted > upper + slack)):
-            return None
-        return np.clip(shifted, lower, upper)
+    def along(self, solutions: np.ndarray, before: np.ndarray, offset: np.ndarray) -> np.ndarray:
+        """Return the solution for each vector nearest to that of the vector before it, up to the first without a solution.
 
+        Whole windows are solved at once with a guess of the positions before each vector: those of the branch of the window's first
+        solution. What the solutions found this way confirm is kept; the next window begins behind.
 
-def _travel(angles: np.ndarray, previous: np.ndarray) -> float:
-    return float(np.max(np.abs(angles - previous)))
+        Args:
+            solutions: (n, 2, 2) as returned by `all`.
+            before: (2,) words of the rotary axes before the first.
+            offset: (2,) added to words.
+
+        Returns:
+            (k, 2) words, k ≤ n.
+        """
+        parts = [np.empty((0, 2))]
+        at, window = 0, FIRST_WINDOW
+        while at < len(solutions):
+            part = solutions[at : at + window]
+            words = self._guess(part, before + offset) - offset
+            for _ in range(2):
+                last = words
+                words = self.nearest(part, np.concatenate([before[None], last[:-1]]) + offset) - offset
+            wrong = np.flatnonzero((words != last).any(axis=1))
+            count = int(wrong[0]) + 1 if wrong.size else len(part)
+            window = max(window // 2, 1) if wrong.size else 2 * window
+            if np.isnan(words[count - 1]).any():
+                return np.concatenate([*parts, words[: count - 1]])
+            parts.append(words[:count])
+            before, at = words[count - 1], at + count
+        return np.concatenate(parts)
+
+    def _guess(self, solutions: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """Return (n, 2) degrees on one branch without jumps by whole turns: that nearest to the positions before the first."""
+        first = self.nearest(solutions[:1], before[None])
+        apart = np.abs((solutions[0] - first + 180.0) % 360.0 - 180.0)
+        angles = solutions[:, int(np.argmin(np.nan_to_num(apart).max(axis=1)))]
+        angles = np.concatenate([before[None], angles])
+        known = np.where(np.isnan(angles), 0, np.arange(len(angles))[:, None])
+        angles = np.take_along_axis(angles, np.maximum.accumulate(known, axis=0), axis=0)
+        return np.asarray(angles[1:] - 360.0 * np.cumsum(np.round(np.diff(angles, axis=0) / 360.0), axis=0))
 
 
 def _angle_about(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from twin._common.units import MM, URAD
 from twin.compute.batch import BatchFunction
 from twin.display import card, first_rows, fixed, note, pairs, table
 from twin.machine.calibration import Calibration
-from twin.machine.chain import chain_function
+from twin.machine.chain import branches, chain_function, sparse
 from twin.machine.conditions import APPROACH, Conditions
 from twin.machine.effects.empirical import check_ranges
 from twin.machine.error_vector import error_vector
@@ -191,6 +191,16 @@ class Kinematics:
         """Return rotation and tip as expressions of `symbols`, errors of the calibration included."""
         rotation, point = self.chain(at[0], self.errors(*at), self.tool_length_mm * MM)
         return rotation, point
+
+    def tip_and_axis_at(self, *at: Any) -> tuple[Any, Any]:
+        """Return tip and tool axis as expressions, like `pose_at` but with a third fewer operations."""
+        tool, work = branches(self.machine, at[0], ca.densify(self.errors(*at)))
+        return work.into(*tool.carried(*self.tip_and_axis))
+
+    @property
+    def tip_and_axis(self) -> tuple[Any, Any]:
+        """Tip and direction of the tool in the tool frame, sparse."""
+        return sparse(0.0, 0.0, -self.tool_length_mm * MM), sparse(0.0, 0.0, 1.0)
 
     @cached_property
     def _forward(self) -> BatchFunction:

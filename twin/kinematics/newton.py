@@ -17,7 +17,6 @@ from typing import Any, Final, NamedTuple, final
 
 import casadi as ca
 
-from twin._common.units import MM
 from twin.kinematics.forward import Kinematics
 from twin.machine.chain import Branch, branches
 from twin.machine.machine import Machine
@@ -108,7 +107,7 @@ class Steps:
         (tip, pointing), (goal, target) = (
             branch.carried(*start)
             for branch, start in zip(
-                self._branches, ((self._tip, _sparse(0.0, 0.0, 1.0)), (self._point, self._axis)), strict=True
+                self._branches, (self._kinematics.tip_and_axis, (self._point, self._axis)), strict=True
             )
         )
         gap, axis_gap, off = tip - goal, pointing - target, ca.horzcat(*_perpendicular(target)).T @ pointing
@@ -130,7 +129,7 @@ class Steps:
         (tool, tool_twists), (work, work_twists) = (
             branch.twists(self._errors, by_position, terms) for branch in self._branches
         )
-        tip = tool.rotation @ self._tip + tool.translation
+        tip = tool.rotation @ self._kinematics.tip_and_axis[0] + tool.translation
         goal = work.rotation @ self._point + work.translation
         pointing, target = tool.rotation[:, 2], work.rotation @ self._axis
         perpendicular = ca.horzcat(*_perpendicular(target))
@@ -141,10 +140,6 @@ class Steps:
             moved.append(a[1] - b[1] + ca.cross(turn, tip))
             turned.append(perpendicular.T @ ca.cross(turn, pointing))
         return _Residual(tip - goal, perpendicular.T @ pointing, ca.horzcat(*moved), ca.horzcat(*turned))
-
-    @property
-    def _tip(self) -> Any:
-        return _sparse(0.0, 0.0, -self._kinematics.tool_length_mm * MM)
 
     @cached_property
     def _step_residual(self) -> _Residual:
@@ -158,10 +153,6 @@ class Steps:
 
     def _function(self, name: str, results: list[Any]) -> ca.Function:
         return ca.Function(name, [*self._at, self._point, self._axis], [ca.densify(result) for result in results])
-
-
-def _sparse(*values: float) -> Any:
-    return ca.SX(ca.sparsify(ca.DM(values)))
 
 
 def _perpendicular(z: Any) -> tuple[Any, Any]:

@@ -411,9 +411,9 @@ class Calibration:
 
     def outside_domains(self, positions: np.ndarray) -> np.ndarray:
         """Return (n, axes) whether positions (mm, degrees) leave the domain of a curve by more than rounding."""
-        bounds = self.domains()
-        slack = 1e-9
-        return np.asarray((positions < bounds[:, 0] - slack) | (positions > bounds[:, 1] + slack))
+        lower, upper = (self.domains() + [-1e-9, 1e-9]).T
+        below, above = positions < lower, positions > upper
+        return below | above if above.any() else below
 
     def state(self, positions: np.ndarray) -> dict[str, np.ndarray]:
         """Return the positions (n, axes) as arrays (n,) by axis name."""
@@ -435,13 +435,17 @@ class Calibration:
 
     def domains(self) -> np.ndarray:
         """Return (axes, 2) the common domain of the curves of every axis, mm and degrees; infinite if there is no limit."""
+        return self._domains
+
+    @cached_property
+    def _domains(self) -> np.ndarray:
         bounds = np.tile([-np.inf, np.inf], (len(self.machine.axes), 1))
         for curve in self.curves.values():
             axis = self.machine.by_name[split_name(curve.name)[2]]
             if axis.lower is not None:
                 row = bounds[self.machine.axes.index(axis)]
                 row[:] = max(row[0], curve.domain[0]), min(row[1], curve.domain[1])
-        return bounds
+        return read_only(bounds)
 
 
 @final

@@ -99,10 +99,20 @@ class Branch:
 
     def carried(self, point: Any, axis: Any) -> tuple[Any, Any]:
         """Return a point and a direction of the frame, seen from the parent of the first joint; cheaper than the whole pose."""
-        outwards = [pose for link in self.links for pose in (link.placement, link.motion)]
-        for pose in (self.end, *reversed(outwards)):
+        for pose in reversed(self._poses):
             point, axis = pose.rotation @ point + pose.translation, pose.rotation @ axis
         return point, axis
+
+    def into(self, point: Any, axis: Any) -> tuple[Any, Any]:
+        """Return a point and a direction, seen from the parent of the first joint, in coordinates of the frame; inverse of `carried`."""
+        for pose in self._poses:
+            point, axis = pose.rotation.T @ (point - pose.translation), pose.rotation.T @ axis
+        return point, axis
+
+    @property
+    def _poses(self) -> tuple[Pose, ...]:
+        """Placements and motions from the base outwards, and the frame."""
+        return *(pose for link in self.links for pose in (link.placement, link.motion)), self.end
 
     def twists(self, errors: Any, by_position: Any, terms: int) -> tuple[Pose, list[Twist]]:
         """Return the pose of the frame and its twist per unit of every axis, with errors that depend on the axes.
@@ -211,6 +221,11 @@ def constant_pose(placement: pin.SE3) -> Pose:
     """Return a placement of the model as a pose."""
     # Sparse, so that exact zeros of a placement cost no multiplications.
     return Pose(ca.SX(ca.sparsify(ca.DM(placement.rotation))), ca.SX(ca.sparsify(ca.DM(placement.translation))))
+
+
+def sparse(*values: float) -> Any:
+    """Return a column of numbers of which zeros cost no multiplications."""
+    return ca.SX(ca.sparsify(ca.DM(values)))
 
 
 IDENTITY: Final = constant_pose(pin.SE3.Identity())

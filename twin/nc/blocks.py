@@ -11,7 +11,7 @@ create.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
@@ -215,7 +215,7 @@ class Interpretation:
         frames: the lines that change the frame; none if the values of offsets and tools are unknown (`AxisWords`).
     """
 
-    moves: tuple[Move, ...]
+    moves: Sequence[Move]
     notices: tuple[Notice, ...] = ()
     lost_positions: tuple[LostPositions, ...] = ()
     frames: tuple[FrameChange, ...] = ()

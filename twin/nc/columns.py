@@ -1,15 +1,17 @@
-"""Moves stored as arrays, with a `Move` object made only on access; memory-efficient for programs of a million blocks."""
+"""Moves and their replacements as arrays, with an object made only on access; memory-efficient for programs of a million blocks."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import chain
+from dataclasses import dataclass, replace
 from typing import final, overload
 
 import numpy as np
 
-from twin.nc.blocks import Kind, Move
+from twin.nc.blocks import Kind, Move, Rewrite
+
+NO_VECTOR = (np.nan, np.nan, np.nan)
+"""In place of a tool vector, in columns."""
 
 
 @final
@@ -24,7 +26,8 @@ class MoveColumns(Sequence[Move]):
         tcp: (n,) whether the words are tool-tip coordinates.
         named: (n,) the axes written in the block, as bits.
         position: (n, axes) mm and degrees, NaN where unknown.
-        special: moves that do not fit the columns, by index: arcs, tool vectors, machine coordinates.
+        vector: (n, 3) tool vectors, NaN where there is none.
+        special: moves that do not fit the columns, by index: arcs, surface normals, machine coordinates.
     """
 
     names: tuple[str, ...]
@@ -33,6 +36,7 @@ class MoveColumns(Sequence[Move]):
     tcp: np.ndarray
     named: np.ndarray
     position: np.ndarray
+    vector: np.ndarray
     special: Mapping[int, Move]
 
     @classmethod
@@ -47,11 +51,8 @@ class MoveColumns(Sequence[Move]):
             np.array([move.tcp for move in moves], dtype=bool),
             np.array([bits[move.named] for move in moves], dtype=int),
             np.array([move.position for move in moves], dtype=float).reshape(-1, len(names)),
-            {
-                i: move
-                for i, move in enumerate(moves)
-                if move.kind is Kind.ARC or move.machine or move.vector or move.normal
-            },
+            np.array([move.vector or NO_VECTOR for move in moves], dtype=float).reshape(-1, 3),
+            {i: move for i, move in enumerate(moves) if move.kind is Kind.ARC or move.machine or move.normal},
         )
 
     def __len__(self) -> int:
@@ -64,15 +65,18 @@ class MoveColumns(Sequence[Move]):
     def __getitem__(self, index: int | slice) -> Move | list[Move]:
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
+        index = range(len(self))[index]
         move = self.special.get(index)
         if move is not None:
             return move
+        x, y, z = self.vector[index].tolist()
         return Move(
             line=int(self.line[index]),
             kind=Kind.RAPID if self.rapid[index] else Kind.LINEAR,
             tcp=bool(self.tcp[index]),
             position=tuple(self.position[index].tolist()),
             named=self._names(int(self.named[index])),
+            vector=(x, y, z) if x == x else None,
         )
 
     def __iter__(self) -> Iterator[Move]:
@@ -80,29 +84,49 @@ class MoveColumns(Sequence[Move]):
         kinds = (Kind.LINEAR, Kind.RAPID)
         columns = (self.line.tolist(), self.rapid.tolist(), self.tcp.tolist(), self.named.tolist())
         rows = map(tuple, self.position.tolist())
-        for index, (line, rapid, tcp, bits, position) in enumerate(zip(*columns, rows, strict=True)):
+        vectors = (tuple(row) if row[0] == row[0] else None for row in self.vector.tolist())
+        for index, (line, rapid, tcp, bits, position, vector) in enumerate(zip(*columns, rows, vectors, strict=True)):
             move = self.special.get(index)
             if move is None:
                 if bits not in named:
                     named[bits] = self._names(bits)
-                move = Move(line, kinds[rapid], tcp, position, named[bits])
+                move = Move(line, kinds[rapid], tcp, position, named[bits], vector=vector)
             yield move
+
+    @property
+    def by_vector(self) -> np.ndarray:
+        """(n,) whether the move has a tool vector."""
+        return np.isfinite(self.vector[:, 0])
 
     def _names(self, bits: int) -> frozenset[str]:
         return frozenset(name for i, name in enumerate(self.names) if bits >> i & 1)
+
+    @property
+    def machine(self) -> np.ndarray:
+        """(n,) whether the words are machine coordinates."""
+        found = np.zeros(len(self), dtype=bool)
+        found[[index for index, move in self.special.items() if move.machine]] = True
+        return found
 
     def part(self, first: int, last: int) -> MoveColumns:
         """Return the moves from one index up to, but excluding, another."""
         cut = slice(first, last)
         special = {index - first: move for index, move in self.special.items() if first <= index < last}
         return MoveColumns(
-            self.names, self.line[cut], self.rapid[cut], self.tcp[cut], self.named[cut], self.position[cut], special
+            self.names,
+            self.line[cut],
+            self.rapid[cut],
+            self.tcp[cut],
+            self.named[cut],
+            self.position[cut],
+            self.vector[cut],
+            special,
         )
 
     def turns(self, rotary: Sequence[str]) -> bool:
         """Return whether any move changes the tool orientation: writes one of these rotary axes or has a tool vector."""
         bits = sum(1 << self.names.index(name) for name in rotary)
-        return bool(np.any(self.named & bits)) or any(move.vector is not None for move in self.special.values())
+        return bool(np.any(self.named & bits) or np.any(self.by_vector))
 
 
 @final
@@ -122,15 +146,10 @@ class MoveBuilder:
         """Add one move."""
         self._loose.append(move)
 
-    def extend(self, line: np.ndarray, rapid: np.ndarray, tcp: bool, named: np.ndarray, position: np.ndarray) -> None:
+    def extend(self, moves: MoveColumns) -> None:
         """Add many moves, in columns."""
-        columns = MoveColumns(self._names, line, rapid, np.full(len(line), tcp), named, position, {})
-        self._parts += [self._loose, columns] if self._loose else [columns]
+        self._parts += [self._loose, moves] if self._loose else [moves]
         self._loose = []
-
-    def objects(self) -> tuple[Move, ...]:
-        """Return all moves as objects."""
-        return tuple(chain(*self._parts, self._loose))
 
     def moves(self) -> MoveColumns:
         """Return all moves in columns."""
@@ -141,6 +160,82 @@ class MoveBuilder:
             return parts[0]
         first = np.cumsum([0, *map(len, parts)]).tolist()
         special = {at + i: move for at, part in zip(first, parts, strict=False) for i, move in part.special.items()}
-        columns = ("line", "rapid", "tcp", "named", "position")
+        columns = ("line", "rapid", "tcp", "named", "position", "vector")
         joined = {column: np.concatenate([getattr(part, column) for part in parts]) for column in columns}
         return MoveColumns(names=self._names, special=special, **joined)
+
+
+def as_columns(names: tuple[str, ...], moves: Sequence[Move]) -> MoveColumns:
+    """Return moves in columns; ``names``: the axes."""
+    return moves if isinstance(moves, MoveColumns) else MoveColumns.of(names, moves)
+
+
+@final
+@dataclass(frozen=True)
+class NewPositions:
+    """Replacements for the moves of a program, or of a chunk of one.
+
+    Attributes:
+        first: (moves,) the first row of each move's segments.
+        count: (moves,) number of segments; 0 for a move that is unchanged.
+        positions: (rows, axes) as in `twin.nc.blocks.Rewrite`.
+        vectors: (rows, 3) tool vectors, NaN where there is none.
+        shares: (rows,) shares of the moves' time, as in `twin.nc.blocks.Rewrite`; NaN for equal fractions, None if all are equal.
+    """
+
+    first: np.ndarray
+    count: np.ndarray
+    positions: np.ndarray
+    vectors: np.ndarray
+    shares: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, moves: int, axes: int, new: Mapping[int, tuple[np.ndarray, np.ndarray | None]]) -> NewPositions:
+        """Return the replacements of single moves.
+
+        Args:
+            moves: number of moves of the program.
+            axes: number of words per position.
+            new: by the index of the move, ascending, (segments, axes) positions and (segments, 3) vectors or None.
+        """
+        count = np.zeros(moves, dtype=int)
+        count[list(new)] = [len(positions) for positions, _ in new.values()]
+        vectors = [np.full((len(rows), 3), np.nan) if tool is None else tool for rows, tool in new.values()]
+        return cls(
+            np.cumsum(count) - count,
+            count,
+            np.concatenate([np.zeros((0, axes)), *(positions for positions, _ in new.values())]),
+            np.concatenate([np.zeros((0, 3)), *vectors]),
+        )
+
+    def part(self, first: int, last: int) -> NewPositions:
+        """Return the replacements of the moves from one index up to, but excluding, another."""
+        return replace(self, first=self.first[first:last], count=self.count[first:last])
+
+    def rows(self, which: np.ndarray) -> np.ndarray:
+        """Return the rows of some moves, move by move."""
+        first, count = self.first[which], self.count[which]
+        return np.asarray(np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum()))
+
+    def of_move(self, index: int, move: Move) -> Rewrite | None:
+        """Return the replacement of one move, with its index; None if it is unchanged."""
+        if not self.count[index]:
+            return None
+        part = slice(self.first[index], self.first[index] + self.count[index])
+        vectors, shares = self.vectors[part], None if self.shares is None else self.shares[part]
+        return Rewrite(
+            move,
+            self.positions[part],
+            vectors if np.isfinite(vectors).all() else None,
+            None if shares is None or np.isnan(shares).any() else shares,
+        )
+
+
+def fill_forward(values: np.ndarray, said: np.ndarray, before: Sequence[float]) -> None:
+    """Fill the gaps in every column of an array with the last value before them; ``before``: the values before its first row."""
+    if said.all():
+        return
+    values[0] = np.where(said[0], values[0], before)
+    at = np.where(said, np.arange(len(values))[:, None], 0)
+    np.maximum.accumulate(at, axis=0, out=at)
+    values[:] = np.take_along_axis(values, at, axis=0)

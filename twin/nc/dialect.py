@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from twin.nc.blocks import AxisWords, Interpretation, Program, Rewrite
+from twin.nc.blocks import AxisWords, Interpretation, Program
+from twin.nc.columns import NewPositions
 from twin.nc.emit import OutputState
 from twin.nc.technology import LineWords, Technology, carried
 from twin.nc.text import Style, format_number, read_lines
@@ -55,10 +56,10 @@ class Dialect(ABC):
         """
 
     @abstractmethod
-    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, rewrites: Iterable[Rewrite]) -> str:
+    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, new: NewPositions) -> str:
         """Return the text with some moves replaced and every other byte kept.
 
-        Moves without a rewrite keep their text. A rewritten block gets every axis word whose value differs from the last value in
+        Unchanged moves keep their text. A rewritten block gets every axis word whose value differs from the last value in
         the output for that axis, whether or not the original block has that word.
         """
 
@@ -120,19 +121,19 @@ class Dialect(ABC):
         return other.name == self.name or self.cutter_locations
 
     def posted(
-        self, program: Program, reading: Interpretation, rewrites: Iterable[Rewrite], axes: AxisWords, into: Dialect
+        self, program: Program, reading: Interpretation, new: NewPositions, axes: AxisWords, into: Dialect
     ) -> str:
         """Return a program of cutter locations as axis words of another language.
 
         Args:
             program: the program, of cutter locations.
             reading: its moves.
-            rewrites: one for every move: positions of all axes, ``vectors`` None.
+            new: positions of all axes for every move.
             axes: the machine's axis words.
             into: the other language.
 
         Raises:
-            ValueError: a move has no rewrite or an unknown axis position, or the program already has axis words (errors of
+            ValueError: a move has no new position or an unknown axis position, or the program already has axis words (errors of
                 the caller).
         """
         raise ValueError(f"{self.name} programs cannot be written in {into.name}")

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from twin.nc.blocks import AxisWords, Interpretation, Rewrite
+from twin.nc.blocks import AxisWords
 from twin.nc.text import Grid, Style, format_number, grid
 
 Vector = tuple[float, float, float]
@@ -96,45 +95,6 @@ class OutputState:
         """Mark axes as stale."""
         for axis in which:
             self.stale[axis] = True
-
-
-def rewrites_by_line(
-    reading: Interpretation, rewrites: Iterable[Rewrite], axes: AxisWords
-) -> dict[int, dict[int, tuple[Rewrite, list[list[float]]]]]:
-    """Return rewrites by line, and within a line by the index of their move, with positions as lists.
-
-    Raises:
-        ValueError: a rewrite of a move that is not in the reading, two rewrites of one move, or a wrong shape (errors of the
-            caller, not of the user).
-    """
-    moves = reading.moves
-    count = Counter([move.line for move in moves])
-    ordinals = dict.fromkeys(map(id, moves), 0)
-    if len(count) < len(moves):
-        seen: Counter[int] = Counter()
-        for move in moves:
-            ordinals[id(move)] = seen[move.line]
-            seen[move.line] += 1
-    width = len(axes.names)
-    result: dict[int, dict[int, tuple[Rewrite, list[list[float]]]]] = {}
-    for rewrite in rewrites:
-        move = rewrite.move
-        ordinal = ordinals.get(id(move))
-        if ordinal is None:
-            raise ValueError(f"a rewrite of a move of line index {move.line} that is not in the reading")
-        shape = rewrite.positions.shape
-        if len(shape) != 2 or shape[1] != width or shape[0] < 1:
-            raise ValueError(f"positions of shape {shape}; expected (pieces, {width})")
-        if rewrite.vectors is not None and rewrite.vectors.shape != (shape[0], 3):
-            raise ValueError(f"vectors of shape {rewrite.vectors.shape}; expected ({shape[0]}, 3)")
-        rows: list[list[float]] = rewrite.positions.tolist()
-        at = result.setdefault(move.line, {})
-        if ordinal in at:
-            raise ValueError(f"two rewrites of the move of line index {move.line}")
-        if move.machine:
-            raise ValueError(f"a rewrite of the machine-coordinate block of line index {move.line}")
-        at[ordinal] = (rewrite, rows)
-    return result
 
 
 def vector_texts(vector: Sequence[float], decimals: int, plus: bool) -> tuple[str, str, str]:

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Final, NamedTuple, final
 
@@ -59,9 +60,17 @@ class Inliner(ABC):
     def __init__(self, program: Program, folder: Path | None) -> None:
         self.program = program
         self.folder = folder
-        self.lines = [Line(text, program.source, i) for i, text in enumerate(program.texts, 1)]
         self._count = 0
         self._found = False
+
+    @cached_property
+    def lines(self) -> list[Line]:
+        """The lines of the program."""
+        return [Line(text, self.program.source, i) for i, text in enumerate(self.program.texts, 1)]
+
+    @abstractmethod
+    def likely(self, text: str) -> bool:
+        """Return whether a line may be a call; quick, True for every call and few other lines."""
 
     @abstractmethod
     def call(self, line: Line) -> Call | None:
@@ -93,7 +102,8 @@ class Inliner(ABC):
         Raises:
             InputError: a call that cannot be written out, with its file and line.
         """
-        if not any(self.call(line) for line in self.lines):
+        likely = [i for i, text in enumerate(self.program.texts) if self.likely(text)]
+        if not any(self.call(self.lines[i]) for i in likely):
             return self.program
         found: list[tuple[str, Origin]] = []
         for line in self.main():

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,13 +13,13 @@ from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
 from twin.nc.arithmetic import evaluate
 from twin.nc.block import AxisWord, Block
-from twin.nc.blocks import Arc, AxisWords, FrameChange, LostPositions, Notice, WordFrame
+from twin.nc.blocks import Arc, AxisWords, FrameChange, LostPositions, Move, Notice, WordFrame
 from twin.nc.text import LARGEST, number, unit_vector
 
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
 
 
-class Interpreter:
+class Interpreter(ABC):
     """Modal state of an ISO or Heidenhain program.
 
     Args:
@@ -36,10 +37,14 @@ class Interpreter:
         frames: lines that change them.
         tcp: whether tool centre point control is on.
         tcp_word: the word that switched it last; empty: none yet.
+        motion: motion code in force, None before the first and in languages without.
+        repeated: moves of the third linear axis that follow each simple line, of a drilling cycle: height and whether it is a rapid.
     """
 
     heidenhain = False
     """Whether arithmetic is that of plain language."""
+    motion: int | None = None
+    repeated: tuple[tuple[float, bool], ...] = ()
 
     def __init__(
         self, source: str, axes: AxisWords, *, tcp: bool, tcp_on: Iterable[str], tcp_off: Iterable[str]
@@ -65,6 +70,19 @@ class Interpreter:
         self._variables: dict[str, float] = {}
         self._named: dict[int, frozenset[str]] = {}
         self._noted: set[str] = set()
+
+    @abstractmethod
+    def moves(self, line: int, text: str) -> Sequence[Move]:
+        """Return the moves of one line; ``line``: its 0-based index.
+
+        Raises:
+            InputError: with file, line and value.
+        """
+
+    @property
+    @abstractmethod
+    def runs_allowed(self) -> bool:
+        """Whether simple lines can be interpreted together in the present modal state."""
 
     # ------------------------------------------------------------------ messages
 

@@ -18,6 +18,8 @@ LARGEST = 1e9
 _LINE = re.compile(r"[^\r\n]*+(?:\r\n|\n|\r)|[^\r\n]++")
 _CONTROL = bytes(c for c in range(32) if c not in b"\t\n\r\f\x1a\x11\x12\x13\x14") + b"\x7f"
 _SPACES = re.compile(r"[ \t]+")
+UNIT_LENGTH = 1e-15
+"""Difference of a vector's length from one below which the vector is not scaled."""
 BOM = "\xef\xbb\xbf"
 BLANK = frozenset({"\n", "\r\n", "\r"})
 """Blank lines, which are skipped early."""
@@ -257,7 +259,7 @@ def format_number(value: float, decimals: int, style: Style) -> str:
 def unit_vector(vector: tuple[float, float, float]) -> tuple[tuple[float, float, float], float]:
     """Return a vector at unit length, and its original length (a zero vector is returned unchanged)."""
     length = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
-    if length == 0.0 or abs(length - 1.0) < 1e-15:
+    if length == 0.0 or abs(length - 1.0) < UNIT_LENGTH:
         return vector, length
     return (vector[0] / length, vector[1] / length, vector[2] / length), length
 

@@ -24,7 +24,8 @@ from twin._common.progress import Progress, silent
 from twin._common.records import TIME, is_temperature, sensor_of
 from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
-from twin.diagnosis.problem.problem import RANK_TOLERANCE, Problem
+from twin.diagnosis.problem.nuisance import RANK_TOLERANCE
+from twin.diagnosis.problem.problem import Problem
 from twin.identification.fitting import agreeing_rows
 from twin.identification.network import Network
 from twin.identification.setup import SetUp

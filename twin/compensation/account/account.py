@@ -145,7 +145,7 @@ class CompensationAccount:
         pieces, path_errors, rows = corrected.pieces, corrected.path_errors, corrected.own
         legs = pieces.legs.motion
         dense = np.flatnonzero(pieces.interpolated[legs] & (legs >= corrected.context))
-        ways = path_errors.ways(corrected.rows, corrected.rows.printed, as_run=True)
+        ways = path_errors.ways(corrected.rows, printed=True, as_run=True)
         # An idle program is written unchanged, so its arcs stay arcs.
         ends = Commands(rows.nominal), Commands(rows.nominal if pieces.idle else rows.commands)
         directed, varying = bool(self._prepared.backlash.axes), bool(pieces.conditions.names)
@@ -219,9 +219,7 @@ class CompensationAccount:
                 tally.add(totals.largest.T, totals.squares, lines[points.motion[totals.line]], totals.count)
 
         def known(some: SimulatedPoints) -> np.ndarray:
-            nominal, written = some.nominal.begin, some.written.begin
-            before = comparison.poses(nominal, nominal, some.nominal_sides)
-            return before.known & comparison.poses(nominal, written, some.written_sides).known
+            return comparison.known(some.nominal.begin) & comparison.known(some.written.begin)
 
         self._samples.setdefault(pieces.aim, Sample()).add(first, points, known)
 

@@ -76,7 +76,7 @@ def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundSho
 def _off_in_orientation(corrected: Corrected) -> Iterator[FoundShortfalls]:
     rows, scope = corrected.own, corrected.pieces.aim.scope
     at = np.flatnonzero(rows.singular & ~rows.untouched)
-    why = np.array([_why_not(corrected.pieces.prepared, rows.commands[row]) for row in at], dtype=object)
+    why = _why_not(corrected.pieces.prepared, rows.commands[at])
     for reason in dict.fromkeys(why.tolist()):
         which = at[why == reason]
         motion = rows.motion[which]
@@ -87,14 +87,16 @@ def _off_in_orientation(corrected: Corrected) -> Iterator[FoundShortfalls]:
         )
 
 
-def _why_not(prepared: PreparedMachine, commands: np.ndarray) -> str:
-    """Return why the rotary axes cannot correct the orientation at these commands."""
-    for i in prepared.machine.rotary:
+def _why_not(prepared: PreparedMachine, commands: np.ndarray) -> np.ndarray:
+    """Return (n,) why the rotary axes cannot correct the orientation at (n, axes) commands."""
+    turn = prepared.options.rotary_limit_deg
+    default = f"near a singular pose, a rotary axis would have to turn by more than {turn:g}°"
+    found = np.full(len(commands), default, dtype=object)
+    limits = [(i, limit) for i in prepared.machine.rotary for limit in prepared.limits[i].tolist()]
+    for i, limit in limits[::-1]:
         axis = prepared.machine.axes[i]
-        for limit in prepared.limits[i]:
-            if abs(commands[i] - limit) < axis.increment:
-                return f"{axis.name} is at its limit of {limit:g}°"
-    return f"near a singular pose, a rotary axis would have to turn by more than {prepared.options.rotary_limit_deg:g}°"
+        found[np.abs(commands[:, i] - limit) < axis.increment] = f"{axis.name} is at its limit of {limit:g}°"
+    return found
 
 
 def _not_solved(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundShortfalls]:

@@ -97,9 +97,7 @@ def _runs(refitter: RunRefitter, job: RefitJob) -> Iterator[RunReport]:
         job.program, job.reading, space, nominal, np.array([move.line in members for move in moves])
     )
     exact = execute_words(job.shortened.program, job.shortened.reading, space, nominal, in_run)
-    rewrites = () if job.result is None else job.result.rewrites
-    becomes = {id(rewrite.move): len(rewrite.positions) for rewrite in rewrites}
-    counts = np.array([becomes.get(id(move), 1) for move in short_moves], dtype=int)
+    counts = np.ones(len(short_moves), dtype=int) if job.result is None else np.maximum(job.result.new.count, 1)
     begins = np.cumsum(counts) - counts
     done = _done(refitter, job, np.repeat(in_run, counts), begins)
     ins = {move.line: i for i, move in enumerate(moves)}

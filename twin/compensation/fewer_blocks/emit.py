@@ -17,7 +17,8 @@ from twin._common.errors import OutputError
 from twin.compensation.fewer_blocks.runs import Run
 from twin.compensation.prepared import PreparedMachine
 from twin.compensation.toolpath import WordSpace, turns_tool
-from twin.nc.blocks import Interpretation, Move, Program, Rewrite
+from twin.nc.blocks import Interpretation, Move, Program
+from twin.nc.columns import NewPositions
 from twin.nc.dialect import Dialect
 
 
@@ -64,7 +65,7 @@ def shortened(
     prepared: PreparedMachine,
     *,
     posted: bool = False,
-    others: Sequence[tuple[Move, np.ndarray]] = (),
+    others: Sequence[tuple[int, Move, np.ndarray]] = (),
 ) -> Shortened:
     """Return a program with its runs of blocks replaced by fewer blocks.
 
@@ -76,18 +77,21 @@ def shortened(
         prepared: machine, calibration and options.
         posted: whether axis words are written even for tool-tip input; end points of runs are then axis positions, with straight
             lines between them.
-        others: further moves to be rewritten rounded to their increments, with their words.
+        others: further moves to be rewritten rounded to their increments: index, move and words.
 
     Raises:
         OutputError: the number of lines changed: a defect of `twin`.
     """
     space, increment = prepared.space, prepared.printed_increment(dialect, posted=posted)
     by_line = {move.line: move for move in reading.moves}
+    index_of = {move.line: index for index, move in enumerate(reading.moves)}
     turns, vectors = turns_tool(reading.moves, space.axes), dialect.vector_decimals
-    rewrites = [
-        _rewrite(move, rounded(words[None], np.array([move.tcp]), space, increment)[0], space, turns, vectors)
-        for move, words in others
-    ]
+    new = {
+        index: _replacement(
+            move, rounded(words[None], np.array([move.tcp]), space, increment)[0], space, turns, vectors
+        )
+        for index, move, words in others
+    }
     exact: dict[int, np.ndarray] = {}
     removed: set[int] = set()
     for places in runs:
@@ -95,11 +99,13 @@ def shortened(
         first = by_line[lines[0]]
         printed = rounded(places.words, np.full(len(places.words), first.tcp), space, increment)
         for block in np.flatnonzero(places.changed):
-            rewrites.append(_rewrite(by_line[lines[block]], printed[places.assigned[block]], space, turns, vectors))
+            words, line = printed[places.assigned[block]], lines[block]
+            new[index_of[line]] = _replacement(by_line[line], words, space, turns, vectors)
         for block in np.flatnonzero(places.kept & places.changed):
             exact[lines[block]] = places.words[places.assigned[block]]
         removed |= {lines[block] for block in np.flatnonzero(~places.kept)}
-    text = dialect.rewrite(program, space.axes, reading, rewrites) if rewrites else program.text
+    positions = NewPositions.of(len(reading.moves), len(space.axes.names), dict(sorted(new.items())))
+    text = dialect.rewrite(program, space.axes, reading, positions)
     written = dialect.read(text.encode("latin-1"), program.source)
     if len(written.texts) != len(program.texts):
         raise OutputError(f"{program.source}: {len(written.texts)} lines in the output, {len(program.texts)} expected")
@@ -128,15 +134,17 @@ def rounded(words: np.ndarray, tcp: np.ndarray, space: WordSpace, increment: np.
     return np.asarray(found)
 
 
-def _rewrite(move: Move, words: np.ndarray, space: WordSpace, turns: bool, decimals: int) -> Rewrite:
-    """Return a move's new end point; rotary words only if the program has them."""
+def _replacement(
+    move: Move, words: np.ndarray, space: WordSpace, turns: bool, decimals: int
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return a move's new end point, as `NewPositions.of` takes it; rotary words only if the program has them."""
     position = np.array(words)[None]
     vectors = None
     if move.vector is not None:
         vectors = np.round(_axis(words, move, space), decimals)[None]
     if move.vector is not None or not turns:
         position[:, 3:] = np.nan
-    return Rewrite(move, position, vectors)
+    return position, vectors
 
 
 def _axis(words: np.ndarray, move: Move, space: WordSpace) -> np.ndarray:

@@ -149,10 +149,11 @@ class Refitter:
         )
 
 
-def _others(path: ToolPath, runs: Sequence[Run]) -> list[tuple[Move, np.ndarray]]:
-    """Return moves outside all runs, with their end points."""
+def _others(path: ToolPath, runs: Sequence[Run]) -> list[tuple[int, Move, np.ndarray]]:
+    """Return moves outside all runs, with their indices and end points."""
     members = {line for run in runs for line in run.lines}
-    return [(m.move, m.end) for m in path.motions if m.move.line not in members and not m.move.machine]
+    moving = zip(path.columns.move.tolist(), path.motions, strict=True)
+    return [(i, m.move, m.end) for i, m in moving if m.move.line not in members and not m.move.machine]
 
 
 def refit(

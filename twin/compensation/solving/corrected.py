@@ -14,14 +14,14 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.progress import Progress
-from twin.compensation.solving.path_errors import PathErrors
+from twin.compensation.solving.path_errors import EndState, PathErrors
 from twin.compensation.solving.pieces import Pieces
 from twin.compensation.solving.reversals import insert_backlash_moves
 from twin.compensation.solving.rows import Rows
 from twin.compensation.toolpath import check_domains
 from twin.kinematics.inverse import SLACK
 from twin.machine.effects.empirical import check_ranges
-from twin.nc.iso.bulk import NewPositions
+from twin.nc.columns import NewPositions
 
 LARGEST_SPLIT: Final = 4096
 """Most pieces per block; an error that needs more cannot be reduced by splitting."""
@@ -75,6 +75,14 @@ class Corrected:
         return NewPositions(first[self.context :], count[self.context :], positions, rows.vectors)
 
     @property
+    def end(self) -> EndState:
+        """State at its end."""
+        pieces, rows = self.pieces, self.rows
+        exact = pieces.space.words(rows.exact[-1:], pieces.tcp_out[-1:])[0]
+        uncorrected = bool(rows.untouched[-1] or rows.clamped[-1])
+        return EndState(pieces.end[-1], bool(pieces.tcp[-1]), exact, rows.printed[-1], uncorrected)
+
+    @property
     def rewritten(self) -> int:
         """Number of motions with new words."""
         return int(np.count_nonzero(self.new.count))
@@ -99,13 +107,16 @@ def new_positions(stretches: Sequence[Corrected], moves: int, axes: int) -> NewP
     return NewPositions(first, count, positions, vectors)
 
 
-def correct(pieces: Pieces, progress: Progress, *, context: int = 0) -> Corrected:
+def correct(
+    pieces: Pieces, progress: Progress, *, context: int = 0, before: EndState | None = None
+) -> Corrected:
     """Solve all blocks, and split those whose error between end points exceeds the tolerance.
 
     Args:
         pieces: the program, or a stretch of it.
         progress: called with a stage and the fraction done.
         context: number of its first motions that belong to the stretch before.
+        before: end of that stretch, if none of its motions is among the pieces.
 
     Raises:
         InputError: a position that the calibration does not cover; an arc that cannot be compensated as a whole.
@@ -113,7 +124,7 @@ def correct(pieces: Pieces, progress: Progress, *, context: int = 0) -> Correcte
     prepared, lines = pieces.prepared, pieces.path.columns.line + 1
     commands = pieces.space.commands(pieces.end[context:], pieces.tcp[context:])
     check_domains(prepared.real, pieces.source, lines[context:], commands)
-    path_errors = PathErrors(pieces)
+    path_errors = PathErrors(pieces, before)
     rows = pieces.ends(np.arange(len(pieces.legs.motion)))
     if not pieces.idle:
         if prepared.thesis is None:

@@ -14,8 +14,8 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.prepared import PreparedMachine
-from twin.compensation.solving.rows import repeat_with_index
-from twin.compensation.toolpath import PathMotion
+from twin.compensation.solving.rows import repeat_with_index, taken
+from twin.compensation.toolpath import PathMotion, ToolPath
 
 STEP_DEG: Final = 2.0
 """Step of the search for reversals on an arc or a turn of the tool, degrees."""
@@ -60,8 +60,15 @@ class Legs:
         last = mine & (self.end == 1.0)
         self.begin[last], self.count[mine], self.count[last] = 0.0, 0, 1
 
+    def whole(self, legs: np.ndarray) -> bool:
+        """Return whether each of some legs is a motion in one piece."""
+        columns = ((self.count, 1), (self.begin, 0.0), (self.end, 1.0))
+        return all(bool(np.all(taken(column, legs) == value)) for column, value in columns)
+
     def ends(self, legs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the leg of every piece of some legs, and the fraction of the motion at the piece's end point."""
+        if self.whole(legs):
+            return legs, np.ones(len(legs))
         of, number = repeat_with_index(legs, self.count[legs])
         share = (number + 1) / self.count[of]
         return of, np.where(share == 1.0, self.end[of], self.at(of, share))
@@ -72,13 +79,13 @@ class Legs:
 
 
 def turning_points(
-    prepared: PreparedMachine, motions: Sequence[PathMotion], which: np.ndarray, axes: Sequence[int]
+    prepared: PreparedMachine, path: ToolPath, which: np.ndarray, axes: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the points at which axes reverse inside motions.
 
     Args:
         prepared: the machine without errors, and the set-up.
-        motions: all motions.
+        path: all motions.
         which: indices of the interpolated ones.
         axes: indices of the axes to consider.
 
@@ -86,8 +93,11 @@ def turning_points(
         (k,) motion and (k,) fraction, in order. Points closer than two least increments to another one or to an end point of the
         motion are omitted, because rounded words cannot represent them.
     """
-    curved = np.array([i for i in which if _can_turn(motions[i])] if axes else [], dtype=int)
-    if not curved.size:
+    columns, motions = path.columns, path.motions
+    can_turn = columns.tcp & (columns.start[:, 3:] != columns.end[:, 3:]).any(axis=1)
+    can_turn[list(columns.special)] = True
+    curved = which[can_turn[which]]
+    if not axes or not curved.size:
         return np.zeros(0, dtype=int), np.zeros(0)
     counts = np.array([_steps(motions[i]) for i in curved])
     of, index = repeat_with_index(curved, counts + 1)
@@ -107,10 +117,6 @@ def turning_points(
         found_of.append(of[first])
         found_at.append((low + high) / 2.0)
     return _resolvable(prepared, motions, np.concatenate(found_of), np.concatenate(found_at))
-
-
-def _can_turn(motion: PathMotion) -> bool:
-    return motion.move.arc is not None or (motion.move.tcp and bool(np.any(motion.start[3:] != motion.end[3:])))
 
 
 def _steps(motion: PathMotion) -> int:

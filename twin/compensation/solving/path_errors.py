@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
 from twin._common.arrays import rows_all_true
 from twin.compensation.comparison import Commands
 from twin.compensation.solving.pieces import Pieces
-from twin.compensation.solving.rows import SAME, Rows, Ways, even_cuts, repeat_with_index
+from twin.compensation.solving.rows import SAME, Rows, Ways, even_cuts, repeat_with_index, taken
 from twin.compensation.toolpath import SAMPLES_A_PIECE, spacings
 from twin.compute.along import fractions
 
@@ -46,16 +46,34 @@ class Samples:
         return fractions(self.points)
 
 
+class EndState(NamedTuple):
+    """End of a stretch of a program, at which the next one begins.
+
+    Attributes:
+        words: (axes,) nominal words.
+        tcp: whether these are tool-tip coordinates.
+        exact, printed: (axes,) compensated words before and after rounding.
+        uncorrected: whether the position is left uncorrected.
+    """
+
+    words: np.ndarray
+    tcp: bool
+    exact: np.ndarray
+    printed: np.ndarray
+    uncorrected: bool
+
+
 @final
 class PathErrors:
     """Errors of a program, or of a stretch of it, between the end points of its pieces.
 
     Args:
         pieces: the program cut into pieces.
+        before: end of the stretch before; None if there is none, or if it is among the pieces.
     """
 
-    def __init__(self, pieces: Pieces) -> None:
-        self._pieces, self._space = pieces, pieces.space
+    def __init__(self, pieces: Pieces, before: EndState | None = None) -> None:
+        self._pieces, self._space, self._before = pieces, pieces.space, before
         self._cached_mm = np.full(len(pieces.legs.motion), np.nan)
 
     def forget(self, legs: np.ndarray | slice = slice(None)) -> None:
@@ -90,8 +108,7 @@ class PathErrors:
         return self._cached_mm[legs]
 
     def _distances(self, legs: np.ndarray, rows: Rows, *, as_run: bool) -> np.ndarray:
-        words = self._space.words(rows.exact, self._pieces.tcp_out[rows.motion])
-        ways = self.ways(rows, words, as_run=as_run)
+        ways = self.ways(rows, printed=False, as_run=as_run)
         parts = [self._portion(part, rows, ways) for part in self.portions(legs)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
@@ -135,14 +152,18 @@ class PathErrors:
 
     def samples(self, legs: np.ndarray) -> Samples:
         """Return dense points inside the pieces of legs of interpolated motions."""
+        if self._pieces.legs.whole(legs):
+            return Samples(legs, np.zeros(len(legs), dtype=int), self._points_per_piece(legs))
         pieces = self._pieces.legs.count[legs]
         return Samples(*repeat_with_index(legs, pieces), np.repeat(self._points_per_piece(legs), pieces))
 
     def _points_per_piece(self, legs: np.ndarray) -> np.ndarray:
         """Return (legs,) the number of dense points per piece of each leg."""
         all_legs = self._pieces.legs
-        share = all_legs.end[legs] - all_legs.begin[legs]
-        points = np.ceil(self._spacings[all_legs.motion[legs]] * share / np.maximum(all_legs.count[legs], 1))
+        lengths = taken(self._spacings, taken(all_legs.motion, legs))
+        if not all_legs.whole(legs):
+            lengths = lengths * (all_legs.end[legs] - all_legs.begin[legs]) / np.maximum(all_legs.count[legs], 1)
+        points = np.ceil(lengths)
         return np.maximum(SAMPLES_A_PIECE, points).astype(int)
 
     @cached_property
@@ -170,13 +191,13 @@ class PathErrors:
             point_by_point: whether every point shall be a line of its own, even where the commands lie on straight lines.
         """
         row = _rows_of(samples, ways)
-        motion = self._pieces.legs.motion[samples.leg]
-        begin, way = ways.begin.take(row, axis=0), ways.way.take(row, axis=0)
+        motion = taken(self._pieces.legs.motion, samples.leg)
+        begin, way = taken(ways.begin, row), taken(ways.way, row)
         straight = bool(np.all(self._pieces.straight[motion]))
         if straight:
-            first, last = self._fractions(samples)
-            meant, meant_way = (words.take(motion, axis=0) for words in self._pieces.ways)
-            if np.any(first != 0.0) or np.any(last != 1.0):
+            meant, meant_way = (taken(words, motion) for words in self._pieces.ways)
+            if not self._pieces.legs.whole(samples.leg):
+                first, last = self._fractions(samples)
                 meant, meant_way = meant + first[:, None] * meant_way, (last - first)[:, None] * meant_way
             if self._on_lines(motion):
                 nominal = self._line(meant, meant_way, samples.points)
@@ -203,73 +224,80 @@ class PathErrors:
     def _line(self, begin: np.ndarray, way: np.ndarray, points: np.ndarray) -> Commands:
         """Return points on straight lines of words that are straight lines of commands."""
         still = np.zeros(len(begin), dtype=bool)
-        return Commands(self._space.commands(begin, still), way[:, np.argsort(self._space.order)], points)
+        return Commands(self._space.commands(begin, still), self._space.displacements(way), points)
 
     # --- ways of pieces ----------------------------------------------------------------------------------------------
 
-    def ways(self, rows: Rows, end_words: np.ndarray, *, as_run: bool = False) -> Ways:
-        """Return the way of each piece, with its end point at the words ``end_words``.
+    def ways(self, rows: Rows, *, printed: bool, as_run: bool) -> Ways:
+        """Return the way of each piece, between words ``printed`` or before rounding.
 
         With ``as_run``, a motion after a line left as written starts at its actual position. For splitting it is assumed to start
         compensated, because splitting cannot correct its starting point.
         """
-        first = np.append(True, rows.motion[1:] != rows.motion[:-1])
-        begin = np.concatenate([end_words[:1], end_words[:-1]])
-        begin[first] = self._start_words(rows, end_words, as_run=as_run)[rows.motion[first]]
+        end_words = rows.printed if printed else self._space.words(rows.exact, self._pieces.tcp_out[rows.motion])
+        at_start = end_words[:1] if self._before is None else self._before[3 if printed else 2][None]
+        begin = np.concatenate([at_start, end_words[:-1]])
+        separate = np.flatnonzero(~self._follows & rows_all_true(np.isfinite(self._pieces.start)))
+        if separate.size:
+            first = np.searchsorted(rows.motion, separate)
+            begin[first] = self._start_words(separate, rows.approach[first], begin[first], as_run=as_run)
+        legs = np.arange(len(self._pieces.legs.motion))
+        if len(rows.leg) == len(legs):
+            return Ways(begin, end_words - begin, legs, legs)
         ends = np.flatnonzero(~rows.backlash_move)
-        first_of_leg = np.searchsorted(rows.leg[ends], np.arange(len(self._pieces.legs.motion)))
-        return Ways(begin, end_words - begin, ends, first_of_leg)
+        return Ways(begin, end_words - begin, ends, np.searchsorted(rows.leg[ends], legs))
 
     def starts_uncorrected(self, rows: Rows) -> np.ndarray:
         """Return (motions,) whether each begins at an uncorrected position, left by the motion before or by a line between them."""
-        off = np.zeros(len(self._pieces.start), dtype=bool)
-        off[1:] = (rows.untouched | rows.clamped)[self._ends_of(rows)[:-1]] | ~self._follows[1:]
+        uncorrected, off = rows.untouched | rows.clamped, ~self._follows
+        off[:1] = self._before is not None and (self._before.uncorrected or off[:1])
+        if uncorrected.any():
+            off[1:] |= uncorrected[np.searchsorted(rows.motion, np.arange(1, len(off))) - 1]
         return off & self._pieces.interpolated
 
-    def _ends_of(self, rows: Rows) -> np.ndarray:
-        """Return (motions,) the last row of each motion."""
-        return np.searchsorted(rows.motion, np.arange(len(self._pieces.start)), side="right") - 1
-
-    def _start_words(self, rows: Rows, end_words: np.ndarray, *, as_run: bool) -> np.ndarray:
-        """Return (motions, axes) words at the start of each motion: the last ones of the motion before, if it continues from there."""
-        pieces = self._pieces
-        begin = np.full_like(pieces.start, np.nan)
-        begin[1:] = end_words[self._ends_of(rows)[:-1]]
-        separate = np.flatnonzero(~self._follows & rows_all_true(np.isfinite(pieces.start)))
-        if separate.size:
-            sides = rows.approach[np.searchsorted(rows.motion, separate)]
-            rows = pieces.solve(np.searchsorted(pieces.legs.motion, separate), np.zeros(len(separate)), sides)
-            commands = self._actual_start(separate, rows.nominal, begin) if as_run else rows.exact
-            begin[separate] = self._space.words(commands, pieces.tcp_out[separate])
-        return begin
-
-    def _actual_start(self, separate: np.ndarray, nominal: np.ndarray, begin: np.ndarray) -> np.ndarray:
-        """Return (n, axes) actual commands at the start of some motions.
-
-        Axes moved by a line left as written between two motions stand where that line put them.
+    def _start_words(
+        self, separate: np.ndarray, sides: np.ndarray, reached: np.ndarray, *, as_run: bool
+    ) -> np.ndarray:
+        """Return (n, axes) words at the start of motions that do not begin where the one before ends.
 
         Args:
             separate: (n,) the motions.
-            nominal: (n, axes) nominal commands at their start.
-            begin: (motions, axes) words at the end of the motion before.
+            sides: (n, axes) their directions of approach.
+            reached: (n, axes) words at the end of the motion before each.
+            as_run: as for `ways`.
         """
-        standing = np.array(nominal)
-        after = separate > 0
-        before = separate[after] - 1
-        expected = self._space.commands(self._pieces.end[before], self._pieces.tcp[before])
-        reached = self._space.commands(begin[separate[after]], self._pieces.tcp_out[before])
-        standing[after] = np.where(np.abs(expected - nominal[after]) < SAME, reached, nominal[after])
-        return standing
+        pieces = self._pieces
+        rows = pieces.solve(np.searchsorted(pieces.legs.motion, separate), np.zeros(len(separate)), sides)
+        commands = self._actual_start(separate, rows.nominal, reached) if as_run else rows.exact
+        return self._space.words(commands, pieces.tcp_out[separate])
+
+    def _actual_start(self, separate: np.ndarray, nominal: np.ndarray, reached: np.ndarray) -> np.ndarray:
+        """Return (n, axes) actual commands at the start of these motions; ``nominal``: the nominal ones.
+
+        Axes moved by a line left as written between two motions stand where that line put them.
+        """
+        ended, tcp = (values[separate] for values in self._ends_before)
+        expected = self._space.commands(ended, tcp)
+        # As in the output, where tool-tip input that is posted has axis words.
+        standing = self._space.commands(reached, tcp & (not self._pieces.posted))
+        known = (separate > 0) | (self._before is not None)
+        return np.where(known[:, None] & (np.abs(expected - nominal) < SAME), standing, nominal)
 
     @cached_property
     def _follows(self) -> np.ndarray:
         """(motions,) whether each begins where the one before ends, in words of the same mode."""
-        start, end, tcp = self._pieces.start, self._pieces.end, self._pieces.tcp
-        follows = np.zeros(len(start), dtype=bool)
-        follows[1:] = (tcp[1:] == tcp[:-1]) & rows_all_true(start[1:] == end[:-1])
-        return follows
+        ended, tcp = self._ends_before
+        follows = (tcp == self._pieces.tcp) & rows_all_true(self._pieces.start == ended)
+        return follows if self._before is not None else follows & (np.arange(len(follows)) > 0)
+
+    @cached_property
+    def _ends_before(self) -> tuple[np.ndarray, np.ndarray]:
+        """(motions, axes) and (motions,) nominal words and mode at the end of the motion before each; the first one's own without one."""
+        pieces, before = self._pieces, self._before
+        words, tcp = (pieces.start[:1], pieces.tcp[:1]) if before is None else (before.words[None], [before.tcp])
+        return np.concatenate([words, pieces.end[:-1]]), np.concatenate([tcp, pieces.tcp[:-1]])
 
 
 def _rows_of(samples: Samples, ways: Ways) -> np.ndarray:
     """Return (pieces,) the row of each piece's end point."""
-    return np.asarray(ways.rows[ways.first[samples.leg] + samples.number])
+    return taken(ways.rows, taken(ways.first, samples.leg) + samples.number)

@@ -17,7 +17,7 @@ from twin.compensation.block_conditions import CONSTANT, BlockConditions
 from twin.compensation.one_mode import check_one_mode
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving.legs import Legs, turning_points
-from twin.compensation.solving.rows import Rows
+from twin.compensation.solving.rows import Rows, taken
 from twin.compensation.toolpath import ToolPath
 from twin.kinematics.forward import Poses, angle_between_rad
 from twin.kinematics.inverse import SLACK
@@ -80,12 +80,11 @@ class Pieces:
         check_one_mode(prepared.calibration, self.tcp_out, source, tcp=prepared.options.tcp)
         self.straight = np.ones(len(columns), dtype=bool)
         self.straight[[i for i, move in columns.special.items() if move.arc is not None]] = False
-        self.by_vector = np.zeros(len(columns), dtype=bool)
-        self.by_vector[[i for i, move in columns.special.items() if move.vector is not None and not posted]] = True
+        self.by_vector = columns.by_vector & (not posted)
         self.interpolated = ~columns.rapid & rows_all_true(np.isfinite(self.start))
         # From outside the range there is no nominal path; such a start is reported with its own block.
         self.interpolated &= ~prepared.outside(self.space.commands(self.start, self.tcp))
-        turning = turning_points(prepared, path.motions, np.flatnonzero(self.interpolated), aim.backlash.axes)
+        turning = turning_points(prepared, path, np.flatnonzero(self.interpolated), aim.backlash.axes)
         self.legs = Legs.of(len(columns), turning)
         if not self.idle:
             whole = np.ones(len(columns), dtype=int)
@@ -97,11 +96,14 @@ class Pieces:
     @cached_property
     def ways(self) -> tuple[np.ndarray, np.ndarray]:
         """(motions, axes) nominal words at the start of each motion (its end point if the start is unknown), and the displacement."""
-        begin = np.where(np.isfinite(self.start), self.start, self.end)
+        known = np.isfinite(self.start)
+        begin = self.start if known.all() else np.where(known, self.start, self.end)
         return begin, self.end - begin
 
     def words_at(self, of: np.ndarray, fraction: np.ndarray) -> np.ndarray:
         """Return (n, axes) nominal words at fractions of motions."""
+        if np.all(fraction == 1.0):
+            return taken(self.end, of)
         begin, way = self.ways
         words = begin.take(of, axis=0) + fraction[:, None] * way.take(of, axis=0)
         whole = np.flatnonzero(fraction == 1.0)
@@ -141,12 +143,14 @@ class Pieces:
             approach: (n, axes) approach directions; unknown if None.
         """
         limits = self.prepared.limits
-        of = self.legs.motion[leg]
+        of = taken(self.legs.motion, leg)
         sides = np.zeros((len(of), len(limits))) if approach is None else approach
         words = self.words_at(of, fraction)
-        nominal = self.space.commands(words, self.tcp[of])
+        nominal = self.space.commands(words, taken(self.tcp, of))
         untouched = self.prepared.outside(nominal)
-        safe = np.where(untouched[:, None], np.clip(nominal, limits[:, 0], limits[:, 1]), nominal)
+        safe = nominal
+        if untouched.any():
+            safe = np.where(untouched[:, None], np.clip(nominal, limits[:, 0], limits[:, 1]), nominal)
         target = self.space.nominal.forward(safe)
         vectors, orientation_residual_rad = np.full((len(of), 3), np.nan), np.zeros(len(of))
         if self.prepared.thesis is not None:
@@ -193,8 +197,8 @@ class Pieces:
         rotary = list(self.prepared.machine.rotary)
         low, high = self.prepared.limits[rotary].T
         turned = solution.positions[:, rotary]
-        able = ((turned >= low - SLACK) & (turned <= high + SLACK)).all(axis=1)
-        commands[np.ix_(able, rotary)] = turned[able]
+        able = rows_all_true((turned >= low - SLACK) & (turned <= high + SLACK))
+        commands[:, rotary] = np.where(able[:, None], turned, commands[:, rotary])
         left = np.where(
             solution.orientation_residual_rad > ORIENTATION_NOISE_RAD, solution.orientation_residual_rad, 0.0
         )
@@ -210,13 +214,15 @@ class Pieces:
         wanted = rows.exact + rows.overshoot
         clipped = np.clip(wanted, limits[:, 0], limits[:, 1])
         clamped = ~rows_all_true(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.prepared.increment)
-        tcp_out = self.tcp_out[rows.motion]
+        tcp_out = taken(self.tcp_out, rows.motion)
         out = self.space.words(clipped, tcp_out)
         printed = np.round(out / increment) * increment
-        free = np.ix_(self.by_vector[rows.motion], range(3, printed.shape[1]))
-        printed[free] = out[free]
+        if self.by_vector.any():
+            free = np.ix_(self.by_vector[rows.motion], range(3, printed.shape[1]))
+            printed[free] = out[free]
         left = rows.untouched
-        printed[left] = self.space.words(rows.nominal, tcp_out)[left] if self.posted else rows.words[left]
+        if left.any():
+            printed[left] = self.space.words(rows.nominal, tcp_out)[left] if self.posted else rows.words[left]
         return replace(
             rows, printed=printed, commands=self.space.commands(printed, tcp_out), clamped=clamped & ~rows.untouched
         )
@@ -227,15 +233,15 @@ class Pieces:
         commands = np.array(commands)
         offset, increment = space.offset[3:], self.increment[3:]
         vectors = np.full((len(of), 3), np.nan)
-        plain = ~self.by_vector[of]
+        vector = taken(self.by_vector, of)
         words = commands[:, rotary] - offset
-        commands[np.ix_(plain, rotary)] = (np.round(words / increment) * increment + offset)[plain]
-        rows = np.flatnonzero(~plain)
+        rounded = np.round(words / increment) * increment + offset
+        commands[:, rotary] = np.where(vector[:, None], commands[:, rotary], rounded) if vector.any() else rounded
+        rows = np.flatnonzero(vector)
         if rows.size:
             vectors[rows] = np.round(space.nominal.forward(commands[rows]).axis, self.vector_decimals)
             unit = vectors[rows] / np.linalg.norm(vectors[rows], axis=1, keepdims=True)
-            for row, solutions in zip(rows, space.branches.all(unit), strict=True):
-                found = space.branches.nearest(solutions, commands[row, rotary])
-                if found is not None:
-                    commands[row, rotary] = found
+            before = commands[:, rotary][rows]
+            found = space.branches.nearest(space.branches.all(unit), before)
+            commands[rows[:, None], rotary] = np.where(np.isnan(found), before, found)
         return commands, vectors

@@ -7,7 +7,6 @@ starting point needs the command for the new direction.
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -106,10 +105,13 @@ def _without_steps_back(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tup
         passed = [passage.before for passage in pieces.path.passages if passage.moved[axis]]
         breaks = [*np.searchsorted(rows.motion, passed), *np.flatnonzero(fixed), *(np.flatnonzero(fixed) + 1)]
         starts = np.unique([0, *breaks, *np.flatnonzero(np.diff(sides[:, axis])) + 1, len(sides)])
-        for first, last in pairwise(starts.tolist()):
+        way = commands[:, axis] * sides[:, axis]
+        back = np.flatnonzero(np.diff(way) < 0.0) + 1
+        for place in np.unique(np.searchsorted(starts, back[~np.isin(back, starts)])).tolist():
+            first, last = starts[place - 1], starts[place]
             if sides[first, axis] != 0.0:
-                way = commands[first:last, axis] * sides[first, axis]
-                commands[first:last, axis] = _not_back(way, abs(pieces.aim.backlash.size[axis])) * sides[first, axis]
+                found = _not_back(way[first:last], abs(pieces.aim.backlash.size[axis]))
+                commands[first:last, axis] = found * sides[first, axis]
     which = np.flatnonzero((commands != rows.commands).any(axis=1) & ~fixed)
     tcp_out = pieces.tcp_out[rows.motion[which]]
     printed, final_commands = rows.printed.copy(), rows.commands.copy()
@@ -124,6 +126,9 @@ def _without_steps_back(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tup
 
 def _not_back(way: np.ndarray, most: float) -> np.ndarray:
     """Return a rising sequence with steps back below ``most`` removed; larger ones are not caused by rounding."""
+    rising = np.maximum.accumulate(way)
+    if np.all(rising - way < most):
+        return rising
     out = []
     top = way[0]
     for place in way.tolist():

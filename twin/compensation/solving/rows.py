@@ -88,7 +88,8 @@ class Rows:
         for behind in (False, True):
             vectors = np.nan_to_num(rows.vectors)
             alike = (np.abs(np.diff(rows.printed, axis=0)) < SAME).all(axis=1) & ~np.diff(vectors, axis=0).any(axis=1)
-            rows = rows.where(~(rows.backlash_move & (np.append(alike, False) if behind else np.append(False, alike))))
+            omitted = rows.backlash_move & (np.append(alike, False) if behind else np.append(False, alike))
+            rows = rows.where(~omitted) if np.any(omitted) else rows
         return rows
 
 
@@ -110,6 +111,14 @@ class Ways(NamedTuple):
     way: np.ndarray
     rows: np.ndarray
     first: np.ndarray
+
+
+def taken(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return some rows of an array; the array itself if these are all of them, in order."""
+    n = len(values)
+    if len(rows) == n and (n == 0 or (rows[0] == 0 and rows[-1] == n - 1 and bool(np.all(rows[1:] > rows[:-1])))):
+        return values
+    return values.take(rows, axis=0)
 
 
 def repeat_with_index(things: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,16 +13,15 @@ from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.toolpath import Follower, MotionColumns
 from twin.nc.blocks import Notice
 from twin.nc.columns import MoveColumns
-from twin.nc.iso.compiled import line_code
-from twin.nc.iso.stream import Chunk, IsoReader
+from twin.nc.iso.stream import iso_reader
+from twin.nc.lines.chunks import Chunk
+from twin.nc.lines.compiled import line_code
 from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
 
 STRETCH_BYTES: Final = 1 << 18
 """Bytes read, written and read back at once: few enough for the data derived from them to stay in cache."""
-PART_LINES: Final = 60_000
-"""Lines solved together. All parts of a long program are about equally long, and none is shorter than this, so that compiled solving
-pays off (`twin.compute.native`); longer parts would only need more memory.
-"""
+PART_LINES: Final = 16_384
+"""Lines solved together, few enough for their numbers to stay in cache. All parts of a long program are about equally long."""
 
 
 @final
@@ -35,6 +34,7 @@ class ProgramFile:
     Attributes:
         size: bytes.
         lines: approximate number of lines.
+        parts: number of parts in which it is solved.
 
     Raises:
         InputError: it cannot be read, or is not a program.
@@ -49,6 +49,7 @@ class ProgramFile:
             self.size += len(data)
             self.lines += data.count(b"\n") or data.count(b"\r")
         check.finish()
+        self.parts = max(self.lines // PART_LINES, 1)
 
     def begins(self) -> tuple[str, Style]:
         """Return its line ending and the style of its numbers."""
@@ -94,14 +95,12 @@ class ProgramPart:
 
     Attributes:
         read: the stretches.
-        motions: their motions, preceded by the last one of the part before; moves are counted through the whole part.
-        context: number of motions from the part before: 1, or 0 for the first part.
+        motions: their motions; moves are counted through the whole part.
         aim: errors to correct; None until a motion has been read.
     """
 
     read: Sequence[ReadStretch]
     motions: MotionColumns
-    context: int
     aim: CorrectionAim | None
 
     @property
@@ -129,7 +128,7 @@ class PartReader:
     def __init__(self, prepared: PreparedMachine, source: ProgramFile, turns: bool | None) -> None:
         self._prepared, self._source = prepared, source
         self._aim = None if turns is None else prepared.aim(turns=turns)
-        self._reader = IsoReader(str(source.path), prepared.space.axes, tcp=prepared.options.tcp)
+        self._reader = iso_reader(str(source.path), prepared.space.axes, tcp=prepared.options.tcp)
         self._code = line_code(source.lines)
         self._follower = Follower(str(source.path), prepared.space)
         self._notices: list[Notice] = []
@@ -145,24 +144,25 @@ class PartReader:
 
     def parts(self) -> Iterator[ProgramPart]:
         """Yield the program as read; if reading `failed`, everything before."""
-        a_part = self._source.lines / max(self._source.lines // PART_LINES, 1)
-        full, read = a_part, list[ReadStretch]()
-        motions = [MotionColumns.of({}, len(self._prepared.space.axes.names))]
+        a_part = self._source.lines / self._source.parts
+        full, read, motions = a_part, list[ReadStretch](), list[MotionColumns]()
         try:
             for data in self._source.stretches():
                 read.append(self._read(data))
                 motions.append(self._followed(read[-1], sum(len(stretch.moves) for stretch in read[:-1])))
+                if self.drills:
+                    break  # such a program is compensated as a whole
                 if self.lines >= full:
                     full += a_part
-                    part = self._part(read, motions)
-                    read, motions = [], [part.motions.part(max(len(part.motions) - 1, 0), len(part.motions))]
-                    yield part
+                    yield self._part(read, motions)
+                    read, motions = [], []
         except InputError as error:
             self.failed = error
         yield self._part(read, motions)
 
     def _part(self, read: list[ReadStretch], motions: list[MotionColumns]) -> ProgramPart:
-        return ProgramPart(read, MotionColumns.joined(motions), len(motions[0]), self._aim)
+        none = MotionColumns.of({}, len(self._prepared.space.axes.names))
+        return ProgramPart(read, MotionColumns.joined(motions or [none]), self._aim)
 
     def _read(self, data: bytes) -> ReadStretch:
         stretch = Chunk(data, self.lines, self._prepared.space.axes.names, self._code)

@@ -1,8 +1,8 @@
 """Compensate a program of any length part by part, from file to file, in bounded memory.
 
 Each part is read, solved, written, read back, compared with the intended positions and added to the report, like a whole program
-(`twin.compensation.compensator`), with all modal state carried on. A part needs from the one before it only the last motion, at whose
-end point its first block begins. Text is read and written in stretches, several per part.
+(`twin.compensation.compensator`), with all modal state carried on. A part needs from the one before it only the end of its last motion,
+where its first block begins. Text is read and written in stretches, several per part.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from time import monotonic
 from typing import BinaryIO, Final, final
@@ -22,12 +22,13 @@ from twin._common.progress import Progress
 from twin.compensation.account import CompensationAccount, Report
 from twin.compensation.checked import motionless
 from twin.compensation.prepared import PreparedMachine
-from twin.compensation.solving import Corrected, Pieces, correct, new_positions
+from twin.compensation.solving import Corrected, EndState, Pieces, correct, new_positions
 from twin.compensation.solving.rows import even_cuts
 from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
-from twin.compensation.toolpath import SAMPLES_A_PIECE, ToolPath, spacings
-from twin.nc.iso.bulk import NewPositions
+from twin.compensation.toolpath import SAMPLES_A_PIECE, MotionColumns, ToolPath, spacings
+from twin.compute.native import one_of
+from twin.nc.columns import NewPositions
 
 POSES: Final = 12 * PART_LINES
 """Poses solved and checked at once before any block is split: six for each short block of the longest part. Longer blocks need more
@@ -60,6 +61,7 @@ class Streamed:
         self._source = ProgramFile(source)
         self._progress = progress
         self._account: CompensationAccount | None = None
+        self._end: EndState | None = None
 
     def run(self, out: BinaryIO) -> Report | None:
         """Compensate the program.
@@ -77,7 +79,7 @@ class Streamed:
         """
         for turns in (None, True):
             _empty(out)
-            self._account = None
+            self._account = self._end = None
             reader = PartReader(self._prepared, self._source, turns)
             writer = PartWriter(self._prepared, self._source, out)
             began = monotonic()
@@ -138,23 +140,24 @@ class Streamed:
             InputError: a position that the calibration does not cover.
         """
         cuts: list[Corrected] = []
-        if len(part.motions) > part.context and part.aim is not None:
-            begin = part.context
-            for end in _ends(part, self._prepared.options.tolerance_mm):
-                context = min(begin, 1)
-                motions = part.motions.part(begin - context, end)
+        if len(part.motions) and part.aim is not None:
+            for begin, end in pairwise([0, *_ends(part.motions, self._prepared.options.tolerance_mm)]):
+                motions = part.motions.part(begin, end)
                 path = ToolPath(motions, motions)
                 pieces = Pieces(self._prepared, path, part.aim, ISO, source=str(self._source.path))
-                cuts.append(correct(pieces, _silent, context=context))
-                begin = end
+                with one_of(self._source.parts):
+                    cuts.append(correct(pieces, _silent, before=self._end))
+                self._end = cuts[-1].end
         return new_positions(cuts, part.moves, len(self._prepared.space.axes.names)), cuts
 
     def _add(self, solved: Future[Solved]) -> None:
         """Add a part to the report."""
-        for cut in solved.result()[1]:
-            if self._account is None:
-                self._account = CompensationAccount(self._prepared, cut.pieces.aim, str(self._source.path))
-            self._account.add(cut)
+        cuts = solved.result()[1]
+        with one_of(self._source.parts):
+            for cut in cuts:
+                if self._account is None:
+                    self._account = CompensationAccount(self._prepared, cut.pieces.aim, str(self._source.path))
+                self._account.add(cut)
 
 
 def _empty(out: BinaryIO) -> None:
@@ -166,13 +169,11 @@ def _silent(stage: str, fraction: float) -> None:
     """Ignore the progress of a single stretch."""
 
 
-def _ends(part: ProgramPart, tolerance_mm: float) -> list[int]:
-    """Return where to cut the motions of a part so that each cut has at most about `POSES` poses before any block is split."""
-    motions = part.motions
+def _ends(motions: MotionColumns, tolerance_mm: float) -> list[int]:
+    """Return where to cut motions so that each cut has at most about `POSES` poses before any block is split, and their number."""
     long = spacings(motions.start, motions.end)
     poses = 1.0 + np.maximum(SAMPLES_A_PIECE, np.where(np.isfinite(long), long, 0.0))
     for i, move in motions.special.items():
         if move.arc is not None and np.isfinite(motions.start[i]).all():
             poses[i] *= motions[i].chords(tolerance_mm)
-    cuts = [part.context + cut for cut in even_cuts(poses[part.context :], POSES) if cut]
-    return [*cuts, len(motions)]
+    return [*(cut for cut in even_cuts(poses, POSES) if cut), len(motions)]

@@ -9,11 +9,12 @@ from twin._common.errors import InputError
 from twin.compensation.checked import check, unreadable
 from twin.compensation.prepared import PreparedMachine
 from twin.compensation.stream.parts import ProgramFile, ProgramPart, ReadStretch
+from twin.nc.columns import NewPositions
 from twin.nc.header import HEAD_LINES
-from twin.nc.iso.bulk import NewPositions
-from twin.nc.iso.compiled import line_code
 from twin.nc.iso.dialect import Iso
-from twin.nc.iso.stream import Chunk, IsoReader, IsoRewriter
+from twin.nc.iso.stream import IsoRewriter, iso_reader
+from twin.nc.lines.chunks import Chunk
+from twin.nc.lines.compiled import line_code
 
 ISO: Final = Iso()
 
@@ -37,7 +38,7 @@ class PartWriter:
         self._code = line_code(source.lines)
         self._begins = source.begins()
         self._out = out
-        self._checker = IsoReader(self._name, self._axes, tcp=prepared.options.tcp)
+        self._checker = iso_reader(self._name, self._axes, tcp=prepared.options.tcp)
         self._rewriter: IsoRewriter | None = None
         self._pending: list[bytes] = []
         self._head: bytes | None = b""

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import final
 
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ToolPath
+from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ProgramMotions, ToolPath
 from twin.compensation.toolpath.words import WordSpace
 from twin.nc.blocks import Interpretation, Kind, LostPositions, Move, Notice, Program
-from twin.nc.columns import MoveColumns
+from twin.nc.columns import MoveColumns, as_columns
 
 TextOf = Callable[[int], str]
 """Function from a line's index in the program to its text."""
@@ -32,9 +32,9 @@ def follow(
         InputError: a feed move from or to a position the program has not given, or a tool vector the machine cannot reach.
     """
     follower = Follower(program.source, space, later)
-    motions = follower.follow(reading, lambda line: program.texts[line])
-    columns = MotionColumns.of(motions, len(space.axes.names))
-    return ToolPath(tuple(motions.values()), columns, tuple(follower.notices), tuple(follower.passages))
+    moves = as_columns(space.axes.names, reading.moves)
+    columns = follower.columns(moves, reading.lost_positions, lambda line: program.texts[line])
+    return ToolPath(ProgramMotions(columns, moves), columns, tuple(follower.notices), tuple(follower.passages))
 
 
 @final
@@ -63,19 +63,6 @@ class Follower:
         self._assumed = False
         self._left: list[LostPositions] = []
 
-    def follow(self, reading: Interpretation, text_of: TextOf) -> dict[int, PathMotion]:
-        """Return the motions by the index of their move.
-
-        Raises:
-            InputError: as for `follow`.
-        """
-        moves = reading.moves
-        vectors = self._enter(
-            {i: move for i, move in enumerate(moves) if move.vector is not None}, reading.lost_positions
-        )
-        steps = ((i, self._step(move, vectors.get(i), text_of)) for i, move in enumerate(moves))
-        return {i: motion for i, motion in steps if motion is not None}
-
     def columns(self, moves: MoveColumns, left: Sequence[LostPositions], text_of: TextOf) -> MotionColumns:
         """Return the motions of the next moves; consecutive plain ones are converted together.
 
@@ -87,45 +74,66 @@ class Follower:
         Raises:
             InputError: as for `follow`.
         """
-        vectors = self._enter({i: move for i, move in moves.special.items() if move.vector is not None}, left)
-        behind = np.searchsorted(moves.line, np.array([one.line for one in left], dtype=int), side="right")
-        stops = np.unique([*moves.special, *np.flatnonzero(np.diff(moves.tcp)) + 1, *behind, len(moves)])
+        self._left = [*left[::-1], *self._left]
+        if np.any(moves.by_vector):
+            self._space.branches  # noqa: B018  # refuses a machine that cannot follow tool vectors
+        single = {i for i, move in moves.special.items() if move.arc is not None or move.machine}
+        changes = np.searchsorted(moves.line, [one.line for one in left], side="right")
+        later = np.searchsorted(moves.line, [line for line, _ in self._later])
+        modes = (np.diff(moves.tcp) | np.diff(moves.by_vector)).nonzero()[0] + 1
+        stops = np.unique([*single, *(i + 1 for i in single), *modes, *changes, *later, len(moves)]).astype(int)
         parts: list[MotionColumns] = []
-        single: dict[int, PathMotion] = {}
+        loose: dict[int, PathMotion] = {}
         at = 0
         while at < len(moves):
             self._forget_before(int(moves.line[at]))
             end = int(stops[np.searchsorted(stops, at, side="right")])
-            plain = end > at + 1 and at not in moves.special and self._tcp == bool(moves.tcp[at])
+            plain = (
+                end > at + 1 and at not in single and self._tcp == bool(moves.tcp[at]) and not self._moved(moves, at)
+            )
             if plain and np.isfinite(self._words).all():
-                parts += [MotionColumns.of(single, len(self._words)), self._plain(moves, at, end)]
-                single = {}
-                at = end
-                continue
-            motion = self._step(moves[at], vectors.get(at), text_of)
+                found = self._plain(moves, at, end)
+                if len(found):
+                    parts += [MotionColumns.of(loose, len(self._words)), found]
+                    loose = {}
+                    at += len(found)
+                    continue
+            motion = self._step(moves[at], text_of)
             if motion is not None:
-                single[at] = motion
+                loose[at] = motion
             at += 1
-        return MotionColumns.joined([*parts, MotionColumns.of(single, len(self._words))])
+        return MotionColumns.joined([*parts, MotionColumns.of(loose, len(self._words))])
 
-    def _enter(self, with_vector: Mapping[int, Move], left: Sequence[LostPositions]) -> dict[int, np.ndarray]:
-        """Register the next moves, and return the rotary solutions of the tool vectors among them."""
-        self._left = [*left[::-1], *self._left]
-        if not with_vector:
-            return {}
-        solutions = self._space.branches.all(np.array([move.vector for move in with_vector.values()]))
-        return dict(zip(with_vector, solutions, strict=True))
+    def _moved(self, moves: MoveColumns, at: int) -> bool:
+        """Return whether a conversion begins at a move that is not yet in force."""
+        return bool(self._later) and self._later[-1][0] <= int(moves.line[at])
 
     def _plain(self, moves: MoveColumns, begin: int, end: int) -> MotionColumns:
-        """Return the motions of moves that only name positions, when every axis position is known."""
+        """Return the motions of moves that only name positions or tool vectors, when every axis position is known.
+
+        They end before the first tool vector that the machine cannot reach.
+        """
         part = slice(begin, end)
         named = moves.position[part]
         ends = np.where(np.isnan(named), self._words, named)
-        starts = np.concatenate([self._words[None, :], ends[:-1]])
-        self._words = ends[-1].copy()
-        self._count += end - begin
+        if np.isfinite(moves.vector[begin, 0]):
+            solutions = self._space.branches.all(moves.vector[part])
+            rotary = self._space.branches.along(solutions, self._words[3:], self._space.offset[3:])
+            ends = ends[: len(rotary)]
+            ends[:, 3:] = rotary
+            part = slice(begin, begin + len(rotary))
+        starts = np.concatenate([self._words[None, :], ends[:-1]])[: len(ends)]
+        self._words = ends[-1].copy() if len(ends) else self._words
+        self._count += len(ends)
         return MotionColumns(
-            np.arange(begin, end), moves.line[part], moves.rapid[part], moves.tcp[part], starts, ends, {}
+            np.arange(part.start, part.stop),
+            moves.line[part],
+            moves.rapid[part],
+            moves.tcp[part],
+            starts,
+            ends,
+            moves.by_vector[part],
+            {},
         )
 
     def _forget_before(self, line: int) -> None:
@@ -144,7 +152,7 @@ class Follower:
         ordered[self._space.order], which[self._space.order] = commands, moved
         self.passages.append(Passage(self._count, ordered, which))
 
-    def _step(self, move: Move, solutions: np.ndarray | None, text_of: TextOf) -> PathMotion | None:
+    def _step(self, move: Move, text_of: TextOf) -> PathMotion | None:
         """Return one move as a motion; None if it is not a motion between known positions."""
         self._forget_before(move.line)
         while self._later and self._later[-1][0] <= move.line:
@@ -162,8 +170,8 @@ class Follower:
             self.notices.append(Notice(move.line, "machine coordinates: passed through unchanged"))
             return None
         end = np.where(np.isnan(end), words, end)
-        if solutions is not None:
-            end[3:] = self._along_vector(move, solutions, words[3:])
+        if move.vector is not None:
+            end[3:] = self._along_vector(move, words[3:])
         if np.isnan(end[3:]).any():
             end[3:] = self._assume(move.line, end[3:])
         start = words.copy()
@@ -238,11 +246,11 @@ class Follower:
             commands[:3] = np.nan
         self._pass(commands, self._named(move))
 
-    def _along_vector(self, move: Move, solutions: np.ndarray, before: np.ndarray) -> np.ndarray:
+    def _along_vector(self, move: Move, before: np.ndarray) -> np.ndarray:
         space = self._space
         standing = np.where(np.isnan(before), space.start, before) + space.offset[3:]
-        found = space.branches.nearest(solutions, standing)
-        if found is None:
+        (found,) = space.branches.nearest(space.branches.all(np.array([move.vector])), standing[None])
+        if np.isnan(found).any():
             raise InputError(
                 f"{space.machine.name} cannot reach this tool vector",
                 expected="a tool vector within the ranges of its rotary axes",

@@ -98,8 +98,8 @@ class FrameSpaces:
         if plane.choice:
             wrong = plane.choice * solutions[:, space.branches.master] < -1e-9
             solutions[wrong & ~wrong.all()] = np.nan
-        found = space.branches.nearest(solutions, standing_deg)
-        if found is None:
+        (found,) = space.branches.nearest(solutions[None], standing_deg[None])
+        if np.isnan(found).any():
             raise InputError(
                 f"{space.machine.name} cannot reach this tilted plane",
                 expected="a plane within the ranges of its rotary axes",

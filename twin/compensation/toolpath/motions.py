@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.nc.blocks import Kind, Move, Notice
 
-COLUMNS: Final = ("move", "line", "rapid", "tcp", "start", "end")
+COLUMNS: Final = ("move", "line", "rapid", "tcp", "start", "end", "by_vector")
 """Names of the arrays of `MotionColumns`."""
 
 
@@ -71,7 +71,8 @@ class MotionColumns(Sequence[PathMotion]):
         rapid: (n,) whether it is a rapid.
         tcp: (n,) whether its words are tool-tip coordinates.
         start, end: (n, axes) as in `PathMotion`.
-        special: by index, moves with further data: arcs and tool vectors.
+        by_vector: (n,) whether it has a tool vector.
+        special: by index, moves with further data: arcs.
     """
 
     move: np.ndarray
@@ -80,6 +81,7 @@ class MotionColumns(Sequence[PathMotion]):
     tcp: np.ndarray
     start: np.ndarray
     end: np.ndarray
+    by_vector: np.ndarray
     special: dict[int, Move]
 
     @classmethod
@@ -93,7 +95,8 @@ class MotionColumns(Sequence[PathMotion]):
             np.array([move.tcp for move in moves], dtype=bool),
             np.array([motion.start for motion in motions.values()]).reshape(-1, width),
             np.array([motion.end for motion in motions.values()]).reshape(-1, width),
-            {i: move for i, move in enumerate(moves) if move.arc is not None or move.vector is not None},
+            np.array([move.vector is not None for move in moves], dtype=bool),
+            {i: move for i, move in enumerate(moves) if move.arc is not None},
         )
 
     @classmethod
@@ -125,6 +128,33 @@ class MotionColumns(Sequence[PathMotion]):
             end = tuple(self.end[index].tolist())
             move = Move(int(self.line[index]), kind, bool(self.tcp[index]), end, frozenset())
         return PathMotion(move, self.start[index], self.end[index])
+
+
+@final
+@dataclass(frozen=True)
+class ProgramMotions(Sequence[PathMotion]):
+    """Motions of a whole program with their moves as read, created on access.
+
+    Attributes:
+        columns: the motions.
+        moves: the moves of the program.
+    """
+
+    columns: MotionColumns
+    moves: Sequence[Move]
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    @overload
+    def __getitem__(self, index: int) -> PathMotion: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[PathMotion]: ...
+    def __getitem__(self, index: int | slice) -> PathMotion | list[PathMotion]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        columns = self.columns
+        return PathMotion(self.moves[int(columns.move[index])], columns.start[index], columns.end[index])
 
 
 @final

@@ -12,6 +12,7 @@ from twin.compensation.toolpath.frames import FrameSpaces
 from twin.compensation.toolpath.motions import MotionColumns, ToolPath
 from twin.compensation.toolpath.words import WordSpace
 from twin.nc.blocks import Interpretation, WordFrame
+from twin.nc.columns import as_columns
 
 
 @final
@@ -70,14 +71,16 @@ def sections(base: WordSpace, source: str, reading: Interpretation) -> list[Sect
     frames = FrameSpaces(base)
     standing = base.start + base.offset[3:]
     assumed = "" if setup.offsets is None else setup.offsets.assumed
-    lines = np.array([move.line for move in reading.moves if not move.machine], dtype=int)
+    moves = as_columns(base.axes.names, reading.moves)
+    lines, positions = moves.line[~moves.machine], moves.position[~moves.machine]
     starts = [(0, WordFrame()), *reading.frames]
     found: list[Section] = []
     for place, (line, frame) in enumerate(starts):
         end = starts[place + 1][0] if place + 1 < len(starts) else np.inf
         own = lines[(lines >= line) & (lines < end)]
         if own.size:
-            at = standing if frame.plane is None else _standing(reading, line, standing, base)
+            before = positions[: np.searchsorted(lines, line)]
+            at = standing if frame.plane is None else _standing(before, standing, base)
             space = frames.of(frame, source, int(own[0]) + 1, at)
             standing = standing if space.tilt is None else space.tilt.rotary_deg
             if not found or found[-1].space is not space:
@@ -85,11 +88,10 @@ def sections(base: WordSpace, source: str, reading: Interpretation) -> list[Sect
     return found or [Section(0, WordFrame(), base)]
 
 
-def _standing(reading: Interpretation, line: int, before: np.ndarray, base: WordSpace) -> np.ndarray:
-    """Return (rotary axes,) the commands of the rotary axes before a line; ``before``: those at the beginning of its section."""
-    moves = [move for move in reading.moves if move.line < line and not move.machine]
-    words = np.array(moves[-1].position[3:]) + base.offset[3:] if moves else before
-    return np.where(np.isnan(words), before, words)
+def _standing(positions: np.ndarray, first: np.ndarray, base: WordSpace) -> np.ndarray:
+    """Return (rotary axes,) the commands of the rotary axes after moves; ``first``: those at the beginning of their section."""
+    words = positions[-1, 3:] + base.offset[3:] if len(positions) else first
+    return np.where(np.isnan(words), first, words)
 
 
 def spaces(found: Sequence[Section]) -> tuple[WordSpace, list[tuple[int, WordSpace]]]:
@@ -136,6 +138,7 @@ def replace_first(path: ToolPath, before: WordSpace, space: WordSpace) -> ToolPa
         columns.tcp,
         np.concatenate([end, columns.start[1:]]),
         np.concatenate([end, columns.end[1:]]),
+        columns.by_vector & (np.arange(len(columns)) > 0),
         special,
     )
     return replace(path, motions=changed, columns=changed)

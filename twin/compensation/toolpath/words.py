@@ -173,20 +173,33 @@ class WordSpace:
 
     def commands(self, words: np.ndarray, tcp: np.ndarray) -> np.ndarray:
         """Return the (n, axes) commands that the control derives from (n, axes) words; ``tcp``: (n,) mode of each."""
+        tips = self.tilt is not None or bool(np.any(tcp))
+        if self._same and not tips:
+            return words
         shifted = words + self.offset
-        if np.any(tcp) or self.tilt is not None:
-            rows = np.flatnonzero((tcp | (self.tilt is not None)) & np.isfinite(words).all(axis=1))
-            start = np.zeros((len(rows), len(self.order)))
+        if tips:
+            rows = self._tip_rows(words, tcp)
+            points = words[rows, :3]
+            start = np.zeros((len(points), len(self.order)))
             start[:, self.order[3:]] = shifted[rows, 3:]
             reached = self.nominal.forward(start)
-            points = words[rows, :3] if self.tilt is None else words[rows, :3] @ self.tilt.rotation.T
+            points = points if self.tilt is None else points @ self.tilt.rotation.T
             target = Poses(points + self.origin, reached.rotation)
             shifted[rows] = self.inverse.solve(target, start, rotary=False).positions[:, self.order]
-        if np.all(self.order == np.arange(len(self.order))):
-            return np.asarray(shifted)
-        commands = np.empty_like(shifted)
-        commands[:, self.order] = shifted
-        return commands
+        return self.displacements(shifted)
+
+    def displacements(self, words: np.ndarray) -> np.ndarray:
+        """Return (n, axes) displacements of axis words in command order."""
+        return words if self._ordered else words[:, np.argsort(self.order)]
+
+    @cached_property
+    def _ordered(self) -> bool:
+        return bool(np.all(self.order == np.arange(len(self.order))))
+
+    @cached_property
+    def _same(self) -> bool:
+        """Whether axis words are commands: the same order, and no offset."""
+        return self._ordered and not np.any(self.offset)
 
     def switched(self, words: np.ndarray, *, tcp: bool) -> np.ndarray:
         """Return (n, axes) words converted from the other mode to the mode ``tcp``."""
@@ -195,19 +208,29 @@ class WordSpace:
 
     def words(self, commands: np.ndarray, tcp: np.ndarray) -> np.ndarray:
         """Return the (n, axes) words from which the control derives (n, axes) commands; ``tcp``: (n,) mode of each."""
+        tips = self.tilt is not None or bool(np.any(tcp))
+        if self._same and not tips:
+            return commands
         words = commands[:, self.order] - self.offset
-        rows = np.flatnonzero((tcp | (self.tilt is not None)) & np.isfinite(commands).all(axis=1))
-        if rows.size:
+        if tips:
+            rows = self._tip_rows(commands, tcp)
             points = self.nominal.forward(commands[rows]).point_mm - self.origin
             words[rows, :3] = points if self.tilt is None else points @ self.tilt.rotation
         return words
 
+    def _tip_rows(self, known: np.ndarray, tcp: np.ndarray) -> np.ndarray | slice:
+        """Return the rows whose words are places of the tool tip or on a tilted plane, and that are ``known`` (n, axes)."""
+        chosen = (tcp | (self.tilt is not None)) & rows_all_true(np.isfinite(known))
+        return slice(None) if chosen.all() else np.flatnonzero(chosen)
+
 
 def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
     """Return (n,) whether commands (mm, degrees) leave an axis's range; True for NaN."""
-    limits = machine.limits / machine.scale[:, None]
-    slack = 1e-9
-    return ~rows_all_true((commands >= limits[:, 0] - slack) & (commands <= limits[:, 1] + slack))
+    lower, upper = (machine.limits / machine.scale[:, None] + [-1e-9, 1e-9]).T
+    above, below = commands >= lower, commands <= upper
+    if above.all() and below.all():  # the usual case
+        return np.zeros(len(commands), dtype=bool)
+    return ~rows_all_true(above & below)
 
 
 def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np.ndarray) -> None:
@@ -222,8 +245,11 @@ def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np
     Raises:
         InputError: with line, value and domain.
     """
+    outside = real.calibration.outside_domains(commands)
+    if not (outside.any() or real.calibration.empirical):
+        return
     inside = ~outside_range(real.machine, commands)
-    outside = real.calibration.outside_domains(commands) & inside[:, None]
+    outside &= inside[:, None]
     if np.any(outside):
         row, column = np.argwhere(outside)[0]
         lo, hi = real.calibration.domains()[column]

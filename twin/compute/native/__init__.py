@@ -32,7 +32,7 @@ as long (1.2 to 1.7) at 1,000 points and 3.7 times (3.3 to 4.4) at 3,000. In 25 
 
 from twin.compute.native.along import CompiledAlong, Totals
 from twin.compute.native.cpp import ROUNDING
-from twin.compute.native.loading import solver_description, worth_compiling
+from twin.compute.native.loading import one_of, solver_description, worth_compiling
 from twin.compute.native.problem import (
     CONVERGED,
     OUT_OF_RANGE,
@@ -59,5 +59,6 @@ __all__ = [
     "StepFunctions",
     "Totals",
     "solver_description",
+    "one_of",
     "worth_compiling",
 ]

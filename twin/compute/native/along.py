@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import final
+from typing import Final, final
 
 import casadi as ca
 import numpy as np
@@ -14,6 +14,9 @@ import numpy as np
 from twin.compute.native import loading
 from twin.compute.native.cpp import LARGEST_ANGLE
 from twin.compute.native.routine import CompiledRoutine
+
+POINTS: Final = 4 * loading.PORTION
+"""Points per chunk of a thread; they take a quarter of the time of a solved pose."""
 
 
 class _AlongJob(ctypes.Structure):
@@ -75,16 +78,14 @@ class CompiledAlong:
 
     def __init__(self, function: ca.Function) -> None:
         self._routine = CompiledRoutine(function, "along.cpp")
-        self._refused = False
 
     @property
     def usable(self) -> bool:
         """Whether compiled code can evaluate the function."""
-        return not self._refused and self._routine.library("along") is not None
+        return self._routine.library("along") is not None
 
     def refuse(self) -> None:
         """Stop using the compiled code, whose results are wrong."""
-        self._refused = True
         self._routine.refuse()
 
     def largest(self, inputs: Sequence[np.ndarray], points: np.ndarray) -> np.ndarray | None:
@@ -146,8 +147,8 @@ class CompiledAlong:
 
 
 def _even(points: np.ndarray) -> list[slice]:
-    """Return parts of the lines with about `loading.PORTION` points each; they do not depend on the number of processors."""
+    """Return parts of the lines with about `POINTS` points each; they do not depend on the number of processors."""
     total = np.cumsum(points)
-    count = -(-int(total[-1]) // loading.PORTION)
+    count = -(-int(total[-1]) // POINTS)
     cuts = np.unique(np.searchsorted(total, total[-1] * np.arange(1, count) / count)).tolist()
     return [slice(first, last) for first, last in pairwise([0, *cuts, len(points)]) if last > first]

@@ -5,8 +5,10 @@ from __future__ import annotations
 import ctypes
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 from typing import Final, TypeVar
@@ -19,8 +21,9 @@ SWITCH_VARIABLE: Final = "TWIN_NATIVE"
 WORTH_COMPILING: Final = 50_000
 """Number of rows in one call from which compiled code is used, after compiling it if necessary.
 
-NumPy takes a fifth of a second for this number, the compiler one or two seconds, once. Only the rows of the call count, neither earlier
-calls nor cached libraries, so that the same call gives the same digits the first time and later.
+NumPy takes a fifth of a second for this number, the compiler one or two seconds, once. Only the rows of the call count, or those of the
+work that it is a portion of (`one_of`), neither earlier calls nor cached libraries, so that the same work gives the same digits the first
+time and later.
 """
 PORTION: Final = 32_768
 """Rows per chunk of a thread."""
@@ -28,6 +31,7 @@ PORTION: Final = 32_768
 Part = TypeVar("Part")
 
 _HERE: Final = Path(__file__).parent
+_portions: ContextVar[float] = ContextVar("portions", default=1.0)
 _failed: dict[str, str] = {}
 """Sources that are no longer used, with the reason."""
 _loaded: dict[str, ctypes.CDLL] = {}
@@ -44,8 +48,18 @@ def enabled() -> bool:
 
 
 def worth_compiling(rows: int) -> bool:
-    """Return whether compiled code may be used and is worth its time for this number of rows in one call."""
-    return rows >= WORTH_COMPILING and enabled()
+    """Return whether compiled code may be used and is worth its time for this number of rows in one call, or in one of equal `one_of`."""
+    return rows * _portions.get() >= WORTH_COMPILING and enabled()
+
+
+@contextmanager
+def one_of(portions: float) -> Iterator[None]:
+    """Mark the calls within as one of a number of equal portions of the same work; holds for the current thread."""
+    before = _portions.set(portions)
+    try:
+        yield
+    finally:
+        _portions.reset(before)
 
 
 def library(source: str) -> ctypes.CDLL | None:

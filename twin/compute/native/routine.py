@@ -28,6 +28,8 @@ class CompiledRoutine:
 
     def __init__(self, function: ca.Function, file: str) -> None:
         self._function, self._file = function, file
+        self._library: ctypes.CDLL | None = None
+        self._refused = False
 
     @cached_property
     def tape(self) -> Tape | None:
@@ -41,15 +43,17 @@ class CompiledRoutine:
 
     def library(self, entry: str) -> ctypes.CDLL | None:
         """Return the library, whose function ``entry`` returns an integer; None if it cannot be compiled, or is too long for that."""
-        if self.tape is None or len(self.tape.nodes) > LARGEST_TAPE:
+        if self._refused or self.tape is None or len(self.tape.nodes) > LARGEST_TAPE:
             return None
-        found = loading.library(self._source)
-        if found is not None:
-            getattr(found, entry).restype = ctypes.c_int64
-        return found
+        if self._library is None:
+            self._library = loading.library(self._source)
+            if self._library is not None:
+                getattr(self._library, entry).restype = ctypes.c_int64
+        return self._library
 
     def refuse(self) -> None:
         """Stop using the library, whose results are wrong."""
+        self._refused = True
         loading.disable(self._source, "its results are wrong")
 
     @cached_property

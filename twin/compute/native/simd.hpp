@@ -22,18 +22,26 @@ INLINE V vfloor(V x) {
   V r = (x + magic) - magic;
   return r > x ? r - 1.0 : r;
 }
+/* Whether any lane is set, by halves. */
+INLINE bool any(M m) {
+  int64_t part[W];
+  __builtin_memcpy(part, &m, sizeof m);
+  for (int half = W / 2; half; half /= 2) for (int i = 0; i < half; ++i) part[i] |= part[i + half];
+  return part[0] != 0;
+}
 /* Series where all are small, else the library's functions one by one. */
 INLINE V vasin(V x) {
   V z = x * x, y = x + x * z * (1.0 / 6 + z * (3.0 / 40 + z * (15.0 / 336 + z * (105.0 / 3456))));
-  for (int i = 0; i < W; ++i) if (!(z[i] < 2.5e-5)) y[i] = __builtin_asin(x[i]);
+  const M large = ~(z < 2.5e-5);
+  if (any(large)) for (int i = 0; i < W; ++i) if (large[i]) y[i] = __builtin_asin(x[i]);
   return y;
 }
 INLINE V vatan2(V a, V b) {
   V x = a / b, z = x * x, y = x - x * z * (1.0 / 3 - z * (1.0 / 5 - z * (1.0 / 7 - z * (1.0 / 9))));
-  for (int i = 0; i < W; ++i) if (!(z[i] < 1e-4 && b[i] > 0.0)) y[i] = __builtin_atan2(a[i], b[i]);
+  const M large = ~((z < 1e-4) & (b > 0.0));
+  if (any(large)) for (int i = 0; i < W; ++i) if (large[i]) y[i] = __builtin_atan2(a[i], b[i]);
   return y;
 }
-INLINE bool any(M m) { int64_t r = 0; for (int i = 0; i < W; ++i) r |= m[i]; return r != 0; }
 
 /* Quadrant by Cody and Waite in three parts of pi/2 (33 bits each: exact products), polynomials of fdlibm's k_sin.c and k_cos.c. */
 struct Turn { V s, c; };

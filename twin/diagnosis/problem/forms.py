@@ -135,10 +135,18 @@ class Candidates:
 
     def for_problem(self, problem: Problem) -> Candidates:
         """Return the same forms at the same level and critical values for a problem of the same readings with random effects."""
-        forms = [(form.candidate, form.variant, form.log_tests) for form in self.forms]
-        found = Candidates(problem, forms, self.dof, level=self.level)
-        found._critical = self._critical
-        return found
+        return self._for_products(self.products.for_problem(problem), problem)
+
+    def _for_products(self, products: Products, problem: Problem) -> Candidates:
+        """Return the same forms and critical values with other inner products."""
+        other = copy(self)
+        other._refined, other._requested, other._expected = {}, set(), set()
+        other.forms = list(self.forms)
+        other.products = products
+        other._project(problem)
+        other.set_problem(problem)
+        other._critical = self._critical
+        return other
 
     def calibrate(self) -> None:
         """Set the level so that noise alone is taken for a cause in a share `FALSE_ALARM_RATE` of all data sets.
@@ -154,7 +162,7 @@ class Candidates:
             points = np.sort(rng.choice(count, SAMPLED_POINTS, replace=False))
             products = Products(problem, self.products.columns, self._columns, points)
             root = problem.orthonormal_on(points)
-        basis = problem.rows(points).reshape(-1, problem.basis.shape[1])
+        basis = problem.rows(points).reshape(-1, len(problem.nuisance_coordinates))
         read = problem.network.read[points].reshape(-1)
         noise = rng.standard_normal((len(read), NULL_DATA_SETS)) * read[:, None]
         noise += basis @ (
@@ -244,13 +252,9 @@ class Candidates:
 
     def on_part(self, part: Problem) -> Candidates:
         """Return the same forms for a problem with some rows held out."""
-        other = copy(self)
-        other._refined = {}
-        other._requested, other._expected = set(), self._requested
-        other.forms = list(self.forms)
-        other.products = self.products.without(part.held_out) if len(part.held_out) else self.products
-        other._project(part)
-        other.set_problem(part)
+        products = self.products.without(part.held_out) if len(part.held_out) else self.products
+        other = self._for_products(products, part)
+        other._expected, other._critical = self._requested, self._initial_critical
         return other
 
     def refine(self, form: Form, variant: Variant) -> None:
@@ -354,10 +358,7 @@ class Candidates:
             columns: the columns.
             basis: (directions, columns) their inner products with the nuisance basis, without projection (`Problem.products`).
         """
-        points = np.setdiff1d(np.arange(len(self.problem.view.rows)), self.problem.held_out)
-        own = Signatures(self.problem.view, columns)
-        raw = self.products.along(own.at, points if len(self.problem.held_out) else None)
-        return raw.T - (self.problem.root.T @ basis).T @ self._on_basis
+        return self.products.with_columns(columns) - (self.problem.root.T @ basis).T @ self._on_basis
 
     def scores(self, forms: Sequence[Form], tried: Sequence[int]) -> np.ndarray:
         """Return (tried, 3) reduction of chi², degrees of freedom and corrected log p of some forms, given others.

@@ -2,8 +2,9 @@
 
 The derivatives B by the set-up are projected out of the whitened residual r and of the signatures S, and so is the calibration's own
 uncertainty, J·L, as directions with unit prior variance: xᵀMy = xᵀy − (Uᵀx)ᵀ(Uᵀy), where U is the readings' part of an orthonormal
-basis of [B, J·L; 0, 1]. With some points held out the rest of the basis is made orthonormal again by a factor: UᵀU + PᵀP is then the
-identity less the Gram matrix of the rows held out, where P is the prior's part of the basis.
+basis of [B, J·L; 0, 1], held in coefficients (`twin.diagnosis.problem.nuisance`). With some points held out the rest of the basis is
+made orthonormal again by a factor: UᵀU + PᵀP is then the identity less the Gram matrix of the rows held out, where P is the prior's part
+of the basis.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from typing import Final, final
 import numpy as np
 import scipy
 
-from twin._common.threads import map_chunks
 from twin.diagnosis.candidates.signatures import Column, effect_columns
+from twin.diagnosis.problem.nuisance import Nuisance
 from twin.diagnosis.problem.signature_products import PointBlock, Signatures
 from twin.identification.network import LinearisedReadings, Network
 from twin.identification.setup import SetUp
@@ -25,8 +26,6 @@ from twin.machine.calibration import Calibration
 from twin.measurement.state import machine_state
 from twin.numerics.functions import Rows, pieces
 
-RANK_TOLERANCE: Final = 1e-9
-"""Relative tolerance of the numerical rank: smaller singular values of the nuisance derivatives count as zero."""
 LOST: Final = 1e-12
 """Share of a direction in the remaining points below which they do not determine it."""
 
@@ -40,6 +39,7 @@ class InnerProducts:
         gram: (k, k) with the set-up and the calibration's uncertainty projected out.
         slope: (k,) with the residual, likewise projected.
         basis: (directions, k) with the nuisance basis.
+        by_nuisance: (raw, k) with the nuisance derivatives (`Nuisance.raw`).
         raw: (k, k) without projection.
         with_residual: (k,) with the residual, without projection.
     """
@@ -47,6 +47,7 @@ class InnerProducts:
     gram: np.ndarray
     slope: np.ndarray
     basis: np.ndarray
+    by_nuisance: np.ndarray
     raw: np.ndarray
     with_residual: np.ndarray
 
@@ -59,7 +60,6 @@ class Problem:
         network: data and calibration (as ``base``), no unknowns.
         setup: the fitted set-up.
         calibration: the calibration whose covariance is taken into account; none if None.
-        random: columns of random effects (patterns without a name), each with its standard deviation in units of the parameter.
     """
 
     def __init__(
@@ -67,25 +67,24 @@ class Problem:
         network: Network,
         setup: SetUp,
         calibration: Calibration | None,
-        random: Sequence[tuple[Column, float]] = (),
     ) -> None:
         self.network = network
         self.setup = setup
-        self.calibration = calibration
-        self.random = tuple(random)
         self.view: LinearisedReadings = network.view(np.zeros(0), setup, np.arange(len(network.data)))
         self.residual = self.view.residual.reshape(-1)
-        uncertain, root = self._calibration_columns(calibration)
-        if random:
-            uncertain = [*uncertain, *(column for column, _ in random)]
-            root = scipy.linalg.block_diag(root, np.diag([deviation for _, deviation in random]))
-        self.prior = np.concatenate([np.zeros((root.shape[1], len(setup))), np.eye(root.shape[1])], axis=1)
-        self.basis, self.nuisance_coordinates = self._orthonormal(uncertain, root)
-        self.root = np.eye(self.basis.shape[1])
+        by_setup = np.zeros((len(network.data), 3, len(setup)))
+        network.fill_setup_columns(self.view, setup, by_setup)
+        by_setup = by_setup.reshape(3 * len(network.data), len(setup)) * setup.plausible
+        self.nuisances = Nuisance.of(self.view, by_setup, *self._calibration_columns(calibration))
+        self._start()
+
+    def _start(self) -> None:
+        """Set everything that follows from the linearised readings and their nuisance parameters."""
+        self.root = np.eye(len(self.nuisance_coordinates))
         self.held_out: np.ndarray = np.zeros(0, dtype=int)
-        self.absorbed = self.basis.shape[1] - root.shape[1]
+        self.absorbed = len(self.nuisance_coordinates) - len(self.nuisances.prior)
         self.set_residual(self.residual)
-        self.readings = int(np.count_nonzero(network.read))
+        self.readings = int(np.count_nonzero(self.network.read))
 
     def with_random_effects(self, random: Sequence[tuple[Column, float]], variance_factor: float = 1.0) -> Problem:
         """Return the same readings with random effects added to the nuisance parameters, and with scaled noise variances.
@@ -94,9 +93,13 @@ class Problem:
             random: columns, each with its standard deviation in units of the parameter.
             variance_factor: factor on the stated variances.
         """
-        network = self.network if variance_factor == 1.0 else self.network.with_variance_factor(variance_factor)
-        found = Problem(network, self.setup, self.calibration, random)
-        found.set_residual(self.residual / np.sqrt(variance_factor))
+        found, scale = copy(self), 1.0 / float(np.sqrt(variance_factor))
+        found.network = self.network.with_variance_factor(variance_factor)
+        found.view = found.network.view(np.zeros(0), self.setup, np.arange(len(self.network.data)))
+        columns, deviations = [column for column, _ in random], np.array([deviation for _, deviation in random])
+        found.nuisances = self.nuisances.extended(found.view, scale, columns, deviations)
+        found.residual = self.residual * scale
+        found._start()
         if len(self.held_out):
             found = found.without(np.isin(np.arange(len(self.view.rows)), self.held_out)) or found
         return found
@@ -109,7 +112,7 @@ class Problem:
         """
         part = copy(self)
         part.held_out = np.flatnonzero(points)
-        gone = self._gram(part.held_out)
+        gone = self.nuisances.gram(part.held_out)
         own = self.nuisance_coordinates[:, : len(self.setup)]
         size = np.einsum("ij,ij->j", own, own)
         left = size - np.einsum("ki,kl,li->i", own, gone, own)
@@ -121,13 +124,12 @@ class Problem:
 
     def orthonormal_on(self, points: np.ndarray) -> np.ndarray:
         """Return the factor (directions, k) that makes the basis orthonormal over a subset of the points (their numbers)."""
-        own = self.prior @ np.linalg.pinv(self.nuisance_coordinates, rcond=RANK_TOLERANCE)
-        return _root(own.T @ own + self._gram(points))
+        return _root(self.nuisances.prior.T @ self.nuisances.prior + self.nuisances.gram(points))
 
     def set_residual(self, residual: np.ndarray) -> None:
         """Replace the whitened residual (3n,); the set-up stays."""
         self.residual = residual
-        self.residual_on_basis = self.basis.T @ self.zero_held_out(residual)
+        self.residual_on_basis = self.nuisances.along(self.zero_held_out(residual))
         self.projected = self.project(residual)
         self.chi2 = float(self.residual @ self.projected)
 
@@ -137,14 +139,13 @@ class Problem:
 
     def refit_setup(self, residual: np.ndarray) -> np.ndarray:
         """Return a (3n,) whitened residual, all rows, after fitting the set-up to the rows that are not held out."""
-        return np.asarray(
-            residual - self.basis @ (self.root @ (self.root.T @ (self.basis.T @ self.zero_held_out(residual))))
-        )
+        within = self.nuisances.along(self.zero_held_out(residual))
+        return np.asarray(residual - self.nuisances.combined(self.root @ (self.root.T @ within)))
 
     def setup_step(self, residual: np.ndarray) -> np.ndarray:
         """Return the change of the set-up's unknowns, in metres and radians, fitted to a (3n,) residual (minimum norm)."""
         size = np.maximum(np.linalg.norm(self.nuisance_coordinates, axis=0), 1e-300)
-        moved = np.linalg.lstsq(self.nuisance_coordinates / size, self.basis.T @ residual, rcond=1e-9)[0] / size
+        moved = np.linalg.lstsq(self.nuisance_coordinates / size, self.nuisances.along(residual), rcond=1e-9)[0] / size
         return np.asarray(moved[: len(self.setup)] * self.setup.plausible)
 
     def zero_held_out(self, rows: np.ndarray) -> np.ndarray:
@@ -154,6 +155,21 @@ class Problem:
         found = np.array(rows)
         found.reshape(len(self.view.rows), 3, -1)[self.held_out] = 0.0
         return found
+
+    @property
+    def nuisance_coordinates(self) -> np.ndarray:
+        """(directions, k) coordinates in the basis of the derivatives by the nuisance parameters."""
+        return self.nuisances.coordinates
+
+    @property
+    def prior(self) -> np.ndarray:
+        """(k, set-up + k) square root of the prior precision of the nuisance parameters: of all but those of the set-up."""
+        return np.asarray(self.nuisances.prior @ self.nuisance_coordinates)
+
+    @property
+    def basis(self) -> np.ndarray:
+        """(3n, directions) the readings' part of the basis at all points, for few points."""
+        return _flat(self.rows(slice(None)))
 
     @property
     def nuisance(self) -> np.ndarray:
@@ -185,76 +201,30 @@ class Problem:
         keep[self.held_out] = False
         residual = self.residual.reshape(-1, 3)
 
-        def with_others(block: PointBlock) -> np.ndarray:
-            return np.concatenate([own.at(block), self.rows(block.rows), residual[block.rows, :, None]], axis=2)
+        def with_residual(block: PointBlock) -> np.ndarray:
+            return np.concatenate([own.at(block), residual[block.rows, :, None]], axis=2)
 
-        whole = own.along(with_others, None if keep.all() else np.flatnonzero(keep))[0]
-        k = len(columns)
-        raw, basis, slope = whole[:, :k], whole[:, k:-1].T, whole[:, -1]
+        points = None if keep.all() else np.flatnonzero(keep)
+        whole, by_nuisance = own.along(with_residual, points)[0], self.nuisances.along_signatures(own, points)
+        raw, slope = whole[:, :-1], whole[:, -1]
+        basis = self.nuisances.from_raw(by_nuisance)
         within = self.root.T @ basis
-        return InnerProducts(
-            raw - within.T @ within, slope - within.T @ (self.root.T @ self.residual_on_basis), basis, raw, slope
-        )
+        gram, left = raw - within.T @ within, slope - within.T @ (self.root.T @ self.residual_on_basis)
+        return InnerProducts(gram, left, basis, by_nuisance, raw, slope)
 
     def rows(self, points: Rows) -> np.ndarray:
         """Return the basis (points, 3, directions) at some points."""
-        return np.asarray(self.basis.reshape(len(self.view.rows), 3, -1)[points])
+        return self.nuisances.rows(points)
 
     def inner(self, a: np.ndarray) -> np.ndarray:
         """Return the projected inner products aᵀMa of signatures."""
         a = self.zero_held_out(a)
-        within = self.root.T @ (self.basis.T @ a)
+        within = self.root.T @ self.nuisances.along(a)
         return np.asarray(a.T @ a - within.T @ within)
 
     def along(self, a: np.ndarray, residual: np.ndarray | None = None) -> np.ndarray:
         """Return aᵀMr with the data's residual, or with another that is already projected."""
         return np.asarray(a.T @ (self.projected if residual is None else residual))
-
-    def _gram(self, points: np.ndarray) -> np.ndarray:
-        """Return the Gram matrix (directions, directions) of the basis over some points."""
-        found = np.zeros((self.basis.shape[1], self.basis.shape[1]))
-        for run in pieces(len(points)):
-            rows = self.rows(points[run]).reshape(-1, self.basis.shape[1])
-            found += rows.T @ rows
-        return found
-
-    def _orthonormal(self, uncertain: Sequence[Column], root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the readings' part of an orthonormal basis of the nuisance derivatives, and these derivatives' coordinates in it."""
-        n, size = len(self.view.rows), self.prior.shape[1]
-        whole = np.zeros((3 * n, size))
-        own = Signatures(self.view, [Column(column.terms, 1.0) for column in uncertain])
-        triangle = self.prior
-        for run in pieces(n):
-            rows = slice(3 * run.start, 3 * run.stop)
-            by_setup = np.zeros((run.stop - run.start, 3, len(self.setup)))
-            self.network.fill_setup_columns(self.view.part(run), self.setup, by_setup)
-            whole[rows, : len(self.setup)] = by_setup.reshape(-1, len(self.setup)) * self.setup.plausible
-            if uncertain:
-                whole[rows, len(self.setup) :] = _flat(own.at(PointBlock(self.view, run))) @ root
-            triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, whole[rows]]), mode="r"))
-        _, values, vectors = np.linalg.svd(triangle, full_matrices=False)
-        kept = values > RANK_TOLERANCE * values[0] if len(values) else np.zeros(0, dtype=bool)
-        factor, back = vectors[kept].T / values[kept], values[kept, None] * vectors[kept]
-        # A second factor removes the rounding errors of the first between weak directions.
-        beside = self.prior @ factor
-
-        def gram_of(own: Sequence[slice]) -> np.ndarray:
-            found = np.zeros((factor.shape[1], factor.shape[1]))
-            for rows in own:
-                part = whole[rows] @ factor
-                found += part.T @ part
-            return found
-
-        runs = [slice(3 * run.start, 3 * run.stop) for run in pieces(n)]
-        lower = np.linalg.cholesky(beside.T @ beside + sum(map_chunks(runs, gram_of)))
-        orthonormal = np.linalg.solve(lower, factor.T).T
-
-        def rotate(own: Sequence[slice]) -> None:
-            for rows in own:
-                whole[rows, : orthonormal.shape[1]] = whole[rows] @ orthonormal
-
-        map_chunks(runs, rotate)
-        return whole[:, : orthonormal.shape[1]], np.asarray(lower.T @ back)
 
     def _calibration_columns(self, calibration: Calibration | None) -> tuple[list[Column], np.ndarray]:
         """Return the columns of the calibration's parameters, and a square root (parameters, directions) of their covariance."""

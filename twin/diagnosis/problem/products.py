@@ -41,15 +41,17 @@ class Products:
         self._residual = problem.residual
         self._parts = parts
         self._original_columns = list(columns)
-        self._parent: tuple[Products, np.ndarray | int] | None = None
+        # The products these are derived from, what is left out of them (a part, or points), and the factor on them.
+        self._parent: tuple[Products, np.ndarray | int | None, float] | None = None
+        self._beside: dict[Column, np.ndarray] = {}
         self._within = self.signatures.within(groups, points)
-        self._by_basis, self._by_residual = self._with_problem(points)
+        self._by_raw, self._by_residual = self._with_problem(points)
         # (parts, all) for each requested column.
         self._cross: list[np.ndarray] = []
         self._row = np.full(len(columns), -1)
         self._changed = np.zeros(0, dtype=int)
         self.within = [own.sum(axis=0) for own in self._within]
-        self.by_basis, self.by_residual = self._by_basis.sum(axis=0), self._by_residual.sum(axis=0)
+        self.by_raw, self.by_residual = self._by_raw.sum(axis=0), self._by_residual.sum(axis=0)
 
     def without(self, points: np.ndarray) -> Products:
         """Return the inner products without some points.
@@ -63,24 +65,54 @@ class Products:
         part = None if self._parts is None else int(self._parts[points[0]])
         # Sums by part do not hold for columns that were refined since.
         if part is not None and np.array_equal(points, np.flatnonzero(self._parts == part)) and self._unrefined():
-            other._parent = self, part
-            within, by_basis, by_residual = (
+            other._parent = self, part, 1.0
+            within, by_raw, by_residual = (
                 [own[part] for own in self._within],
-                self._by_basis[part],
+                self._by_raw[part],
                 self._by_residual[part],
             )
         else:
-            other._parent = self, points
+            other._parent = self, points, 1.0
             within = [own[0] for own in self.signatures.within(self._groups, points)]
-            by_basis, by_residual = (own[0] for own in self._with_problem(points))
-        other._cross, other._changed = [], self._changed[:0]
-        other._row = np.full_like(self._row, -1)
+            by_raw, by_residual = (own[0] for own in self._with_problem(points))
+        other._forget()
         other.within = [whole - gone for whole, gone in zip(self.within, within, strict=True)]
-        other.by_basis, other.by_residual = self.by_basis - by_basis, self.by_residual - by_residual
+        other.by_raw, other.by_residual = self.by_raw - by_raw, self.by_residual - by_residual
         return other
+
+    def for_problem(self, problem: Problem) -> Products:
+        """Return the inner products for the same readings with random effects and a factor on the weights; no pass over the points.
+
+        Args:
+            problem: `Problem.with_random_effects` of the problem of these products.
+        """
+        other, nuisances = copy(self), problem.nuisances
+        random = nuisances.signatures.columns[len(nuisances.base.signatures.columns) :]
+        whitened = nuisances.scale**2
+        other._problem, other._parts, other._parent = problem, None, (self, None, whitened)
+        other._forget()
+        other.signatures = Signatures(problem.view, self.columns)
+        other.within = [own * whitened for own in self.within]
+        by_setup, by_columns = np.split(self.by_raw, [nuisances.setup_count])
+        other.by_raw = np.concatenate(
+            [nuisances.scale * by_setup, whitened * by_columns, whitened * self.with_columns(random)]
+        )
+        other._residual = self._residual * nuisances.scale
+        other.by_residual = self.by_residual * whitened
+        return other
+
+    def _forget(self) -> None:
+        """Start without cached inner products."""
+        self._cross, self._changed, self._beside = [], self._changed[:0], {}
+        self._row = np.full_like(self._row, -1)
 
     def _unrefined(self) -> bool:
         return all(one is other for one, other in zip(self.columns, self._original_columns, strict=True))
+
+    @property
+    def by_basis(self) -> np.ndarray:
+        """(directions, all) inner products with the nuisance basis."""
+        return self._problem.nuisances.from_raw(self.by_raw)
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -98,14 +130,14 @@ class Products:
 
     def set_residual(self, residual: np.ndarray) -> None:
         """Replace the residual (3n,)."""
-        if residual is not self._residual:
-            self._residual = residual
+        if residual is not self._residual and not np.array_equal(residual, self._residual):
             kept = np.array(residual).reshape(-1, 3, 1)
-            if self._parent is not None:
+            if self._parent is not None and self._parent[1] is not None:
                 gone = self._parent[1]
                 kept[self._parts == gone if isinstance(gone, int) else gone] = 0.0
             self._by_residual = self.signatures.along(lambda block: kept[block.rows])[:, :, 0]
             self.by_residual = self._by_residual.sum(axis=0)
+        self._residual = residual
 
     def cross(self, columns: np.ndarray) -> np.ndarray:
         """Return the inner products (columns, all); cached."""
@@ -119,12 +151,14 @@ class Products:
             if self._parent is None:
                 found = self._over_points(fresh)
             else:
-                whole, gone = self._parent
+                whole, gone, factor = self._parent
                 if isinstance(gone, int):
                     every = whole._by_part(fresh)
                     found = (every.sum(axis=0) - every[gone])[None]
                 else:
-                    found = whole.cross(fresh)[None] - whole._over_points(fresh, gone)
+                    found = factor * whole.cross(fresh)[None]
+                    if gone is not None:
+                        found -= whole._over_points(fresh, gone)
             known = np.flatnonzero(self._row >= 0)
             if len(self._changed):
                 own = found[:, np.searchsorted(fresh, self._changed)][:, :, known]
@@ -135,6 +169,30 @@ class Products:
             self._cross += [np.ascontiguousarray(found[:, k]) for k in range(len(fresh))]
         rows = [self._cross[row] for row in self._row[columns].tolist()]
         return np.stack(rows, axis=1) if rows else np.zeros((len(self._by_residual), 0, len(self._row)))
+
+    def with_columns(self, columns: Sequence[Column]) -> np.ndarray:
+        """Return the inner products (columns, all) of any columns with all; cached."""
+        every = self._parts_with_columns(columns)
+        return np.stack([own.sum(axis=0) for own in every]) if every else np.zeros((0, len(self._row)))
+
+    def _parts_with_columns(self, columns: Sequence[Column]) -> list[np.ndarray]:
+        """Return the inner products (parts, all) of each of some columns; a single part where points are held out."""
+        if self._parent is not None:
+            whole, gone, factor = self._parent
+            every = whole._parts_with_columns(columns)
+            if isinstance(gone, int):
+                return [(own.sum(axis=0) - own[gone])[None] for own in every]
+            left = [factor * own.sum(axis=0)[None] for own in every]
+            if gone is None or not columns:
+                return left
+            signatures = Signatures(self._problem.view, columns)
+            without = self.signatures.along(signatures.at, gone)
+            return [own - without[:, :, k] for k, own in enumerate(left)]
+        fresh = [column for column in columns if column not in self._beside]
+        if fresh:
+            found = self.signatures.along(Signatures(self._problem.view, fresh).at)
+            self._beside |= {column: np.array(found[:, :, k]) for k, column in enumerate(fresh)}
+        return [self._beside[column] for column in columns]
 
     @property
     def cached(self) -> np.ndarray:
@@ -150,7 +208,7 @@ class Products:
         """
         self.signatures.replace(at.tolist(), columns)
         new = self._problem.products(columns)
-        self.by_basis[:, at], self.by_residual[at] = new.basis, new.with_residual
+        self.by_raw[:, at], self.by_residual[at] = new.by_nuisance, new.with_residual
         kind, k = next(
             (kind, k)
             for kind, of in enumerate(self._groups)
@@ -159,6 +217,7 @@ class Products:
         )
         self.within[kind][k] = new.raw
         # Products with the other columns are updated in the next pass.
+        self._beside = {}
         self._row[at] = -1
         self._changed = np.union1d(self._changed, at)
 
@@ -168,11 +227,11 @@ class Products:
         return self.signatures.along(lambda block: self.signatures.at(block, which), points).transpose(0, 2, 1)
 
     def _with_problem(self, points: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return inner products (parts, directions, all) with the basis and (parts, all) with the residual."""
+        """Return inner products (parts, raw, all) with the nuisance derivatives (`Nuisance.raw`) and (parts, all) with the residual."""
 
         def vectors(block: PointBlock) -> np.ndarray:
             residual = self._residual.reshape(-1, 3)[block.rows, :, None]
-            return np.concatenate([self._problem.rows(block.rows), residual], axis=2)
+            return np.concatenate([self._problem.nuisances.raw(block), residual], axis=2)
 
         found = self.signatures.along(vectors, points)
-        return np.ascontiguousarray(found[:, :, :-1].transpose(0, 2, 1)), found[:, :, -1].copy()
+        return found[:, :, :-1].transpose(0, 2, 1), found[:, :, -1].copy()

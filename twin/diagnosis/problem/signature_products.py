@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Final, final
 
 import numpy as np
 
-from twin._common.threads import map_chunks
+from twin._common.threads import THREADS, map_chunks
 from twin.diagnosis.candidates.signatures import Column, Freedom, ReadingDerivatives, SignatureTerm
 from twin.identification.network import LinearisedReadings
 from twin.numerics.functions import Functions, Rows, pieces
@@ -19,6 +20,10 @@ LEAST_FUNCTIONS: Final = 16
 """Sets of fewer functions than this are merged into one set."""
 LARGEST_CACHE: Final = 2**25
 """Number of function values (256 MB) up to which they are cached between passes."""
+
+
+_Terms = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Positions among the columns, indices of functions, and weights; (e,) each."""
 
 
 @final
@@ -96,40 +101,55 @@ class Signatures:
             rows: the points to sum over, as one part; all points, by part, if None.
         """
 
-        def partial(own: Sequence[int]) -> np.ndarray:
-            total: dict[tuple[int, Functions, Freedom, int], np.ndarray] = {}
-            for run in own:
-                part = part_of(run)
-                block = self._block(run, runs)
-                right = vectors(block)
-                for few in pieces(right.shape[2], BLOCK_WIDTH):
-                    projected: dict[str, np.ndarray] = {}
-                    for functions, lookup in self._lookup.items():
-                        values = block.values(functions)
-                        if values is None:
-                            continue
-                        for freedom, (_, index, _) in lookup.items():
-                            name, direction = freedom
-                            if name not in projected:
-                                projected[name] = block.derivatives.of(name).transpose(0, 2, 1) @ right[:, :, few]
-                            # Each derivative multiplies only a few functions of the merged set.
-                            some = values if functions is not self._merged else values[:, index]
-                            found = projected[name][:, direction].T @ some
-                            key = part, functions, freedom, few.start
-                            if key in total:
-                                total[key] += found
-                            else:
-                                total[key] = found
-            found = np.zeros((count, len(self.columns), right.shape[2]))
-            while total:
-                (part, functions, freedom, start), values = total.popitem()
-                columns, index, weight = self._lookup[functions][freedom]
-                own_values = values.T if functions is self._merged else values.T[index]
-                np.add.at(found[part, :, start : start + len(values)], columns, weight[:, None] * own_values)
-            return found
-
         runs, part_of, count = self._runs_of(rows)
-        return np.asarray(sum(map_chunks(range(len(runs)), partial)))
+        if not self.columns:
+            runs = runs[:1]  # only for the number of vectors
+        by_part: list[list[int]] = [[] for _ in range(count)]
+        for run in range(len(runs)):
+            by_part[part_of(run)].append(run)
+        # A part is summed by one thread: no thread holds the sums of all parts, and the result does not depend on their order.
+        shares = by_part if count > 1 else [own for own in (by_part[0][i::THREADS] for i in range(THREADS)) if own]
+        found: list[np.ndarray] = [np.empty(0)] * len(shares)
+
+        def fill(own: Sequence[int]) -> None:
+            for share in own:
+                found[share] = self._along_runs(vectors, [(run, runs) for run in shares[share]])
+
+        map_chunks(range(len(shares)), fill)
+        return np.stack(found) if count > 1 else reduce(np.ndarray.__iadd__, found)[None]
+
+    def _along_runs(
+        self, vectors: Callable[[PointBlock], np.ndarray], own: Sequence[tuple[int, Sequence[np.ndarray]]]
+    ) -> np.ndarray:
+        """Return inner products (columns, r) with r vectors, summed over some runs."""
+        total: dict[tuple[Functions, Freedom, int], np.ndarray] = {}
+        for run in own:
+            block = self._block(*run)
+            right = vectors(block).transpose(1, 2, 0)
+            buffers = np.empty((2, BLOCK_WIDTH, right.shape[2]))
+            for few in pieces(right.shape[1], BLOCK_WIDTH):
+                some = np.ascontiguousarray(right[:, few])
+                for freedom, lookups in self._by_freedom.items():
+                    present = {of: found for of in lookups if (found := block.values(of)) is not None}
+                    if not present:
+                        continue
+                    projected = _along_derivative(block.derivatives[freedom], some, buffers)
+                    for functions, values in present.items():
+                        # A derivative may multiply only a few of the functions.
+                        index = lookups[functions][1]
+                        found = projected @ (values[:, index] if _some(functions, index) else values)
+                        key = functions, freedom, few.start
+                        if key in total:
+                            total[key] += found
+                        else:
+                            total[key] = found
+        found = np.zeros((len(self.columns), right.shape[1]))
+        while total:
+            (functions, freedom, start), values = total.popitem()
+            columns, index, weight = self._lookup[functions][freedom]
+            own_values = values.T if _some(functions, index) else values.T[index]
+            _add_rows(found[:, start : start + len(values)], columns, weight[:, None] * own_values)
+        return found
 
     def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:
         """Return the inner products within groups of columns: (parts, groups, w, w) for each array (groups, w).
@@ -177,7 +197,7 @@ class Signatures:
             return found
 
         runs, part_of, count = self._runs_of(rows)
-        values = np.asarray(sum(map_chunks(range(len(runs)), partial)))
+        values = reduce(np.ndarray.__iadd__, map_chunks(range(len(runs)), partial))
         # The matrices are symmetric.
         values[:, ~lower] = values[:, transposed]
         return [values[:, own] for own in places]
@@ -218,19 +238,39 @@ class Signatures:
         """Return signatures (points, 3, columns) at a block of points, of some columns (indices) or all."""
         lookup = self._lookup if columns is None else self._grouped(columns)
         count = len(self.view.residual[block.rows])
-        found = np.zeros((len(self.columns) if columns is None else len(columns), count, 3))
+        found = np.zeros((3, len(self.columns) if columns is None else len(columns), count))
         for functions, of in lookup.items():
             values = block.values(functions)
             if values is None:
                 continue
             for freedom, (at, index, weight) in of.items():
-                part = (values[:, index] * weight).T[:, :, None] * block.derivatives[freedom]
-                if len(set(at.tolist())) == len(at):
-                    found[at] += part
-                else:
-                    # A column may contain several functions of one set.
-                    np.add.at(found, at, part)
-        return found.transpose(1, 2, 0)
+                weighted, derivative = values.T[index] * weight[:, None], block.derivatives[freedom]
+                for i in range(3):
+                    _add_rows(found[i], at, weighted * derivative[:, i])
+        return found.transpose(2, 0, 1)
+
+    def combined(self, coefficients: np.ndarray) -> np.ndarray:
+        """Return linear combinations (n, 3, r) of the signatures at all points, from coefficients (columns, r)."""
+        width = coefficients.shape[1]
+        found = np.empty((len(self.view.rows), 3, width))
+
+        def fill(own: Sequence[int]) -> None:
+            for run in own:
+                block, rows = self._block(run, self._runs), self._runs[run]
+                total = np.zeros((3, len(rows), width))
+                for freedom, lookups in self._by_freedom.items():
+                    sums = np.zeros((len(rows), width))
+                    for functions, (columns, index, weight) in lookups.items():
+                        values = block.values(functions)
+                        if values is not None:
+                            sums += values[:, index] @ (weight[:, None] * coefficients[columns])
+                    derivative = block.derivatives[freedom]
+                    for i in range(3):
+                        total[i] += derivative[:, i, None] * sums
+                found[rows] = total.transpose(1, 0, 2)
+
+        map_chunks(range(len(self._runs)), fill)
+        return found
 
     def _block(self, run: int, runs: Sequence[np.ndarray]) -> PointBlock:
         """Return the block of a run, from the cache if the function values of all points fit there."""
@@ -258,6 +298,10 @@ class Signatures:
             lambda rows: np.concatenate([functions.values(rows) for functions in few], axis=1),
         )
         self._lookup = self._grouped(range(len(self.columns)))
+        self._by_freedom: dict[Freedom, dict[Functions, _Terms]] = {}
+        for functions, of in self._lookup.items():
+            for freedom, own in of.items():
+                self._by_freedom.setdefault(freedom, {})[functions] = own
         size = sum(functions.count for functions in self._lookup) * len(self.view.rows)
         self._cache = size <= LARGEST_CACHE
         self._runs = self._ordered_runs(np.arange(len(self.view.rows)), self._parts)
@@ -278,9 +322,7 @@ class Signatures:
         ends = np.flatnonzero(np.diff(parts[rows][order])) + 1
         return [own[run] for own in np.split(rows[order], ends) for run in pieces(len(own))]
 
-    def _grouped(
-        self, columns: Sequence[int]
-    ) -> Mapping[Functions, Mapping[Freedom, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    def _grouped(self, columns: Sequence[int]) -> Mapping[Functions, Mapping[Freedom, _Terms]]:
         """Return, by function set and derivative, the positions in ``columns``, the indices of functions and the weights."""
         lists: dict[Functions, dict[Freedom, list[tuple[int, int, float]]]] = {}
         for place, i in enumerate(columns):
@@ -292,7 +334,32 @@ class Signatures:
         return {functions: {freedom: _as_arrays(own) for freedom, own in of.items()} for functions, of in lists.items()}
 
 
-def _as_arrays(entries: Sequence[tuple[int, int, float]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _along_derivative(derivative: np.ndarray, vectors: np.ndarray, buffers: np.ndarray) -> np.ndarray:
+    """Return products (r, points) of a derivative (points, 3) with vectors (3, r, points), in the first of two buffers.
+
+    One coordinate at a time: as a batch of small matrix products it takes eight times as long.
+    """
+    found, product = buffers[:, : vectors.shape[1]]
+    np.multiply(vectors[0], derivative[:, 0], out=found)
+    for i in (1, 2):
+        found += np.multiply(vectors[i], derivative[:, i], out=product)
+    return np.asarray(found)
+
+
+def _some(functions: Functions, index: np.ndarray) -> bool:
+    """Return whether an index selects so few of the functions that the others are not evaluated with them."""
+    return 2 * len(index) < functions.count
+
+
+def _add_rows(into: np.ndarray, at: np.ndarray, values: np.ndarray) -> None:
+    """Add rows of values to the rows ``at``, of which some may be the same."""
+    if len(set(at.tolist())) == len(at):
+        into[at] += values
+    else:
+        np.add.at(into, at, values)
+
+
+def _as_arrays(entries: Sequence[tuple[int, int, float]]) -> _Terms:
     first, second, third = zip(*entries, strict=True)
     return np.array(first), np.array(second), np.array(third)
 

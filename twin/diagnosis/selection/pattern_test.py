@@ -7,17 +7,19 @@ alone it is a sum of χ² with known weights, whose tail follows from the saddle
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Final, final
 
 import numpy as np
 import scipy
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.signatures import ReadingDerivatives
+from twin.diagnosis.candidates.signatures import Column, ReadingDerivatives
 from twin.diagnosis.problem.forms import Form, log_p_value
 from twin.diagnosis.problem.problem import Problem
+from twin.diagnosis.problem.signature_products import PointBlock, Signatures
 from twin.diagnosis.selection.patterns import Pattern
 from twin.numerics.functions import Rows, pieces
 
@@ -93,13 +95,14 @@ def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Fo
                     tests.append((_two_moments(found, mean, variance), pattern, level, directions, found - mean))
     price = float(np.log(max(len(tests), 1)))
     tests.sort(key=lambda one: one[0])
-    best: dict[int, PatternTest] = {}
+    best: dict[Pattern, PatternTest] = {}
+    exact = scores.exact([test[1:4] for test in tests[:EXACT]], dof)
     for number, (log_p, pattern, level, directions, more) in enumerate(tests):
         if number < EXACT:
-            log_p = scores.exact((pattern, level, directions), dof)
+            log_p = exact[number]
         pattern_test = PatternTest(pattern, level, directions, log_p, price, float(more))
-        if id(pattern) not in best or log_p < best[id(pattern)].log_p:
-            best[id(pattern)] = pattern_test
+        if pattern not in best or log_p < best[pattern].log_p:
+            best[pattern] = pattern_test
     return sorted(best.values(), key=lambda one: one.log_p)
 
 
@@ -114,6 +117,30 @@ def _orthonormal(columns: np.ndarray, own: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
     seen = values > SEEN * values.max(initial=0.0)
     return np.asarray(own @ (vectors[:, seen] / np.sqrt(values[seen])))
+
+
+@final
+@dataclass(frozen=True)
+class _Side:
+    """What the tests of all patterns of one side and frame share.
+
+    Attributes:
+        rows: (r,) the rows of the side, or a sample of them.
+        weight: (r, 3) squared norm of the derivative along each direction.
+        by_raw: function that returns (3, r, raw) the base's nuisance derivatives along each direction.
+        beside: (3, r, q) those of random effects, and the causes, along each direction.
+        change: (raw + q, k) coefficients of an orthonormal basis of all these.
+        own: (n,) all rows of the side.
+        along: (3, n) the residual along each direction.
+    """
+
+    rows: np.ndarray
+    weight: np.ndarray
+    by_raw: Callable[[], np.ndarray]
+    beside: np.ndarray
+    change: np.ndarray
+    own: np.ndarray
+    along: np.ndarray
 
 
 @final
@@ -135,88 +162,165 @@ class _Scores:
         # With the calibration's uncertainty the projection is not idempotent: the causes are fitted to the residual itself.
         left = problem.projected - self._causes @ (self._causes.T @ problem.residual)
         self._left = left.reshape(n, 3)
-        self._of: dict[tuple[str, str], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._nuisance = problem.nuisances
+        self._of: dict[tuple[str, str], _Side] = {}
 
     def of(self, pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
         """Return (3, m) φᵀMr and (3, m, m) φᵀMφ along each direction."""
-        rows, weight, taken, own, along = self._along(pattern)
+        side = self._side(pattern)
         slope = np.zeros((3, len(pattern.order)))
-        gram = np.zeros((3, len(pattern.order), len(pattern.order)))
-        lost = np.zeros((3, len(pattern.order), taken.shape[2]))
-        alike = np.ptp(weight) <= 1e-9 * weight.max()
-        for some in pieces(len(own)):
-            slope += along[:, some] @ pattern.at(own[some])
-        for some in pieces(len(rows)):
-            made = pattern.at(rows[some])
-            lost += made.T @ taken[:, some]
-            for i in range(1 if alike else 3):
-                gram[i] += made.T @ (made * weight[some, i, None])
-        if alike:
-            gram[1:] = gram[0]
-        share = len(rows) / max(len(own), 1)
-        return slope, (gram - lost @ lost.transpose(0, 2, 1)) / share
+        for some in pieces(len(side.own)):
+            slope += side.along[:, some] @ pattern.at(side.own[some])
+        by_raw, gram = self._sampled(pattern, side)
+        beside = np.zeros((3, len(pattern.order), side.beside.shape[2]))
+        for some in pieces(len(side.rows) if beside.size else 0):
+            beside += pattern.at(side.rows[some]).T @ side.beside[:, some]
+        lost = np.concatenate([by_raw, beside], axis=2) @ side.change
+        return slope, (gram - lost @ lost.transpose(0, 2, 1)) / (len(side.rows) / max(len(side.own), 1))
 
-    def exact(self, pattern_test: tuple[Pattern, int, tuple[int, ...]], dof: float) -> float:
-        """Return the exact log p-value of one test (pattern, level, directions)."""
-        pattern, level, directions = pattern_test
-        rows = np.flatnonzero(pattern.own & self._kept)
-        chosen = pattern.order <= level
-        count = len(directions) * int(chosen.sum())
-        problem, causes = self._problem, self._causes.reshape(len(self._kept), 3, -1)
-        within, beside = np.zeros((count, problem.basis.shape[1])), np.zeros((count, causes.shape[2]))
-        slope, gram = np.zeros(count), np.zeros((count, count))
-        for some in pieces(len(rows)):
-            here = rows[some]
-            fields = self._fields(pattern, here)[:, :, list(directions)]
-            made = pattern.at(here)[:, chosen]
-            whole = (fields[:, :, :, None] * made[:, None, None, :]).reshape(3 * len(here), -1)
-            within += whole.T @ problem.rows(here).reshape(3 * len(here), -1)
-            beside += whole.T @ causes[here].reshape(3 * len(here), -1)
-            slope += whole.T @ self._left[here].reshape(-1)
-            gram += whole.T @ whole
-        lost = np.concatenate([within @ problem.root, beside], axis=1)
-        gram -= lost @ lost.T
-        size = np.diag(gram).reshape(len(directions), -1).sum(axis=1)
-        deviation = np.repeat(np.sqrt(PLAUSIBLE / np.where(size > 0.0, size, np.inf)), int(chosen.sum()))
-        values, vectors = np.linalg.eigh(gram * np.outer(deviation, deviation))
-        values = np.maximum(values, 0.0)
-        score = float(np.sum((vectors.T @ (slope * deviation)) ** 2 / (1.0 + values)))
-        return log_tail(values / (1.0 + values), score, dof)
+    def _sampled(self, pattern: Pattern, side: _Side) -> tuple[np.ndarray, np.ndarray]:
+        """Return over the sample the (3, m, raw) inner products with the nuisance derivatives of the base, and the Gram matrices.
 
-    def _along(self, pattern: Pattern) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return what belongs to a side and the directions of a frame.
-
-        Returns:
-            A sample of the rows, with weight (r, 3) and basis (3, r, k) along each direction; all rows, with the residual (3, n).
+        They are the same in every test of the pattern on these readings and are kept.
         """
+        known, base = self._nuisance.base.known, self._nuisance.base
+        key = "sample", pattern, side.rows.tobytes()
+        if key not in known:
+            weight, made_raw = side.weight / self._nuisance.scale**2, side.by_raw()
+            alike = np.ptp(weight) <= 1e-9 * weight.max()
+            count = len(pattern.order)
+            found = np.zeros((3, count, base.raw_count + count))
+            for some in pieces(len(side.rows)):
+                made = pattern.at(side.rows[some])
+                found[:, :, : base.raw_count] += made.T @ made_raw[:, some]
+                for i in range(1 if alike else 3):
+                    found[i, :, base.raw_count :] += made.T @ (made * weight[some, i, None])
+            if alike:
+                found[1:, :, base.raw_count :] = found[0, :, base.raw_count :]
+            known[key] = found
+        by_raw, gram = np.split(known[key], [base.raw_count], axis=2)
+        return by_raw * self._raw_scale, gram * self._nuisance.scale**2
+
+    def exact(self, tests: Sequence[tuple[Pattern, int, tuple[int, ...]]], dof: float) -> list[float]:
+        """Return the exact log p-value of each test (pattern, level, directions)."""
+        every = list(dict.fromkeys(c for pattern, level, where in tests for c in pattern.columns(level, where)))
+        if not every:
+            return []
+        at = {column: i for i, column in enumerate(every)}
+        rows = np.flatnonzero(self._kept) if len(self._problem.held_out) else None
+        lost, slope = self._along_every(every, rows)
+        found = []
+        for pattern, level, directions in tests:
+            own = [at[column] for column in pattern.columns(level, directions)]
+            gram = self._gram(pattern, level, directions) - lost[own] @ lost[own].T
+            size = np.diag(gram).reshape(len(directions), -1).sum(axis=1)
+            deviation = np.repeat(np.sqrt(PLAUSIBLE / np.where(size > 0.0, size, np.inf)), len(own) // len(directions))
+            values, vectors = np.linalg.eigh(gram * np.outer(deviation, deviation))
+            values = np.maximum(values, 0.0)
+            score = float(np.sum((vectors.T @ (slope[own] * deviation)) ** 2 / (1.0 + values)))
+            found.append(log_tail(values / (1.0 + values), score, dof))
+        return found
+
+    def _along_every(self, columns: Sequence[Column], rows: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return inner products (columns, k) with the orthonormal basis of nuisance and causes, and (columns,) with the residual."""
+        problem, base, nuisance = self._problem, self._nuisance.base, self._nuisance
+        causes = self._causes.reshape(len(self._kept), 3, -1)
+
+        def vectors(block: PointBlock) -> np.ndarray:
+            here = [self._more_raw(block), causes[block.rows], self._left[block.rows, :, None]]
+            return np.concatenate(here, axis=2)
+
+        keys = [("exact", column, problem.held_out.tobytes()) for column in columns]
+        fresh = [column for key, column in zip(keys, columns, strict=True) if key not in base.known]
+        if fresh:
+            signatures = Signatures(base.signatures.view, fresh)
+            for column, own in zip(fresh, signatures.along(base.raw, rows)[0], strict=True):
+                base.known["exact", column, problem.held_out.tobytes()] = own
+        beside = Signatures(self._view, columns).along(vectors, rows)[0]
+        more, own, slope = np.split(beside, [nuisance.raw_count - base.raw_count, beside.shape[1] - 1], axis=1)
+        by_raw = np.concatenate([np.stack([base.known[key] for key in keys]) * self._raw_scale, more], axis=1)
+        return np.concatenate([by_raw @ nuisance.change @ problem.root, own], axis=1), slope[:, 0]
+
+    def _gram(self, pattern: Pattern, level: int, directions: tuple[int, ...]) -> np.ndarray:
+        """Return φᵀφ of the functions up to an order along some directions, without projection; kept."""
+        known = self._nuisance.base.known
+        key = "gram", pattern, level, directions, self._problem.held_out.tobytes()
+        if key not in known:
+            rows, chosen = np.flatnonzero(pattern.own & self._kept), pattern.order <= level
+            count = len(directions)
+            found = np.zeros((count, int(chosen.sum()), count, int(chosen.sum())))
+            for some in pieces(len(rows)):
+                here = rows[some]
+                fields = self._fields(pattern, here)[:, :, list(directions)] / self._nuisance.scale
+                weights = np.einsum("nki,nkj->nij", fields, fields)
+                made = pattern.at(here)[:, chosen]
+                for i in range(count):
+                    for j in range(i + 1):
+                        found[i, :, j] += made.T @ (made * weights[:, i, j, None])
+            for i in range(count):
+                for j in range(i):
+                    found[j, :, i] = found[i, :, j].T
+            known[key] = found.reshape(count * found.shape[1], -1)
+        return known[key] * self._nuisance.scale**2
+
+    def _more_raw(self, block: PointBlock) -> np.ndarray:
+        """Return the nuisance derivatives (points, 3, r) of random effects at a block of points."""
+        return self._nuisance.raw(block)[:, :, self._nuisance.base.raw_count :]
+
+    @property
+    def _raw_scale(self) -> np.ndarray:
+        """(raw,) factors on inner products with the base's nuisance derivatives, whose set-up part is orthonormal with any weights."""
+        nuisance, base = self._nuisance, self._nuisance.base
+        return np.where(np.arange(base.raw_count) < base.setup_count, nuisance.scale, nuisance.scale**2)
+
+    def _side(self, pattern: Pattern) -> _Side:
+        """Return what belongs to a side and the directions of a frame."""
         key = pattern.side, pattern.field
         if key not in self._of:
             own = rows = np.flatnonzero(pattern.own & self._kept)
             if len(own) > SAMPLED:
                 rows = np.sort(np.random.default_rng(SEED).choice(own, SAMPLED, replace=False))
             fields = self._fields(pattern, rows)
-            self._of[key] = (
+            block = PointBlock(self._view, rows)
+            raw = self._nuisance.raw(block)
+            causes = self._causes.reshape(len(self._kept), 3, -1)[rows]
+            whole = np.concatenate([raw, causes], axis=2)
+            base, scale = self._nuisance.base, self._nuisance.scale
+            self._of[key] = _Side(
                 rows,
                 np.einsum("nki,nki->ni", fields, fields),
-                np.einsum("nki,nkq->inq", fields, self._basis(rows, len(own)), optimize=True),
+                cache(lambda: _along_each(fields / scale, base.raw(PointBlock(base.signatures.view, rows)))),
+                _along_each(fields, whole[:, :, base.raw_count :]),
+                self._change(whole, len(own)),
                 own,
                 np.einsum("nki,nk->in", self._fields(pattern, own), self._left[own]),
             )
         return self._of[key]
 
-    def _basis(self, rows: np.ndarray, count: int) -> np.ndarray:
-        """Return the basis (r, 3, k) of set-up and causes at some rows, scaled so that they stand for ``count`` of them."""
-        problem, n = self._problem, len(self._kept)
-        found = np.concatenate([problem.rows(rows) @ problem.root, self._causes.reshape(n, 3, -1)[rows]], axis=2)
-        if len(rows) == count:
-            return np.asarray(found)
-        flat = found.reshape(3 * len(rows), -1) * np.sqrt(count / len(rows))
+    def _change(self, whole: np.ndarray, count: int) -> np.ndarray:
+        """Return the coefficients (raw, k) of an orthonormal basis of nuisance and causes, scaled for a sample that stands for all rows.
+
+        Args:
+            whole: (r, 3, raw) nuisance derivatives and causes at the sample.
+            count: number of all rows.
+        """
+        change = scipy.linalg.block_diag(
+            self._nuisance.change @ self._problem.root, np.eye(self._causes.shape[1])
+        )
+        if len(whole) == count:
+            return change
+        flat = whole.reshape(3 * len(whole), -1) @ change * np.sqrt(count / len(whole))
         # Over all rows no direction is longer than one; over a sample it may seem to be.
         values, vectors = np.linalg.eigh(flat.T @ flat)
-        return np.asarray(flat @ (vectors / np.sqrt(np.maximum(values, 1.0)))).reshape(len(rows), 3, -1)
+        return change @ (vectors / np.sqrt(np.maximum(values, 1.0))) * np.sqrt(count / len(whole))
 
     def _fields(self, pattern: Pattern, rows: Rows) -> np.ndarray:
         return ReadingDerivatives(self._view, rows).of(pattern.derivative) * UM
+
+
+def _along_each(fields: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Return products (3, n, q) of (n, 3, q) vectors with each direction of (n, 3, 3) fields."""
+    return np.stack([sum(fields[:, k, i, None] * vectors[:, k] for k in range(3)) for i in range(3)])
 
 
 def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:

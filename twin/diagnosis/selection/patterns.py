@@ -134,10 +134,16 @@ class Pattern:
 
     def columns(self, level: int, directions: Sequence[int]) -> list[Column]:
         """Return the signatures, µm per unit, of the functions up to an order along some directions, sorted by direction."""
-        functions = Functions(len(self.own), len(self.order), self.at, self.own)
         chosen = np.flatnonzero(self.order <= level).tolist()
+        return [self._columns[i][k] for i in directions for k in chosen]
+
+    @cached_property
+    def _columns(self) -> list[list[Column]]:
+        """Columns by direction and function: always the same objects, so that their inner products are found again."""
+        functions = Functions(len(self.own), len(self.order), self.at, self.own)
         return [
-            Column((SignatureTerm((self.derivative, i), functions, k, UM),), 1.0) for i in directions for k in chosen
+            [Column((SignatureTerm((self.derivative, i), functions, k, UM),), 1.0) for k in range(functions.count)]
+            for i in range(3)
         ]
 
 

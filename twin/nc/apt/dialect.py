@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Final, final
 
 import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.nc.apt.reader import AptReader
+from twin.nc.apt.program import read, rewritten
 from twin.nc.apt.statements import statement_at, statements
 from twin.nc.apt.technology import line_words
-from twin.nc.apt.writer import VECTOR_DECIMALS, AptWriter
-from twin.nc.blocks import AxisWords, Interpretation, Kind, Program, Rewrite
+from twin.nc.apt.writer import VECTOR_DECIMALS
+from twin.nc.blocks import AxisWords, Interpretation, Kind, Program
+from twin.nc.columns import NewPositions, as_columns
 from twin.nc.dialect import Dialect
-from twin.nc.emit import rewrites_by_line
 from twin.nc.header import first_lines, insert_comments
 from twin.nc.technology import FeedUnit, LineWords
-from twin.nc.text import MM_PER_INCH, Style, format_number, newline_of
+from twin.nc.text import MM_PER_INCH, Style, format_number
 
 _REMARK: Final = re.compile(r"[ \t]*+(?:\$\$[^\r\n]*+)?+[\r\n]*+", re.ASCII)
 _LOCATION: Final = re.compile(r"[ \t]*+GOTO[ \t]*+/[ \t\d.,+-]++[\r\n]*+", re.ASCII | re.IGNORECASE)
@@ -36,27 +36,13 @@ class Apt(Dialect):
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
         """See `Dialect.moves`. Cutter locations are tool-tip coordinates whatever ``tcp`` says."""
-        reader = AptReader(program.source, axes)
-        for statement in statements(program.texts):
-            reader.step(statement)
-        return Interpretation(tuple(reader.moves), tuple(reader.notices))
+        return read(program, axes)
 
-    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, rewrites: Iterable[Rewrite]) -> str:
+    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, new: NewPositions) -> str:
         """See `Dialect.rewrite`."""
-        by_line = rewrites_by_line(reading, rewrites, axes)
-        if not by_line:
-            return program.text
-        reader = AptReader(program.source, axes)
-        writer = AptWriter(newline_of(program))
-        for statement in statements(program.texts):
-            before = len(reader.moves)
-            reader.step(statement)
-            segments = by_line.get(statement.line) if len(reader.moves) > before else None
-            if segments is None:
-                writer.write_unchanged(statement.raw, tilts=len(reader.moves) > before and len(statement.texts) == 6)
-            else:
-                writer.location(statement, *segments[0], reader.unit)
-        return "".join(writer.out)
+        return (
+            rewritten(program, axes, as_columns(axes.names, reading.moves), new) if np.any(new.count) else program.text
+        )
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.with_comments`: after ``PARTNO``."""
@@ -91,23 +77,22 @@ class Apt(Dialect):
         return _LOCATION.fullmatch(text) is not None
 
     def posted(
-        self, program: Program, reading: Interpretation, rewrites: Iterable[Rewrite], axes: AxisWords, into: Dialect
+        self, program: Program, reading: Interpretation, new: NewPositions, axes: AxisWords, into: Dialect
     ) -> str:
         """See `Dialect.posted`."""
-        by_line = rewrites_by_line(reading, rewrites, axes)
         writer = into.new_program(axes)
         writer.start(program.source)
         unit = 1.0
-        move_of = {move.line: move for move in reading.moves}
+        move_of = {move.line: (index, move) for index, move in enumerate(reading.moves)}
         for statement in statements(program.texts):
-            move = move_of.get(statement.line)
-            if move is not None:
-                rewrite, rows = by_line.get(statement.line, {}).get(0, (None, []))
+            if statement.line in move_of:
+                index, move = move_of[statement.line]
+                rewrite = new.of_move(index, move)
                 if rewrite is None:
                     raise ValueError(f"the move of line {statement.line + 1} has no position")
                 if not np.all(np.isfinite(rewrite.positions)):
                     raise ValueError(f"the move of line {statement.line + 1} has an unknown axis position")
-                for row in rows:
+                for row in rewrite.positions.tolist():
                     writer.move(row, rapid=move.kind is Kind.RAPID)
             elif statement.word == "UNITS":
                 unit = MM_PER_INCH if statement.arguments and statement.texts[0].upper().startswith("INCH") else 1.0

@@ -6,11 +6,15 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Final, final
 
+import numpy as np
+
 from twin._common.errors import InputError
+from twin.nc.apt.lines import NOTED
 from twin.nc.apt.statements import Statement
 from twin.nc.blocks import AxisWords, Kind, Move, Notice
+from twin.nc.columns import MoveColumns, fill_forward
 from twin.nc.emit import Vector
-from twin.nc.text import MM_PER_INCH, number, unit_vector
+from twin.nc.text import MM_PER_INCH, UNIT_LENGTH, number, unit_vector
 
 _PASSED = frozenset(
     """SPINDL COOLNT LOADTL TOOLNO PAINT MSYS MULTAX PARTNO MACHIN CUTTER END FINI STOP OPSTOP DELAY HEAD
@@ -47,9 +51,9 @@ class AptReader:
 
     def __init__(self, source: str, axes: AxisWords) -> None:
         self.source = source
+        self.axes = axes
         self.names = frozenset(axes.linear)
         self.rotary = (math.nan,) * len(axes.rotary)
-        self.moves: list[Move] = []
         self.notices: list[Notice] = []
         self.unit = 1.0
         self.rapid = False
@@ -67,23 +71,42 @@ class AptReader:
             self._noted.add(text)
             self.notices.append(Notice(self._line, text))
 
-    def step(self, statement: Statement) -> None:
-        """Interpret one statement.
+    def step(self, statement: Statement) -> Move | None:
+        """Interpret one statement and return its move, if it has one.
 
         Raises:
             InputError: with file, line and value, for anything that must not pass uncompensated.
         """
         word = statement.word
         if not word:
-            return
+            return None
         self._line = statement.line
         if word in _MEANINGS:
-            _MEANINGS[word](self, statement)
-        elif word in _REFUSED:
+            return _MEANINGS[word](self, statement)
+        if word in _REFUSED:
             what, expected = _REFUSED[word]
             raise self.error(what, statement.raw.strip(), expected)
         elif word not in _PASSED and not word.startswith(("PARTNO", "PPRINT", "INSERT", "TOOLPATH", "REMARK")):
             self.note(f"unknown statement passed through: {statement.raw.strip()[:60]}")
+        return None
+
+    def run(self, lines: np.ndarray, numbers: np.ndarray) -> MoveColumns:
+        """Interpret simple ``GOTO`` statements together, none of them a rapid.
+
+        Args:
+            lines: (n,) 0-based indices of their lines.
+            numbers: (n, 6) their numbers; NaN where a statement has no tool vector.
+        """
+        vector, width = numbers[:, 3:].copy(), len(self.axes.names)
+        said = np.isfinite(vector)
+        length = np.sqrt(vector[:, 0] ** 2 + vector[:, 1] ** 2 + vector[:, 2] ** 2)[:, None]
+        vector = np.where(np.abs(length - 1.0) < UNIT_LENGTH, vector, vector / length)
+        fill_forward(vector, said, self.vector)
+        self.vector = tuple(vector[-1].tolist())
+        position = np.full((len(lines), width), np.nan)
+        position[:, :3] = numbers[:, :3] * self.unit
+        feed, tcp, named = np.zeros(len(lines), dtype=bool), np.ones(len(lines), dtype=bool), np.full(len(lines), 0b111)
+        return MoveColumns(self.axes.names, lines, feed, tcp, named, position, vector, {})
 
     def _rapid(self, statement: Statement) -> None:
         self.rapid = statement.word == "RAPID"
@@ -122,7 +145,7 @@ class AptReader:
         if any(text.upper().startswith("INCR") for text in statement.texts):
             raise self.error("incremental MODE", statement.raw.strip(), "absolute GOTO statements")
 
-    def _goto(self, statement: Statement) -> None:
+    def _goto(self, statement: Statement) -> Move:
         texts = statement.texts
         shown = statement.raw.strip()
         if len(texts) not in (3, 6):
@@ -137,7 +160,7 @@ class AptReader:
             vector, length = unit_vector((values[3], values[4], values[5]))
             if length == 0.0:
                 raise self.error("tool vector of zero length", shown, "a direction")
-            if abs(length - 1.0) > 1e-3:
+            if abs(length - 1.0) > NOTED:
                 self.note(f"tool vector of length {length:.6g} normalised")
             self.vector = vector
         unit = self.unit
@@ -147,10 +170,10 @@ class AptReader:
             kind = Kind.RAPID
         elif self.rapid:
             kind, self.rapid = Kind.RAPID, False
-        self.moves.append(Move(self._line, kind, True, position, self.names, vector=self.vector))
+        return Move(self._line, kind, True, position, self.names, vector=self.vector)
 
 
-_MEANINGS: Final[Mapping[str, Callable[[AptReader, Statement], None]]] = {
+_MEANINGS: Final[Mapping[str, Callable[[AptReader, Statement], Move | None]]] = {
     "CUTCOM": AptReader._cutcom,
     "CYCLE": AptReader._cycle,
     "FEDRAT": AptReader._rapid,

@@ -29,9 +29,13 @@ _FRAME: Final = re.compile(r"(?:BEGIN|END)[ \t]+PGM\b|BLK[ \t]+FORM\b", _FLAGS)
 class HeidenhainInliner(Inliner):
     """Writes out the subprograms of Heidenhain programs."""
 
+    def likely(self, text: str) -> bool:
+        """See `Inliner.likely`."""
+        return "CALL" in text.upper()
+
     def call(self, line: Line) -> Call | None:
         """See `Inliner.call`."""
-        if "CALL" not in line.text.upper():
+        if not self.likely(line.text):
             return None
         bare = _bare(line)
         if not _ANY_CALL.match(bare):

@@ -11,18 +11,21 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.nc.blocks import AxisWords, Interpretation, Move, Program, Rewrite
+from twin.nc.blocks import AxisWords, Interpretation, Program
+from twin.nc.columns import NewPositions, as_columns
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
-from twin.nc.emit import rewrites_by_line
 from twin.nc.header import first_lines, insert_comments, missing_comments
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.calls import HeidenhainInliner
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
+from twin.nc.heidenhain.lines import scan
+from twin.nc.heidenhain.rewriter import HeidenhainRewriter
 from twin.nc.heidenhain.technology import line_words
-from twin.nc.heidenhain.vocabulary import HEAD, numbered_as
-from twin.nc.heidenhain.writer import HeidenhainWriter
+from twin.nc.heidenhain.vocabulary import HEAD, numbered_as, renumbered, with_continued_marked
+from twin.nc.lines.chunks import ChunkReader, chunks
+from twin.nc.lines.compiled import line_code
 from twin.nc.technology import LineWords
-from twin.nc.text import BLANK, Style, lines_in, newline_of, style_in
+from twin.nc.text import Style, newline_of, style_in
 
 _REMARK: Final = re.compile(r"[ \t]*+(?:\d++[ \t]*+)?+(?:[;*][^\r\n~]*+)?+[\r\n]*+", re.ASCII)
 
@@ -38,27 +41,19 @@ class Heidenhain(Dialect):
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
         """See `Dialect.moves`."""
-        interpreter = HeidenhainInterpreter(program.source, axes, tcp=tcp)
-        moves: list[Move] = []
-        for index, text in enumerate(program.texts):
-            if text not in BLANK or interpreter.continued:
-                moves += interpreter.moves(index, text)
-        return Interpretation(
-            tuple(moves), tuple(interpreter.notices), tuple(interpreter.lost_positions), tuple(interpreter.frames)
-        )
+        reader = ChunkReader(HeidenhainInterpreter(program.source, axes, tcp=tcp))
+        return reader.whole(chunks(program, axes.names, scan))
 
-    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, rewrites: Iterable[Rewrite]) -> str:
+    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, new: NewPositions) -> str:
         """See `Dialect.rewrite`."""
-        by_line = rewrites_by_line(reading, rewrites, axes)
-        if not by_line:
+        moves = as_columns(axes.names, reading.moves)
+        if not np.any(new.count):
             return program.text
-        interpreter = HeidenhainInterpreter(program.source, axes, tcp=reading.moves[0].tcp)
         style = style_in(program.texts, Style(plus=True))
-        writer = HeidenhainWriter(program.source, axes, newline_of(program), style)
-        for index, text in enumerate(program.texts):
-            segments = by_line[index][0] if index in by_line else None
-            writer.block(interpreter.step(index, text, segments[0].move if segments else None), segments)
-        return writer.text()
+        code = line_code(len(program.texts))
+        newline, tcp = newline_of(program), bool(moves.tcp[0])
+        rewriter = HeidenhainRewriter(program.source, axes, newline, style, tcp=tcp, code=code)
+        return rewriter.whole(chunks(program, axes.names, scan), moves, new)
 
     def expanded(self, program: Program, folder: Path | None) -> Program:
         """See `Dialect.expanded`. Consecutive block numbers are renewed."""
@@ -84,7 +79,9 @@ class Heidenhain(Dialect):
             comments,
             lambda line: f"{first + new.index(line)} ; {line}",
             _comment,
-            lambda rest: _renumbered(rest, len(new)),
+            lambda rest: renumbered(
+                with_continued_marked(rest), lambda old: [int(number[:15]) + len(new) for number in old]
+            ),
         )
 
     def from_points(self, names: Sequence[str], points: np.ndarray, feed: float | None, remark: str, title: str) -> str:
@@ -174,16 +171,3 @@ def _first_number(program: Program) -> int | None:
     numbers = [int(head[1][:15]) for head in map(HEAD.match, program.texts) if head is not None and head[1]]
     consecutive = bool(numbers) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     return numbers[0] if consecutive else None
-
-
-def _renumbered(text: str, by: int) -> str:
-    """Return blocks with their numbers increased; a block continued over several lines has one number."""
-    parts: list[str] = []
-    continued = False
-    for line in lines_in(text.encode("latin-1")):
-        head = HEAD.match(line)
-        if not continued and head is not None and head.group(1) is not None:
-            line = numbered_as(line, head, int(head.group(1)[:15]) + by)
-        parts.append(line)
-        continued = line.strip().endswith("~")
-    return "".join(parts)

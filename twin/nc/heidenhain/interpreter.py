@@ -14,7 +14,7 @@ from twin.nc.emit import Vector
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.block import PathBlock
 from twin.nc.heidenhain.frame import HeidenhainFrame
-from twin.nc.text import MM_PER_INCH, number
+from twin.nc.text import BLANK, MM_PER_INCH, number
 
 _new = tuple.__new__
 _PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
@@ -46,8 +46,15 @@ class HeidenhainInterpreter(HeidenhainFrame):
         found = self._found(line, text)
         return self._block(text) if found is None else self._simple_block(found, known)
 
+    @property
+    def runs_allowed(self) -> bool:
+        """See `Interpreter.runs_allowed`: no tool vector, and no block that continues."""
+        return self.vector is None and not self.continued
+
     def moves(self, line: int, text: str) -> tuple[Move, ...]:
-        """Return the moves of one line as `step` does, without the words that only a writer needs."""
+        """See `Interpreter.moves`; as `step` does, without the words that only a writer needs."""
+        if text in BLANK and not self.continued:
+            return ()
         found = self._found(line, text)
         return self._block(text).moves if found is None else (self._simple_move(found, self._simple_words(found)),)
 

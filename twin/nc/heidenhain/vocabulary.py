@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable
 from functools import lru_cache
+from typing import Final
 
 from twin.nc.simple_blocks import SimpleBlocks, simple_blocks
 
@@ -72,6 +74,33 @@ def simple_pattern(names: tuple[str, ...]) -> SimpleBlocks:
     feed = r"(?:(F[ \t]*+MAX|F\d++(?:[.,]\d*+)?+)[ \t]*+)?+"
     others = ("NX", "NY", "NZ", "TX", "TY", "TZ")
     return simple_blocks(names, head, r"[+-]?+\d{1,9}+(?:[.,]\d*+)?+", others, "", rf"(?:R0[ \t]*+)?+{feed}")
+
+
+_NUMBERS: Final = re.compile(r"([\r\n](?:\xef\xbb\xbf)?+[ \t\f\x1a]*+)(\d++)(?![.,\d])", re.ASCII)
+_CONTINUES: Final = re.compile(r"~[^\S\r\n]*+(?:\r\n|\n|\r)")
+UNNUMBERED: Final = "\0"
+"""Mark, which no program has, before a line that continues a block and so has no number."""
+
+
+def renumbered(text: str, numbers: Callable[[list[str]], Iterable[int]]) -> str:
+    """Return lines with new block numbers and without the marks `UNNUMBERED`.
+
+    Args:
+        text: the lines.
+        numbers: function that returns the new numbers for the old ones, or more. An old number that begins with a zero keeps its width.
+    """
+    parts = _NUMBERS.split(f"\n{text}")
+    old = parts[2::3]
+    parts[2::3] = [
+        str(new).zfill(len(before)) if before[0] == "0" else str(new)
+        for before, new in zip(old, numbers(old), strict=False)
+    ]
+    return "".join(parts)[1:].replace(UNNUMBERED, "")
+
+
+def with_continued_marked(text: str) -> str:
+    """Return lines with `UNNUMBERED` before each that follows a ``~``."""
+    return _CONTINUES.sub(lambda match: match.group() + UNNUMBERED, text)
 
 
 def numbered_as(text: str, head: re.Match[str], number: int) -> str:

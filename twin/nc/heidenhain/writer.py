@@ -1,14 +1,12 @@
-"""Writer of Heidenhain programs: moves replaced in their blocks, blocks renumbered where lines were inserted."""
+"""Writer of Heidenhain blocks: moves replaced, every other byte kept."""
 
 from __future__ import annotations
 
 from typing import final
 
-from twin.nc.blocks import AxisWords, Kind, Rewrite
+from twin.nc.blocks import Kind, Rewrite
 from twin.nc.emit import vector_texts
 from twin.nc.heidenhain.block import PathBlock
-from twin.nc.heidenhain.vocabulary import HEAD, numbered_as
-from twin.nc.text import Style
 from twin.nc.writer import Edit, Segments, WordWriter
 
 VECTOR_DECIMALS = 7
@@ -20,33 +18,17 @@ class HeidenhainWriter(WordWriter[PathBlock]):
 
     Args:
         source, axes, newline, style: as for `WordWriter`.
+
+    Attributes:
+        inserted: whether lines have been inserted among numbered blocks.
     """
 
     equals = ""
     signed = True
+    inserted = False
 
-    def __init__(self, source: str, axes: AxisWords, newline: str, style: Style) -> None:
-        super().__init__(source, axes, newline, style)
-        self._out: list[str] = []
-        self._numbered: list[bool] = []
-        self._inserted = False
-
-    def text(self) -> str:
-        """Return the whole output, renumbered if lines were inserted among numbered blocks."""
-        if not self._inserted:
-            return "".join(self._out)
-        parts = []
-        following = -1
-        for text, numbered in zip(self._out, self._numbered, strict=True):
-            head = HEAD.match(text) if numbered else None
-            if head is not None and head.group(1) is not None:
-                following = int(head.group(1)[:15]) if following < 0 else following + 1
-                text = numbered_as(text, head, following)
-            parts.append(text)
-        return "".join(parts)
-
-    def block(self, block: PathBlock, segments: Segments | None) -> None:
-        """Write one block, with its move replaced if there are segments for it."""
+    def block(self, block: PathBlock, segments: Segments | None) -> str:
+        """Return the output for one block, with its move replaced if there are segments for it."""
         if block.unknown_axes:
             self.said.mark_unknown(block.unknown_axes)
         if block.tcp_switched:
@@ -60,9 +42,8 @@ class HeidenhainWriter(WordWriter[PathBlock]):
                 self.said.mark_unknown(block.unknown_axes)
         elif block.moves:
             self.record(block)
-        self._out += lines
-        self._numbered += [block.numbered] * len(lines)
-        self._inserted |= block.numbered and len(lines) > 1
+        self.inserted |= block.numbered and len(lines) > 1
+        return "".join(lines)
 
     def _begin(self, block: PathBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
         keyword = block.text[block.head_end : block.keyword_end]

@@ -24,10 +24,8 @@ _WORD: Final = re.compile(r"([A-Z])[ \t]*([+-]?[\d.]+|[+-]?#\d+|[+-]?\[[^\[\]]*\
 _MACRO: Final = re.compile(r"G[ \t]*65(?![\d.])", _FLAGS)
 _END: Final = re.compile(r"(?<![A-Z\d])M[ \t]*0*(?:2|30)(?!\d)", _FLAGS)
 _RETURN: Final = re.compile(r"(?<!\w)(?:M[ \t]*0*(?:99|17|30|2)(?![\d=])|RET(?!\w))", _FLAGS)
-_LIKELY: Final = re.compile(
-    r"[ \t]*(?:N\d+[ \t]*)?(?:O[ \t]*[\d<]|L[ \t]*\d|[A-Z_][A-Z_]|.*(?:M[ \t]*1?98|G[ \t]*65))", _FLAGS
-)
-"""Beginning of every line that may be a call, and of few others."""
+_LIKELY: Final = re.compile(r"[ \t]*(?:N\d+[ \t]*)?(?:O[ \t]*[\d<]|L[ \t]*\d|[A-Z_][A-Z_])", _FLAGS)
+_INSIDE: Final = re.compile(r"M[ \t]*1?98|G[ \t]*65", _FLAGS)
 _LOCALS: Final = 33
 """Number of local variables of a macro."""
 _O_WORD: Final = re.compile(r"O[ \t]*(\d+|<[^>]*>)[ \t]*(SUB|ENDSUB|RETURN|CALL)(?!\w)[ \t]*(.*)", _FLAGS | re.DOTALL)
@@ -54,9 +52,14 @@ _SUFFIXES: Final = ("", ".spf", ".mpf", ".nc", ".ngc", ".txt", ".tap", ".iso")
 class IsoInliner(Inliner):
     """Writes out the subprograms of ISO programs."""
 
+    def likely(self, text: str) -> bool:
+        """See `Inliner.likely`."""
+        inside = ("98" in text or "65" in text) and _INSIDE.search(text) is not None
+        return inside or _LIKELY.match(text) is not None
+
     def call(self, line: Line) -> Call | None:
         """See `Inliner.call`."""
-        if not _LIKELY.match(line.text):
+        if not self.likely(line.text):
             return None
         text = line.text[_NUMBER.match(line.text).end() :]  # type: ignore[union-attr]  # it matches anything
         bare = _NOTES.sub("", text).strip()

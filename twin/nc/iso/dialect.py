@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, final
 
 import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.nc.blocks import AxisWords, Interpretation, Program, Rewrite
-from twin.nc.columns import MoveBuilder, MoveColumns
+from twin.nc.blocks import AxisWords, Interpretation, Program
+from twin.nc.columns import NewPositions, as_columns
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
-from twin.nc.emit import rewrites_by_line
 from twin.nc.header import first_lines, insert_comments
 from twin.nc.iso import vocabulary
-from twin.nc.iso.bulk import NewPositions
 from twin.nc.iso.calls import IsoInliner
-from twin.nc.iso.compiled import line_code
-from twin.nc.iso.stream import CHUNK_LINES, DELETED_LINE, IsoReader, IsoRewriter, chunks
+from twin.nc.iso.stream import IsoRewriter, iso_reader
 from twin.nc.iso.technology import line_words
+from twin.nc.lines.chunks import chunks
+from twin.nc.lines.compiled import line_code
 from twin.nc.technology import LineWords
 from twin.nc.text import BOM, Style, newline_of, style_in
 
@@ -50,41 +49,24 @@ class Iso(Dialect):
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
         """See `Dialect.moves`."""
-        reader = IsoReader(program.source, axes, tcp=tcp)
-        found = MoveBuilder(axes.names)
-        for chunk in chunks(program, axes.names):
-            reader.read_into(found, chunk)
-        return Interpretation(found.objects(), tuple(reader.notices()), tuple(reader.lost_positions()), reader.frames)
+        return iso_reader(program.source, axes, tcp=tcp).whole(chunks(program, axes.names))
 
-    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, rewrites: Iterable[Rewrite]) -> str:
+    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, new: NewPositions) -> str:
         """See `Dialect.rewrite`."""
-        by_line = rewrites_by_line(reading, rewrites, axes)
-        if not by_line:
+        moves = as_columns(axes.names, reading.moves)
+        if not np.any(new.count):
             return program.text
-        writer = IsoRewriter(
+        rewriter = IsoRewriter(
             program.source,
             axes,
             newline_of(program),
             style_in(program.texts, Style(point=True)),
             # If TCP control is switched before the first move, its initial state does not matter; else the first move has it.
-            tcp=reading.moves[0].tcp,
+            tcp=bool(moves.tcp[0]),
             expand_cycles=True,
             code=line_code(len(program.texts)),
         )
-        moves = MoveColumns.of(axes.names, reading.moves)
-        entries = [by_line.get(move.line, {}).get(0) for move in reading.moves]
-        count = np.array([0 if entry is None else len(entry[1]) for entry in entries])
-        rows = [entry[0].positions for entry in entries if entry is not None]
-        positions = np.concatenate([np.zeros((0, len(axes.names))), *rows])
-        new = NewPositions(np.cumsum(count) - count, count, positions, np.zeros((0, 3)))
-        cuts = np.searchsorted(moves.line, np.arange(0, len(program.texts), CHUNK_LINES))
-        out = [
-            writer.write(chunk, moves.part(first, last), new.part(first, last), by_line)
-            for chunk, first, last in zip(
-                chunks(program, axes.names), cuts, np.append(cuts[1:], len(moves)), strict=True
-            )
-        ]
-        return b"".join(out).decode("latin-1").replace(DELETED_LINE, "")
+        return rewriter.whole(chunks(program, axes.names), moves, new)
 
     def expanded(self, program: Program, folder: Path | None) -> Program:
         """See `Dialect.expanded`."""

@@ -23,14 +23,12 @@ class IsoDrilling(IsoTilt):
     """Drilling cycles: those of Fanuc and LinuxCNC, and calls of SINUMERIK by ``MCALL``.
 
     Attributes:
-        motion: motion code in force, None before the first.
         plane: 17, 18 or 19.
         incremental: whether words are relative.
         cycle: the cycle executed after every positioning, or None.
         code: G code of a Fanuc cycle in force, empty if there is none.
     """
 
-    motion: int | None = None
     plane = 17
     incremental = False
     cycle: Drilling | None = None
@@ -169,20 +167,40 @@ class IsoDrilling(IsoTilt):
             raise self.error(f"canned cycle {item.name}", vocabulary.EXPANDED_CYCLE, block.text[item.start :].strip())
         self.cycle = self.call(item.name, item.value)
 
+    @property
+    def steady(self) -> bool:
+        """Whether no cycle is in force, or one that is the same at every following place because it ends at the present height."""
+        if self.cycle is None:
+            return True
+        ends = [stroke.height for stroke in self.cycle.strokes if stroke.height == stroke.height]
+        return bool(ends) and ends[-1] == self.position[2] and self.cycle.level != self.cycle.level and not self.tcp
+
+    def strokes(self) -> list[Stroke]:
+        """Return the strokes of the cycle from the present height, without those that do not move; only their blocks behind stay."""
+        height, found = self.position[2], list[Stroke]()
+        for stroke in () if self.cycle is None else self.cycle.strokes:
+            if stroke.height == stroke.height and (abs(stroke.height - height) > 1e-9 or height != height):
+                height = stroke.height
+                found.append(stroke)
+            elif stroke.after:
+                found.append(stroke._replace(height=math.nan))
+        return found
+
+    @property
+    def repeated(self) -> tuple[tuple[float, bool], ...]:  # type: ignore[override]
+        """See `Interpreter`."""
+        return tuple((one.height, one.kind is Kind.RAPID) for one in self.strokes() if one.height == one.height)
+
     def drill(self, block: IsoBlock, cycle: Drilling) -> None:
         """Add the strokes of a cycle to the moves of a block, except those that do not move."""
         if self.incremental or self.tcp or self.vector is not None or block.end_m_words:
             raise self.error("canned cycle", vocabulary.EXPANDED_CYCLE)
         named = frozenset(self.names[2:3])
-        strokes = []
-        for stroke in cycle.strokes:
-            moves = abs(stroke.height - self.position[2]) > 1e-9 or self.position[2] != self.position[2]
-            if stroke.height == stroke.height and moves:
+        strokes = self.strokes()
+        for stroke in strokes:
+            if stroke.height == stroke.height:
                 self.position[2] = stroke.height
                 block.moves += (Move(self._line, stroke.kind, False, tuple(self.position), named),)
-                strokes.append(stroke)
-            elif stroke.after:
-                strokes.append(stroke._replace(height=math.nan))
         if cycle.level == cycle.level:
             self.position[2] = cycle.level
         block.drilling = Drilling(tuple(strokes), cycle.level)

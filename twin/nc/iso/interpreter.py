@@ -8,12 +8,12 @@ from typing import Any, Final, final
 
 from twin._common.errors import InputError
 from twin.nc.block import AxisWord, Block, Span
-from twin.nc.blocks import AxisWords
+from twin.nc.blocks import AxisWords, Move
 from twin.nc.iso import vocabulary
 from twin.nc.iso.block import IsoBlock, Item
 from twin.nc.iso.cycles import SINUMERIK
 from twin.nc.iso.motion import CENTRE, SPINDLE_VECTOR, IsoMotion
-from twin.nc.text import BOM, MM_PER_INCH, number
+from twin.nc.text import BLANK, BOM, MM_PER_INCH, number
 
 _AXIS_LETTERS: Final = frozenset("XYZABCUVW")
 _ARC_WORDS: Final = frozenset({*CENTRE, *SPINDLE_VECTOR, "R", "CR", "TURN"})
@@ -56,7 +56,7 @@ class IsoInterpreter(IsoMotion):
         """
         self._line, self._block_text = line, text
         found = self._simple.pattern.fullmatch(text)
-        if found is not None:
+        if found is not None and not (self.code and self._changes_cycle(found)):
             return self._simple_block(found)
         begin = len(BOM) if line == 0 and text.startswith(BOM) else 0
         stripped = text[begin:].strip(" \t\r\n\f\x1a")
@@ -72,6 +72,16 @@ class IsoInterpreter(IsoMotion):
             if kind != "note" and _TOKENS[kind](self, block, match):
                 break
         return self._apply(block) if self._started or block.names else None
+
+    def moves(self, line: int, text: str) -> tuple[Move, ...]:
+        """See `Interpreter.moves`."""
+        block = None if text in BLANK else self.step(line, text)
+        return () if block is None else block.moves
+
+    def _changes_cycle(self, match: re.Match[str]) -> bool:
+        """Return whether a simple block without a motion word has a word that belongs to the cycle of Fanuc in force."""
+        groups = [group for group, axis in self._simple.axes if self.names[axis].upper() == "Z"]
+        return match[2] is None and any(match[i] is not None for i in (*groups, *dict(self._simple.others)))
 
     def _simple_block(self, match: re.Match[str]) -> IsoBlock:
         """Interpret a simple block from the groups of its pattern."""

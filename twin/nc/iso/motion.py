@@ -30,8 +30,8 @@ class IsoMotion(IsoDrilling):
 
     @property
     def runs_allowed(self) -> bool:
-        """Whether simple lines can be interpreted together: no cycle, pending work offset, incremental mode or tool vector."""
-        return self.cycle is None and self.offset == self.used_offset and not self.incremental and self.vector is None
+        """See `Interpreter.runs_allowed`: no pending work offset, incremental mode or tool vector, nor a cycle that changes."""
+        return self.steady and self.offset == self.used_offset and not self.incremental and self.vector is None
 
     def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:
         """Add the moves of a block whose axis words are known.

@@ -18,7 +18,8 @@ from twin.nc.text import Style, apply_edits, ending, format_number, number, styl
 from twin.nc.writer import Edit, Segments, WordWriter, drop
 
 VECTOR_DECIMALS: Final = 7
-_CODE: Final = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
+CODE: Final = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
+"""Motion code of a rewritten move."""
 
 
 @final
@@ -108,7 +109,7 @@ class IsoWriter(WordWriter[IsoBlock]):
             starts = [word.start for word in block.words] + [word.start for word in block.arc_words]
             at = min(starts, default=block.head_end)
             separator = " " if self.spaced or not text[at - 1 : at].isspace() else ""
-            edits.append((at, at, f"{self._g(block.motion)}{separator}"))
+            edits.append((at, at, f"{self.g(block.motion)}{separator}"))
         if block.motion is not None:
             self.motion = block.motion
         return apply_edits(text, edits) if edits else text
@@ -133,9 +134,9 @@ class IsoWriter(WordWriter[IsoBlock]):
                 move = block.moves[place]
                 for row in segments[place][1] if place in segments else [list(move.position)]:
                     words = self._missing(block, row, 0)
-                    code = _CODE[move.kind]
+                    code = CODE[move.kind]
                     if words and self.motion != code:
-                        words.insert(0, self._g(code))
+                        words.insert(0, self.g(code))
                         self.motion = code
                     if words:
                         out.append(block.skip + " ".join([*words, *([stroke.feed] if stroke.feed else [])]) + end)
@@ -166,7 +167,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         """Change the motion word to a straight move; return the motion word to insert, if one is needed."""
         if self.expand_cycles:
             drop(block, block.cycle_words, edits)
-        code = _CODE[rewrite.move.kind] if block.motion is not None else None
+        code = CODE[rewrite.move.kind] if block.motion is not None else None
         before, self.motion = self.motion, self.motion if code is None else code
         span = block.motion_word
         if span is not None:
@@ -175,7 +176,7 @@ class IsoWriter(WordWriter[IsoBlock]):
             if block.motion != code:
                 edits.append((span.end - 1, span.end, str(code)))
             return ""
-        return "" if code is None or before == code else self._g(code)
+        return "" if code is None or before == code else self.g(code)
 
     def _insert(self, block: IsoBlock, begin: str, added: list[str], tool: list[str], edits: list[Edit]) -> str:
         text, separator = block.text, self.separator
@@ -201,7 +202,7 @@ class IsoWriter(WordWriter[IsoBlock]):
 
     def _tails(self, block: IsoBlock, rewrite: Rewrite, edits: list[Edit]) -> list[str]:
         """Return the inverse time feed of each segment."""
-        if not block.inverse_time or block.motion is None or _CODE[rewrite.move.kind] != 1:
+        if not block.inverse_time or block.motion is None or CODE[rewrite.move.kind] != 1:
             return []
         span, rows = block.feed, len(rewrite.positions)
         if span is None:
@@ -227,7 +228,8 @@ class IsoWriter(WordWriter[IsoBlock]):
 
     # ------------------------------------------------------------------ words
 
-    def _g(self, code: int) -> str:
+    def g(self, code: int) -> str:
+        """Return a motion word in the format of the program."""
         return f"{'g' if self.lower else 'G'}{'0' if self.wide else ''}{code}"
 
     def _number(self, block: IsoBlock, word: AxisWord, target: float) -> str:

@@ -6,46 +6,19 @@ others. Each attribute at a word is therefore the last value set, which is compu
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
 
 from twin.nc.emit import SAME_NUMBER, OutputState
-from twin.nc.iso.scan import Scan, Words
+from twin.nc.lines.scan import Scan, Words
 from twin.nc.text import Style, grid
 
 LARGEST_STEPS: Final = 1e11
 """Larger values, in least increments, are written one by one: a double no longer holds all their decimals exactly."""
 _UNKNOWN: Final = np.iinfo(np.int64).min
 _MINUS, _PLUS, _ZERO, _POINT, _SPACE = b"-+0. "
-
-
-@final
-@dataclass(frozen=True)
-class NewPositions:
-    """Replacements for the moves of a chunk of a program.
-
-    Attributes:
-        first: (moves,) the first row of each move's segments.
-        count: (moves,) number of segments; 0 for a move that is unchanged.
-        positions: (rows, axes) as in `twin.nc.blocks.Rewrite`.
-        vectors: (rows, 3) tool vectors, for moves that have one.
-    """
-
-    first: np.ndarray
-    count: np.ndarray
-    positions: np.ndarray
-    vectors: np.ndarray
-
-    def part(self, first: int, last: int) -> NewPositions:
-        """Return the replacements of the moves from one index up to, but excluding, another."""
-        return replace(self, first=self.first[first:last], count=self.count[first:last])
-
-    def rows(self, which: np.ndarray) -> np.ndarray:
-        """Return the rows of some moves, move by move."""
-        first, count = self.first[which], self.count[which]
-        return np.asarray(np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum()))
 
 
 @final

@@ -1,4 +1,4 @@
-// Simple lines of an ISO program, read as `twin.nc.iso.scan.scan` and written as `twin.nc.iso.bulk.rewritten_lines` do with arrays; they are
+// Simple lines of an ISO program, read as `twin.nc.lines.scan.scan` and written as `twin.nc.lines.bulk.rewritten_lines` do with arrays; they are
 // compared in tests.
 #include <cmath>
 #include <cstdint>
@@ -32,7 +32,7 @@ extern "C" {
 
 struct Scanned {
     int64_t size;
-    const uint8_t *text, *kind, *bad;
+    const uint8_t *text, *kind;
     const int8_t *rank, *axis;
     int64_t *start, *end;
     uint8_t *simple, *blank, *wide;
@@ -48,102 +48,98 @@ struct Scanned {
     int64_t lines, words;
 };
 
-// Count lines, and letters as an upper bound of the words.
-void count(Scanned* job) {
-    int64_t lines = 0, letters = 0;
-    for (int64_t at = 0; at < job->size; ++at) {
-        const uint8_t c = job->text[at];
-        letters += job->kind[c] == LETTER;
-        lines += c == 10 || (c == 13 && !(at + 1 < job->size && job->text[at + 1] == 10));
+// A number as written, after its sign.
+struct Number {
+    int whole, fraction, points;
+    int64_t digits;
+};
+
+// Read a number of digits and points; return where it ends.
+static int64_t read_number(const Scanned* job, int64_t at, Number& number) {
+    number = {};
+    for (;; ++at) {
+        const uint8_t kind = job->kind[job->text[at]];
+        if (kind == DIGIT) {
+            ++(number.points ? number.fraction : number.whole);
+            if (number.whole + number.fraction <= MOST_DIGITS) number.digits = 10 * number.digits + (job->text[at] - '0');
+        } else if (kind == POINT) {
+            ++number.points;
+        } else {
+            return at;
+        }
     }
-    const uint8_t last = job->size ? job->text[job->size - 1] : 10;
-    job->lines = lines + (last != 10 && last != 13);
-    job->words = letters;
 }
 
-// Read the lines; `blank` is 2 for a line that may be a comment.
+// Read the lines; `blank` is 2 for a line that may be a comment. The text is followed by a zero, which is no character of a simple line.
 void scan(Scanned* job) {
     const uint8_t* text = job->text;
     int64_t words = 0, line = 0;
     job->first[0] = 0;
-    for (int64_t begin = 0; begin < job->size; ++line) {
-        const int64_t end = line_end(text, begin, job->size);
-        job->start[line] = begin;
-        job->end[line] = end;
+    for (int64_t at = 0; at < job->size; ++line) {
+        job->start[line] = at;
         job->code[line] = -1;
         job->wide[line] = 0;
-        bool ordinary = true;
-        uint8_t before = END;
-        int letters = 0;
-        for (int64_t at = begin; at < end; ++at) {
-            const uint8_t kind = job->kind[text[at]];
-            ordinary &= !job->bad[before << 3 | kind];
-            letters += kind == LETTER;
-            before = kind;
-        }
-        ordinary &= before == END;
-        job->blank[line] = ordinary ? letters == 0 : 2;
-        bool good = ordinary;
+        bool ordinary = true, good = true, any = false;
         const int64_t own = words;
         int8_t code = -1;
         int last_rank = -128;
-        for (int64_t at = begin; ordinary && at < end; ++at) {
-            const uint8_t letter = text[at];
-            if (job->kind[letter] != LETTER) continue;
+        for (;;) {
+            const uint8_t letter = text[at], kind = job->kind[letter];
+            if (kind == BLANK) {
+                ++at;
+                continue;
+            }
+            ordinary = kind == LETTER || (kind == END && at < job->size);
+            if (kind != LETTER) break;
+            any = true;
             const int8_t axis = job->axis[letter], rank = job->rank[letter];
             good &= rank > last_rank;
             last_rank = rank;
-            int64_t stop = at + 1;
-            const uint8_t sign = job->kind[text[stop]] == SIGN ? text[stop] : 0;
-            stop += sign != 0;
-            int whole = 0, fraction = 0, points = 0;
-            int64_t digits = 0;
-            const int64_t number_at = stop;
-            for (;; ++stop) {
-                const uint8_t kind = job->kind[text[stop]];
-                if (kind == POINT) {
-                    ++points;
-                } else if (kind == DIGIT) {
-                    ++(points ? fraction : whole);
-                    if (whole + fraction <= MOST_DIGITS) digits = 10 * digits + (text[stop] - '0');
-                } else {
-                    break;
-                }
-            }
-            good &= points <= 1 && whole + fraction >= 1;
-            if (axis == NUMBER || axis == CODE) {
-                good &= sign == 0 && points == 0;
-            }
-            if (axis != NUMBER) good &= whole <= WHOLE_DIGITS && whole + fraction <= MOST_DIGITS;
+            const int64_t begin = at + 1;
+            const uint8_t sign = job->kind[text[begin]] == SIGN ? text[begin] : 0;
+            Number number;
+            const int64_t stop = read_number(job, begin + (sign != 0), number);
+            const uint8_t after = job->kind[text[stop]];
+            at = stop;
+            ordinary = number.whole + number.fraction + number.points > 0 && (after == BLANK || after == LETTER || after == END);
+            if (!ordinary) break;
+            const int digits = number.whole + number.fraction;
+            good &= number.points <= 1 && digits >= 1;
+            if (axis == NUMBER || axis == CODE) good &= sign == 0 && number.points == 0;
+            if (axis != NUMBER) good &= number.whole <= WHOLE_DIGITS && digits <= MOST_DIGITS;
             if (axis == CODE) {
                 const int said = text[stop - 1] - '0';
-                good &= said >= 0 && said <= 1 && (whole == 1 || (whole == 2 && text[number_at] == '0'));
+                good &= said >= 0 && said <= 1 && (number.whole == 1 || (number.whole == 2 && text[begin] == '0'));
                 code = static_cast<int8_t>(said);
-                job->wide[line] = whole > 1;
+                job->wide[line] = number.whole > 1;
             }
             if (axis >= 0 && good) {
                 job->word_line[words] = static_cast<int32_t>(line);
                 job->word_axis[words] = axis;
-                job->word_start[words] = static_cast<int32_t>(at + 1);
+                job->word_start[words] = static_cast<int32_t>(begin);
                 job->word_end[words] = static_cast<int32_t>(stop);
-                const double size = static_cast<double>(digits) / POWER[fraction];
+                const double size = static_cast<double>(number.digits) / POWER[number.fraction];
                 job->value[words] = sign == '-' ? -size : size;
                 job->sign[words] = sign;
-                job->whole[words] = static_cast<int16_t>(whole);
-                job->fraction[words] = static_cast<int16_t>(fraction);
-                job->point[words] = points != 0;
+                job->whole[words] = static_cast<int16_t>(number.whole);
+                job->fraction[words] = static_cast<int16_t>(number.fraction);
+                job->point[words] = number.points != 0;
                 job->padded[words] = text[stop - 1] == '0';
                 ++words;
             }
-            at = stop - 1;
         }
+        at = line_end(text, at, job->size);
+        job->end[line] = at;
+        job->blank[line] = ordinary ? !any : 2;
+        good &= ordinary;
         if (!good) words = own;
         const bool simple = good && words > own;
         job->simple[line] = simple;
         if (simple) job->code[line] = code;
+        if (!ordinary) job->wide[line] = 0;
         job->first[line + 1] = words;
-        begin = end;
     }
+    job->lines = line;
     job->words = words;
 }
 

@@ -14,12 +14,12 @@ import numpy as np
 from twin.compute.native import loading
 from twin.nc.blocks import AxisWords
 from twin.nc.emit import SAME_NUMBER, OutputState
-from twin.nc.iso.bulk import Formatting, Grids, rewritten_lines
-from twin.nc.iso.scan import NOTE, Scan, Words, scan, tables
+from twin.nc.lines.bulk import Formatting, Grids, rewritten_lines
+from twin.nc.lines.scan import NOTE, Scan, Words, scan, tables
 from twin.nc.text import Style
 
 _POINTERS: Final = ctypes.c_void_p
-_TABLES: Final = ("text", "kind", "bad", "rank", "axis")
+_TABLES: Final = ("text", "kind", "rank", "axis")
 _LINES: Final = {
     "start": np.int64,
     "end": np.int64,
@@ -90,20 +90,23 @@ class _Compiled:
     library: ctypes.CDLL
 
     def scan(self, data: bytes, names: tuple[str, ...]) -> Scan:
-        """As `twin.nc.iso.scan.scan`."""
+        """As `twin.nc.lines.scan.scan`."""
         text = np.frombuffer(data, dtype=np.uint8)
-        kind, rank, axis, bad = tables(names)
-        given = dict(
-            zip(_TABLES, (text, np.frombuffer(kind, np.uint8), np.frombuffer(bad, np.uint8), rank, axis), strict=True)
-        )
+        kind, rank, axis, _ = tables(names)
+        given = dict(zip(_TABLES, (text, np.frombuffer(kind, np.uint8), rank, axis), strict=True))
         job = _Job(size=len(data), **{name: values.ctypes.data for name, values in given.items()})
-        self.library.count(ctypes.byref(job))
-        sizes = {name: job.lines + (name == "first") for name in _LINES} | dict.fromkeys(_WORDS, job.words)
-        made = {name: np.empty(sizes[name], dtype=kind_) for name, kind_ in (_LINES | _WORDS).items()}
-        for name, values in made.items():
+        # Upper bounds: memory that is not written is not taken.
+        lines, words = data.count(b"\n") + data.count(b"\r") + 2, len(data) // 2 + 1
+        room = {
+            name: np.empty(size, dtype=kind_)
+            for names_, size in ((_LINES, lines), (_WORDS, words))
+            for name, kind_ in names_.items()
+        }
+        for name, values in room.items():
             setattr(job, name, values.ctypes.data)
         self.library.scan(ctypes.byref(job))
-        words = Words(**{name.removeprefix("word_"): made[name][: job.words].copy() for name in _WORDS})
+        made = {name: room[name][: job.lines + (name == "first")] for name in _LINES}
+        found = Words(**{name.removeprefix("word_"): room[name][: job.words] for name in _WORDS})
         blank = made["blank"] == 1
         for i in np.flatnonzero(made["blank"] == _MAYBE_NOTE).tolist():
             blank[i] = NOTE.fullmatch(data, made["start"][i], made["end"][i]) is not None
@@ -116,7 +119,7 @@ class _Compiled:
             blank,
             made["code"],
             made["wide"],
-            words,
+            found,
             made["first"],
         )
 
@@ -131,7 +134,7 @@ class _Compiled:
         formatting: Formatting,
         grids: Grids,
     ) -> tuple[bytes, Formatting]:
-        """As `twin.nc.iso.bulk.rewritten_lines`."""
+        """As `twin.nc.lines.bulk.rewritten_lines`."""
         axes = targets.shape[1]
         own = {
             "line": np.ascontiguousarray(lines, dtype=np.int64),
@@ -170,8 +173,8 @@ class LineCode:
     """Reader and writer of simple lines: with arrays, or the same in compiled code.
 
     Attributes:
-        scan: `twin.nc.iso.scan.scan`.
-        rewritten_lines: `twin.nc.iso.bulk.rewritten_lines`.
+        scan: `twin.nc.lines.scan.scan`.
+        rewritten_lines: `twin.nc.lines.bulk.rewritten_lines`.
     """
 
     scan: Callable[[bytes, tuple[str, ...]], Scan]
@@ -194,11 +197,11 @@ def line_code(lines: int) -> LineCode:
 @cache
 def _compiled() -> _Compiled | None:
     """Return the compiled code; None if it cannot be compiled, or differs from the arrays on a sample."""
-    source = resources.files("twin.nc.iso").joinpath("lines.cpp").read_text(encoding="utf-8")
+    source = resources.files("twin.nc.lines").joinpath("lines.cpp").read_text(encoding="utf-8")
     found = loading.library(source)
     if found is None:
         return None
-    for function, job in ((found.count, _Job), (found.scan, _Job), (found.rewrite, _RewriteJob)):
+    for function, job in ((found.scan, _Job), (found.rewrite, _RewriteJob)):
         function.argtypes, function.restype = (ctypes.POINTER(job),), None
     compiled = _Compiled(found)
     if not _agrees(compiled):

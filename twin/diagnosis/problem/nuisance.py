@@ -1,0 +1,217 @@
+"""Nuisance parameters of the readings: set-up, uncertain calibration, random effects; their orthonormal basis in coefficients.
+
+The derivatives by the set-up are few and held at all points, as an orthonormal basis Q. Those by the uncertain parameters, J, may be
+hundreds; they are sums of a derivative of the reading times a function of the state, and only the coefficients of the basis are held.
+With J̃ = J − QQᵀJ and a square root L of the covariance of the parameters, LᵀJ̃ᵀJ̃L + 1 = CCᵀ (Cholesky) gives the basis of
+[B, JL; 0, 1]: its readings' part is U = [Q, J̃A] with A = LC⁻ᵀ, and its prior's part is [0, C⁻ᵀ]. UᵀU and the Gram matrix of the prior's
+part add up to the identity, to a rounding error of 10⁻¹⁶ times the largest variance of J̃L in units of the noise variance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from functools import reduce
+from typing import Final, final
+
+import numpy as np
+import scipy
+
+from twin._common.threads import map_chunks
+from twin.diagnosis.candidates.signatures import Column
+from twin.diagnosis.problem.signature_products import PointBlock, Signatures
+from twin.identification.network import LinearisedReadings
+from twin.numerics.functions import Rows, pieces
+
+RANK_TOLERANCE: Final = 1e-9
+"""Relative tolerance of the numerical rank: smaller singular values of the set-up's derivatives count as zero."""
+
+
+@final
+class Nuisance:
+    """Orthonormal basis of the nuisance derivatives of p parameters besides the set-up.
+
+    Args:
+        signatures: signatures of the p parameters, each in units of the parameter.
+        root: (p, k) square root of their covariance.
+        setup: (3n, s) orthonormal basis of the derivatives by the set-up.
+        triangle: (s, set-up) coordinates in it of the derivatives by the set-up.
+        on_setup: (s, p) inner products QᵀJ.
+        remaining: (p, p) inner products J̃ᵀJ̃.
+        extended: the nuisance parameters without random effects, and the square root of the factor on the weights; these parameters
+            and no factor if None.
+
+    Attributes:
+        coordinates: (directions, set-up + k) coordinates in the basis of the derivatives by the set-up and of one standard deviation of
+            each direction of the covariance.
+        prior: (k, directions) the prior's part of the basis.
+        base: the nuisance parameters without random effects.
+        scale: factor on the whitening, relative to that of the base.
+        known: inner products with `raw` of the base, kept by those who need them again.
+    """
+
+    def __init__(
+        self,
+        signatures: Signatures,
+        root: np.ndarray,
+        setup: np.ndarray,
+        triangle: np.ndarray,
+        on_setup: np.ndarray,
+        remaining: np.ndarray,
+        extended: tuple[Nuisance, float] | None = None,
+    ) -> None:
+        self.signatures = signatures
+        self.base, self.scale = (self, 1.0) if extended is None else extended
+        self.known: dict[Hashable, np.ndarray] = {}
+        self._setup, self._triangle, self._on_setup = setup, triangle, on_setup
+        self._root, self._remaining = root, remaining
+        self._grams: dict[bytes, np.ndarray] = {}
+        lower = np.linalg.cholesky(root.T @ remaining @ root + np.eye(root.shape[1]))
+        inverse = scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True)
+        self._change = root @ inverse.T
+        self.prior = np.concatenate([np.zeros((len(inverse), setup.shape[1])), inverse.T], axis=1)
+        below = np.zeros((len(lower), triangle.shape[1]))
+        self.coordinates = np.block([[triangle, on_setup @ root], [below, lower.T]])
+
+    @classmethod
+    def of(
+        cls, view: LinearisedReadings, by_setup: np.ndarray, columns: Sequence[Column], root: np.ndarray
+    ) -> Nuisance:
+        """Return the basis of set-up and uncertain parameters.
+
+        Args:
+            view: linearisation at all points.
+            by_setup: (3n, set-up) derivatives by the set-up, in plausible sizes.
+            columns: columns of the p parameters.
+            root: (p, k) square root of their covariance.
+        """
+        signatures = Signatures(view, [_in_units(column) for column in columns])
+        orthonormal, triangle = np.linalg.qr(by_setup)
+        left, values, right = np.linalg.svd(triangle, full_matrices=False)
+        kept = values > RANK_TOLERANCE * values.max(initial=0.0)
+        setup = orthonormal @ left[:, kept]
+        on_setup = signatures.along(lambda block: _at(setup, block.rows))[0].T
+        remaining = _gram(signatures, setup, on_setup, np.arange(len(view.rows)))[kept.sum() :, kept.sum() :]
+        return cls(signatures, root, setup, values[kept, None] * right[kept], on_setup, remaining)
+
+    def extended(
+        self, view: LinearisedReadings, scale: float, columns: Sequence[Column], deviations: np.ndarray
+    ) -> Nuisance:
+        """Return the basis with independent random effects added.
+
+        Args:
+            view: linearisation at all points, whitened by the base's whitening times ``scale``.
+            scale: that factor.
+            columns: columns of the random effects.
+            deviations: (r,) their standard deviations, in units of the parameter.
+        """
+        own = Signatures(view, [*self.signatures.columns, *(_in_units(column) for column in columns)])
+        more = Signatures(self.signatures.view, own.columns[len(self.signatures.columns) :])
+        by_setup, by_columns = np.split(self.along_signatures(more, None), [self._setup.shape[1]])
+        on_setup = np.concatenate([self._on_setup, by_setup], axis=1)
+        cross = by_columns - self._on_setup.T @ by_setup
+        among = more.along(more.at)[0] - by_setup.T @ by_setup
+        remaining = np.block([[self._remaining, cross], [cross.T, among]])
+        root = scipy.linalg.block_diag(self._root, np.diag(deviations))
+        return Nuisance(
+            own, root, self._setup, self._triangle, scale * on_setup, scale**2 * remaining, (self, scale)
+        )
+
+    @property
+    def setup_count(self) -> int:
+        """Number of vectors of the set-up in `raw`."""
+        return int(self._setup.shape[1])
+
+    @property
+    def raw_count(self) -> int:
+        """Number of vectors in `raw`."""
+        return self._setup.shape[1] + len(self.signatures.columns)
+
+    def raw(self, block: PointBlock) -> np.ndarray:
+        """Return (points, 3, raw) basis of the set-up and columns of the parameters at a block of points."""
+        return np.concatenate([self._setup_at(block.rows), self.signatures.at(block)], axis=2)
+
+    def from_raw(self, products: np.ndarray) -> np.ndarray:
+        """Return inner products (directions, …) with the basis, from those (raw, …) with `raw`."""
+        by_setup, by_columns = np.split(products, [self._setup.shape[1]])
+        return np.concatenate([by_setup, self._change.T @ (by_columns - self._on_setup.T @ by_setup)])
+
+    def along(self, vectors: np.ndarray) -> np.ndarray:
+        """Return inner products (directions, …) of the basis with (3n, …) vectors at all points."""
+        flat = vectors.reshape(len(vectors), -1)
+        at_points = flat.reshape(len(flat) // 3, 3, flat.shape[1])
+        by_columns = self.signatures.along(lambda block: at_points[block.rows])[0]
+        found = self.from_raw(np.concatenate([self._setup.T @ flat, by_columns]))
+        return found.reshape(len(found), *vectors.shape[1:])
+
+    def along_signatures(self, signatures: Signatures, points: np.ndarray | None) -> np.ndarray:
+        """Return inner products (raw, columns) of `raw` with signatures, over some points or all."""
+        by_setup = signatures.along(lambda block: self._setup_at(block.rows), points)[0].T
+        return np.concatenate([by_setup, self.signatures.along(signatures.at, points)[0]])
+
+    def combined(self, coordinates: np.ndarray) -> np.ndarray:
+        """Return (3n, …) vectors at all points from (directions, …) coordinates in the basis."""
+        by_setup, rest = np.split(coordinates.reshape(len(coordinates), -1), [self._setup.shape[1]])
+        by_columns = self._change @ rest
+        found = self._setup @ (by_setup - self._on_setup @ by_columns)
+        if len(by_columns):
+            found += self.signatures.combined(by_columns).reshape(found.shape)
+        return found.reshape(len(found), *coordinates.shape[1:])
+
+    def rows(self, points: Rows) -> np.ndarray:
+        """Return the basis (points, 3, directions) at some points."""
+        here = _projected(self.signatures, self._setup, self._on_setup, points)
+        by_setup, by_columns = np.split(here, [self._setup.shape[1]], axis=2)
+        flat = by_columns.reshape(-1, len(self._change)) if len(self._change) else by_columns
+        changed = flat @ self._change if len(self._change) else flat
+        return np.concatenate([by_setup, changed.reshape(*here.shape[:2], self._change.shape[1])], axis=2)
+
+    @property
+    def change(self) -> np.ndarray:
+        """(raw, directions) coefficients of the basis in `raw`."""
+        return np.block(
+            [
+                [np.eye(self._setup.shape[1]), -self._on_setup @ self._change],
+                [np.zeros((len(self._change), self._setup.shape[1])), self._change],
+            ]
+        )
+
+    def gram(self, points: np.ndarray) -> np.ndarray:
+        """Return the Gram matrix (directions, directions) of the basis over some points; cached."""
+        key = points.tobytes()
+        if key not in self._grams:
+            change = scipy.linalg.block_diag(np.eye(self._setup.shape[1]), self._change)
+            self._grams[key] = change.T @ _gram(self.signatures, self._setup, self._on_setup, points) @ change
+        return self._grams[key]
+
+    def _setup_at(self, points: Rows) -> np.ndarray:
+        return _at(self._setup, points)
+
+
+def _in_units(column: Column) -> Column:
+    """Return a column in units of its parameter; the same object if it is already, so that its inner products are found again."""
+    return column if column.scale == 1.0 else Column(column.terms, 1.0)
+
+
+def _at(columns: np.ndarray, points: Rows) -> np.ndarray:
+    """Return the rows (points, 3, k) of (3n, k) columns at some points."""
+    return np.asarray(columns.reshape(len(columns) // 3, 3, columns.shape[1])[points])
+
+
+def _projected(signatures: Signatures, setup: np.ndarray, on_setup: np.ndarray, points: Rows) -> np.ndarray:
+    """Return (points, 3, raw) basis of the set-up, and signatures with the set-up projected out."""
+    here = _at(setup, points)
+    return np.concatenate([here, signatures.at(PointBlock(signatures.view, points)) - here @ on_setup], axis=2)
+
+
+def _gram(signatures: Signatures, setup: np.ndarray, on_setup: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the Gram matrix (raw, raw) over some points of what `_projected` returns."""
+    size = sum(on_setup.shape)
+
+    def partial(own: Sequence[slice]) -> np.ndarray:
+        found = np.zeros((size, size))
+        for run in own:
+            rows = _projected(signatures, setup, on_setup, points[run]).reshape(-1, size) if size else found
+            found += rows.T @ rows
+        return found
+
+    return reduce(np.ndarray.__iadd__, map_chunks(pieces(len(points)), partial))

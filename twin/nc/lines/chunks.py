@@ -1,0 +1,398 @@
+"""Programs processed in chunks: read and written, with the modal state carried from chunk to chunk.
+
+Runs of simple lines are processed together (`twin.nc.lines.scan`, `twin.nc.lines.bulk`), all other lines by the interpreter and the
+writer of blocks of the language.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from twin.nc.blocks import AxisWords, FrameChange, Interpretation, LostPositions, Notice, Program
+from twin.nc.columns import NO_VECTOR, MoveBuilder, MoveColumns, NewPositions, fill_forward
+from twin.nc.lines.bulk import LARGEST_STEPS, Formatting, Grids
+from twin.nc.lines.compiled import ARRAYS, LineCode, line_code
+from twin.nc.lines.scan import MOST_DIGITS, Scan
+from twin.nc.modal import Interpreter
+from twin.nc.text import MM_PER_INCH
+from twin.nc.writer import Segments, WordWriter
+
+SHORTEST_RUN: Final = 12
+"""Smallest number of simple lines processed together; fewer are faster one by one."""
+CHUNK_LINES: Final = 4096
+"""Lines per chunk of a program in memory, few enough to fit in cache."""
+DELETED_LINE: Final = ";\0\n"
+"""A comment that occurs in no program, in place of a deleted line, so that the other lines keep their numbers."""
+
+Scanner = Callable[[bytes, tuple[str, ...], LineCode], Scan]
+"""Function that finds the simple lines of a language in whole lines of text: bytes, axis names, code for ISO lines."""
+
+
+@final
+class Chunk:
+    """A chunk of whole lines of a program.
+
+    Args:
+        data: their bytes.
+        first: 0-based index of the first line in the program.
+        names: axis names.
+        code: how simple lines are read.
+        scanner: finds the simple lines of the program's language; those of ISO programs if None.
+
+    Attributes:
+        scan: its simple lines.
+        first: as given.
+    """
+
+    def __init__(
+        self,
+        data: bytes,
+        first: int,
+        names: tuple[str, ...],
+        code: LineCode = ARRAYS,
+        scanner: Scanner | None = None,
+    ) -> None:
+        self.scan = code.scan(data, names) if scanner is None else scanner(data, names, code)
+        self.first = first
+
+    def __len__(self) -> int:
+        return len(self.scan.start)
+
+    def text_of(self, line: int) -> str:
+        """Return the text of a line, by its index in the program."""
+        return self.scan.line(line - self.first)
+
+
+def runs(bulk: np.ndarray, blank: np.ndarray) -> Iterator[tuple[int, int, bool]]:
+    """Split lines into runs to process together and single lines.
+
+    Args:
+        bulk: (lines,) whether the line can be processed together with its neighbours.
+        blank: (lines,) whether it is empty or a comment.
+
+    Yields:
+        First line, the line after the last, and whether to process them together.
+    """
+    stops = np.append(np.flatnonzero(~(bulk | blank)), len(bulk)).tolist()
+    at = 0
+    for stop in stops:
+        if stop - at >= SHORTEST_RUN:
+            yield at, stop, True
+        else:
+            yield from ((line, line + 1, False) for line in range(at, stop))
+        if stop < len(bulk):
+            yield stop, stop + 1, False
+        at = stop + 1
+
+
+def chunks(program: Program, names: tuple[str, ...], scanner: Scanner | None = None) -> Iterator[Chunk]:
+    """Yield a program in memory in chunks, with `DELETED_LINE` in place of empty texts."""
+    code = line_code(len(program.texts))
+    for first in range(0, len(program.texts), CHUNK_LINES):
+        text = "".join(one or DELETED_LINE for one in program.texts[first : first + CHUNK_LINES])
+        yield Chunk(text.encode("latin-1"), first, names, code, scanner)
+
+
+@final
+class ChunkReader:
+    """Reader of a program, chunk by chunk.
+
+    Args:
+        interpreter: interpreter of its blocks.
+
+    Attributes:
+        drills: whether some block so far makes several moves because of a drilling cycle.
+    """
+
+    def __init__(self, interpreter: Interpreter) -> None:
+        self._interpreter = interpreter
+        self._notices = self._left = 0
+        self.drills = False
+
+    def read(self, chunk: Chunk) -> MoveColumns:
+        """Return the moves of the next chunk.
+
+        Raises:
+            InputError: as `twin.nc.dialect.Dialect.moves`.
+        """
+        found = MoveBuilder(self._interpreter.names)
+        self.read_into(found, chunk)
+        return found.moves()
+
+    def read_into(self, found: MoveBuilder, chunk: Chunk) -> None:
+        """As `read`, with the moves added to a builder."""
+        scan, first = chunk.scan, chunk.first
+        for begin, end, together in runs(scan.simple, scan.blank):
+            at = begin
+            while at < end and not (together and self._run(chunk, at, end, found)):
+                moves = self._interpreter.moves(first + at, scan.line(at))
+                self.drills = self.drills or len(moves) > 1
+                for move in moves:
+                    found.add(move)
+                at += 1
+
+    def whole(self, parts: Iterator[Chunk]) -> Interpretation:
+        """Return a program whose chunks are given in order.
+
+        Raises:
+            InputError: as `twin.nc.dialect.Dialect.moves`.
+        """
+        found = MoveBuilder(self._interpreter.names)
+        for chunk in parts:
+            self.read_into(found, chunk)
+        return Interpretation(found.moves(), tuple(self.notices()), tuple(self.lost_positions()), self.frames)
+
+    def notices(self) -> list[Notice]:
+        """Return the notices since the last call."""
+        found = self._interpreter.notices[self._notices :]
+        self._notices += len(found)
+        return found
+
+    def lost_positions(self) -> list[LostPositions]:
+        """Return the unknown axis positions since the last call."""
+        found = self._interpreter.lost_positions[self._left :]
+        self._left += len(found)
+        return found
+
+    @property
+    def frames(self) -> tuple[FrameChange, ...]:
+        """Changes of the frame so far."""
+        return tuple(self._interpreter.frames)
+
+    def _run(self, chunk: Chunk, begin: int, end: int, found: MoveBuilder) -> bool:
+        """Read simple lines together; return False if the modal state does not allow it."""
+        state = self._interpreter
+        if not state.runs_allowed:
+            return False
+        scan = chunk.scan
+        lines = begin + np.flatnonzero(scan.simple[begin:end])
+        if not lines.size:
+            return True
+        motion = motions(scan, lines, state.motion)
+        if motion is None:
+            return False
+        words = slice(scan.first[lines[0]], scan.first[lines[-1] + 1])
+        axis, value = scan.words.axis[words], scan.words.value[words]
+        repeated = state.repeated
+        if repeated and not only_places(scan, lines, state.linear - 1):
+            return False
+        if state.inch:
+            value = np.where(axis < state.linear, value * MM_PER_INCH, value)
+        position = np.full((len(lines), len(state.names)), np.nan)
+        row = np.repeat(np.arange(len(lines)), np.diff(scan.first)[lines])
+        position[row, axis] = value
+        said = ~np.isnan(position)
+        if state.frame.plane is not None and (state.tcp or said[:, state.linear :].any()):
+            return False  # the interpreter refuses one of these lines
+        named = said @ (1 << np.arange(len(state.names)))
+        fill_forward(position, said, state.position)
+        rapid, of = motion == 0, chunk.first + lines
+        if repeated:
+            self.drills = True
+            of, position, named, rapid = _with_repeated(repeated, state.linear - 1, of, position, named, rapid)
+        vector, tcp = np.broadcast_to(NO_VECTOR, (len(of), 3)), np.full(len(of), state.tcp)
+        found.extend(MoveColumns(state.names, of, rapid, tcp, named, position, vector, {}))
+        state.position = position[-1].tolist()
+        state.motion = int(motion[-1])
+        return True
+
+
+def only_places(scan: Scan, lines: np.ndarray, drilling: int) -> bool:
+    """Return whether simple lines have no motion code and no word of the axis ``drilling``."""
+    words = slice(scan.first[lines[0]], scan.first[lines[-1] + 1])
+    return not (np.any(scan.code[lines] >= 0) or np.any(scan.words.axis[words] == drilling))
+
+
+def _with_repeated(
+    repeated: tuple[tuple[float, bool], ...],
+    drilling: int,
+    line: np.ndarray,
+    position: np.ndarray,
+    named: np.ndarray,
+    rapid: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return columns of moves with those of a drilling cycle behind each.
+
+    Args:
+        repeated: see `Interpreter`.
+        drilling: the axis that drills.
+        line: as for `MoveColumns`.
+        position: the same.
+        named: the same.
+        rapid: the same.
+    """
+    each = 1 + len(repeated)
+    line, position, named, rapid = (np.repeat(column, each, axis=0) for column in (line, position, named, rapid))
+    for place, (height, fast) in enumerate(repeated, 1):
+        position[place::each, drilling], named[place::each], rapid[place::each] = height, 1 << drilling, fast
+    return line, position, named, rapid
+
+
+class SimpleRun(NamedTuple):
+    """Simple lines that are written together.
+
+    Attributes:
+        scan: the text.
+        whole: the range of the text that contains the lines.
+        lines: (n,) indices of the lines.
+        motion: (n,) their motion codes.
+        segments: (moves,) number of segments of each of their moves.
+        per_line: (n,) number of segments of each line.
+        targets: (segments, axes) their end positions.
+    """
+
+    scan: Scan
+    whole: slice
+    lines: np.ndarray
+    motion: np.ndarray
+    segments: np.ndarray
+    per_line: np.ndarray
+    targets: np.ndarray
+
+
+class ChunkRewriter(ABC):
+    """Writer of a program, chunk by chunk.
+
+    Args:
+        axes: axis words.
+        interpreter: interpreter of its blocks.
+        writer: writer of its blocks.
+        code: how simple lines are written.
+    """
+
+    def __init__(
+        self, axes: AxisWords, interpreter: Interpreter, writer: WordWriter[Any], code: LineCode = ARRAYS
+    ) -> None:
+        self._state, self._words, self._code = interpreter, writer, code
+        self._grids = Grids(axes.names, [axes.increment[name] for name in axes.names])
+
+    @abstractmethod
+    def line(self, line: int, text: str, segments: Mapping[int, Segments]) -> str:
+        """Return the output for one line.
+
+        Args:
+            line: its 0-based index in the program.
+            text: its text.
+            segments: replacements of its moves, by the index of the move in the line.
+        """
+
+    @abstractmethod
+    def formatting(self, run: SimpleRun) -> Formatting | None:
+        """Return the formatting in force; None if the modal state does not allow to write these lines together."""
+
+    @abstractmethod
+    def written(self, run: SimpleRun, text: bytes, formatting: Formatting) -> bytes:
+        """Take over the state after lines that were written together, and return their final text.
+
+        Args:
+            run: the lines.
+            text: as written.
+            formatting: formatting after the last of them.
+        """
+
+    def whole(self, parts: Iterator[Chunk], moves: MoveColumns, new: NewPositions) -> str:
+        """Return a program whose chunks are given in order, with its moves replaced; deleted lines are omitted."""
+        out, at = [], 0
+        for chunk in parts:
+            last = int(np.searchsorted(moves.line, chunk.first + len(chunk)))
+            out.append(self.write(chunk, moves.part(at, last), new.part(at, last)))
+            at = last
+        return b"".join(out).decode("latin-1").replace(DELETED_LINE, "")
+
+    def write(self, chunk: Chunk, moves: MoveColumns, new: NewPositions) -> bytes:
+        """Return the next chunk with its moves replaced.
+
+        Args:
+            chunk: the chunk.
+            moves: its moves.
+            new: their replacements.
+        """
+        scan = chunk.scan
+        at_line = moves.line - chunk.first
+        of_line = np.searchsorted(at_line, np.arange(len(chunk) + 1))
+        general = new.count == 0
+        general[list(moves.special)] = True
+        general |= moves.by_vector
+        exact = self._exact_in_steps(moves.named[~general], new.positions[new.rows(np.flatnonzero(~general))])
+        bulk = scan.simple & (np.diff(of_line) > 0) & exact
+        bulk[at_line[general]] = False
+        out: list[bytes] = []
+        for begin, end, together in runs(bulk, scan.blank):
+            at = begin
+            while at < end:
+                run = self._run(scan, at, end, of_line, moves, new) if together else None
+                if run is not None:
+                    out.append(run)
+                    break
+                segments = _segments(range(of_line[at], of_line[at + 1]), moves, new)
+                out.append(self.line(chunk.first + at, scan.line(at), segments).encode("latin-1"))
+                at += 1
+        return b"".join(out)
+
+    def _exact_in_steps(self, named: np.ndarray, positions: np.ndarray) -> bool:
+        """Return whether values are exact in steps, and each axis has a value in all rows, or in none and no word either."""
+        known = np.isfinite(positions)
+        everywhere = known.all(axis=0)
+        written = np.bitwise_or.reduce(named, initial=0) >> np.arange(known.shape[1]) & 1 > 0
+        if not self._grids.exact or not np.all(everywhere | ~(known.any(axis=0) | written)):
+            return False
+        return bool(np.abs(positions[:, everywhere]).max(initial=0.0) < LARGEST_STEPS * self._grids.step.min())
+
+    def _run(
+        self, scan: Scan, begin: int, end: int, of_line: np.ndarray, moves: MoveColumns, new: NewPositions
+    ) -> bytes | None:
+        """Return simple lines written together; None (and nothing done) if the modal state does not allow it."""
+        state, writer = self._state, self._words
+        if not state.runs_allowed or state.inch or writer.style.min_decimals > MOST_DIGITS:
+            return None
+        lines = begin + np.flatnonzero(scan.simple[begin:end])
+        motion = motions(scan, lines, state.motion) if lines.size else None
+        if motion is None:
+            return None
+        first = of_line[lines]
+        which = np.arange(first[0], of_line[lines[-1] + 1])
+        segments = new.count[which]
+        run = SimpleRun(
+            scan,
+            slice(int(scan.start[begin]), int(scan.end[end - 1])),
+            lines,
+            motion,
+            segments,
+            np.add.reduceat(segments, first - first[0]),
+            new.positions[new.rows(which)],
+        )
+        formatting = self.formatting(run)
+        if formatting is None:
+            return None
+        text, formatting = self._code.rewritten_lines(
+            scan, run.whole, lines, run.per_line, run.targets, writer.said, formatting, self._grids
+        )
+        writer.style, writer.lower = formatting.style, formatting.lower
+        state.motion = int(motion[-1])
+        state.position = moves.position[which[-1]].tolist()
+        return self.written(run, text, formatting)
+
+
+def _segments(which: range, moves: MoveColumns, new: NewPositions) -> dict[int, Segments]:
+    """Return the replacements of the moves of a line in the form of the writer of blocks."""
+    found = {}
+    for place, index in enumerate(which):
+        rewrite = new.of_move(index, moves[index])
+        if rewrite is not None:
+            found[place] = (rewrite, rewrite.positions.tolist())
+    return found
+
+
+def motions(scan: Scan, lines: np.ndarray, before: int | None) -> np.ndarray | None:
+    """Return (lines,) the motion code in force on each line; None if one is neither G0 nor G1."""
+    code = scan.code[lines].astype(np.int64)
+    if code[0] < 0:
+        if before not in (0, 1):
+            return None
+        code[0] = before
+    said = code >= 0
+    return np.asarray(code[np.maximum.accumulate(np.where(said, np.arange(len(code)), 0))])
