@@ -298,9 +298,9 @@ def _polar(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
     for axis in (plot.xaxis, plot.yaxis):
         axis.set_label_coords(0.5, 0.5)  # they have no labels, whose places would be computed from those of all ticks
     _legend(plot, columns=2, size=8.0)
-    lines = -(-len(plot.get_legend_handles_labels()[0]) // 2)
+    rows = -(-len(plot.get_legend_handles_labels()[0]) // 2)
     below, above = (0.44, 0.475) if full else (0.19, 0.225)
-    below += 0.14 * lines
+    below += 0.14 * rows
     plot.set_position((0.02, below / height, 0.96, (height - below - above) / height))
     return drawing
 
