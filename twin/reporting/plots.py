@@ -52,7 +52,9 @@ LETTER: Final = 0.072
 LINE: Final = 0.19
 """Height of a line of a legend, inches."""
 ABOVE_TURN: Final = 1.077
-"""Height of the title above a full turn, so that it is clear of the label at 90°, in heights of the plot."""
+"""Height of the title above a wide polar plot, so that it is clear of the label at 90°, in heights of the plot."""
+LEGEND_LINE: Final = 0.17
+"""Height of a line of its legend, inches."""
 SIDE: Final = 2.75
 MOST_HIGH: Final = 3.4
 """Largest width and height of a plane, inches; both axes have the same scale."""
@@ -275,7 +277,8 @@ def _along(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
 
 def _polar(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
     low, high = float(motion.position[0]), float(motion.position[-1])
-    height = 4.3 if high - low > 200.0 else 3.2
+    wide = high - low > 200.0
+    height = 4.3 if wide else 3.2
     drawing = new_figure(WIDTH, height, layout=None)
     plot = cast(PolarAxes, drawing.add_axes((0.0, 0.0, 1.0, 1.0), projection="polar"))
     q = motion.position * DEG
@@ -294,13 +297,13 @@ def _polar(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
     plot.set_xticks(np.arange(np.ceil(low / 30.0) * 30.0, high + (0.0 if full else 1.0), 30.0) * DEG)
     plot.tick_params(axis="x", labelsize=8)
     title = f"{motion.name} [{readable(motion.unit)}]"
-    plot.set_title(title, loc="left", fontsize=LETTERS, y=ABOVE_TURN if full else 1.0)
+    plot.set_title(title, loc="left", fontsize=LETTERS, y=ABOVE_TURN if wide else 1.0)
     for axis in (plot.xaxis, plot.yaxis):
         axis.set_label_coords(0.5, 0.5)  # they have no labels, whose places would be computed from those of all ticks
     _legend(plot, columns=2, size=8.0)
     rows = -(-len(plot.get_legend_handles_labels()[0]) // 2)
-    below, above = (0.44, 0.475) if full else (0.19, 0.225)
-    below += 0.14 * rows
+    downward = float(np.sin(plot.get_xticks()).min(initial=0.0)) < -0.4
+    below, above = LEGEND_LINE * rows + (0.41 if downward else 0.16), 0.475 if wide else 0.26
     plot.set_position((0.02, below / height, 0.96, (height - below - above) / height))
     return drawing
 
