@@ -40,10 +40,8 @@ class BatchFunction:
         dense = (
             function if all(function.sparsity_out(i).is_dense() for i in range(function.n_out())) else _dense(function)
         )
-        threads = ("thread", os.cpu_count() or 1) if (os.cpu_count() or 1) > 1 else ()
         self._function = dense
-        self._mapped, self._mapped_small = (dense.map(size, *threads) for size in (CHUNK, SMALL_CHUNK))
-        self._single = dense.map(1)
+        self._mapped: dict[tuple[int, bool], ca.Function] = {}
 
     @cached_property
     def _row_function(self) -> RowFunction:
@@ -71,14 +69,26 @@ class BatchFunction:
         while start < rows:
             left = rows - start
             if rows <= 4:
-                function, size = self._single, 1
+                size = 1
             else:
-                function, size = (self._mapped, CHUNK) if left >= CHUNK else (self._mapped_small, SMALL_CHUNK)
+                size = CHUNK if left >= CHUNK else SMALL_CHUNK
             # Calls of one size share one buffer.
             end = start + max(left // size, 1) * size
-            self._run(function, size, range(start, min(end, rows), size), columns, outputs)
+            self._run(
+                self._mapped_over(size, many=rows >= MANY), size, range(start, min(end, rows), size), columns, outputs
+            )
             start = end
         return outputs
+
+    def _mapped_over(self, size: int, *, many: bool) -> ca.Function:
+        """Return the function of ``size`` rows at once, built when it is first needed; on all cores if there are many rows.
+
+        For few rows, starting the threads takes as long as the work, and on a busy computer much longer.
+        """
+        if (size, many) not in self._mapped:
+            cores = os.cpu_count() or 1
+            self._mapped[size, many] = self._function.map(size, *(("thread", cores) if many and cores > 1 else ()))
+        return self._mapped[size, many]
 
     @staticmethod
     def _run(

@@ -180,10 +180,11 @@ def _reference_positions(machine: Machine, at: Mapping[str, float]) -> dict[str,
 
 def step_back(real: Kinematics, positions: np.ndarray, sides: np.ndarray | None, goal_mm: np.ndarray) -> np.ndarray:
     """Return the step (n, linear axes) in mm that moves the point to, or as near as possible to, the goal (n, 3)."""
-    off = real.forward(positions, sides).point_mm - goal_mm
-    return np.asarray(-(np.linalg.pinv(_derivatives(real, positions, sides)) @ off[:, :, None])[:, :, 0])
+    point, by = real.travel(positions, sides)
+    back = np.linalg.pinv(by[:, :, list(real.machine.linear)])
+    return np.asarray(-(back @ (point - goal_mm)[:, :, None])[:, :, 0])
 
 
 def _derivatives(real: Kinematics, positions: np.ndarray, sides: np.ndarray | None) -> np.ndarray:
     """Return the derivatives (n, 3, linear axes) of the point with respect to the linear axes' commands."""
-    return np.asarray(real.sensitivities(positions, sides).command[:, :3, list(real.machine.linear)])
+    return np.asarray(real.travel(positions, sides)[1][:, :, list(real.machine.linear)])

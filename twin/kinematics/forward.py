@@ -208,6 +208,10 @@ class Kinematics:
         return BatchFunction(ca.Function("forward", at, list(self.pose_at(*at))))
 
     @cached_property
+    def _error_frames(self) -> BatchFunction:
+        return BatchFunction(self.errors)
+
+    @cached_property
     def _sensitivities(self) -> BatchFunction:
         at = self.symbols()
         q = at[0]
@@ -224,6 +228,12 @@ class Kinematics:
         results = ca.substitute([by_command, by_error], [fixed], [rotation])
         results = ca.cse(ca.substitute(results, [e], [errors]))
         return BatchFunction(ca.Function("sensitivities", at, results))
+
+    @cached_property
+    def _travel(self) -> BatchFunction:
+        at = self.symbols()
+        _, point = self.pose_at(*at)
+        return BatchFunction(ca.Function("travel", at, [point, ca.jacobian(point, at[0])]))
 
     def reached(self, q: np.ndarray, approach: Any = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the result of `forward` without checks and in metres, for batches that must not raise.
@@ -259,7 +269,7 @@ class Kinematics:
             InputError: as for `forward`.
         """
         q = self.check(positions)
-        (errors,) = BatchFunction(self.errors)(*self.rows(q * self.machine.scale, approach))
+        (errors,) = self._error_frames(*self.rows(q * self.machine.scale, approach))
         return read_only(errors.reshape(len(q), -1, 6))
 
     def sensitivities(self, positions: Any, approach: Any = None) -> Sensitivities:
@@ -274,6 +284,18 @@ class Kinematics:
         return Sensitivities(
             read_only(command.reshape(shape).transpose(0, 2, 1)), read_only(error.reshape(shape).transpose(0, 2, 1))
         )
+
+    def travel(self, positions: Any, approach: Any = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points (n, 3) in mm, and their derivatives (n, 3, axes) by the commands in metres and radians.
+
+        The derivatives are those of `sensitivities`, whose derivatives by the error motions take ten times as long.
+
+        Raises:
+            InputError: as for `forward`.
+        """
+        q = self.check(positions)
+        point, by = self._travel(*self.rows(q * self.machine.scale, approach))
+        return read_only(point / MM), read_only(by.reshape(len(q), -1, 3).transpose(0, 2, 1))
 
     def check(self, positions: Any) -> np.ndarray:
         """Return positions as an (n, axes) array of finite numbers within the domain of every curve.

@@ -139,7 +139,7 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
     without_tables = None
     if real.calibration.corrections:
         alone = without(real, {table.name for table in real.calibration.corrections})
-        remaining_bare = (alone.forward(q, sides).point_mm - found.nominal_poses().point_mm) * 1e3
+        remaining_bare = (alone.forward(q, sides).point_mm - found.nominal_poses.point_mm) * 1e3
         without_tables = _distribution("without the control's tables", remaining_bare)
     exact = with_uncertainty = tilt_after = spreads = None
     out = unoriented_count = 0
@@ -147,7 +147,7 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
     uncertainty = ToolUncertainty(real)
     if real.machine.runs_programs:
         commands, beyond, unoriented = _commanded(found)
-        meant, reached = found.nominal_poses(), real.forward(commands, sides)
+        meant, reached = found.nominal_poses, real.forward(commands, sides)
         remaining = (reached.point_mm - meant.point_mm) * 1e3
         exact = _distribution("compensated, for an exact calibration", remaining)
         tilt_after = rms_and_max(reached.tilt_urad(meant))
@@ -185,7 +185,7 @@ def _distribution(name: str, error_um: np.ndarray) -> ErrorDistribution:
 def _commanded(found: Budget) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (n, axes) compensated commands, (n,) whether the travel is exceeded, (n,) whether the orientation is missed."""
     real, q, sides = found.kinematics, found.positions, found.sides
-    machine, inverse, meant = real.machine, Inverse(real), found.nominal_poses()
+    machine, inverse, meant = real.machine, Inverse(real), found.nominal_poses
     approach = sides if real.directed else None
     increment = np.array([axis.increment for axis in machine.axes])
     ranges, domains = machine.limits / machine.scale[:, None], real.calibration.domains()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Final, final
 
@@ -113,9 +114,10 @@ class Budget:
             name: name of that error.
         """
         only = without(self.kinematics, {name})
-        remaining = only.forward(self.positions, self.sides).point_mm - self.nominal_poses().point_mm
+        remaining = only.forward(self.positions, self.sides).point_mm - self.nominal_poses.point_mm
         return float(np.sqrt(np.mean(np.sum(remaining**2, axis=1)))) * 1e3
 
+    @cached_property
     def nominal_poses(self) -> Poses:
         """Return the poses of the nominal machine."""
         return nominal_machine(self.kinematics).forward(self.positions)

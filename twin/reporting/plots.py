@@ -25,7 +25,6 @@ from twin.display.figures import (
     RUN,
     SHADE,
     THIRD,
-    legend_below,
     new_figure,
     plot_markers,
     polar_ticks,
@@ -52,6 +51,8 @@ LETTER: Final = 0.072
 """Width of a letter of a label, inches."""
 LINE: Final = 0.19
 """Height of a line of a legend, inches."""
+ABOVE_TURN: Final = 1.077
+"""Height of the title above a full turn, so that it is clear of the label at 90°, in heights of the plot."""
 SIDE: Final = 2.75
 MOST_HIGH: Final = 3.4
 """Largest width and height of a plane, inches; both axes have the same scale."""
@@ -274,8 +275,9 @@ def _along(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
 
 def _polar(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
     low, high = float(motion.position[0]), float(motion.position[-1])
-    drawing = new_figure(WIDTH, 4.3 if high - low > 200.0 else 3.2)
-    plot = cast(PolarAxes, drawing.add_subplot(projection="polar"))
+    height = 4.3 if high - low > 200.0 else 3.2
+    drawing = new_figure(WIDTH, height, layout=None)
+    plot = cast(PolarAxes, drawing.add_axes((0.0, 0.0, 1.0, 1.0), projection="polar"))
     q = motion.position * DEG
     lines = _curves(plot, motion, DEG, "from below (+)", (1.6, 1.3))
     _stops(plot, stops, DEG)
@@ -291,8 +293,15 @@ def _polar(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
         label.set_bbox(text_box_style(0.8, 0.4))
     plot.set_xticks(np.arange(np.ceil(low / 30.0) * 30.0, high + (0.0 if full else 1.0), 30.0) * DEG)
     plot.tick_params(axis="x", labelsize=8)
-    legend_below(drawing, columns=2, size=8)
-    plot.set_title(f"{motion.name} [{readable(motion.unit)}]", loc="left", fontsize=LETTERS)
+    title = f"{motion.name} [{readable(motion.unit)}]"
+    plot.set_title(title, loc="left", fontsize=LETTERS, y=ABOVE_TURN if full else 1.0)
+    for axis in (plot.xaxis, plot.yaxis):
+        axis.set_label_coords(0.5, 0.5)  # they have no labels, whose places would be computed from those of all ticks
+    _legend(plot, columns=2, size=8.0)
+    rows = -(-len(plot.get_legend_handles_labels()[0]) // 2)
+    below, above = (0.44, 0.475) if full else (0.19, 0.225)
+    below += 0.14 * rows
+    plot.set_position((0.02, below / height, 0.96, (height - below - above) / height))
     return drawing
 
 
@@ -334,10 +343,17 @@ def _plot(width: float, height: float, *, left: float = 0.72, legend: int = 1) -
     return plot
 
 
-def _legend(plot: Axes, *, columns: int) -> None:
+def _legend(plot: Axes, *, columns: int, size: float = 8.5) -> None:
     handles, names = plot.get_legend_handles_labels()
     cast(Figure, plot.figure).legend(
-        handles, names, loc="lower center", ncols=columns, frameon=False, fontsize=8.5, columnspacing=1.2, borderpad=0.0
+        handles,
+        names,
+        loc="lower center",
+        ncols=columns,
+        frameon=False,
+        fontsize=size,
+        columnspacing=1.2,
+        borderpad=0.0,
     )
 
 
