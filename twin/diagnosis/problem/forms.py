@@ -553,6 +553,12 @@ def columns_of(forms: Sequence[Form]) -> np.ndarray:
 
 def pseudo_inverse(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the pseudo-inverse over the identifiable directions, and a square root of it."""
+    # If the matrix less the limit has a Cholesky factor, all eigenvalues are above the limit.
+    limit = max(LEAST_NONCENTRALITY, 1e-9 * float(np.trace(gram)))
+    if len(gram) and scipy.linalg.lapack.dpotrf(gram - limit * np.eye(len(gram)), lower=1)[1] == 0:
+        lower = scipy.linalg.lapack.dpotrf(gram, lower=1)[0]
+        root = np.asarray(scipy.linalg.lapack.dtrtri(lower, lower=1)[0].T)
+        return root @ root.T, root
     values, vectors = np.linalg.eigh(gram)
     seen = (values > LEAST_NONCENTRALITY) & (values > 1e-9 * values.max(initial=0.0))
     root = vectors[:, seen] / np.sqrt(values[seen])
