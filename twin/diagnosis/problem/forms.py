@@ -356,9 +356,9 @@ class Candidates:
 
         Args:
             columns: the columns.
-            basis: (directions, columns) their inner products with the nuisance basis, without projection (`Problem.products`).
+            basis: (k, columns) their inner products with the nuisance basis, made orthonormal on these data (`Problem.root`).
         """
-        return self.products.with_columns(columns) - (self.problem.root.T @ basis).T @ self._on_basis
+        return self.products.with_columns(columns) - basis.T @ self._on_basis
 
     def scores(self, forms: Sequence[Form], tried: Sequence[int]) -> np.ndarray:
         """Return (tried, 3) reduction of chi², degrees of freedom and corrected log p of some forms, given others.

@@ -29,6 +29,8 @@ LITTLE: Final = 1e-6
 """Noncentrality below which a function of a pattern has no effect on the likelihood."""
 UNREAD: Final = 1e-9
 """Share of the best measured direction below which a direction counts as not measured."""
+NEARLY_DEPENDENT: Final = 1e-8
+"""Eigenvalue of a pattern's inner products, relative to the largest, below which a direction is left out of what it can imitate."""
 FIRST: Final = 10.0
 """Initial noncentrality of a direction of a pattern."""
 TOGETHER: Final = 64
@@ -79,6 +81,7 @@ class Likelihood:
         self.candidates = candidates
         self.pattern_tests = tuple(pattern_tests)
         self._imitated: dict[int, np.ndarray] = {}
+        self._roots: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self.columns: list[Column] = []
         group: list[int] = []
         for k, pattern_test in enumerate(pattern_tests):
@@ -89,13 +92,15 @@ class Likelihood:
                 self.columns += own
         self.group = np.array(group, dtype=int)
         problem = candidates.problem
-        found = problem.products(self.columns)
-        size = np.bincount(self.group, np.diag(found.gram), 3 * len(pattern_tests))
+        gram, by_nuisance, slope = candidates.products.among(self.columns)
+        basis = problem.root.T @ problem.nuisances.from_raw(by_nuisance)
+        gram, slope = gram - basis.T @ basis, slope - basis.T @ (problem.root.T @ problem.residual_on_basis)
+        size = np.bincount(self.group, np.diag(gram), 3 * len(pattern_tests))
         self._size = np.where(size > UNREAD * size.max(initial=0.0), size, 0.0)
-        self._rotation, self._own = _orthogonal(found.gram, self.group, self._size)
-        self._gram = self._rotation.T @ found.gram @ self._rotation
-        self._slope = self._rotation.T @ found.slope
-        self._cross = self._rotation.T @ candidates.along(self.columns, found.basis)
+        self._rotation, self._own = _orthogonal(gram, self.group, self._size)
+        self._gram = self._rotation.T @ gram @ self._rotation
+        self._slope = self._rotation.T @ slope
+        self._cross = self._rotation.T @ candidates.along(self.columns, basis)
         self._chi2, self._dof = problem.chi2, max(problem.dof, 1)
 
     def fit(self, forms: Sequence[Form], start: Model | None = None, without: int | None = None) -> Model:
@@ -200,13 +205,20 @@ class Likelihood:
         size = float(values @ whole @ values)
         found = np.zeros(len(self.pattern_tests))
         for k in range(len(self.pattern_tests)):
-            mine = np.flatnonzero(self._own // 3 == k)
-            inner = self._gram[np.ix_(mine, mine)]
-            along = self._cross[np.ix_(mine, own)] @ values
-            shared = along @ np.linalg.lstsq(inner, along, rcond=1e-8)[0]
-            found[k] = 1.0 if shared > MOSTLY * size else 0.0
+            mine, root = self._root_of(k)
+            along = root.T @ (self._cross[np.ix_(mine, own)] @ values)
+            found[k] = 1.0 if along @ along > MOSTLY * size else 0.0
         self._imitated[form.index] = found
         return found
+
+    def _root_of(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the columns of a pattern, and a square root of the pseudo-inverse of their inner products."""
+        if k not in self._roots:
+            mine = np.flatnonzero(self._own // 3 == k)
+            found, vectors = np.linalg.eigh(self._gram[np.ix_(mine, mine)])
+            kept = found > NEARLY_DEPENDENT * found.max(initial=0.0)
+            self._roots[k] = mine, vectors[:, kept] / np.sqrt(found[kept])
+        return self._roots[k]
 
     def explained(self, forms: Sequence[Form], model: Model) -> float:
         """Return the χ² that the patterns explain in addition to the causes."""
