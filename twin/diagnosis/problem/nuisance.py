@@ -86,7 +86,8 @@ class Nuisance:
             columns: columns of the p parameters.
             root: (p, k) square root of their covariance.
         """
-        signatures = Signatures(view, _with_shared_functions([_in_units(column) for column in columns]))
+        columns, root = _with_orthonormal_functions([_in_units(column) for column in columns], root)
+        signatures = Signatures(view, _with_shared_functions(columns))
         orthonormal, triangle = np.linalg.qr(by_setup)
         left, values, right = np.linalg.svd(triangle, full_matrices=False)
         kept = values > RANK_TOLERANCE * values.max(initial=0.0)
@@ -176,7 +177,7 @@ class Nuisance:
 
     def rows(self, points: Rows) -> np.ndarray:
         """Return the basis (points, 3, directions) at some points."""
-        here = _projected(self.signatures, self._setup, self._on_setup, points)
+        here = self._projected(points)
         by_setup, by_columns = np.split(here, [self._setup.shape[1]], axis=2)
         flat = by_columns.reshape(-1, len(self._change)) if len(self._change) else by_columns
         changed = flat @ self._change if len(self._change) else flat
@@ -196,8 +197,12 @@ class Nuisance:
         """Return the Gram matrix (directions, directions) of the basis over some points; cached."""
         key = points.tobytes()
         if key not in self._grams:
-            self._grams[key] = _gram(self.rows, len(self.coordinates), points)
+            change = scipy.linalg.block_diag(np.eye(self.setup_count), self._change)
+            self._grams[key] = change.T @ _gram(self._projected, self.raw_count, points) @ change
         return self._grams[key]
+
+    def _projected(self, points: Rows) -> np.ndarray:
+        return _projected(self.signatures, self._setup, self._on_setup, points)
 
     def _setup_at(self, points: Rows) -> np.ndarray:
         return _at(self._setup, points)
@@ -230,6 +235,36 @@ def _gram(rows_at: Callable[[Rows], np.ndarray], size: int, points: np.ndarray) 
         return found
 
     return reduce(np.ndarray.__iadd__, map_chunks(pieces(len(points)), partial))
+
+
+def _with_orthonormal_functions(
+    columns: Sequence[Column], root: np.ndarray
+) -> tuple[Sequence[Column], np.ndarray]:
+    """Return columns that span the same, and the root in their units, with the functions of each curve orthonormal at the points.
+
+    The coefficients of powers are strongly correlated: their effects are hundreds of times larger than the uncertainty of the curve,
+    and cancel. Those of orthonormal functions are not. Sets of functions that are used in any other way stay as they are.
+
+    Args:
+        columns: columns of the p parameters.
+        root: (p, k) square root of their covariance.
+    """
+    sets: dict[Functions, list[int]] = {}
+    for i, column in enumerate(columns):
+        for term in column.terms:
+            sets.setdefault(term.functions, []).append(i)
+    found, root = list(columns), np.array(root)
+    for functions, own in sets.items():
+        terms = [term for i in own for term in columns[i].terms]
+        alike = len({(term.freedom, term.weight) for term in terms}) == 1
+        if len(terms) != len(own) or not alike or len(own) > functions.points:
+            continue
+        basis, triangle = np.linalg.qr(functions.values(slice(None))[:, [term.index for term in terms]])
+        made = tabulated(basis)
+        for k, i in enumerate(own):
+            found[i] = Column((replace(terms[k], functions=made, index=k),), columns[i].scale)
+        root[own] = triangle @ root[own]
+    return found, root
 
 
 def _with_shared_functions(columns: Sequence[Column]) -> list[Column]:
