@@ -138,7 +138,9 @@ class Likelihood:
         followed = (variances * self._size)[self._own] > SMALL
         used = np.flatnonzero(followed & (variances[self._own] * np.diag(self._gram) > LITTLE))
         deviation = np.sqrt(variances[self._own[used]])
-        inner = self._gram[np.ix_(used, used)] * np.outer(deviation, deviation)
+        inner = self._gram[np.ix_(used, used)]
+        inner *= deviation[:, None]
+        inner *= deviation
         inner[np.diag_indices_from(inner)] += 1.0
         return used, deviation, inner
 
@@ -149,18 +151,19 @@ class Likelihood:
         used, deviation, inner = self._followed(variances)
         cross = self._cross[np.ix_(used, columns)] * deviation[:, None]
         slope = self._slope[used] * deviation
-        inverse, log_det = _inverse(inner)
+        inverse, log_det = _inverse_factor(inner)
+        cross, slope_left = inverse @ cross, inverse @ slope
         values, back = np.zeros(len(columns)), np.zeros((0, 0))
         if len(columns):
-            back, _ = pseudo_inverse(fixed - cross.T @ inverse @ cross)
-            values = back @ (self.candidates.slope[columns] - cross.T @ (inverse @ slope))
-        found = inverse @ (slope - cross @ values)
+            back, _ = pseudo_inverse(fixed - cross.T @ cross)
+            values = back @ (self.candidates.slope[columns] - cross.T @ slope_left)
+        found = inverse.T @ (slope_left - cross @ values)
         explained = float(self.candidates.slope[columns] @ values + slope @ found)
         more = max((self._chi2 - explained) / self._dof, 1.0)
         # Relative to the stated noise alone, for which twice the log likelihood is −χ².
         twice_log_ratio = self._chi2 - (self._chi2 - explained) / more - self._dof * float(np.log(more)) - log_det
         groups = len(variances)
-        share = 1.0 - np.diag(inverse)
+        share = 1.0 - np.einsum("ij,ij->j", inverse, inverse)
         known = np.bincount(self._own[used], share, groups)
         squares = np.bincount(self._own[used], found**2, groups)
         moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / variance_factor, variances)
@@ -250,7 +253,8 @@ class Likelihood:
             Numbers of the k columns with a relevant variance; (k,) their coefficients, µm; (k, k) the covariance, µm².
         """
         used, deviation, inner = self._followed(model.variances)
-        inverse, _ = _inverse(inner)
+        factor, _ = _inverse_factor(inner)
+        inverse = factor.T @ factor
         which = self._followed_columns(model)
         rotation = self._rotation[np.ix_(which, used)] * deviation
         # A direction that is not measured keeps its prior variance.
@@ -314,11 +318,10 @@ def _orthogonal(gram: np.ndarray, group: np.ndarray, size: np.ndarray) -> tuple[
     return rotation[:, kept], group[kept]
 
 
-def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return inverse and log determinant of a positive definite matrix by Cholesky, in half the time of the general inverse."""
+def _inverse_factor(matrix: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the inverse of the Cholesky factor of a positive definite matrix, which is overwritten, and its log determinant."""
     if len(matrix) == 0:
         return matrix, 0.0
-    lower, _ = scipy.linalg.lapack.dpotrf(matrix, lower=1)
-    found, _ = scipy.linalg.lapack.dpotri(lower, lower=1)
-    found = np.tril(found)
-    return found + np.tril(found, -1).T, float(2.0 * np.sum(np.log(np.diag(lower))))
+    lower, _ = scipy.linalg.lapack.dpotrf(matrix.T, lower=1, overwrite_a=1)
+    log_det = float(2.0 * np.sum(np.log(np.diag(lower))))
+    return scipy.linalg.lapack.dtrtri(lower, lower=1, overwrite_c=1)[0], log_det
