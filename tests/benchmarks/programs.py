@@ -1,8 +1,10 @@
-"""Measure the compensation of programs: run ``python -m tests.benchmarks.programs [BLOCKS ...]`` (two minutes; default 10³ to 10⁶).
+"""Measure the compensation of programs: run ``python -m tests.benchmarks.programs [BLOCKS ...]`` (three minutes; default 10³ to 10⁶).
 
 Five-axis programs from file to file: read, solve, check, split, write, read back, report. For comparison between computers the table
 gives the times to copy the same bytes and of a plain Python loop that parses and prints the same words; the ratio is to that loop. Each
 length runs in its own process, for its peak memory, after a program of 60,000 blocks that triggers compilation (`twin.compute.native`).
+
+A second table gives other kinds of programs at `OF_A_KIND` blocks (`tests.benchmarks.kinds`).
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.benchmarks.kinds import KINDS, reversed_calibration
 from tests.benchmarks.timing import machine_name, peak_mb
 from twin.compensation import Compensator, Options
 from twin.machine.calibration import Calibration
@@ -23,6 +26,7 @@ from twin.machine.machine import Machine
 
 LENGTHS = (1_000, 10_000, 100_000, 1_000_000)
 WARM = 60_000
+OF_A_KIND = 200_000
 AT_ONCE = 50_000
 
 
@@ -82,10 +86,28 @@ def one(blocks: int) -> None:
     )
 
 
+def one_of_a_kind(name: str) -> None:
+    """Print processor time and peak memory of one kind of program."""
+    kind, machine = KINDS[name], Machine.load("dmu50")
+    calibration = reversed_calibration(machine) if kind.reversals else Calibration.default(machine)
+    compensator = Compensator(machine, calibration, Options(tool_length_mm=120.0, tcp=kind.tcp))
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / f"p{kind.suffix}", Path(folder) / f"out{kind.suffix}"
+        for blocks in (WARM, OF_A_KIND):
+            source.write_text(kind.text(blocks))
+            start, used = time.perf_counter(), time.process_time()
+            compensator.compensate_file(source, target)
+            seconds, used = time.perf_counter() - start, time.process_time() - used
+    print(f"{name:>24} {seconds:>9.2f} {used / OF_A_KIND * 1e6:>12.1f} {peak_mb():>8.0f}", flush=True)
+
+
 def main(arguments: list[str]) -> None:
-    """Run all lengths, each in its own process."""
+    """Run all lengths and kinds, each in its own process."""
     if arguments[:1] == ["--one"]:
         one(int(arguments[1]))
+        return
+    if arguments[:1] == ["--kind"]:
+        one_of_a_kind(arguments[1])
         return
     print(machine_name())
     print(
@@ -95,6 +117,10 @@ def main(arguments: list[str]) -> None:
     print(f"{'':>10} {'':>9} {'':>11} {'(processor)':>12}", flush=True)
     for blocks in [int(argument) for argument in arguments] or LENGTHS:
         subprocess.run([sys.executable, "-m", "tests.benchmarks.programs", "--one", str(blocks)], check=True)
+    if not arguments:
+        print(f"{f'{OF_A_KIND:,} blocks of':>24} {'s':>9} {'µs/block':>12} {'MB':>8}", flush=True)
+        for name in KINDS:
+            subprocess.run([sys.executable, "-m", "tests.benchmarks.programs", "--kind", name], check=True)
 
 
 if __name__ == "__main__":

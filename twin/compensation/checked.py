@@ -27,7 +27,9 @@ def check(source: str, lines: np.ndarray, new: NewPositions, got: np.ndarray) ->
         OutputError: they differ.
     """
     if len(got) == len(new.count) == len(new.positions) and np.all(new.count == 1):
-        if np.all(np.abs(got - new.positions) <= PRINTED_MM):  # the usual case: every move has one new position, in order
+        if np.all(
+            np.abs(got - new.positions) <= PRINTED_MM
+        ):  # the usual case: every move has one new position, in order
             return
     of, within = repeat_with_index(np.arange(len(lines)), np.maximum(new.count, 1))
     if len(got) != len(of):

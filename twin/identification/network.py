@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Final, final
 
@@ -118,6 +118,11 @@ class LinearisedReadings:
     def part(self, some: slice | np.ndarray) -> LinearisedReadings:
         """Return some of these points."""
         return LinearisedReadings(*(own[some] for own in self.arrays()))
+
+    def with_weights(self, factor: float) -> LinearisedReadings:
+        """Return the same points with the whitening multiplied by a factor."""
+        whitened = "residual", "whitening", "by_seen", "by_ride", "by_error", "by_place"
+        return replace(self, **{name: factor * getattr(self, name) for name in whitened})
 
     def arrays(self) -> list[np.ndarray]:
         """Return all arrays in order."""

@@ -411,7 +411,7 @@ class Calibration:
 
     def outside_domains(self, positions: np.ndarray) -> np.ndarray:
         """Return (n, axes) whether positions (mm, degrees) leave the domain of a curve by more than rounding."""
-        lower, upper = (self.domains() + [-1e-9, 1e-9]).T
+        lower, upper = (self.domains() + np.array([-1e-9, 1e-9])).T
         below, above = positions < lower, positions > upper
         return below | above if above.any() else below
 

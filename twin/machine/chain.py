@@ -104,7 +104,7 @@ class Branch:
         return point, axis
 
     def into(self, point: Any, axis: Any) -> tuple[Any, Any]:
-        """Return a point and a direction, seen from the parent of the first joint, in coordinates of the frame; inverse of `carried`."""
+        """Return a point and a direction of the parent of the first joint in coordinates of the frame; inverse of `carried`."""
         for pose in self._poses:
             point, axis = pose.rotation.T @ (point - pose.translation), pose.rotation.T @ axis
         return point, axis

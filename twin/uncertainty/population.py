@@ -27,13 +27,14 @@ from twin._common.errors import InputError
 from twin._common.json_form import json_form
 from twin._common.progress import Progress, silent
 from twin._common.provenance import SourceWarning, warnings_to_json
-from twin._common.units import MM, UM
+from twin._common.units import UM
 from twin.compute.batch import BatchFunction
 from twin.compute.parallel import Workers, map_in_order
 from twin.display import card, histogram, note, pairs, table
 from twin.display.numbers import COVERAGE, COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
+from twin.machine.chain import branches
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
@@ -519,8 +520,9 @@ def _tip(kinematics: Kinematics, own: list[int]) -> ca.Function:
     errors = ca.SX.zeros(6 * len(machine.frames))
     for row, component in enumerate(own):
         errors[component] = some[row]
-    _, point = kinematics.chain(q, errors, kinematics.tool_length_mm * MM)
-    return ca.Function("tip", [q, some], [ca.cse(point)])
+    tool, work = branches(machine, q, errors)
+    point, _ = work.into(*tool.carried(*kinematics.tip_and_axis))
+    return ca.Function("tip", [q, some], [ca.densify(point)])
 
 
 def _widened(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

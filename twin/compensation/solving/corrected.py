@@ -76,7 +76,7 @@ class Corrected:
 
     @property
     def end(self) -> EndState:
-        """State at its end."""
+        """State after its last motion."""
         pieces, rows = self.pieces, self.rows
         exact = pieces.space.words(rows.exact[-1:], pieces.tcp_out[-1:])[0]
         uncorrected = bool(rows.untouched[-1] or rows.clamped[-1])
@@ -107,9 +107,7 @@ def new_positions(stretches: Sequence[Corrected], moves: int, axes: int) -> NewP
     return NewPositions(first, count, positions, vectors)
 
 
-def correct(
-    pieces: Pieces, progress: Progress, *, context: int = 0, before: EndState | None = None
-) -> Corrected:
+def correct(pieces: Pieces, progress: Progress, *, context: int = 0, before: EndState | None = None) -> Corrected:
     """Solve all blocks, and split those whose error between end points exceeds the tolerance.
 
     Args:

@@ -235,14 +235,15 @@ class PathErrors:
         compensated, because splitting cannot correct its starting point.
         """
         end_words = rows.printed if printed else self._space.words(rows.exact, self._pieces.tcp_out[rows.motion])
-        at_start = end_words[:1] if self._before is None else self._before[3 if printed else 2][None]
-        begin = np.concatenate([at_start, end_words[:-1]])
+        before = self._before
+        at_start = end_words[0] if before is None else before.printed if printed else before.exact
+        begin = np.concatenate([at_start[None], end_words[:-1]])
         separate = np.flatnonzero(~self._follows & rows_all_true(np.isfinite(self._pieces.start)))
         if separate.size:
             first = np.searchsorted(rows.motion, separate)
             begin[first] = self._start_words(separate, rows.approach[first], begin[first], as_run=as_run)
         legs = np.arange(len(self._pieces.legs.motion))
-        if len(rows.leg) == len(legs):
+        if np.all(self._pieces.legs.count == 1) and not rows.backlash_move.any():
             return Ways(begin, end_words - begin, legs, legs)
         ends = np.flatnonzero(~rows.backlash_move)
         return Ways(begin, end_words - begin, ends, np.searchsorted(rows.leg[ends], legs))
@@ -250,14 +251,12 @@ class PathErrors:
     def starts_uncorrected(self, rows: Rows) -> np.ndarray:
         """Return (motions,) whether each begins at an uncorrected position, left by the motion before or by a line between them."""
         uncorrected, off = rows.untouched | rows.clamped, ~self._follows
-        off[:1] = self._before is not None and (self._before.uncorrected or off[:1])
+        off[0] = self._before is not None and (self._before.uncorrected or off[0])
         if uncorrected.any():
             off[1:] |= uncorrected[np.searchsorted(rows.motion, np.arange(1, len(off))) - 1]
         return off & self._pieces.interpolated
 
-    def _start_words(
-        self, separate: np.ndarray, sides: np.ndarray, reached: np.ndarray, *, as_run: bool
-    ) -> np.ndarray:
+    def _start_words(self, separate: np.ndarray, sides: np.ndarray, reached: np.ndarray, *, as_run: bool) -> np.ndarray:
         """Return (n, axes) words at the start of motions that do not begin where the one before ends.
 
         Args:
@@ -292,7 +291,7 @@ class PathErrors:
 
     @cached_property
     def _ends_before(self) -> tuple[np.ndarray, np.ndarray]:
-        """(motions, axes) and (motions,) nominal words and mode at the end of the motion before each; the first one's own without one."""
+        """(motions, axes) words and (motions,) mode at the end of the motion before each; the first one's own if there is none."""
         pieces, before = self._pieces, self._before
         words, tcp = (pieces.start[:1], pieces.tcp[:1]) if before is None else (before.words[None], [before.tcp])
         return np.concatenate([words, pieces.end[:-1]]), np.concatenate([tcp, pieces.tcp[:-1]])

@@ -226,7 +226,7 @@ class WordSpace:
 
 def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
     """Return (n,) whether commands (mm, degrees) leave an axis's range; True for NaN."""
-    lower, upper = (machine.limits / machine.scale[:, None] + [-1e-9, 1e-9]).T
+    lower, upper = (machine.limits / machine.scale[:, None] + np.array([-1e-9, 1e-9])).T
     above, below = commands >= lower, commands <= upper
     if above.all() and below.all():  # the usual case
         return np.zeros(len(commands), dtype=bool)

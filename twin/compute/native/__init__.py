@@ -58,7 +58,7 @@ __all__ = [
     "Solver",
     "StepFunctions",
     "Totals",
-    "solver_description",
     "one_of",
+    "solver_description",
     "worth_compiling",
 ]

@@ -21,9 +21,9 @@ SWITCH_VARIABLE: Final = "TWIN_NATIVE"
 WORTH_COMPILING: Final = 50_000
 """Number of rows in one call from which compiled code is used, after compiling it if necessary.
 
-NumPy takes a fifth of a second for this number, the compiler one or two seconds, once. Only the rows of the call count, or those of the
-work that it is a portion of (`one_of`), neither earlier calls nor cached libraries, so that the same work gives the same digits the first
-time and later.
+NumPy takes a fifth of a second for this number, the compiler one or two seconds, once. Only the rows of the call count, or those of
+the work that it is a portion of (`one_of`), neither earlier calls nor cached libraries, so that the same work gives the same digits
+the first time and later.
 """
 PORTION: Final = 32_768
 """Rows per chunk of a thread."""
@@ -48,7 +48,7 @@ def enabled() -> bool:
 
 
 def worth_compiling(rows: int) -> bool:
-    """Return whether compiled code may be used and is worth its time for this number of rows in one call, or in one of equal `one_of`."""
+    """Return whether compiled code may be used and is worth its time for this number of rows in one call (see `one_of`)."""
     return rows * _portions.get() >= WORTH_COMPILING and enabled()
 
 

@@ -130,9 +130,7 @@ def estimate(
     if not forms:
         return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
     state = machine_state(problem.network.data, problem.network.machine)
-    parts = _initial_parts(problem, forms)
-    inverse = _gauss_newton(problem, parts, state)
-    signature = np.stack([part.signature(problem, state) for part in parts], axis=1)
+    parts, inverse, signature = _fitted(problem, forms, state)
     columns = np.concatenate([part.columns for part in parts], axis=1)
     scales = np.concatenate([part.scales for part in parts])
     residual = problem.residual - signature.sum(axis=1)
@@ -146,6 +144,26 @@ def estimate(
         inverse = upper_bound(inverse, by_patterns)
     wide = inverse + _by_compliances(problem, parts, state)
     return _reported(problem, parts, inverse, wide, signature, explained, groups)
+
+
+def fitted_effects(problem: Problem, forms: Sequence[Form]) -> tuple[list[tuple[Effect, ...]], np.ndarray]:
+    """Return the effects of each of k causes with their parameters as `estimate` finds them, and the (3n, k) signatures.
+
+    Args:
+        problem: the data.
+        forms: the causes, at least one.
+    """
+    parts, _, signature = _fitted(problem, forms, machine_state(problem.network.data, problem.network.machine))
+    return [part.effects for part in parts], signature
+
+
+def _fitted(
+    problem: Problem, forms: Sequence[Form], state: Mapping[str, Any]
+) -> tuple[list[_Part], np.ndarray, np.ndarray]:
+    """Return the fitted causes, the covariance of all parameters, and the (3n, k) signature of each cause."""
+    parts = _initial_parts(problem, forms)
+    inverse = _gauss_newton(problem, parts, state)
+    return parts, inverse, np.stack([part.signature(problem, state) for part in parts], axis=1)
 
 
 def _initial_parts(problem: Problem, forms: Sequence[Form]) -> list[_Part]:

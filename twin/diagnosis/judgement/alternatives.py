@@ -15,7 +15,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.units import MM
-from twin.diagnosis.estimate.estimate import estimate
+from twin.diagnosis.estimate.estimate import fitted_effects
 from twin.diagnosis.problem.forms import DEVIANCE_RULED_OUT, Candidates, Form
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.result import Cause, Next, Rival
@@ -24,6 +24,7 @@ from twin.diagnosis.selection.structure import Findings
 from twin.identification.network import Network
 from twin.machine.effects import Effect, assemble
 from twin.measurement.state import machine_state
+from twin.measurement.table import Measurements
 from twin.uncertainty.budget import volume
 
 RIVALS: Final = 2
@@ -143,12 +144,14 @@ def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], excess
 def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Sequence[Cause]) -> tuple[Next, ...]:
     """Return the points to measure next, which separate the causes from their alternatives."""
     found: list[Next] = []
+    plan = _possible(candidates.problem)
+    ours = _prediction(candidates.problem, named, plan) if any(cause.equivalent for cause in causes) else None
     for form, cause in zip(named, causes, strict=True):
         others = [one for one in named if one is not form]
         tried = {one.key for one in candidates.forms}
         rivals = [_best(candidates, key, others) for key in cause.equivalent if key in tried][:RIVALS]
         if rivals:
-            found += next_points(candidates.problem, form, rivals, others)
+            found += next_points(candidates.problem, (form, ours), rivals, others, plan)
     return tuple(found)
 
 
@@ -167,20 +170,23 @@ APART: Final = 0.15
 
 
 def next_points(
-    problem: Problem, form: Form, rivals: Sequence[Form], others: Sequence[Form]
+    problem: Problem,
+    named: tuple[Form, np.ndarray | None],
+    rivals: Sequence[Form],
+    others: Sequence[Form],
+    plan: Measurements,
 ) -> tuple[Mapping[str, Any], ...]:
     """Return the points at which the predictions of a cause and its alternatives differ most.
 
     Args:
         problem: the data.
-        form: the cause.
+        named: the cause, and the prediction of all causes at the candidate points (`_prediction`).
         rivals: the alternatives.
         others: the other causes.
+        plan: the candidate points.
     """
-    network = problem.network
-    plan = _possible(problem)
+    network, (form, ours) = problem.network, named
     found: list[Mapping[str, Any]] = []
-    ours = _prediction(problem, [form, *others], plan)
     for rival in rivals:
         theirs = _prediction(problem, [rival, *others], plan)
         name = f"{form.candidate.effect} {form.candidate.where}", f"{rival.candidate.effect} {rival.candidate.where}"
@@ -218,7 +224,7 @@ def next_points(
     return tuple(found)
 
 
-def _possible(problem: Problem) -> Any:
+def _possible(problem: Problem) -> Measurements:
     """Return candidate poses over the volume, with both approach directions and the measured pairs of target and station."""
     data, machine = problem.network.data, problem.network.machine
     rng = np.random.default_rng(SEED)
@@ -230,17 +236,17 @@ def _possible(problem: Problem) -> Any:
     return replace(some, positions=read_only(positions), approach=read_only(approach))
 
 
-def _prediction(problem: Problem, forms: Sequence[Form], plan: Any) -> np.ndarray | None:
+def _prediction(problem: Problem, forms: Sequence[Form], plan: Measurements) -> np.ndarray | None:
     """Return (n, 3) m, the change that causes and refitted set-up predict at other points; None for a cause of the instrument."""
     if any(form.candidate.build is None for form in forms):
         return None
-    found = estimate(problem, forms)
-    left = problem.residual - found.signature.sum(axis=1)
-    effects = [effect for own in found.effects for effect in own]
+    fitted, signature = fitted_effects(problem, forms)
+    left = problem.residual - signature.sum(axis=1)
+    effects = [effect for own in fitted for effect in own]
     return _moves(problem, effects, problem.setup_step(left), plan)
 
 
-def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan: Any) -> np.ndarray:
+def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan: Measurements) -> np.ndarray:
     network = problem.network
     one = np.broadcast_to(np.eye(3), (len(plan), 3, 3))
     other = Network(network.machine, plan, network.instruments, network.unknowns, covariance=one)

@@ -356,9 +356,9 @@ class Candidates:
 
         Args:
             columns: the columns.
-            basis: (directions, columns) their inner products with the nuisance basis, without projection (`Problem.products`).
+            basis: (k, columns) their inner products with the nuisance basis, made orthonormal on these data (`Problem.root`).
         """
-        return self.products.with_columns(columns) - (self.problem.root.T @ basis).T @ self._on_basis
+        return self.products.with_columns(columns) - basis.T @ self._on_basis
 
     def scores(self, forms: Sequence[Form], tried: Sequence[int]) -> np.ndarray:
         """Return (tried, 3) reduction of chi², degrees of freedom and corrected log p of some forms, given others.
@@ -553,6 +553,12 @@ def columns_of(forms: Sequence[Form]) -> np.ndarray:
 
 def pseudo_inverse(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the pseudo-inverse over the identifiable directions, and a square root of it."""
+    # If the matrix less the limit has a Cholesky factor, all eigenvalues are above the limit.
+    limit = max(LEAST_NONCENTRALITY, 1e-9 * float(np.trace(gram)))
+    if len(gram) and scipy.linalg.lapack.dpotrf(gram - limit * np.eye(len(gram)), lower=1)[1] == 0:
+        lower = scipy.linalg.lapack.dpotrf(gram, lower=1)[0]
+        root = np.asarray(scipy.linalg.lapack.dtrtri(lower, lower=1)[0].T)
+        return root @ root.T, root
     values, vectors = np.linalg.eigh(gram)
     seen = (values > LEAST_NONCENTRALITY) & (values > 1e-9 * values.max(initial=0.0))
     root = vectors[:, seen] / np.sqrt(values[seen])

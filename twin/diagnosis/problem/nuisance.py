@@ -9,8 +9,10 @@ part add up to the identity, to a rounding error of 10⁻¹⁶ times the largest
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
 from functools import reduce
+from hashlib import blake2b
 from typing import Final, final
 
 import numpy as np
@@ -20,7 +22,7 @@ from twin._common.threads import map_chunks
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.signature_products import PointBlock, Signatures
 from twin.identification.network import LinearisedReadings
-from twin.numerics.functions import Rows, pieces
+from twin.numerics.functions import Functions, Rows, pieces, tabulated
 
 RANK_TOLERANCE: Final = 1e-9
 """Relative tolerance of the numerical rank: smaller singular values of the set-up's derivatives count as zero."""
@@ -84,14 +86,30 @@ class Nuisance:
             columns: columns of the p parameters.
             root: (p, k) square root of their covariance.
         """
-        signatures = Signatures(view, [_in_units(column) for column in columns])
+        columns, root = _with_orthonormal_functions([_in_units(column) for column in columns], root)
+        signatures = Signatures(view, _with_shared_functions(columns))
         orthonormal, triangle = np.linalg.qr(by_setup)
         left, values, right = np.linalg.svd(triangle, full_matrices=False)
         kept = values > RANK_TOLERANCE * values.max(initial=0.0)
-        setup = orthonormal @ left[:, kept]
+        setup, triangle = orthonormal @ left[:, kept], values[kept, None] * right[kept]
         on_setup = signatures.along(lambda block: _at(setup, block.rows))[0].T
-        remaining = _gram(signatures, setup, on_setup, np.arange(len(view.rows)))[kept.sum() :, kept.sum() :]
-        return cls(signatures, root, setup, values[kept, None] * right[kept], on_setup, remaining)
+        every, size = np.arange(len(view.rows)), sum(on_setup.shape)
+        whole = _gram(lambda points: _projected(signatures, setup, on_setup, points), size, every)
+        count = len(triangle)
+        found = cls(signatures, root, setup, triangle, on_setup + whole[:count, count:], whole[count:, count:])
+        if columns:
+            found._make_orthonormal()
+        return found
+
+    def _make_orthonormal(self) -> None:
+        """Remove the rounding errors of strongly correlated parameters by a second Cholesky factor, that of the basis itself."""
+        count = self.setup_count
+        whole = _gram(self.rows, len(self.coordinates), np.arange(len(self.signatures.view.rows)))
+        lower = np.linalg.cholesky((self.prior.T @ self.prior + whole)[count:, count:])
+        inverse = scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True)
+        self._change = self._change @ inverse.T
+        self.prior[:, count:] = self.prior[:, count:] @ inverse.T
+        self.coordinates[count:] = lower.T @ self.coordinates[count:]
 
     def extended(
         self, view: LinearisedReadings, scale: float, columns: Sequence[Column], deviations: np.ndarray
@@ -159,7 +177,7 @@ class Nuisance:
 
     def rows(self, points: Rows) -> np.ndarray:
         """Return the basis (points, 3, directions) at some points."""
-        here = _projected(self.signatures, self._setup, self._on_setup, points)
+        here = self._projected(points)
         by_setup, by_columns = np.split(here, [self._setup.shape[1]], axis=2)
         flat = by_columns.reshape(-1, len(self._change)) if len(self._change) else by_columns
         changed = flat @ self._change if len(self._change) else flat
@@ -179,9 +197,12 @@ class Nuisance:
         """Return the Gram matrix (directions, directions) of the basis over some points; cached."""
         key = points.tobytes()
         if key not in self._grams:
-            change = scipy.linalg.block_diag(np.eye(self._setup.shape[1]), self._change)
-            self._grams[key] = change.T @ _gram(self.signatures, self._setup, self._on_setup, points) @ change
+            change = scipy.linalg.block_diag(np.eye(self.setup_count), self._change)
+            self._grams[key] = change.T @ _gram(self._projected, self.raw_count, points) @ change
         return self._grams[key]
+
+    def _projected(self, points: Rows) -> np.ndarray:
+        return _projected(self.signatures, self._setup, self._on_setup, points)
 
     def _setup_at(self, points: Rows) -> np.ndarray:
         return _at(self._setup, points)
@@ -203,15 +224,72 @@ def _projected(signatures: Signatures, setup: np.ndarray, on_setup: np.ndarray, 
     return np.concatenate([here, signatures.at(PointBlock(signatures.view, points)) - here @ on_setup], axis=2)
 
 
-def _gram(signatures: Signatures, setup: np.ndarray, on_setup: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the Gram matrix (raw, raw) over some points of what `_projected` returns."""
-    size = sum(on_setup.shape)
+def _gram(rows_at: Callable[[Rows], np.ndarray], size: int, points: np.ndarray) -> np.ndarray:
+    """Return the Gram matrix (size, size) over some points of vectors (points, 3, size) made block by block."""
 
     def partial(own: Sequence[slice]) -> np.ndarray:
         found = np.zeros((size, size))
         for run in own:
-            rows = _projected(signatures, setup, on_setup, points[run]).reshape(-1, size) if size else found
+            rows = rows_at(points[run]).reshape(3 * len(points[run]), size)
             found += rows.T @ rows
         return found
 
     return reduce(np.ndarray.__iadd__, map_chunks(pieces(len(points)), partial))
+
+
+def _with_orthonormal_functions(
+    columns: Sequence[Column], root: np.ndarray
+) -> tuple[Sequence[Column], np.ndarray]:
+    """Return columns that span the same, and the root in their units, with the functions of each curve orthonormal at the points.
+
+    The coefficients of powers are strongly correlated: their effects are hundreds of times larger than the uncertainty of the curve,
+    and cancel. Those of orthonormal functions are not. Sets of functions that are used in any other way stay as they are.
+
+    Args:
+        columns: columns of the p parameters.
+        root: (p, k) square root of their covariance.
+    """
+    sets: dict[Functions, list[int]] = {}
+    for i, column in enumerate(columns):
+        for term in column.terms:
+            sets.setdefault(term.functions, []).append(i)
+    found, root = list(columns), np.array(root)
+    for functions, own in sets.items():
+        terms = [term for i in own for term in columns[i].terms]
+        alike = len({(term.freedom, term.weight) for term in terms}) == 1
+        if len(terms) != len(own) or not alike or len(own) > functions.points:
+            continue
+        basis, triangle = np.linalg.qr(functions.values(slice(None))[:, [term.index for term in terms]])
+        made = tabulated(basis)
+        for k, i in enumerate(own):
+            found[i] = Column((replace(terms[k], functions=made, index=k),), columns[i].scale)
+        root[own] = triangle @ root[own]
+    return found, root
+
+
+def _with_shared_functions(columns: Sequence[Column]) -> list[Column]:
+    """Return the same columns with their functions of the state in one table, functions with the same values once.
+
+    The curves of an axis have the same functions, of which a calibration has hundreds.
+    """
+    number: dict[bytes, int] = {}
+    table: list[np.ndarray] = []
+    at: dict[Functions, list[int]] = {}
+    for functions in dict.fromkeys(term.functions for column in columns for term in column.terms):
+        values = functions.values(slice(None)).T
+        at[functions] = []
+        for own in np.ascontiguousarray(values):
+            key = blake2b(own.tobytes()).digest()
+            if (place := number.setdefault(key, len(table))) == len(table):
+                table.append(own)
+            at[functions].append(place)
+    if not table:
+        return list(columns)
+    shared = tabulated(np.stack(table, axis=1))
+    return [
+        Column(
+            tuple(replace(term, functions=shared, index=at[term.functions][term.index]) for term in column.terms),
+            column.scale,
+        )
+        for column in columns
+    ]

@@ -95,7 +95,7 @@ class Problem:
         """
         found, scale = copy(self), 1.0 / float(np.sqrt(variance_factor))
         found.network = self.network.with_variance_factor(variance_factor)
-        found.view = found.network.view(np.zeros(0), self.setup, np.arange(len(self.network.data)))
+        found.view = self.view.with_weights(scale)
         columns, deviations = [column for column, _ in random], np.array([deviation for _, deviation in random])
         found.nuisances = self.nuisances.extended(found.view, scale, columns, deviations)
         found.residual = self.residual * scale

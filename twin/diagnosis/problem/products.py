@@ -44,6 +44,7 @@ class Products:
         # The products these are derived from, what is left out of them (a part, or points), and the factor on them.
         self._parent: tuple[Products, np.ndarray | int | None, float] | None = None
         self._beside: dict[Column, np.ndarray] = {}
+        self._among: dict[tuple[Column, ...], tuple[np.ndarray, np.ndarray]] = {}
         self._within = self.signatures.within(groups, points)
         self._by_raw, self._by_residual = self._with_problem(points)
         # (parts, all) for each requested column.
@@ -103,7 +104,7 @@ class Products:
 
     def _forget(self) -> None:
         """Start without cached inner products."""
-        self._cross, self._changed, self._beside = [], self._changed[:0], {}
+        self._cross, self._changed, self._beside, self._among = [], self._changed[:0], {}, {}
         self._row = np.full_like(self._row, -1)
 
     def _unrefined(self) -> bool:
@@ -131,10 +132,7 @@ class Products:
     def set_residual(self, residual: np.ndarray) -> None:
         """Replace the residual (3n,)."""
         if residual is not self._residual and not np.array_equal(residual, self._residual):
-            kept = np.array(residual).reshape(-1, 3, 1)
-            if self._parent is not None and self._parent[1] is not None:
-                gone = self._parent[1]
-                kept[self._parts == gone if isinstance(gone, int) else gone] = 0.0
+            kept = self._kept(residual)
             self._by_residual = self.signatures.along(lambda block: kept[block.rows])[:, :, 0]
             self.by_residual = self._by_residual.sum(axis=0)
         self._residual = residual
@@ -193,6 +191,49 @@ class Products:
             found = self.signatures.along(Signatures(self._problem.view, fresh).at)
             self._beside |= {column: np.array(found[:, :, k]) for k, column in enumerate(fresh)}
         return [self._beside[column] for column in columns]
+
+    def among(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the inner products (k, k) of any k columns, (raw, k) with the nuisance derivatives and (k,) with the residual.
+
+        Those that depend on the columns alone are cached.
+        """
+        signatures, residual = Signatures(self._problem.view, columns), self._kept(self._residual)
+        gram, by_nuisance = (own.sum(axis=0) for own in self._parts_among(tuple(columns)))
+        return gram, by_nuisance, signatures.along(lambda block: residual[block.rows])[0, :, 0]
+
+    def _parts_among(self, columns: tuple[Column, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the inner products by part (parts, k, k) and (parts, raw, k); a single part where points are held out."""
+        if self._parent is not None and self._parent[1] is not None:
+            whole, gone, _ = self._parent
+            every = whole._parts_among(columns)
+            if isinstance(gone, int):
+                lost = [own[gone] for own in every]
+            else:
+                lost = [own[0] for own in whole._evaluated_among(columns, gone)]
+            return every[0].sum(axis=0)[None] - lost[0], every[1].sum(axis=0)[None] - lost[1]
+        if columns not in self._among:
+            self._among[columns] = self._evaluated_among(columns, None)
+        return self._among[columns]
+
+    def _evaluated_among(
+        self, columns: Sequence[Column], points: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return what `_parts_among` does, over all points by part or over some as one part."""
+        own = Signatures(self._problem.view, columns, self._parts)
+
+        def vectors(block: PointBlock) -> np.ndarray:
+            return np.concatenate([own.at(block), self._problem.nuisances.raw(block)], axis=2)
+
+        gram, by_nuisance = np.split(own.along(vectors, points), [len(columns)], axis=2)
+        return gram, by_nuisance.transpose(0, 2, 1)
+
+    def _kept(self, residual: np.ndarray) -> np.ndarray:
+        """Return a residual as (n, 3, 1), zero at the points that are left out."""
+        kept = np.array(residual).reshape(-1, 3, 1)
+        if self._parent is not None and self._parent[1] is not None:
+            gone = self._parent[1]
+            kept[self._parts == gone if isinstance(gone, int) else gone] = 0.0
+        return kept
 
     @property
     def cached(self) -> np.ndarray:

@@ -29,6 +29,8 @@ LITTLE: Final = 1e-6
 """Noncentrality below which a function of a pattern has no effect on the likelihood."""
 UNREAD: Final = 1e-9
 """Share of the best measured direction below which a direction counts as not measured."""
+NEARLY_DEPENDENT: Final = 1e-8
+"""Eigenvalue of a pattern's inner products, relative to the largest, below which a direction is left out of what it can imitate."""
 FIRST: Final = 10.0
 """Initial noncentrality of a direction of a pattern."""
 TOGETHER: Final = 64
@@ -79,6 +81,7 @@ class Likelihood:
         self.candidates = candidates
         self.pattern_tests = tuple(pattern_tests)
         self._imitated: dict[int, np.ndarray] = {}
+        self._roots: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self.columns: list[Column] = []
         group: list[int] = []
         for k, pattern_test in enumerate(pattern_tests):
@@ -89,13 +92,15 @@ class Likelihood:
                 self.columns += own
         self.group = np.array(group, dtype=int)
         problem = candidates.problem
-        found = problem.products(self.columns)
-        size = np.bincount(self.group, np.diag(found.gram), 3 * len(pattern_tests))
+        gram, by_nuisance, slope = candidates.products.among(self.columns)
+        basis = problem.root.T @ problem.nuisances.from_raw(by_nuisance)
+        gram, slope = gram - basis.T @ basis, slope - basis.T @ (problem.root.T @ problem.residual_on_basis)
+        size = np.bincount(self.group, np.diag(gram), 3 * len(pattern_tests))
         self._size = np.where(size > UNREAD * size.max(initial=0.0), size, 0.0)
-        self._rotation, self._own = _orthogonal(found.gram, self.group, self._size)
-        self._gram = self._rotation.T @ found.gram @ self._rotation
-        self._slope = self._rotation.T @ found.slope
-        self._cross = self._rotation.T @ candidates.along(self.columns, found.basis)
+        self._rotation, self._own = _orthogonal(gram, self.group, self._size)
+        self._gram = self._rotation.T @ gram @ self._rotation
+        self._slope = self._rotation.T @ slope
+        self._cross = self._rotation.T @ candidates.along(self.columns, basis)
         self._chi2, self._dof = problem.chi2, max(problem.dof, 1)
 
     def fit(self, forms: Sequence[Form], start: Model | None = None, without: int | None = None) -> Model:
@@ -133,7 +138,9 @@ class Likelihood:
         followed = (variances * self._size)[self._own] > SMALL
         used = np.flatnonzero(followed & (variances[self._own] * np.diag(self._gram) > LITTLE))
         deviation = np.sqrt(variances[self._own[used]])
-        inner = self._gram[np.ix_(used, used)] * np.outer(deviation, deviation)
+        inner = self._gram[np.ix_(used, used)]
+        inner *= deviation[:, None]
+        inner *= deviation
         inner[np.diag_indices_from(inner)] += 1.0
         return used, deviation, inner
 
@@ -144,18 +151,19 @@ class Likelihood:
         used, deviation, inner = self._followed(variances)
         cross = self._cross[np.ix_(used, columns)] * deviation[:, None]
         slope = self._slope[used] * deviation
-        inverse, log_det = _inverse(inner)
+        inverse, log_det = _inverse_factor(inner)
+        cross, slope_left = inverse @ cross, inverse @ slope
         values, back = np.zeros(len(columns)), np.zeros((0, 0))
         if len(columns):
-            back, _ = pseudo_inverse(fixed - cross.T @ inverse @ cross)
-            values = back @ (self.candidates.slope[columns] - cross.T @ (inverse @ slope))
-        found = inverse @ (slope - cross @ values)
+            back, _ = pseudo_inverse(fixed - cross.T @ cross)
+            values = back @ (self.candidates.slope[columns] - cross.T @ slope_left)
+        found = inverse.T @ (slope_left - cross @ values)
         explained = float(self.candidates.slope[columns] @ values + slope @ found)
         more = max((self._chi2 - explained) / self._dof, 1.0)
         # Relative to the stated noise alone, for which twice the log likelihood is −χ².
         twice_log_ratio = self._chi2 - (self._chi2 - explained) / more - self._dof * float(np.log(more)) - log_det
         groups = len(variances)
-        share = 1.0 - np.diag(inverse)
+        share = 1.0 - np.einsum("ij,ij->j", inverse, inverse)
         known = np.bincount(self._own[used], share, groups)
         squares = np.bincount(self._own[used], found**2, groups)
         moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / variance_factor, variances)
@@ -200,13 +208,20 @@ class Likelihood:
         size = float(values @ whole @ values)
         found = np.zeros(len(self.pattern_tests))
         for k in range(len(self.pattern_tests)):
-            mine = np.flatnonzero(self._own // 3 == k)
-            inner = self._gram[np.ix_(mine, mine)]
-            along = self._cross[np.ix_(mine, own)] @ values
-            shared = along @ np.linalg.lstsq(inner, along, rcond=1e-8)[0]
-            found[k] = 1.0 if shared > MOSTLY * size else 0.0
+            mine, root = self._root_of(k)
+            along = root.T @ (self._cross[np.ix_(mine, own)] @ values)
+            found[k] = 1.0 if along @ along > MOSTLY * size else 0.0
         self._imitated[form.index] = found
         return found
+
+    def _root_of(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the columns of a pattern, and a square root of the pseudo-inverse of their inner products."""
+        if k not in self._roots:
+            mine = np.flatnonzero(self._own // 3 == k)
+            found, vectors = np.linalg.eigh(self._gram[np.ix_(mine, mine)])
+            kept = found > NEARLY_DEPENDENT * found.max(initial=0.0)
+            self._roots[k] = mine, vectors[:, kept] / np.sqrt(found[kept])
+        return self._roots[k]
 
     def explained(self, forms: Sequence[Form], model: Model) -> float:
         """Return the χ² that the patterns explain in addition to the causes."""
@@ -238,7 +253,8 @@ class Likelihood:
             Numbers of the k columns with a relevant variance; (k,) their coefficients, µm; (k, k) the covariance, µm².
         """
         used, deviation, inner = self._followed(model.variances)
-        inverse, _ = _inverse(inner)
+        factor, _ = _inverse_factor(inner)
+        inverse = factor.T @ factor
         which = self._followed_columns(model)
         rotation = self._rotation[np.ix_(which, used)] * deviation
         # A direction that is not measured keeps its prior variance.
@@ -302,11 +318,10 @@ def _orthogonal(gram: np.ndarray, group: np.ndarray, size: np.ndarray) -> tuple[
     return rotation[:, kept], group[kept]
 
 
-def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return inverse and log determinant of a positive definite matrix by Cholesky, in half the time of the general inverse."""
+def _inverse_factor(matrix: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the inverse of the Cholesky factor of a positive definite matrix, which is overwritten, and its log determinant."""
     if len(matrix) == 0:
         return matrix, 0.0
-    lower, _ = scipy.linalg.lapack.dpotrf(matrix, lower=1)
-    found, _ = scipy.linalg.lapack.dpotri(lower, lower=1)
-    found = np.tril(found)
-    return found + np.tril(found, -1).T, float(2.0 * np.sum(np.log(np.diag(lower))))
+    lower, _ = scipy.linalg.lapack.dpotrf(matrix.T, lower=1, overwrite_a=1)
+    log_det = float(2.0 * np.sum(np.log(np.diag(lower))))
+    return scipy.linalg.lapack.dtrtri(lower, lower=1, overwrite_c=1)[0], log_det

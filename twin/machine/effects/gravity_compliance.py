@@ -10,6 +10,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
+from twin._common.arrays import read_only
 from twin.compute.batch import BatchFunction
 from twin.machine.chain import gravity_load
 from twin.machine.effects import places
@@ -180,12 +181,17 @@ def loads_of(machine: Machine) -> Callable[[Mapping[str, Any]], Mapping[str, Seq
     function = gravity_load(machine)
     batch, names = BatchFunction(function), machine.names
 
+    @lru_cache(maxsize=32)  # every joint asks for its loads at the same positions
+    def loads_at_rows(rows: bytes) -> np.ndarray:
+        (values,) = batch(np.frombuffer(rows).reshape(-1, len(names)))
+        return read_only(values)
+
     def loads_at(positions: Mapping[str, Any]) -> Mapping[str, Sequence[Any]]:
         parts = [positions[axis.name] * axis.scale for axis in machine.axes]
         if any(isinstance(part, ca.SX) for part in parts):
             every = function(ca.vertcat(*parts))
             return {name: ca.horzsplit(every[k, :]) for k, name in enumerate(names)}
-        (values,) = batch(np.stack([np.asarray(part, dtype=float) for part in parts], axis=1))
+        values = loads_at_rows(np.stack([np.asarray(part, dtype=float) for part in parts], axis=1).tobytes())
         return {name: list(values[:, k :: len(names)].T) for k, name in enumerate(names)}
 
     return loads_at

@@ -97,7 +97,7 @@ class _Compiled:
         job = _Job(size=len(data), **{name: values.ctypes.data for name, values in given.items()})
         # Upper bounds: memory that is not written is not taken.
         lines, words = data.count(b"\n") + data.count(b"\r") + 2, len(data) // 2 + 1
-        room = {
+        room: dict[str, np.ndarray] = {
             name: np.empty(size, dtype=kind_)
             for names_, size in ((_LINES, lines), (_WORDS, words))
             for name, kind_ in names_.items()
