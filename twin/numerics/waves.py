@@ -75,20 +75,27 @@ def highest_order(distinct: np.ndarray, most: int) -> int:
 def waves(q: np.ndarray, first: float, step: float, count: int) -> Functions:
     """Return sines of evenly spaced frequencies (radians per unit of q), followed by their cosines.
 
-    Each is the product of two complex exponentials, one of a coarse and one of a fine frequency grid, which saves evaluations.
+    Each is a sum of two frequencies, one of a coarse and one of a fine grid, by the addition theorems, which saves evaluations.
     """
     fine = max(int(np.ceil(np.sqrt(count))), 1)
     coarse = -(-count // fine)
 
     def values(rows: Rows) -> np.ndarray:
         at = q[rows, None]
-        coarse_waves = np.exp(1j * at * (first + step * fine * np.arange(coarse)))[:, :, None]
-        fine_waves = np.exp(1j * at * step * np.arange(fine))[:, None, :]
+        coarse_angles = (at * (first + step * fine * np.arange(coarse)))[:, :, None]
+        fine_angles = (at * step * np.arange(fine))[:, None, :]
+        sines, cosines = (np.sin(coarse_angles), np.sin(fine_angles)), (np.cos(coarse_angles), np.cos(fine_angles))
         found = np.empty((len(at), 2 * count))
+        one, other = np.empty((2, BLOCK, coarse, fine))
         # Blocks of points that fit the processor's cache.
         for block in pieces(len(at), BLOCK):
-            products = (coarse_waves[block] * fine_waves[block]).reshape(-1, coarse * fine)[:, :count]
-            found[block, :count], found[block, count:] = products.imag, products.real
+            first_part, second_part = one[: len(at[block])], other[: len(at[block])]
+            np.multiply(sines[0][block], cosines[1][block], out=first_part)
+            first_part += np.multiply(cosines[0][block], sines[1][block], out=second_part)
+            found[block, :count] = first_part.reshape(-1, coarse * fine)[:, :count]
+            np.multiply(cosines[0][block], cosines[1][block], out=first_part)
+            first_part -= np.multiply(sines[0][block], sines[1][block], out=second_part)
+            found[block, count:] = first_part.reshape(-1, coarse * fine)[:, :count]
         return found
 
     return Functions(len(q), 2 * count, values, bound=1.0)

@@ -131,7 +131,7 @@ class Nuisance:
         remaining = np.block([[self._remaining, cross], [cross.T, among]])
         root = scipy.linalg.block_diag(self._root, np.diag(deviations))
         return Nuisance(
-            own, root, self._setup, self._triangle, scale * on_setup, scale**2 * remaining, (self, scale)
+            own, root, self._setup, scale * self._triangle, scale * on_setup, scale**2 * remaining, (self, scale)
         )
 
     @property

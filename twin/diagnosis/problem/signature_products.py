@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Final, final
@@ -16,6 +16,10 @@ from twin.numerics.functions import Functions, Rows, pieces
 
 BLOCK_WIDTH: Final = 64
 """Vectors, or products of two functions, processed at a time, so that they stay in the processor's cache."""
+FEW: Final = 16
+"""Number of vectors below which every derivative is multiplied by the vectors first."""
+FEW_FUNCTIONS: Final = 20
+"""Number of functions of a derivative up to which it is multiplied by these, which are fewer than the vectors."""
 LEAST_FUNCTIONS: Final = 16
 """Sets of fewer functions than this are merged into one set."""
 LARGEST_CACHE: Final = 2**25
@@ -123,32 +127,59 @@ class Signatures:
     ) -> np.ndarray:
         """Return inner products (columns, r) with r vectors, summed over some runs."""
         total: dict[tuple[Functions, Freedom, int], np.ndarray] = {}
+        small: np.ndarray | float = 0.0
         for run in own:
             block = self._block(*run)
             right = vectors(block).transpose(1, 2, 0)
-            buffers = np.empty((2, BLOCK_WIDTH, right.shape[2]))
-            for few in pieces(right.shape[1], BLOCK_WIDTH):
-                some = np.ascontiguousarray(right[:, few])
-                for freedom, lookups in self._by_freedom.items():
-                    present = {of: found for of in lookups if (found := block.values(of)) is not None}
-                    if not present:
+            together = right.shape[1] >= FEW
+            if together:
+                weighted = self._small_terms(block)
+                small = small + sum(right[i] @ weighted[i] for i in range(3))
+            for freedom, projected, start in self._projected(block, right, self._large if together else self._by_freedom):
+                for functions, (_, index, _) in (self._large if together else self._by_freedom)[freedom].items():
+                    values = block.values(functions)
+                    if values is None:
                         continue
-                    projected = _along_derivative(block.derivatives[freedom], some, buffers)
-                    for functions, values in present.items():
-                        # A derivative may multiply only a few of the functions.
-                        index = lookups[functions][1]
-                        found = projected @ (values[:, index] if _some(functions, index) else values)
-                        key = functions, freedom, few.start
-                        if key in total:
-                            total[key] += found
-                        else:
-                            total[key] = found
+                    # A derivative may multiply only a few of the functions.
+                    found = projected @ (values[:, index] if _some(functions, index) else values)
+                    key = functions, freedom, start
+                    if key in total:
+                        total[key] += found
+                    else:
+                        total[key] = found
         found = np.zeros((len(self.columns), right.shape[1]))
         while total:
             (functions, freedom, start), values = total.popitem()
             columns, index, weight = self._lookup[functions][freedom]
             own_values = values.T if _some(functions, index) else values.T[index]
             _add_rows(found[:, start : start + len(values)], columns, weight[:, None] * own_values)
+        if isinstance(small, np.ndarray):
+            np.add.at(found, self._small_columns, small.T)
+        return found
+
+    def _projected(
+        self, block: PointBlock, right: np.ndarray, by_freedom: Mapping[Freedom, Mapping[Functions, _Terms]]
+    ) -> Iterator[tuple[Freedom, np.ndarray, int]]:
+        """Yield products (few, points) of each derivative with a few of the (3, r, points) vectors, and the number of the first."""
+        buffers = np.empty((2, BLOCK_WIDTH, right.shape[2]))
+        for few in pieces(right.shape[1], BLOCK_WIDTH):
+            some = np.ascontiguousarray(right[:, few])
+            for freedom, lookups in by_freedom.items():
+                if any(block.values(of) is not None for of in lookups):
+                    yield freedom, _along_derivative(block.derivatives[freedom], some, buffers), few.start
+
+    def _small_terms(self, block: PointBlock) -> np.ndarray:
+        """Return (3, points, terms) the terms with few functions of a derivative: derivative times function times weight."""
+        found = np.zeros((3, len(self.view.residual[block.rows]), len(self._small_columns)))
+        start = 0
+        for functions, freedom in self._small:
+            _, index, weight = self._lookup[functions][freedom]
+            values, at = block.values(functions), slice(start, start + len(index))
+            start = at.stop
+            if values is not None:
+                own, derivative = values[:, index] * weight, block.derivatives[freedom]
+                for i in range(3):
+                    np.multiply(own, derivative[:, i, None], out=found[i, :, at])
         return found
 
     def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:
@@ -302,6 +333,21 @@ class Signatures:
         for functions, of in self._lookup.items():
             for freedom, own in of.items():
                 self._by_freedom.setdefault(freedom, {})[functions] = own
+        self._small = [
+            (functions, freedom)
+            for functions, of in self._lookup.items()
+            for freedom, own in of.items()
+            if len(own[0]) <= FEW_FUNCTIONS
+        ]
+        self._small_columns = np.concatenate(
+            [np.zeros(0, dtype=int), *(self._lookup[functions][freedom][0] for functions, freedom in self._small)]
+        )
+        small = set(self._small)
+        self._large = {
+            freedom: large
+            for freedom, lookups in self._by_freedom.items()
+            if (large := {of: own for of, own in lookups.items() if (of, freedom) not in small})
+        }
         size = sum(functions.count for functions in self._lookup) * len(self.view.rows)
         self._cache = size <= LARGEST_CACHE
         self._runs = self._ordered_runs(np.arange(len(self.view.rows)), self._parts)
