@@ -104,7 +104,6 @@ class Signatures:
             vectors: function that returns the vectors (points, 3, r) at a block of points.
             rows: the points to sum over, as one part; all points, by part, if None.
         """
-
         runs, part_of, count = self._runs_of(rows)
         if not self.columns:
             runs = runs[:1]  # only for the number of vectors
@@ -135,7 +134,9 @@ class Signatures:
             if together:
                 weighted = self._small_terms(block)
                 small = small + sum(right[i] @ weighted[i] for i in range(3))
-            for freedom, projected, start in self._projected(block, right, self._large if together else self._by_freedom):
+            for freedom, projected, start in self._projected(
+                block, right, self._large if together else self._by_freedom
+            ):
                 for functions, (_, index, _) in (self._large if together else self._by_freedom)[freedom].items():
                     values = block.values(functions)
                     if values is None:
