@@ -23,7 +23,6 @@ from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
-from twin.diagnosis.problem.signature_products import Signatures
 
 FALSE_ALARM_RATE: Final = 0.03
 """Share of data sets of noise alone in which any form is accepted as a cause; patterns have a rate of their own."""

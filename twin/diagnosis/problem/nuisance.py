@@ -237,9 +237,7 @@ def _gram(rows_at: Callable[[Rows], np.ndarray], size: int, points: np.ndarray) 
     return reduce(np.ndarray.__iadd__, map_chunks(pieces(len(points)), partial))
 
 
-def _with_orthonormal_functions(
-    columns: Sequence[Column], root: np.ndarray
-) -> tuple[Sequence[Column], np.ndarray]:
+def _with_orthonormal_functions(columns: Sequence[Column], root: np.ndarray) -> tuple[Sequence[Column], np.ndarray]:
     """Return columns that span the same, and the root in their units, with the functions of each curve orthonormal at the points.
 
     The coefficients of powers are strongly correlated: their effects are hundreds of times larger than the uncertainty of the curve,

@@ -3,8 +3,8 @@
 The derivatives B by the set-up are projected out of the whitened residual r and of the signatures S, and so is the calibration's own
 uncertainty, J·L, as directions with unit prior variance: xᵀMy = xᵀy − (Uᵀx)ᵀ(Uᵀy), where U is the readings' part of an orthonormal
 basis of [B, J·L; 0, 1], held in coefficients (`twin.diagnosis.problem.nuisance`). With some points held out the rest of the basis is
-made orthonormal again by a factor: UᵀU + PᵀP is then the identity less the Gram matrix of the rows held out, where P is the prior's part
-of the basis.
+made orthonormal again by a factor: UᵀU + PᵀP is then the identity less the Gram matrix of the rows held out, where P is the prior's
+part of the basis.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-import scipy
 
 from twin.diagnosis.candidates.signatures import Column, effect_columns
 from twin.diagnosis.problem.nuisance import Nuisance

@@ -41,7 +41,7 @@ class Products:
         self._residual = problem.residual
         self._parts = parts
         self._original_columns = list(columns)
-        # The products these are derived from, what is left out of them (a part, or points), and the factor on them.
+        # The products these are derived from, the part or the points that these lack, and the factor on them.
         self._parent: tuple[Products, np.ndarray | int | None, float] | None = None
         self._beside: dict[Column, np.ndarray] = {}
         self._among: dict[tuple[Column, ...], tuple[np.ndarray, np.ndarray]] = {}
@@ -215,9 +215,7 @@ class Products:
             self._among[columns] = self._evaluated_among(columns, None)
         return self._among[columns]
 
-    def _evaluated_among(
-        self, columns: Sequence[Column], points: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _evaluated_among(self, columns: Sequence[Column], points: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Return what `_parts_among` does, over all points by part or over some as one part."""
         own = Signatures(self._problem.view, columns, self._parts)
 

@@ -122,7 +122,7 @@ def _orthonormal(columns: np.ndarray, own: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class _Side:
-    """What the tests of all patterns of one side and frame share.
+    """Readings and nuisance derivatives that the tests of all patterns of one side and frame share.
 
     Attributes:
         rows: (r,) the rows of the side, or a sample of them.
@@ -298,15 +298,13 @@ class _Scores:
         return self._of[key]
 
     def _change(self, whole: np.ndarray, count: int) -> np.ndarray:
-        """Return the coefficients (raw, k) of an orthonormal basis of nuisance and causes, scaled for a sample that stands for all rows.
+        """Return the coefficients (raw, k) of an orthonormal basis of nuisance and causes, scaled so that a sample stands for all rows.
 
         Args:
             whole: (r, 3, raw) nuisance derivatives and causes at the sample.
             count: number of all rows.
         """
-        change = scipy.linalg.block_diag(
-            self._nuisance.change @ self._problem.root, np.eye(self._causes.shape[1])
-        )
+        change = scipy.linalg.block_diag(self._nuisance.change @ self._problem.root, np.eye(self._causes.shape[1]))
         if len(whole) == count:
             return change
         flat = whole.reshape(3 * len(whole), -1) @ change * np.sqrt(count / len(whole))
