@@ -41,7 +41,7 @@ class Products:
         self._residual = problem.residual
         self._parts = parts
         self._original_columns = list(columns)
-        # The products these are derived from, the part or points left out, and the factor on them.
+        # The products these are derived from, the part or the points that these lack, and the factor on them.
         self._parent: tuple[Products, np.ndarray | int | None, float] | None = None
         self._beside: dict[Column, np.ndarray] = {}
         self._among: dict[tuple[Column, ...], tuple[np.ndarray, np.ndarray]] = {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import reduce
 from typing import Final, final
 
@@ -11,6 +10,16 @@ import numpy as np
 
 from twin._common.threads import THREADS, map_chunks
 from twin.diagnosis.candidates.signatures import Column, Freedom, ReadingDerivatives, SignatureTerm
+from twin.diagnosis.problem.signature_terms import (
+    PairCodes,
+    ProductPlan,
+    Terms,
+    add_rows,
+    along_derivative,
+    as_arrays,
+    few_of,
+    pair_codes,
+)
 from twin.identification.network import LinearisedReadings
 from twin.numerics.functions import Functions, Rows, pieces
 
@@ -24,28 +33,6 @@ LEAST_FUNCTIONS: Final = 16
 """Sets of fewer functions than this are merged into one set."""
 LARGEST_CACHE: Final = 2**25
 """Number of function values (256 MB) up to which they are cached between passes."""
-
-
-_Terms = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Positions among the columns, indices of functions, and weights; (e,) each."""
-
-
-@final
-@dataclass(frozen=True)
-class _ProductPlan:
-    """Terms of the inner products that come from one pair of function sets.
-
-    Attributes:
-        first: (p,) index in the first set of each product of two functions.
-        second: (p,) index in the second set.
-        derivatives: pairs of derivatives that these products are multiplied by.
-        entries: indices of inner product, product of functions and pair of derivatives, and the weight; (e,) each.
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-    derivatives: tuple[tuple[Freedom, Freedom], ...]
-    entries: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @final
@@ -87,7 +74,7 @@ class Signatures:
         self.columns = list(columns)
         self._blocks: dict[int, PointBlock] = {}
         self._planned: (
-            tuple[Sequence[np.ndarray], _PairCodes, Mapping[tuple[Functions, Functions], _ProductPlan]] | None
+            tuple[Sequence[np.ndarray], PairCodes, Mapping[tuple[Functions, Functions], ProductPlan]] | None
         ) = None
         self._prepare()
 
@@ -142,7 +129,7 @@ class Signatures:
                     if values is None:
                         continue
                     # A derivative may multiply only a few of the functions.
-                    found = projected @ (values[:, index] if _some(functions, index) else values)
+                    found = projected @ (values[:, index] if few_of(functions, index) else values)
                     key = functions, freedom, start
                     if key in total:
                         total[key] += found
@@ -152,14 +139,14 @@ class Signatures:
         while total:
             (functions, freedom, start), values = total.popitem()
             columns, index, weight = self._lookup[functions][freedom]
-            own_values = values.T if _some(functions, index) else values.T[index]
-            _add_rows(found[:, start : start + len(values)], columns, weight[:, None] * own_values)
+            own_values = values.T if few_of(functions, index) else values.T[index]
+            add_rows(found[:, start : start + len(values)], columns, weight[:, None] * own_values)
         if isinstance(small, np.ndarray):
             np.add.at(found, self._small_columns, small.T)
         return found
 
     def _projected(
-        self, block: PointBlock, right: np.ndarray, by_freedom: Mapping[Freedom, Mapping[Functions, _Terms]]
+        self, block: PointBlock, right: np.ndarray, by_freedom: Mapping[Freedom, Mapping[Functions, Terms]]
     ) -> Iterator[tuple[Freedom, np.ndarray, int]]:
         """Yield products (few, points) of each derivative with a few of the (3, r, points) vectors, and the number of the first."""
         buffers = np.empty((2, BLOCK_WIDTH, right.shape[2]))
@@ -167,7 +154,7 @@ class Signatures:
             some = np.ascontiguousarray(right[:, few])
             for freedom, lookups in by_freedom.items():
                 if any(block.values(of) is not None for of in lookups):
-                    yield freedom, _along_derivative(block.derivatives[freedom], some, buffers), few.start
+                    yield freedom, along_derivative(block.derivatives[freedom], some, buffers), few.start
 
     def _small_terms(self, block: PointBlock) -> np.ndarray:
         """Return (3, points, terms) the terms with few functions of a derivative: derivative times function times weight."""
@@ -194,7 +181,7 @@ class Signatures:
             rows: as in `along`.
         """
         if self._planned is None or self._planned[0] is not groups:
-            codes = _pair_codes(groups, len(self.columns))
+            codes = pair_codes(groups, len(self.columns))
             self._planned = groups, codes, self._product_plan(codes[0][codes[1]])
         _, (pairs, lower, places, transposed), needed = self._planned
 
@@ -234,7 +221,7 @@ class Signatures:
         values[:, ~lower] = values[:, transposed]
         return [values[:, own] for own in places]
 
-    def _product_plan(self, pairs: np.ndarray) -> Mapping[tuple[Functions, Functions], _ProductPlan]:
+    def _product_plan(self, pairs: np.ndarray) -> Mapping[tuple[Functions, Functions], ProductPlan]:
         """Return the terms of the inner products of pairs of columns (codes: first · columns + second)."""
         lists: dict[tuple[Functions, Functions], list[tuple[int, int, int, Freedom, Freedom, float]]] = {}
         for place, code in enumerate(pairs.tolist()):
@@ -261,7 +248,7 @@ class Signatures:
             ]
             columns = [np.array(values) for values in zip(*entries, strict=True)]
             first, second = (np.array(values) for values in zip(*products, strict=True))
-            found[both] = _ProductPlan(
+            found[both] = ProductPlan(
                 first, second, tuple(derivatives), (columns[0], columns[1], columns[2], columns[3])
             )
         return found
@@ -278,7 +265,7 @@ class Signatures:
             for freedom, (at, index, weight) in of.items():
                 weighted, derivative = values.T[index] * weight[:, None], block.derivatives[freedom]
                 for i in range(3):
-                    _add_rows(found[i], at, weighted * derivative[:, i])
+                    add_rows(found[i], at, weighted * derivative[:, i])
         return found.transpose(2, 0, 1)
 
     def combined(self, coefficients: np.ndarray) -> np.ndarray:
@@ -330,7 +317,7 @@ class Signatures:
             lambda rows: np.concatenate([functions.values(rows) for functions in few], axis=1),
         )
         self._lookup = self._grouped(range(len(self.columns)))
-        self._by_freedom: dict[Freedom, dict[Functions, _Terms]] = {}
+        self._by_freedom: dict[Freedom, dict[Functions, Terms]] = {}
         for functions, of in self._lookup.items():
             for freedom, own in of.items():
                 self._by_freedom.setdefault(freedom, {})[functions] = own
@@ -369,7 +356,7 @@ class Signatures:
         ends = np.flatnonzero(np.diff(parts[rows][order])) + 1
         return [own[run] for own in np.split(rows[order], ends) for run in pieces(len(own))]
 
-    def _grouped(self, columns: Sequence[int]) -> Mapping[Functions, Mapping[Freedom, _Terms]]:
+    def _grouped(self, columns: Sequence[int]) -> Mapping[Functions, Mapping[Freedom, Terms]]:
         """Return, by function set and derivative, the positions in ``columns``, the indices of functions and the weights."""
         lists: dict[Functions, dict[Freedom, list[tuple[int, int, float]]]] = {}
         for place, i in enumerate(columns):
@@ -378,60 +365,7 @@ class Signatures:
                 functions, index = self._location(part)
                 own = lists.setdefault(functions, {}).setdefault(part.freedom, [])
                 own.append((place, index, part.weight * column.scale))
-        return {functions: {freedom: _as_arrays(own) for freedom, own in of.items()} for functions, of in lists.items()}
-
-
-def _along_derivative(derivative: np.ndarray, vectors: np.ndarray, buffers: np.ndarray) -> np.ndarray:
-    """Return products (r, points) of a derivative (points, 3) with vectors (3, r, points), in the first of two buffers.
-
-    One coordinate at a time: as a batch of small matrix products it takes eight times as long.
-    """
-    found, product = buffers[:, : vectors.shape[1]]
-    np.multiply(vectors[0], derivative[:, 0], out=found)
-    for i in (1, 2):
-        found += np.multiply(vectors[i], derivative[:, i], out=product)
-    return np.asarray(found)
-
-
-def _some(functions: Functions, index: np.ndarray) -> bool:
-    """Return whether an index selects so few of the functions that the others are not evaluated with them."""
-    return 2 * len(index) < functions.count
-
-
-def _add_rows(into: np.ndarray, at: np.ndarray, values: np.ndarray) -> None:
-    """Add rows of values to the rows ``at``, of which some may be the same."""
-    if len(set(at.tolist())) == len(at):
-        into[at] += values
-    else:
-        np.add.at(into, at, values)
-
-
-def _as_arrays(entries: Sequence[tuple[int, int, float]]) -> _Terms:
-    first, second, third = zip(*entries, strict=True)
-    return np.array(first), np.array(second), np.array(third)
-
-
-_PairCodes = tuple[np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]
-
-
-def _pair_codes(groups: Sequence[np.ndarray], count: int) -> _PairCodes:
-    """Return the pairs of columns within groups, each once.
-
-    Args:
-        groups: indices of columns, (groups, w) each.
-        count: number of columns.
-
-    Returns:
-        The codes of the pairs (first · count + second); whether first ≤ second; for each array of groups, the positions of its
-        (groups, w, w) pairs among the codes; and for each pair with first > second, the position of the transposed pair.
-    """
-    codes = [columns[:, :, None] * count + columns[:, None, :] for columns in groups]
-    pairs, places = np.unique(np.concatenate([np.zeros(0, dtype=int), *map(np.ravel, codes)]), return_inverse=True)
-    lower = pairs // count <= pairs % count
-    transposed = np.searchsorted(pairs, pairs[~lower] % count * count + pairs[~lower] // count)
-    ends = np.cumsum([code.size for code in codes])[:-1]
-    own = [place.reshape(code.shape) for place, code in zip(np.split(places, ends), codes, strict=True)]
-    return pairs, lower, own, transposed
+        return {functions: {freedom: as_arrays(own) for freedom, own in of.items()} for functions, of in lists.items()}
 
 
 def signatures_of(view: LinearisedReadings, columns: Sequence[Column]) -> np.ndarray:

@@ -30,7 +30,7 @@ LITTLE: Final = 1e-6
 UNREAD: Final = 1e-9
 """Share of the best measured direction below which a direction counts as not measured."""
 NEARLY_DEPENDENT: Final = 1e-8
-"""Eigenvalue of a pattern's inner products, relative to the largest, below which it cannot imitate a direction."""
+"""Eigenvalue of a pattern's inner products, relative to the largest, below which a pattern imitates nothing along a direction."""
 FIRST: Final = 10.0
 """Initial noncentrality of a direction of a pattern."""
 TOGETHER: Final = 64

@@ -122,7 +122,7 @@ def _orthonormal(columns: np.ndarray, own: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class _Side:
-    """Quantities shared by the tests of all patterns of one side and frame.
+    """Readings and nuisance derivatives that the tests of all patterns of one side and frame share.
 
     Attributes:
         rows: (r,) the rows of the side, or a sample of them.
@@ -298,7 +298,7 @@ class _Scores:
         return self._of[key]
 
     def _change(self, whole: np.ndarray, count: int) -> np.ndarray:
-        """Return the coefficients (raw, k) of an orthonormal basis of nuisance and causes, scaled for a sample.
+        """Return the coefficients (raw, k) of an orthonormal basis of nuisance and causes, scaled so that a sample stands for all rows.
 
         Args:
             whole: (r, 3, raw) nuisance derivatives and causes at the sample.
