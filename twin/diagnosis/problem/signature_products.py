@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import reduce
 from typing import Final, final
 
@@ -42,20 +42,28 @@ class PointBlock:
     Args:
         view: linearisation at some or all points of the data.
         rows: the block's rows in the view.
+        kept: values of functions that are kept for further passes, and the functions to keep; none if None.
     """
 
-    def __init__(self, view: LinearisedReadings, rows: Rows) -> None:
+    def __init__(
+        self,
+        view: LinearisedReadings,
+        rows: Rows,
+        kept: tuple[dict[Functions, np.ndarray | None], Collection[Functions]] | None = None,
+    ) -> None:
         self.rows = rows
         self._points = view.rows[rows]
         self.derivatives = ReadingDerivatives(view, rows)
         self._values: dict[Functions, np.ndarray | None] = {}
+        self._kept, self._keep = ({}, ()) if kept is None else kept
 
     def values(self, functions: Functions) -> np.ndarray | None:
         """Return the functions' values (points, count), or None if all are zero."""
-        if functions not in self._values:
+        values = self._kept if functions in self._keep else self._values
+        if functions not in values:
             zero = functions.where is not None and not functions.where[self._points].any()
-            self._values[functions] = None if zero else functions.values(self._points)
-        return self._values[functions]
+            values[functions] = None if zero else functions.values(self._points)
+        return values[functions]
 
 
 @final
@@ -72,7 +80,7 @@ class Signatures:
         self.view = view
         self._parts = np.zeros(len(view.rows), dtype=int) if parts is None else parts
         self.columns = list(columns)
-        self._blocks: dict[int, PointBlock] = {}
+        self._kept: dict[int, dict[Functions, np.ndarray | None]] = {}
         self._planned: (
             tuple[Sequence[np.ndarray], PairCodes, Mapping[tuple[Functions, Functions], ProductPlan]] | None
         ) = None
@@ -292,12 +300,10 @@ class Signatures:
         return found
 
     def _block(self, run: int, runs: Sequence[np.ndarray]) -> PointBlock:
-        """Return the block of a run, from the cache if the function values of all points fit there."""
+        """Return the block of a run; the values of all functions of the signatures are kept, and no others, if there is room."""
         if runs is not self._runs or not self._cache:
             return PointBlock(self.view, runs[run])
-        if run not in self._blocks:
-            self._blocks[run] = PointBlock(self.view, runs[run])
-        return self._blocks[run]
+        return PointBlock(self.view, runs[run], (self._kept.setdefault(run, {}), self._lookup))
 
     def _location(self, part: SignatureTerm) -> tuple[Functions, int]:
         """Return the set and index under which a term's function is evaluated."""
