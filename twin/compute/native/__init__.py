@@ -16,19 +16,19 @@ pose and core (minimum to maximum of the repeats):
 
 **Programs.** `twin compensate` processes ISO programs of any length in chunks: a million five-axis blocks in 3.6 to 3.9 s with
 start-up, 2.1 to 2.4 s (420,000 to 475,000 a second) in a process that has started, in 230 MB whatever the length, including reading,
-solving, checking, splitting, writing, reading back and reporting: 0.60 to 0.65 times as long as a plain Python loop that only parses and
-prints the same words. The check between block end points and the account are one compiled pass that keeps no value of a single point
-(`along.cpp`). Plain language, APT, drilling cycles and calibrations with reversals are held in memory; processor time per block in µs:
-axis words 4, drilling strokes 8, plain language and tool-tip words 11, reversals 18, APT 23. `twin.compensate_file(…)` does the same from a
-script. If the calibration has a covariance, U of a long program is computed at some block ends and interpolated between them, within 1
-% (`twin/compensation/account/interpolation.py`).
+solving, checking, splitting, writing, reading back and reporting: 0.60 to 0.65 times as long as a plain Python loop that only parses
+and prints the same words. The check between block end points and the account are one compiled pass that keeps no value of a single
+point (`along.cpp`). Plain language, APT, drilling cycles and calibrations with reversals are held in memory; processor time per block
+in µs: axis words 4, drilling strokes 8, plain language and tool-tip words 11, reversals 18, APT 23. `twin.compensate_file(…)` does
+the same from a script. If the calibration has a covariance, U of a long program is computed at some block ends and interpolated
+between them, within 1 % (`twin/compensation/account/interpolation.py`).
 
 **Measurements** (an earlier run). 100,000 points: `identify` 46 s and 1.2 GB, `diagnose` 40 s and 1.2 GB (the command, with table and
-page, 46 s). With an uncertain calibration `diagnose` takes longer: 181 s of processor time and 2.4 GB with 398 uncertain parameters (2026-11-25, under load). Both
-grow in proportion to the points. Stepwise BIC with statsmodels on the same candidates takes, from readings to named causes, 1.3 times
-as long (1.2 to 1.7) at 1,000 points and 3.7 times (3.3 to 4.4) at 3,000. In 25 draws each (± 10 %) it finds exactly the true effects in
-56, 64 and 68 % (one effect at λ = 30, one at 60, two at 60), `twin` in 80, 100 and 92 %. Without any effect it raises a false alarm in
-12 %, `twin` in none.
+page, 46 s). With an uncertain calibration `diagnose` takes longer: 181 s of processor time and 2.4 GB with 398 uncertain parameters
+(2026-11-25, under load). Both grow in proportion to the points. Stepwise BIC with statsmodels on the same candidates takes, from
+readings to named causes, 1.3 times as long (1.2 to 1.7) at 1,000 points and 3.7 times (3.3 to 4.4) at 3,000. In 25 draws each (± 10
+%) it finds exactly the true effects in 56, 64 and 68 % (one effect at λ = 30, one at 60, two at 60), `twin` in 80, 100 and 92 %.
+Without any effect it raises a false alarm in 12 %, `twin` in none.
 """
 
 from twin.compute.native.along import CompiledAlong, Totals
