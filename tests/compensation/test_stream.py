@@ -127,6 +127,7 @@ PROGRAMS = {
     "a byte order mark": "\xef\xbb\xbf" + HEAD + curve(20),
     "rotary axes only later": "G21 G90\nG0 X250 Y225 Z-100\n" + curve(40, "XYZ") + curve(20),
     "out of range": HEAD + curve(20) + "G1 X499.999\nX502\nX505 Y300\nX400\n" + curve(20),
+    "after machine coordinates": HEAD + "G1 X120\nG53 G0 Z-20.\nG1 X140\nX160\nG53 G0 X30. Y20.\nG1 Z-150\n" * 3,
     "past a singularity": HEAD + "".join(f"G1 X{200 + i} B{abs(i - 20) / 40:.3f} C{i}\n" for i in range(40)),
     "machine coordinates": HEAD + curve(15) + "G53 G0 Z-1\n" + curve(15) + "G28 Z0\n" + curve(15),
     "inverse time": HEAD + "G93\n" + "G1 X100 F5\nG1 X450 F3.5\n" * 5 + "G94\nG1 X20 F500\n" + curve(20),

@@ -11,6 +11,7 @@ import stat
 import subprocess
 import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import casadi as ca
@@ -551,3 +552,14 @@ def test_info_says_which_way(tmp_path: Path) -> None:
     assert lines["0"] == "inverse       NumPy (TWIN_NATIVE=0)"
     expected = "NumPy (no C++ compiler found)" if compiler.find_compiler() is None else "compiled from "
     assert lines["1"].startswith(f"inverse       {expected}")
+
+
+def test_a_portion_counts_for_the_whole_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether code is compiled depends on the work, not on the portions in which it is done; other threads are not concerned."""
+    monkeypatch.delenv(loading.SWITCH_VARIABLE, raising=False)
+    rows = loading.WORTH_COMPILING // 10
+    with loading.equal_portions(10):
+        assert loading.worth_compiling(rows) and not loading.worth_compiling(rows - 1)
+        with ThreadPoolExecutor(1) as other:
+            assert not other.submit(loading.worth_compiling, rows).result()
+    assert not loading.worth_compiling(rows)

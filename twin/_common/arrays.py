@@ -2,7 +2,30 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import TypeVar, overload
+
 import numpy as np
+
+Item = TypeVar("Item")
+
+
+class MadeOnAccess(Sequence[Item]):
+    """A sequence whose items are made from arrays when they are accessed."""
+
+    @abstractmethod
+    def item(self, index: int) -> Item:
+        """Return the item of an index from 0 on."""
+
+    @overload
+    def __getitem__(self, index: int) -> Item: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Item]: ...
+    def __getitem__(self, index: int | slice) -> Item | list[Item]:
+        """Return one item, or a list of items."""
+        which = range(len(self))[index]
+        return self.item(which) if isinstance(which, int) else [self.item(i) for i in which]
 
 
 def read_only(array: np.ndarray) -> np.ndarray:

@@ -26,11 +26,9 @@ def check(source: str, lines: np.ndarray, new: NewPositions, got: np.ndarray) ->
     Raises:
         OutputError: they differ.
     """
-    if len(got) == len(new.count) == len(new.positions) and np.all(new.count == 1):
-        if np.all(
-            np.abs(got - new.positions) <= PRINTED_MM
-        ):  # the usual case: every move has one new position, in order
-            return
+    one_each = len(got) == len(new.count) == len(new.positions) and bool(np.all(new.count == 1))
+    if one_each and np.all(np.abs(got - new.positions) <= PRINTED_MM):  # the usual case
+        return
     of, within = repeat_with_index(np.arange(len(lines)), np.maximum(new.count, 1))
     if len(got) != len(of):
         line = int(lines[of[min(len(got), len(of) - 1)]]) if len(of) else 0

@@ -111,8 +111,7 @@ class PoseComparison:
 
     def known(self, commanded: np.ndarray) -> np.ndarray:
         """Return (n,) whether (n, axes) commands are finite and within the domains of all curves, as `ComparedPoses.known`."""
-        lower, upper = np.transpose(self._real.calibration.domains())
-        return rows_all_true(np.isfinite(commanded) & (commanded >= lower - SLACK) & (commanded <= upper + SLACK))
+        return rows_all_true(np.isfinite(commanded) & ~self._real.calibration.outside_domains(commanded))
 
     def totals(
         self, nominal: Commands, written: Commands, before: np.ndarray | None, after: np.ndarray | None

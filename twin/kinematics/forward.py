@@ -193,8 +193,12 @@ class Kinematics:
         return rotation, point
 
     def tip_and_axis_at(self, *at: Any) -> tuple[Any, Any]:
-        """Return tip and tool axis as expressions, like `pose_at` but with a third fewer operations."""
-        tool, work = branches(self.machine, at[0], ca.densify(self.errors(*at)))
+        """Return tip and tool axis in the work frame as expressions of `symbols`; fewer operations than `pose_at`."""
+        return self.tip_and_axis_with(at[0], ca.densify(self.errors(*at)))
+
+    def tip_and_axis_with(self, q: Any, errors: Any) -> tuple[Any, Any]:
+        """Return the same at positions (axes,) with given errors (6·frames,)."""
+        tool, work = branches(self.machine, q, errors)
         return work.into(*tool.carried(*self.tip_and_axis))
 
     @property

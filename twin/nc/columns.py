@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import final, overload
+from typing import final
 
 import numpy as np
 
+from twin._common.arrays import MadeOnAccess
 from twin.nc.blocks import Kind, Move, Rewrite
 
 NO_VECTOR = (np.nan, np.nan, np.nan)
@@ -16,7 +17,7 @@ NO_VECTOR = (np.nan, np.nan, np.nan)
 
 @final
 @dataclass(frozen=True)
-class MoveColumns(Sequence[Move]):
+class MoveColumns(MadeOnAccess[Move]):
     """Moves as columns; see `Move`.
 
     Attributes:
@@ -58,14 +59,8 @@ class MoveColumns(Sequence[Move]):
     def __len__(self) -> int:
         return len(self.line)
 
-    @overload
-    def __getitem__(self, index: int) -> Move: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Move]: ...
-    def __getitem__(self, index: int | slice) -> Move | list[Move]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        index = range(len(self))[index]
+    def item(self, index: int) -> Move:
+        """Return one move."""
         move = self.special.get(index)
         if move is not None:
             return move

@@ -34,7 +34,6 @@ from twin.display import card, histogram, note, pairs, table
 from twin.display.numbers import COVERAGE, COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.chain import branches
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
@@ -520,8 +519,7 @@ def _tip(kinematics: Kinematics, own: list[int]) -> ca.Function:
     errors = ca.SX.zeros(6 * len(machine.frames))
     for row, component in enumerate(own):
         errors[component] = some[row]
-    tool, work = branches(machine, q, errors)
-    point, _ = work.into(*tool.carried(*kinematics.tip_and_axis))
+    point, _ = kinematics.tip_and_axis_with(q, errors)
     return ca.Function("tip", [q, some], [ca.densify(point)])
 
 

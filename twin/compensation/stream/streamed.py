@@ -27,7 +27,7 @@ from twin.compensation.solving.rows import even_cuts
 from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
 from twin.compensation.toolpath import SAMPLES_A_PIECE, MotionColumns, ToolPath, spacings
-from twin.compute.native import one_of
+from twin.compute.native import equal_portions
 from twin.nc.columns import NewPositions
 
 POSES: Final = 12 * PART_LINES
@@ -145,7 +145,7 @@ class Streamed:
                 motions = part.motions.part(begin, end)
                 path = ToolPath(motions, motions)
                 pieces = Pieces(self._prepared, path, part.aim, ISO, source=str(self._source.path))
-                with one_of(self._source.parts):
+                with equal_portions(self._source.parts):
                     cuts.append(correct(pieces, _silent, before=self._end))
                 self._end = cuts[-1].end
         return new_positions(cuts, part.moves, len(self._prepared.space.axes.names)), cuts
@@ -153,7 +153,7 @@ class Streamed:
     def _add(self, solved: Future[Solved]) -> None:
         """Add a part to the report."""
         cuts = solved.result()[1]
-        with one_of(self._source.parts):
+        with equal_portions(self._source.parts):
             for cut in cuts:
                 if self._account is None:
                     self._account = CompensationAccount(self._prepared, cut.pieces.aim, str(self._source.path))

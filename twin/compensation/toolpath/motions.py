@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final, final, overload
+from typing import Final, final
 
 import numpy as np
 
+from twin._common.arrays import MadeOnAccess
 from twin.nc.blocks import Kind, Move, Notice
 
 COLUMNS: Final = ("move", "line", "rapid", "tcp", "start", "end", "by_vector")
@@ -62,7 +63,7 @@ class PathMotion:
 
 @final
 @dataclass(frozen=True)
-class MotionColumns(Sequence[PathMotion]):
+class MotionColumns(MadeOnAccess[PathMotion]):
     """Motions in columns; `PathMotion` objects are created on access.
 
     Attributes:
@@ -115,13 +116,8 @@ class MotionColumns(Sequence[PathMotion]):
     def __len__(self) -> int:
         return len(self.line)
 
-    @overload
-    def __getitem__(self, index: int) -> PathMotion: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[PathMotion]: ...
-    def __getitem__(self, index: int | slice) -> PathMotion | list[PathMotion]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def item(self, index: int) -> PathMotion:
+        """Return one motion."""
         move = self.special.get(index)
         if move is None:
             kind = Kind.RAPID if self.rapid[index] else Kind.LINEAR
@@ -132,7 +128,7 @@ class MotionColumns(Sequence[PathMotion]):
 
 @final
 @dataclass(frozen=True)
-class ProgramMotions(Sequence[PathMotion]):
+class ProgramMotions(MadeOnAccess[PathMotion]):
     """Motions of a whole program with their moves as read, created on access.
 
     Attributes:
@@ -146,13 +142,8 @@ class ProgramMotions(Sequence[PathMotion]):
     def __len__(self) -> int:
         return len(self.columns)
 
-    @overload
-    def __getitem__(self, index: int) -> PathMotion: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[PathMotion]: ...
-    def __getitem__(self, index: int | slice) -> PathMotion | list[PathMotion]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def item(self, index: int) -> PathMotion:
+        """Return one motion with its move as read."""
         columns = self.columns
         return PathMotion(self.moves[int(columns.move[index])], columns.start[index], columns.end[index])
 

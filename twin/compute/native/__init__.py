@@ -33,7 +33,7 @@ Without any effect it raises a false alarm in 12 %, `twin` in none.
 
 from twin.compute.native.along import CompiledAlong, Totals
 from twin.compute.native.cpp import ROUNDING
-from twin.compute.native.loading import one_of, solver_description, worth_compiling
+from twin.compute.native.loading import equal_portions, solver_description, worth_compiling
 from twin.compute.native.problem import (
     CONVERGED,
     OUT_OF_RANGE,
@@ -59,7 +59,7 @@ __all__ = [
     "Solver",
     "StepFunctions",
     "Totals",
-    "one_of",
+    "equal_portions",
     "solver_description",
     "worth_compiling",
 ]

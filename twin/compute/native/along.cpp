@@ -49,7 +49,7 @@ INLINE void add(Along &job, Totals &totals, const V *y, M keep, const int64_t *a
 }
 
 // The largest value of each lane; not-a-number stays.
-INLINE V larger(V worst, V y, M there) { return there & ~(y <= worst) & (worst == worst) ? y : worst; }
+INLINE V worse(V worst, V y, M there) { return there & ~(y <= worst) & (worst == worst) ? y : worst; }
 
 extern "C" int64_t along(Along *given) {
   Along &job = *given;
@@ -82,11 +82,11 @@ extern "C" int64_t along(Along *given) {
     for (int64_t k = 0; k < least; ++k) {
       x[N - 1] = ((double)k + 0.5) / points;
       run_row(x, job.k, y);
-      if (O == 1) worst = larger(worst, y[0], there);
+      if (O == 1) worst = worse(worst, y[0], there);
       else add(job, totals, y, there, at);
     }
     for (int l = 0; most > least && l < some; ++l) {
-      V own[N], most_there = all(worst[l]);
+      V own[N], own_worst = all(worst[l]);
       int64_t same[W];
       for (int i = 0; i < W; ++i) same[i] = at[l];
       for (int c = 0; c < N - 1; ++c) own[c] = all(x[c][l]);
@@ -95,11 +95,11 @@ extern "C" int64_t along(Along *given) {
         const M inside = place < points[l];
         own[N - 1] = (place + 0.5) / points[l];
         run_row(own, job.k, y);
-        if (O == 1) most_there = larger(most_there, y[0], inside);
+        if (O == 1) own_worst = worse(own_worst, y[0], inside);
         else add(job, totals, y, inside, same);
       }
       for (int i = 0; O == 1 && i < W; ++i)
-        if (worst[l] == worst[l] && !(most_there[i] <= worst[l])) worst[l] = most_there[i];
+        if (worst[l] == worst[l] && !(own_worst[i] <= worst[l])) worst[l] = own_worst[i];
     }
     for (int l = 0; O == 1 && l < some; ++l) job.worst[line + l] = worst[l];
   }

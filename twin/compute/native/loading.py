@@ -22,8 +22,8 @@ WORTH_COMPILING: Final = 50_000
 """Number of rows in one call from which compiled code is used, after compiling it if necessary.
 
 NumPy takes a fifth of a second for this number, the compiler one or two seconds, once. Only the rows of the call count, or those of
-the work that it is a portion of (`one_of`), neither earlier calls nor cached libraries, so that the same work gives the same digits
-the first time and later.
+the work that it is a portion of (`equal_portions`), neither earlier calls nor cached libraries, so that the same work gives the same
+digits the first time and later.
 """
 PORTION: Final = 32_768
 """Rows per chunk of a thread."""
@@ -48,18 +48,18 @@ def enabled() -> bool:
 
 
 def worth_compiling(rows: int) -> bool:
-    """Return whether compiled code may be used and is worth its time for this number of rows in one call (see `one_of`)."""
+    """Return whether compiled code may be used and is worth its time for this number of rows in one call (see `equal_portions`)."""
     return rows * _portions.get() >= WORTH_COMPILING and enabled()
 
 
 @contextmanager
-def one_of(portions: float) -> Iterator[None]:
+def equal_portions(portions: float) -> Iterator[None]:
     """Mark the calls within as one of a number of equal portions of the same work; holds for the current thread."""
-    before = _portions.set(portions)
+    token = _portions.set(portions)
     try:
         yield
     finally:
-        _portions.reset(before)
+        _portions.reset(token)
 
 
 def library(source: str) -> ctypes.CDLL | None:
