@@ -150,10 +150,10 @@ def _cosine(square: Any) -> Any:
 
 def _series(square: Any, first: int) -> Any:
     """Return Σ (−s)^k / (2k + first)! by Horner's scheme: coefficients of Rodrigues' formula (cos t for first = 0)."""
-    total: Any = 1.0
-    for k in range(SERIES_TERMS - 1, 0, -1):
-        total = 1.0 - square * total / ((2 * k + first) * (2 * k + first - 1))
-    return total / math.factorial(first)
+    total: Any = 0.0
+    for k in reversed(range(SERIES_TERMS)):
+        total = (-1) ** k / math.factorial(2 * k + first) + square * total
+    return total
 
 
 def _vector(vector: Any) -> list[Any]:
