@@ -34,13 +34,14 @@ class _Routine:
         return getattr(self._problem.functions, self._name)
 
     @cached_property
-    def _tape(self) -> Tape | None:
+    def tape(self) -> Tape | None:
+        """Its instructions; None if one is not supported."""
         return Tape.of(self._function)
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
         """Return (outputs, rows) from (inputs, rows)."""
-        if columns.shape[1] > FEW and self._tape is not None:
-            return self._tape(list(columns))
+        if columns.shape[1] > FEW and self.tape is not None:
+            return self.tape(list(columns))
         ends = np.cumsum([self._function.numel_in(k) for k in range(self._function.n_in())])
         found = self._function.call([ca.DM(part) for part in np.split(columns, ends[:-1])])
         return np.concatenate([np.asarray(part) for part in found])
@@ -52,9 +53,14 @@ class NumpySolver:
 
     def __init__(self, problem: InverseProblem) -> None:
         self.problem = problem
-        self._turn, self._again, self._follow, self._repair, self._check = (
-            _Routine(problem, name) for name in ROUTINES
-        )
+        self._routines = [_Routine(problem, name) for name in ROUTINES]
+        self._turn, self._again, self._follow, self._repair, self._check = self._routines
+
+    @property
+    def tapes(self) -> tuple[Tape, ...] | None:
+        """The instructions of all routines, in the order of `ROUTINES`; None if one is not supported."""
+        found = tuple(tape for tape in (routine.tape for routine in self._routines) if tape is not None)
+        return found if len(found) == len(ROUTINES) else None
 
     def check(self, positions: np.ndarray, batch: Batch) -> np.ndarray:
         """Return the (n,) remaining distances of the point in mm at (n, axes) positions in mm and degrees."""

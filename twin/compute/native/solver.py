@@ -13,7 +13,6 @@ from twin.compute.native import loading
 from twin.compute.native.cpp import LARGEST_ANGLE, routine
 from twin.compute.native.numpy_solver import NumpySolver, angle
 from twin.compute.native.problem import CONVERGED, FOR_NUMPY, ROUTINES, Batch, BatchOutcome, InverseProblem
-from twin.compute.native.tape import Tape
 
 TRIED: Final = 256
 """Number of poses on which compiled code must agree with NumPy before it is used."""
@@ -143,14 +142,8 @@ class Solver:
         return self._confirmed
 
     @cached_property
-    def _tapes(self) -> tuple[Tape, ...] | None:
-        tapes = [Tape.of(getattr(self.problem.functions, name)) for name in ROUTINES]
-        known = tuple(tape for tape in tapes if tape is not None)
-        return known if len(known) == len(tapes) else None
-
-    @cached_property
     def _source(self) -> str:
-        problem, tapes = self.problem, self._tapes or ()
+        problem, tapes = self.problem, self._plain.tapes or ()
         sizes = {"A": problem.axes, "N": problem.inputs, "R": len(problem.rotary), "S": problem.sides}
         sizes["K"] = tapes[0].outputs - problem.axes - 1
         return "\n".join(
@@ -164,12 +157,13 @@ class Solver:
         )
 
     def _compiled(self) -> _Compiled | None:
-        if self._tapes is None:
+        tapes = self._plain.tapes
+        if tapes is None:
             return None
         library = loading.library(self._source)
         if library is None:
             return None
-        return _Compiled(self.problem, library, tuple(np.array(tape.constants) for tape in self._tapes))
+        return _Compiled(self.problem, library, tuple(np.array(tape.constants) for tape in tapes))
 
 
 def _aligned(batch: Batch) -> Batch:

@@ -180,38 +180,37 @@ class _Builder:
         self.inputs = inputs
         self.number: dict[Any, int] = {}
         self.known: list[Any] = list(range(inputs))  # an input, ("const", value) or a node
+        self.constants: dict[int, float] = {}
+        self.logical: set[int] = set()
 
     def value(self, key: Any) -> int:
-        if key not in self.number:
-            self.number[key] = len(self.known)
+        number = self.number.get(key)
+        if number is None:
+            number = self.number[key] = len(self.known)
             self.known.append(key)
-        return self.number[key]
+            if key[0] in LOGICAL:
+                self.logical.add(number)
+        return number
 
     def constant(self, value: float) -> int:
-        return self.value(("const", float(value)))
-
-    def constant_value(self, number: int) -> float | None:
-        key = self.known[number]
-        return key[1] if isinstance(key, tuple) and key[0] == "const" else None
-
-    def is_logical(self, number: int) -> bool:
-        """Return whether a value is logical."""
-        key = self.known[number] if number >= 0 else None
-        return isinstance(key, tuple) and key[0] in LOGICAL
+        number = self.value(("const", float(value)))
+        self.constants[number] = float(value)
+        return number
 
     def numeric(self, number: int) -> int:
         """Return a value as a number: one for true, zero for false."""
-        return self.value(("where", number, self.constant(1.0))) if self.is_logical(number) else number
+        return self.value(("where", number, self.constant(1.0))) if number in self.logical else number
 
     def operation(self, name: str, a: int, b: int = -1) -> int:
         # CasADi multiplies by logical values: the derivative of a maximum is the slope times a comparison.
-        if name == "mul" and self.is_logical(a) is not self.is_logical(b):
-            a, b = (a, b) if self.is_logical(a) else (b, a)
-            return self.value(("where", a, b))
-        if name != "not":
-            a, b = a if name == "where" else self.numeric(a), self.numeric(b)
-        if name == "div" and (divisor := self.constant_value(b)) is not None and divisor != 0.0:
-            name, b = "mul", self.constant(1.0 / divisor)
+        if self.logical:
+            if name == "mul" and (a in self.logical) is not (b in self.logical):
+                a, b = (a, b) if a in self.logical else (b, a)
+                return self.value(("where", a, b))
+            if name != "not":
+                a, b = a if name == "where" else self.numeric(a), self.numeric(b)
+        if name == "div" and self.constants.get(b, 0.0) != 0.0:
+            name, b = "mul", self.constant(1.0 / self.constants[b])
         if name == "mul":
             return self.product(a, b)
         if name in TURNS:
@@ -222,18 +221,16 @@ class _Builder:
 
     def product(self, a: int, b: int) -> int:
         """Return a product; constant factors are combined, and dropped if they cancel to rounding (degrees and back)."""
-        factor, rest = 1.0, [v for v in (a, b) if self.constant_value(v) is None]
-        for constant in (self.constant_value(v) for v in (a, b)):
-            factor *= 1.0 if constant is None else constant
-        if len(rest) == 1:
-            inner, rest[0] = self.factor(rest[0])
-            factor *= inner
-            return (
-                rest[0]
-                if abs(factor - 1.0) < UNIT_TOLERANCE
-                else self.value(("mul", *sorted((rest[0], self.constant(factor)))))
-            )
-        return self.value(("mul", *sorted(rest))) if rest else self.constant(factor)
+        known = self.constants
+        if a not in known and b not in known:
+            return self.value(("mul", a, b) if a <= b else ("mul", b, a))
+        if a in known and b in known:
+            return self.constant(known[a] * known[b])
+        inner, rest = self.factor(b if a in known else a)
+        factor = known[a if a in known else b] * inner
+        if abs(factor - 1.0) < UNIT_TOLERANCE:
+            return rest
+        return self.value(("mul", *sorted((rest, self.constant(factor)))))
 
     def factor(self, value: int) -> tuple[float, int]:
         """Return a value as a constant and another value to be multiplied by it."""
@@ -243,9 +240,8 @@ class _Builder:
             return 2.0 * number, rest
         if isinstance(key, tuple) and key[0] == "mul":
             for one, other in ((key[1], key[2]), (key[2], key[1])):
-                constant = self.constant_value(one)
-                if constant is not None:
-                    return constant, other
+                if one in self.constants:
+                    return self.constants[one], other
         return 1.0, value
 
     def turn(self, name: str, angle: int) -> int:
@@ -269,28 +265,33 @@ class _Builder:
         return found
 
     def read(self, function: ca.Function) -> list[int]:
-        starts_in = np.cumsum([0] + [function.numel_in(i) for i in range(function.n_in())])
-        starts_out = np.cumsum([0] + [function.numel_out(i) for i in range(function.n_out())])
-        results = [self.constant(0.0)] * int(starts_out[-1])
-        work: dict[int, int] = {}
+        starts_in = np.cumsum([0] + [function.numel_in(i) for i in range(function.n_in())]).tolist()
+        starts_out = np.cumsum([0] + [function.numel_out(i) for i in range(function.n_out())]).tolist()
+        rows = [function.sparsity_out(i).find() for i in range(function.n_out())]
+        results = [self.constant(0.0)] * starts_out[-1]
+        work = [0] * function.sz_w()
+        kind, operands_of, outputs_of = (
+            function.instruction_id,
+            function.instruction_input,
+            function.instruction_output,
+        )
         for k in range(function.n_instructions()):
-            code, operands, outputs = (
-                function.instruction_id(k),
-                function.instruction_input(k),
-                function.instruction_output(k),
-            )
-            if code == ca.OP_CONST:
+            code, operands, outputs = kind(k), operands_of(k), outputs_of(k)
+            name = NAMES.get(code)
+            if name is not None:
+                work[outputs[0]] = self.operation(name, *[work[i] for i in operands])
+            elif code == ca.OP_CONST:
                 work[outputs[0]] = self.constant(function.instruction_constant(k))
             elif code == ca.OP_INPUT:
-                work[outputs[0]] = int(starts_in[operands[0]]) + operands[1]
+                work[outputs[0]] = starts_in[operands[0]] + operands[1]
             elif code == ca.OP_OUTPUT:
-                rows = function.sparsity_out(outputs[0]).find()
-                results[int(starts_out[outputs[0]]) + rows[outputs[1]]] = self.numeric(work[operands[0]])
+                results[starts_out[outputs[0]] + rows[outputs[0]][outputs[1]]] = self.numeric(work[operands[0]])
             else:
                 work[outputs[0]] = self._translated(code, [work[i] for i in operands])
         return results
 
     def _translated(self, code: int, operands: list[int]) -> int:
+        """Return an operation that is reduced to others."""
         match code:
             case ca.OP_ASSIGN:
                 return operands[0]
@@ -301,10 +302,8 @@ class _Builder:
             case ca.OP_INV:
                 return self.operation("div", self.constant(1.0), operands[0])
             case ca.OP_POW | ca.OP_CONSTPOW:
-                return self.power(operands[0], self.constant_value(operands[1]))
-        if code not in NAMES:
-            raise UnknownOperationError(f"operation {code}")
-        return self.operation(NAMES[code], *operands)
+                return self.power(operands[0], self.constants.get(operands[1]))
+        raise UnknownOperationError(f"operation {code}")
 
     def finished(self, results: list[int]) -> tuple[tuple[float, ...], tuple[Node, ...], tuple[int, ...]]:
         """Return constants, nodes and results without unused values, renumbered."""
@@ -318,8 +317,8 @@ class _Builder:
             key = self.known[value]
             if isinstance(key, tuple) and key[0] != "const":
                 stack += [key[1], key[2]]
-        constants = [v for v in sorted(used) if self.constant_value(v) is not None]
-        nodes = [v for v in sorted(used) if isinstance(self.known[v], tuple) and self.constant_value(v) is None]
+        constants = [v for v in sorted(used) if v in self.constants]
+        nodes = [v for v in sorted(used) if v >= self.inputs and v not in self.constants]
         new = {v: v for v in range(self.inputs)} | {-1: -1}
         new |= {v: self.inputs + i for i, v in enumerate([*constants, *nodes])}
         code = tuple((self.known[v][0], new[self.known[v][1]], new[self.known[v][2]]) for v in nodes)
