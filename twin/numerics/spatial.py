@@ -18,6 +18,7 @@ arrays. Angles are in radians.
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any, Final
 
 import casadi as ca
@@ -43,7 +44,19 @@ def rotation_exp(vector: Any) -> Any:
     Raises:
         InputError: another shape, or a number that is not finite.
     """
-    x, y, z = _vector(vector)
+    components = _vector(vector)
+    return _expression()(vector) if isinstance(vector, ca.SX) else _rodrigues(*components)
+
+
+@cache
+def _expression() -> ca.Function:
+    """Return the map as a CasADi function; calling it is faster than building its expressions anew."""
+    v = ca.SX.sym("v", 3)
+    return ca.Function("rotation_exp", [v], [_rodrigues(*ca.vertsplit(v))])
+
+
+def _rodrigues(x: Any, y: Any, z: Any) -> Any:
+    """Return the rotation matrix of the components of a rotation vector."""
     square = x * x + y * y + z * z
     sine, cosine = _sine(square), _cosine(square)
     xx, yy, zz = x * x, y * y, z * z
