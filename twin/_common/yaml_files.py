@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, TypeVar, final, get_args
 
@@ -119,10 +120,24 @@ def read_yaml(path: Path) -> tuple[Any, Mapping[EntryPath, int]]:
         InputError: with the line: not YAML, a tag or value that is not accepted, a duplicate key, nested too deeply or too large.
     """
     text = read_text(path, most_bytes=MAX_BYTES)
-    loader = None
+    root = _root(text, path)
+    converter = _NodeConverter(path)
+    return (None if root is None else converter.plain(root, ())), converter.lines
+
+
+def _root(text: str, path: Path) -> yaml.Node | None:
+    """Return the root of the nodes of a text.
+
+    The C parser of PyYAML is ten times faster, where it is installed; its messages differ, so that a text it refuses is parsed again.
+
+    Raises:
+        InputError: with the line: not YAML, nested too deeply or too large.
+    """
+    if _FastLoader is not None:
+        with suppress(yaml.YAMLError):
+            return _composed(_FastLoader(text))
     try:
-        loader = _Loader(text)
-        root = loader.get_single_node()
+        return _composed(_Loader(text))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise InputError(
@@ -137,19 +152,21 @@ def read_yaml(path: Path) -> tuple[Any, Mapping[EntryPath, int]]:
         ) from error
     except yaml.YAMLError as error:
         raise InputError("not YAML", expected="a YAML file", file=path, line=1, value=error) from error
+
+
+def _composed(loader: Any) -> yaml.Node | None:
+    try:
+        return loader.get_single_node()
     finally:
-        if loader is not None:
-            loader.dispose()
-    converter = _NodeConverter(path)
-    return (None if root is None else converter.plain(root, ())), converter.lines
+        loader.dispose()
 
 
-@final
-class _Loader(yaml.SafeLoader):
-    """A loader of YAML nodes that bounds their depth and number while composing them."""
+class _BoundedComposer(yaml.composer.Composer, yaml.resolver.Resolver):
+    """A composer of YAML nodes that bounds their depth and number."""
 
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
+    def __init__(self) -> None:
+        yaml.composer.Composer.__init__(self)
+        yaml.resolver.Resolver.__init__(self)
         # Resolve neither dates nor merge keys: a date is text, and `<<` an unknown entry.
         self.yaml_implicit_resolvers = {
             first: [(tag, pattern) for tag, pattern in resolvers if tag in _SCALARS]
@@ -164,7 +181,7 @@ class _Loader(yaml.SafeLoader):
         Raises:
             MarkedYAMLError: too many levels or too many entries.
         """
-        mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+        mark = self.peek_event().start_mark  # type: ignore[attr-defined]
         self.depth += 1
         self.count += 1
         if self.depth > MAX_DEPTH:
@@ -175,6 +192,28 @@ class _Loader(yaml.SafeLoader):
             return super().compose_node(parent, index)
         finally:
             self.depth -= 1
+
+
+@final
+class _Loader(_BoundedComposer, yaml.reader.Reader, yaml.scanner.Scanner, yaml.parser.Parser):
+    def __init__(self, text: str) -> None:
+        yaml.reader.Reader.__init__(self, text)
+        yaml.scanner.Scanner.__init__(self)
+        yaml.parser.Parser.__init__(self)
+        _BoundedComposer.__init__(self)
+
+
+_FastLoader: Any = None
+if yaml.__with_libyaml__:
+    from yaml._yaml import CParser
+
+    @final
+    class _CLoader(_BoundedComposer, CParser):
+        def __init__(self, text: str) -> None:
+            CParser.__init__(self, text)
+            _BoundedComposer.__init__(self)
+
+    _FastLoader = _CLoader
 
 
 @final
@@ -238,7 +277,7 @@ class _NodeConverter:
             if control_character(text) is not None:
                 raise self._error("control character in the text", "printable text", line, text)
             # YAML 1.1 reads 1e-3 as text, but the number is meant.
-            return self._checked_size(_number(text), text, line) if node.style is None else text
+            return self._checked_size(_number(text), text, line) if not node.style else text
         if len(text) > MAX_NUMBER_LENGTH:
             raise self._error(f"number of {len(text)} characters", expected, line, text)
         try:

@@ -21,7 +21,7 @@ from twin.compensation.comparison import Commands
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving import Corrected, Pieces
 from twin.compensation.solving.rows import Rows
-from twin.kinematics.forward import angle_between_rad
+from twin.kinematics.forward import Kinematics, Poses, angle_between_rad
 from twin.nc.blocks import Notice
 from twin.uncertainty.at_tool import ToolUncertainty
 
@@ -289,8 +289,12 @@ class CompensationAccount:
 
     def _classes(self, *, all_corrected: bool) -> Iterator[ClassShare]:
         """Yield the share of each class; ``all_corrected``: whether every block is corrected."""
+        nominal = [_nominal_poses(aim, sample) for aim, sample in self._samples.items()]
         for name in self._aim.by_class:
-            parts = [_class_errors(name, aim, sample) for aim, sample in self._samples.items()]
+            parts = [
+                _class_errors(aim.by_class[name], sample, *poses)
+                for (aim, sample), poses in zip(self._samples.items(), nominal, strict=True)
+            ]
             share, turn, residual = (np.concatenate([np.zeros(0), *columns]) for columns in zip(*parts, strict=True))
             corrected = None if self._prepared.thesis is not None else name in self._aim.scope.classes
             yield ClassShare(
@@ -323,14 +327,22 @@ def _uncertainty(tool: ToolUncertainty, pieces: Pieces, rows: Rows) -> np.ndarra
     return interpolated(values, np.hstack([rows.nominal, rows.approach]), np.array(near + [SAME_SIDE] * len(axes)))
 
 
-def _class_errors(name: str, aim: CorrectionAim, sample: Sample) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _nominal_poses(aim: CorrectionAim, sample: Sample) -> tuple[Poses, Poses]:
+    """Return the poses of the machine without errors at sampled commands, before and after correction."""
+    before, _, after, _ = sample.poses()
+    nominal = aim.prepared.space.nominal
+    return nominal.forward(before), nominal.forward(after)
+
+
+def _class_errors(
+    alone: Kinematics, sample: Sample, nominal_before: Poses, nominal_after: Poses
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the errors of one class at sampled poses: point (µm) and axis (µrad) before correction, and point (µm) after it."""
     before, before_from, after, after_from = sample.poses()
-    alone, nominal = aim.by_class[name], aim.prepared.space.nominal
-    nominal_poses, alone_before = nominal.forward(before), alone.forward(before, before_from)
-    share = np.linalg.norm(alone_before.point_mm - nominal_poses.point_mm, axis=1) * 1e3
-    turn = angle_between_rad(alone_before.axis, nominal_poses.axis) * 1e6
-    residual = alone.forward(after, after_from).point_mm - nominal.forward(after).point_mm
+    alone_before = alone.forward(before, before_from)
+    share = np.linalg.norm(alone_before.point_mm - nominal_before.point_mm, axis=1) * 1e3
+    turn = angle_between_rad(alone_before.axis, nominal_before.axis) * 1e6
+    residual = alone.forward(after, after_from).point_mm - nominal_after.point_mm
     return share, turn, np.linalg.norm(residual, axis=1) * 1e3
 
 
