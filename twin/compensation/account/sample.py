@@ -61,7 +61,8 @@ class Sample:
             known: which of some points, each a line of its own, count.
         """
         # By motion, of which every one has many points.
-        place = np.mod((first + np.arange(points.motion.max(initial=-1) + 1)) * GOLDEN, 1.0)
+        turns = (first + np.arange(points.motion.max(initial=-1) + 1)) * GOLDEN
+        place = turns - np.floor(turns)
         of_line, counts = place[points.motion], points.nominal.counts
         share = self._share
         while share > LEAST_SHARE and counts[of_line < share / 2.0].sum() > CLASS_POSES:

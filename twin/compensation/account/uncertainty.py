@@ -168,7 +168,9 @@ class CorrectionTally:
         expanded, standard = known[:, 0], known[:, 1:]
         first = np.flatnonzero(np.append(True, blocks[1:] != blocks[:-1]))
         count = np.diff(np.append(first, len(blocks)))
-        of_block, u_of_block = (np.sqrt(np.add.reduceat(values**2, first) / count) for values in (size, expanded))
+        of_block, u_of_block = size, expanded
+        if len(first) < len(blocks):
+            of_block, u_of_block = (np.sqrt(np.add.reduceat(values**2, first) / count) for values in (size, expanded))
         below = of_block <= u_of_block
         columns = [lines[first[below]], of_block[below], u_of_block[below]]
         self._below.append(np.rec.fromarrays(columns, dtype=BELOW))
