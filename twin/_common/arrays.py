@@ -39,6 +39,17 @@ def rows_all_true(good: np.ndarray) -> np.ndarray:
     return np.ones(len(good), dtype=bool) if good.all() else np.asarray(good.all(axis=1))
 
 
+def all_within(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
+    """Return whether all of (n, k) values lie within the (k,) bounds of their columns; false if one is not a number.
+
+    NumPy's operations along the rows of a narrow array are ten times slower than those on its columns.
+    """
+    return len(values) == 0 or all(
+        bool(column.min() >= low and column.max() <= high)
+        for column, low, high in zip(values.T, lower, upper, strict=True)
+    )
+
+
 def row_lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the (n,) lengths of (n, 3) vectors; `numpy.linalg.norm` along an axis is slower."""
     x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]

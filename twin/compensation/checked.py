@@ -36,9 +36,9 @@ def check(source: str, lines: np.ndarray, new: NewPositions, got: np.ndarray) ->
     changed = new.count[of] > 0
     wanted = new.positions[(new.first[of] + within)[changed]]
     got = got[changed]
-    off = (np.abs(got - wanted) > PRINTED_MM).any(axis=1)
+    off = np.abs(got - wanted) > PRINTED_MM
     if np.any(off):
-        at = int(np.flatnonzero(off)[0])
+        at = int(np.flatnonzero(off.any(axis=1))[0])
         raise OutputError(f"{source}:{int(lines[of[changed][at]])}: the output has {got[at]}, expected {wanted[at]}")
 
 

@@ -68,8 +68,10 @@ class CompensationAccount:
         for points in self._simulated(corrected):
             self._compare(points, pieces, corrected.lines, self._motions - context)
         residual_um = self._end_point_residuals_um(pieces, rows)
-        corrections = np.abs(rows.commands - rows.nominal)[~rows.untouched]
-        self._largest = np.maximum(self._largest, corrections.max(axis=0, initial=0.0))
+        corrections = np.abs(rows.commands - rows.nominal)
+        if rows.untouched.any():
+            corrections = corrections[~rows.untouched]
+        self._largest = np.maximum(self._largest, [axis.max(initial=0.0) for axis in corrections.T])
         count = pieces.count(corrected.rows)[context:]
         self._cutting += int(np.count_nonzero(~pieces.path.columns.rapid[context:]))
         self._split += int(np.count_nonzero(count > 1))
@@ -152,7 +154,8 @@ class CompensationAccount:
         if not directed:
             keep = ~rows.backlash_move
             state = self._state(pieces, rows.motion, rows.fraction)
-            yield SimulatedPoints(rows.motion, *ends, state, state).of(np.flatnonzero(keep))
+            points = SimulatedPoints(rows.motion, *ends, state, state)
+            yield points if keep.all() else points.of(np.flatnonzero(keep))
         for portion in [dense] if directed else path_errors.portions(dense):
             samples = path_errors.samples(portion)
             nominal, written = path_errors.commands(samples, ways, point_by_point=directed or varying)

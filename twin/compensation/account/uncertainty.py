@@ -165,7 +165,7 @@ class CorrectionTally:
             known: (n, 4) its U and three standard uncertainties; NaN if ``tool`` knows none.
             tool: source of these uncertainties.
         """
-        expanded, standard = known[:, 0], known[:, 1:]
+        expanded = known[:, 0]
         first = np.flatnonzero(np.append(True, blocks[1:] != blocks[:-1]))
         count = np.diff(np.append(first, len(blocks)))
         of_block, u_of_block = size, expanded
@@ -174,7 +174,7 @@ class CorrectionTally:
         below = of_block <= u_of_block
         columns = [lines[first[below]], of_block[below], u_of_block[below]]
         self._below.append(np.rec.fromarrays(columns, dtype=BELOW))
-        squares = np.array([np.sum(size**2), np.sum(expanded**2), *np.sum(standard**2, axis=0)])
+        squares = np.array([size @ size, *np.einsum("ij,ij->j", known, known)])
         self._tally.add(np.stack([size, expanded]), squares, lines)
         self._blocks += len(first)
         self._known, self._without = bool(tool.parameters), tool.without_uncertainty

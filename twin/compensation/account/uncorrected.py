@@ -56,6 +56,8 @@ def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundSho
         (rows.clamped, rows.exact, prepared.limits),
     ):
         at = np.flatnonzero(mask)
+        if not at.size:
+            continue
         beyond = np.maximum(limits[:, 0] - requested[at], requested[at] - limits[:, 1])
         beyond = np.where(beyond > SLACK, beyond, 0.0)
         for axes in np.unique(beyond > 0.0, axis=0):

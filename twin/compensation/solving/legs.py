@@ -94,7 +94,9 @@ def turning_points(
         motion are omitted, because rounded words cannot represent them.
     """
     columns, motions = path.columns, path.motions
-    can_turn = columns.tcp & (columns.start[:, 3:] != columns.end[:, 3:]).any(axis=1)
+    can_turn = np.array(columns.tcp)
+    if can_turn.any():
+        can_turn &= (columns.start[:, 3:] != columns.end[:, 3:]).any(axis=1)
     can_turn[list(columns.special)] = True
     curved = which[can_turn[which]]
     if not axes or not curved.size:

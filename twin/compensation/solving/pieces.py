@@ -12,7 +12,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import rows_all_true
+from twin._common.arrays import all_within, rows_all_true
 from twin.compensation.block_conditions import CONSTANT, BlockConditions
 from twin.compensation.one_mode import check_one_mode
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
@@ -212,8 +212,10 @@ class Pieces:
         """Return the rows with ``exact`` converted to words and rounded to their increments."""
         limits, increment = self.prepared.limits, self.increment
         wanted = rows.exact + rows.overshoot
-        clipped = np.clip(wanted, limits[:, 0], limits[:, 1])
-        clamped = ~rows_all_true(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.prepared.increment)
+        clipped, clamped = wanted, np.zeros(len(wanted), dtype=bool)
+        if not all_within(wanted, limits[:, 0], limits[:, 1]):
+            clipped = np.clip(wanted, limits[:, 0], limits[:, 1])
+            clamped = ~rows_all_true(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.prepared.increment)
         tcp_out = taken(self.tcp_out, rows.motion)
         out = self.space.words(clipped, tcp_out)
         printed = np.round(out / increment) * increment

@@ -16,7 +16,7 @@ from typing import final
 import numpy as np
 import pinocchio as pin
 
-from twin._common.arrays import rows_all_true
+from twin._common.arrays import all_within, rows_all_true
 from twin._common.errors import InputError
 from twin.display import card, pairs
 from twin.kinematics.branches import Branches
@@ -227,10 +227,9 @@ class WordSpace:
 def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
     """Return (n,) whether commands (mm, degrees) leave an axis's range; True for NaN."""
     lower, upper = (machine.limits / machine.scale[:, None] + np.array([-1e-9, 1e-9])).T
-    above, below = commands >= lower, commands <= upper
-    if above.all() and below.all():  # the usual case
+    if all_within(commands, lower, upper):  # the usual case
         return np.zeros(len(commands), dtype=bool)
-    return ~rows_all_true(above & below)
+    return ~rows_all_true((commands >= lower) & (commands <= upper))
 
 
 def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np.ndarray) -> None:

@@ -182,13 +182,18 @@ class ChunkReader:
             return False
         if state.inch:
             value = np.where(axis < state.linear, value * MM_PER_INCH, value)
-        position = np.full((len(lines), len(state.names)), np.nan)
-        row = np.repeat(np.arange(len(lines)), np.diff(scan.first)[lines])
-        position[row, axis] = value
+        shape = len(lines), len(state.names)
+        each = np.diff(scan.first)[lines]
+        if np.all(each == shape[1]) and np.all(axis.reshape(shape) == np.arange(shape[1])):
+            position = value.reshape(shape)  # every line has all axes in order
+        else:
+            position = np.full(shape, np.nan)
+            position[np.repeat(np.arange(len(lines)), each), axis] = value
         said = ~np.isnan(position)
         if state.frame.plane is not None and (state.tcp or said[:, state.linear :].any()):
             return False  # the interpreter refuses one of these lines
-        named = said @ (1 << np.arange(len(state.names)))
+        bits = 1 << np.arange(len(state.names))
+        named = np.full(len(said), bits.sum()) if said.all() else said @ bits
         fill_forward(position, said, state.position)
         rapid, of = motion == 0, chunk.first + lines
         if repeated:
@@ -336,11 +341,12 @@ class ChunkRewriter(ABC):
     def _exact_in_steps(self, named: np.ndarray, positions: np.ndarray) -> bool:
         """Return whether values are exact in steps, and each axis has a value in all rows, or in none and no word either."""
         known = np.isfinite(positions)
-        everywhere = known.all(axis=0)
+        everywhere = np.array([axis.all() for axis in known.T])
         written = np.bitwise_or.reduce(named, initial=0) >> np.arange(known.shape[1]) & 1 > 0
-        if not self._grids.exact or not np.all(everywhere | ~(known.any(axis=0) | written)):
+        if not self._grids.exact or not np.all(everywhere | ~([axis.any() for axis in known.T] | written)):
             return False
-        return bool(np.abs(positions[:, everywhere]).max(initial=0.0) < LARGEST_STEPS * self._grids.step.min())
+        largest = [np.abs(axis).max(initial=0.0) for axis in positions.T[everywhere]]
+        return max(largest, default=0.0) < LARGEST_STEPS * float(self._grids.step.min())
 
     def _run(
         self, scan: Scan, begin: int, end: int, of_line: np.ndarray, moves: MoveColumns, new: NewPositions
