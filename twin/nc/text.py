@@ -8,6 +8,8 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
+import numpy as np
+
 from twin._common.errors import InputError
 from twin.nc.blocks import Program
 
@@ -16,7 +18,7 @@ LARGEST = 1e9
 """Upper limit of coordinates, feeds and parameters (mm, degrees, mm/min); no real program comes near it."""
 
 _LINE = re.compile(r"[^\r\n]*+(?:\r\n|\n|\r)|[^\r\n]++")
-_CONTROL = bytes(c for c in range(32) if c not in b"\t\n\r\f\x1a\x11\x12\x13\x14") + b"\x7f"
+_CONTROL = bytes(c for c in range(32) if c not in b"\t\n\r\f\x1a\x11\x12\x13\x14")
 _SPACES = re.compile(r"[ \t]+")
 UNIT_LENGTH = 1e-15
 """Difference of a vector's length from one below which the vector is not scaled."""
@@ -42,16 +44,25 @@ def lines_in(data: bytes) -> Iterator[str]:
     return (match.group() for match in _LINE.finditer(data.decode("latin-1")))
 
 
+def count_of(data: bytes, character: int) -> int:
+    """Return how often a character occurs; five times as fast as `bytes.count` where it is frequent."""
+    return int(np.count_nonzero(np.frombuffer(data, dtype=np.uint8) == character))
+
+
 class TextCheck:
     """Check that bytes given in chunks are a text program.
 
     Args:
         source: file name for messages.
+
+    Attributes:
+        size: number of bytes.
+        newlines, returns: numbers of LF and CR characters.
     """
 
     def __init__(self, source: str) -> None:
         self._source = source
-        self._size = self._control = self._newlines = 0
+        self.size = self.newlines = self.returns = self._control = 0
         self._empty = True
 
     def add(self, data: bytes) -> None:
@@ -61,14 +72,18 @@ class TextCheck:
             InputError: it is a binary file.
         """
         if b"\0" in data:
-            line = self._newlines + data.count(b"\n", 0, data.index(b"\0")) + 1
+            line = self.newlines + data.count(b"\n", 0, data.index(b"\0")) + 1
             raise InputError(
                 "binary file", expected="an NC program as text", file=self._source, line=line, value="NUL byte"
             )
-        begin = len(BOM) if not self._size and data.startswith(BOM.encode("latin-1")) else 0
-        self._size += len(data)
-        self._control += len(data) - len(data.translate(None, _CONTROL))
-        self._newlines += data.count(b"\n")
+        begin = len(BOM) if not self.size and data.startswith(BOM.encode("latin-1")) else 0
+        newlines = count_of(data, ord("\n"))
+        self.size += len(data)
+        self.newlines += newlines
+        self._control += count_of(data, 127)
+        if np.count_nonzero(np.frombuffer(data, dtype=np.uint8) < 32) > newlines:
+            self.returns += count_of(data, ord("\r"))
+            self._control += len(data) - len(data.translate(None, _CONTROL))
         self._empty = self._empty and not data[begin:].strip(b" \t\r\n\f\x1a")
 
     def finish(self) -> None:
@@ -77,7 +92,7 @@ class TextCheck:
         Raises:
             InputError: it is empty, blank or a binary file.
         """
-        if 10 * self._control > self._size:
+        if 10 * self._control > self.size:
             raise InputError(
                 "binary file", expected="an NC program as text", file=self._source, value="control characters"
             )

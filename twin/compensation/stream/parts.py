@@ -42,13 +42,11 @@ class ProgramFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.size = self.lines = 0
         check = TextCheck(str(path))
         for data in self._blocks():
             check.add(data)
-            self.size += len(data)
-            self.lines += data.count(b"\n") or data.count(b"\r")
         check.finish()
+        self.size, self.lines = check.size, check.newlines or check.returns
         self.parts = max(self.lines // PART_LINES, 1)
 
     def begins(self) -> tuple[str, Style]:

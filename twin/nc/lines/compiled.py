@@ -16,7 +16,7 @@ from twin.nc.blocks import AxisWords
 from twin.nc.emit import SAME_NUMBER, OutputState
 from twin.nc.lines.bulk import Formatting, Grids, rewritten_lines
 from twin.nc.lines.scan import NOTE, Scan, Words, scan, tables
-from twin.nc.text import Style
+from twin.nc.text import Style, count_of
 
 _POINTERS: Final = ctypes.c_void_p
 _TABLES: Final = ("text", "kind", "rank", "axis")
@@ -96,7 +96,8 @@ class _Compiled:
         given = dict(zip(_TABLES, (text, np.frombuffer(kind, np.uint8), rank, axis), strict=True))
         job = _Job(size=len(data), **{name: values.ctypes.data for name, values in given.items()})
         # Upper bounds: memory that is not written is not taken.
-        lines, words = data.count(b"\n") + data.count(b"\r") + 2, len(data) // 2 + 1
+        lines = count_of(data, ord("\n")) + count_of(data, ord("\r")) + 2
+        words = len(data) // 2 + 1
         room: dict[str, np.ndarray] = {
             name: np.empty(size, dtype=kind_)
             for names_, size in ((_LINES, lines), (_WORDS, words))
