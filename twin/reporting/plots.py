@@ -15,6 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
+from matplotlib.ticker import FixedLocator
 
 from twin._common.units import DEG, TURN
 from twin.display import figure, readable, with_half
@@ -31,6 +32,7 @@ from twin.display.figures import (
     style_axes,
     text_box_style,
 )
+from twin.display.plain_axes import draw_plain_axes
 from twin.reporting.compensation import CompensationForecast
 from twin.reporting.contributions import Contribution
 from twin.reporting.field import Field, Slice
@@ -45,6 +47,7 @@ WIDTH: Final = 4.4
 LEAN: Final = 0.34
 """Drawn angle of the largest squareness, rad."""
 LETTERS: Final = 9.5
+NUMBERS: Final = 9.0
 BARS: Final = 18
 """Largest number of errors drawn as bars; the table lists all."""
 LETTER: Final = 0.072
@@ -214,15 +217,19 @@ def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure
     height = wide * high + 0.72
     drawing = new_figure(WIDTH, height, layout=None)
     plot = drawing.add_axes((0.72 / WIDTH, 0.55 / height, wide / WIDTH, wide * high / height))
-    _dress(plot)
+    _dress(plot, plain=True)
     levels = np.linspace(0.0, top, 9)
-    filled = plot.contourf(one.across, one.up, np.minimum(values, top), levels=levels, cmap=VIRIDIS)
+    plot.contourf(one.across, one.up, np.minimum(values, top), levels=levels, cmap=VIRIDIS)
     lines = plot.contour(one.across, one.up, values, levels=levels[1:-1], colors="white", linewidths=0.6)
     plot.clabel(lines, fmt="%g", fontsize=8)
     plot.set(xlabel=f"{one.horizontal} [mm]", ylabel=f"{one.vertical} [mm]")
-    plot.grid(visible=False)
+    draw_plain_axes(plot, NUMBERS, grid=False)
     beside = drawing.add_axes(((0.72 + wide + 0.12) / WIDTH, 0.55 / height, 0.13 / WIDTH, wide * high / height))
-    drawing.colorbar(filled, cax=beside).set_label(label)
+    middles = 0.5 * (levels[1:] + levels[:-1])
+    beside.pcolormesh([0.0, 1.0], levels, middles[:, None], cmap=VIRIDIS, vmin=0.0, vmax=top)
+    beside.yaxis.set_major_locator(FixedLocator(levels.tolist()))
+    beside.set_ylabel(label)
+    draw_plain_axes(beside, 10.0, grid=False, right=True, scale=False)
     return drawing
 
 
@@ -266,11 +273,12 @@ def _styles(outcome: CompensationForecast) -> list[str]:
 
 
 def _along(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
-    plot = _plot(WIDTH, 3.0, legend=2)
+    plot = _plot(WIDTH, 3.0, legend=2, plain=True)
     _curves(plot, motion, 1.0, "approach from below (+)", (1.8, 1.4))
     _stops(plot, stops, 1.0)
     plot.axhline(0.0, color=BOTH, linewidth=0.7)
     plot.set(xlabel=f"{motion.axis} [{motion.axis_unit}]", ylabel=f"{motion.name} [{readable(motion.unit)}]")
+    draw_plain_axes(plot, NUMBERS)
     _legend(plot, columns=2)
     return cast(Figure, plot.figure)
 
@@ -335,14 +343,17 @@ def _scale(top: float) -> ScalarMappable:
     return ScalarMappable(Normalize(0.0, top), VIRIDIS)
 
 
-def _plot(width: float, height: float, *, left: float = 0.72, legend: int = 1) -> Axes:
-    """Return one plot with fixed margins for labels and a legend of ``legend`` lines: automatic layout is as slow as drawing."""
+def _plot(width: float, height: float, *, left: float = 0.72, legend: int = 1, plain: bool = False) -> Axes:
+    """Return one plot with fixed margins for labels and a legend of ``legend`` lines: automatic layout is as slow as drawing.
+
+    With ``plain``, the caller adds the axes by `draw_plain_axes`.
+    """
     drawing = new_figure(width, height, layout=None)
     below = 0.52 + LINE * legend
     plot = drawing.add_axes(
         (left / width, below / height, (width - left - 0.12) / width, (height - below - 0.14) / height)
     )
-    _dress(plot)
+    _dress(plot, plain=plain)
     return plot
 
 
@@ -360,8 +371,11 @@ def _legend(plot: Axes, *, columns: int, size: float = 8.5) -> None:
     )
 
 
-def _dress(plot: Axes) -> None:
-    style_axes(plot)
-    plot.tick_params(labelsize=LETTERS - 0.5)
+def _dress(plot: Axes, *, plain: bool = False) -> None:
+    if plain:
+        plot.spines[["top", "right"]].set_visible(False)
+    else:
+        style_axes(plot)
+        plot.tick_params(labelsize=NUMBERS)
     plot.xaxis.label.set_fontsize(LETTERS)
     plot.yaxis.label.set_fontsize(LETTERS)
