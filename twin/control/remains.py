@@ -156,11 +156,12 @@ def remaining_errors(required: RequiredCorrections, calibration: Calibration) ->
     """
     with_tables, at = required.kinematics_with(calibration), required.volume
     uncertainty, before = _without_tables(required)
+    reached = with_tables.forward(at.q, at.sides)
     program, limited = None, 0
     if required.machine.runs_programs:
-        commands, limited = required.corrected_commands(with_tables)
+        commands, limited = required.corrected_commands(with_tables, reached)
         program = volume_error(with_tables.forward(commands, at.sides), at.goal, uncertainty)
-    tables = volume_error(with_tables.forward(at.q, at.sides), at.goal, uncertainty)
+    tables = volume_error(reached, at.goal, uncertainty)
     return RemainingErrors(len(at.q), before, tables, program, uncertainty, limited)
 
 

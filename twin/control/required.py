@@ -109,17 +109,19 @@ class RequiredCorrections:
         back = np.linalg.pinv(_derivatives(self.nominal, q, None))
         return Volume(q, random_approach(q), self.nominal.forward(q), back)
 
-    def corrected_commands(self, real: Kinematics) -> tuple[np.ndarray, int]:
+    def corrected_commands(self, real: Kinematics, reached: Poses) -> tuple[np.ndarray, int]:
         """Return the commands (n, axes) of `volume` whose linear axes correct the point, and at how many an axis's range limits them.
 
         Args:
             real: the machine that is corrected.
+            reached: poses that it reaches with the commands of `volume`.
         """
         at, linear = self.volume, list(self.machine.linear)
         commands, limited = at.q.copy(), np.zeros(len(at.q), dtype=bool)
         limits = np.array([self.range_of(self.machine.axes[i]) for i in linear])
-        for _ in range(ITERATIONS):
-            off = real.forward(commands, at.sides).point_mm - at.goal.point_mm
+        for i in range(ITERATIONS):
+            poses = real.forward(commands, at.sides) if i else reached
+            off = poses.point_mm - at.goal.point_mm
             step = commands[:, linear] - (at.back @ off[:, :, None])[:, :, 0]
             commands[:, linear] = np.clip(step, *limits.T)
             limited = np.abs(commands[:, linear] - step).max(axis=1) > 1e-6

@@ -84,10 +84,12 @@ def stages_of(required: RequiredCorrections, known: Calibration, section: Contro
     }
     at = required.volume
     uncertainty = PointUncertainty.of(models[BEFORE], at.q, at.sides)
-    errors = {name: volume_error(model.forward(at.q, at.sides), at.goal, uncertainty) for name, model in models.items()}
+    reached = {name: model.forward(at.q, at.sides) for name, model in models.items()}
+    errors = {name: volume_error(poses, at.goal, uncertainty) for name, poses in reached.items()}
     if machine.runs_programs:
-        corrected, linear = models[TABLES if section.tables else CONSTANTS], list(machine.linear)
-        commands, _ = required.corrected_commands(corrected)
+        last, linear = TABLES if section.tables else CONSTANTS, list(machine.linear)
+        corrected = models[last]
+        commands, _ = required.corrected_commands(corrected, reached[last])
         increments = np.array([machine.axes[i].increment for i in linear])
         commands[:, linear] = np.round(commands[:, linear] / increments) * increments
         errors[PROGRAM] = volume_error(corrected.forward(commands, at.sides), at.goal, uncertainty)

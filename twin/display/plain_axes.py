@@ -5,7 +5,7 @@ matplotlib makes five artists for each tick and places each several times: more 
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,13 +26,15 @@ LABEL_PAD: Final = 4.0
 """Distance of the label of an axis from the numbers, points."""
 
 
-def draw_plain_axes(plot: Axes, size: float, *, grid: bool = True, scale: bool = True, right: bool = False) -> None:
+def draw_plain_axes(
+    plot: Axes, size: float, *, grid: Literal["both", "x", ""] = "both", scale: bool = True, right: bool = False
+) -> None:
     """Draw grid, ticks, numbers and labels of a finished plot with linear axes, and hide matplotlib's own.
 
     Args:
-        plot: the plot, with its data, limits and axis labels; a fixed locator of an axis is used.
+        plot: the plot, with its data, limits and axis labels; fixed locators of axes and their formatters are used.
         size: font size of the numbers, points.
-        grid: whether a pale grid is drawn behind the data.
+        grid: axes with a pale grid behind the data.
         scale: whether the horizontal axis is drawn.
         right: whether the vertical axis is at the right.
     """
@@ -40,8 +42,8 @@ def draw_plain_axes(plot: Axes, size: float, *, grid: bool = True, scale: bool =
     for axis in (plot.xaxis, plot.yaxis):
         axis.set_visible(False)
     if scale:
-        _draw(plot, plot.xaxis, size, grid=grid, side=0)
-    _draw(plot, plot.yaxis, size, grid=grid, side=1 if right else -1)
+        _draw(plot, plot.xaxis, size, grid=bool(grid), side=0)
+    _draw(plot, plot.yaxis, size, grid=grid == "both", side=1 if right else -1)
 
 
 def _draw(plot: Axes, axis: Axis, size: float, *, grid: bool, side: int) -> None:
@@ -72,6 +74,8 @@ def _draw(plot: Axes, axis: Axis, size: float, *, grid: bool, side: int) -> None
         [text_to_path.get_text_width_height_descent(text, font, False) for text in (*texts, "lp")], axis=0
     )
     turned: dict[str, Any] = {"rotation": 90.0, "rotation_mode": "anchor", "va": "top" if side > 0 else "bottom"}
+    if not axis.label.get_text():
+        return
     label = plot.transAxes + _outward(plot, outside + LABEL_PAD + (width if side else height), side)
     x, y = _in_order(0.5, float(side > 0), side)
     looks |= {"ha": "center", "fontsize": axis.label.get_fontsize(), **(turned if side else {"va": "top"})}

@@ -15,7 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
-from matplotlib.ticker import FixedLocator
+from matplotlib.ticker import FixedFormatter, FixedLocator
 
 from twin._common.units import DEG, TURN
 from twin.display import figure, readable, with_half
@@ -52,6 +52,8 @@ BARS: Final = 18
 """Largest number of errors drawn as bars; the table lists all."""
 LETTER: Final = 0.072
 """Width of a letter of a label, inches."""
+BELOW_ROWS: Final = 0.48
+"""Height of the numbers and the label below a plot of named rows, inches."""
 LINE: Final = 0.19
 """Height of a line of a legend, inches."""
 ABOVE_TURN: Final = 1.077
@@ -81,7 +83,7 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
         f"{one.name}{' *' if one.illustrative else ''}{'' if np.isfinite(one.u_rms_um) else ' ?'}" for one in shown
     ]
     # Names of effects can have more than twenty letters.
-    plot = _plot(WIDTH, 0.75 + 0.27 * len(shown), left=max(0.85, 0.2 + LETTER * max(map(len, names))))
+    plot = _plot(WIDTH, 0.75 + 0.27 * len(shown), left=max(0.85, 0.2 + LETTER * max(map(len, names))), plain=True)
     at = np.arange(len(shown))[::-1]
     colours = [FORWARD] * (len(shown) - 1) + [BOTH]
     plot.barh(at, [one.rms_um for one in shown], height=0.62, color=colours, label="RMS over the volume")
@@ -93,10 +95,10 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
             plot.plot(ends, [y, y], **whisker, solid_capstyle="butt")
     if any(np.isfinite(one.u_rms_um) for one in shown):
         plot.plot([], [], **whisker, label="U (95 %)")
-    plot.set_yticks(at, names)
     plot.set_xlim(left=0.0)
     plot.set(xlabel="error of the tool point [µm]", ylim=(-0.6, len(shown) - 0.4))
-    plot.grid(axis="y", visible=False)
+    _name_rows(plot, at, names)
+    draw_plain_axes(plot, NUMBERS, grid="x")
     _legend(plot, columns=3)
     return cast(Figure, plot.figure)
 
@@ -120,19 +122,24 @@ def plot_constants(found: Sequence[Constant]) -> Figure:
     """
     groups = [[one for one in found if one.unit == unit] for unit in ("urad", "um")]
     groups = [group for group in groups if group]
-    heights = [len(group) + 1.2 for group in groups]
-    drawing = new_figure(WIDTH, 0.35 + 0.3 * sum(heights))
-    plots = drawing.subplots(len(groups), 1, squeeze=False, height_ratios=heights).ravel()
-    for plot, group in zip(plots, groups, strict=True):
-        _dress(plot)
+    heights = np.array([len(group) + 1.2 for group in groups])
+    height = 0.35 + 0.3 * float(heights.sum())
+    heights *= (height - 0.04 - BELOW_ROWS * len(groups)) / heights.sum()
+    drawing, bottom = new_figure(WIDTH, height, layout=None), height - 0.04
+    for high, group in zip(heights, groups, strict=True):
+        bottom -= high
+        plot = drawing.add_axes((0.66 / WIDTH, bottom / height, 3.7 / WIDTH, high / height))
+        bottom -= BELOW_ROWS
+        _dress(plot, plain=True)
         at = np.arange(len(group))[::-1]
         for y, one in zip(at, group, strict=True):
             if one.known:
                 plot.plot([one.value - one.half, one.value + one.half], [y, y], color=FORWARD, linewidth=2.0)
             plot_markers(plot, one.value, y, FORWARD, "o", 6, markerfacecolor=FORWARD if one.known else "white")
         plot.axvline(0.0, color=BOTH, linewidth=0.8)
-        plot.set_yticks(at, [one.name + ("" if one.known else " ?") for one in group])
         plot.set(ylim=(-0.6, len(group) - 0.4), xlabel=f"value and 95 % interval [{readable(group[0].unit)}]")
+        _name_rows(plot, at, [one.name + ("" if one.known else " ?") for one in group])
+        draw_plain_axes(plot, NUMBERS)
     return drawing
 
 
@@ -181,8 +188,8 @@ def plot_field(field: Field) -> Figure:
     rows = field.drawn
     points, errors, size = field.point_mm[rows], field.error_um[rows], field.size_um[rows]
     factor, top = chosen_factor(points, errors), scale_top_um(float(size.max(initial=0.0)))
-    drawing = new_figure(6.4, 4.9)
-    plot: Any = drawing.add_subplot(projection="3d")
+    drawing = new_figure(6.4, 4.9, layout=None)
+    plot: Any = drawing.add_axes((0.056, 0.009, 0.753, 0.983), projection="3d")
     colours = viridis(np.clip(size / top, 0.0, 1.0))
     arrows = factor * errors * 1e-3
     if len(points):
@@ -198,7 +205,7 @@ def plot_field(field: Field) -> Figure:
     if len(points) > 1:
         plot.set_box_aspect(np.maximum(np.ptp(np.concatenate([points, points + arrows]), axis=0), 1.0), zoom=0.92)
     plot.view_init(elev=24, azim=-62)
-    bar = drawing.colorbar(_scale(top), ax=plot, shrink=0.7, pad=0.08)
+    bar = drawing.colorbar(_scale(top), cax=drawing.add_axes((0.873, 0.156, 0.026, 0.688)))
     bar.set_label(f"error [µm]; arrows × {factor:,.0f}".replace(",", " "))
     return drawing
 
@@ -223,13 +230,13 @@ def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure
     lines = plot.contour(one.across, one.up, values, levels=levels[1:-1], colors="white", linewidths=0.6)
     plot.clabel(lines, fmt="%g", fontsize=8)
     plot.set(xlabel=f"{one.horizontal} [mm]", ylabel=f"{one.vertical} [mm]")
-    draw_plain_axes(plot, NUMBERS, grid=False)
+    draw_plain_axes(plot, NUMBERS, grid="")
     beside = drawing.add_axes(((0.72 + wide + 0.12) / WIDTH, 0.55 / height, 0.13 / WIDTH, wide * high / height))
     middles = 0.5 * (levels[1:] + levels[:-1])
     beside.pcolormesh([0.0, 1.0], levels, middles[:, None], cmap=VIRIDIS, vmin=0.0, vmax=top)
     beside.yaxis.set_major_locator(FixedLocator(levels.tolist()))
     beside.set_ylabel(label)
-    draw_plain_axes(beside, 10.0, grid=False, right=True, scale=False)
+    draw_plain_axes(beside, 10.0, grid="", right=True, scale=False)
     return drawing
 
 
@@ -337,6 +344,12 @@ def _stops(plot: Axes, stops: Sequence[PositionEstimates], scale: float) -> None
         marker, colour, text = SIDES[one.side]
         looks: dict[str, Any] = {"marker": marker, "markersize": 3.5, "color": colour, "linewidth": 0.9, "capsize": 2}
         plot.errorbar(one.position * scale, one.value, one.half, linestyle="", **looks, label=text)
+
+
+def _name_rows(plot: Axes, at: np.ndarray, names: Sequence[str]) -> None:
+    """Give the rows of a plot their names; `Axes.set_yticks` would make matplotlib's ticks."""
+    plot.yaxis.set_major_locator(FixedLocator(at.tolist()))
+    plot.yaxis.set_major_formatter(FixedFormatter(list(names)))
 
 
 def _scale(top: float) -> ScalarMappable:
