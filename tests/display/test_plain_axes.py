@@ -24,7 +24,7 @@ def _plot(low: float, high: float, peak: float) -> Axes:
 
 
 def _boxes(plot: Axes, texts: Iterable[Text]) -> dict[tuple[str, bool], tuple[float, ...]]:
-    """Return the boxes of texts in pixels, by text and whether it is left of the plot."""
+    """Return the boxes of texts in pixels, by text and by whether it stands at the vertical axis."""
     renderer = plot.figure.canvas.get_renderer()  # type: ignore[union-attr, attr-defined]
     left, boxes = plot.get_window_extent().x0, {one: one.get_window_extent(renderer) for one in texts}
     return {(one.get_text(), box.x1 < left): tuple(box.extents) for one, box in boxes.items()}
