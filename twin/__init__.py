@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from twin.planning import plots as planning_plots
     from twin.planning.drift import drift_plan
     from twin.reporting import machine_report as report
-    from twin.reporting.scene import draw_program as scene
+    from twin.reporting.scene.program import draw_program as scene
     from twin.samples import thesis_plan
     from twin.standards import evaluate, evaluate_drift
     from twin.standards.page import evaluation_html
@@ -215,7 +215,7 @@ _HOMES = {
     "read_program": ("twin.nc", "read_program"),
     "refit": ("twin.compensation.fewer_blocks", "refit"),
     "report": ("twin.reporting", "machine_report"),
-    "scene": ("twin.reporting.scene", "draw_program"),
+    "scene": ("twin.reporting.scene.program", "draw_program"),
     "separate": ("twin.planning", "separate"),
     "simulate": ("twin.measurement.simulate", "simulate"),
     "watch": ("twin.watching", "watch"),

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.uncertainty.population import Draws, Tally
+from twin.uncertainty.draws import Draws
+from twin.uncertainty.tally import Tally
 
 
 def squared(shared: int, task: int) -> int:

@@ -560,6 +560,8 @@ def test_a_portion_counts_for_the_whole_work(monkeypatch: pytest.MonkeyPatch) ->
     rows = loading.WORTH_COMPILING // 10
     with loading.equal_portions(10):
         assert loading.worth_compiling(rows) and not loading.worth_compiling(rows - 1)
+        with loading.equal_portions(5):
+            assert loading.worth_compiling(rows // 5) and not loading.worth_compiling(rows // 5 - 1)
         with ThreadPoolExecutor(1) as other:
             assert not other.submit(loading.worth_compiling, rows).result()
     assert not loading.worth_compiling(rows)

@@ -41,7 +41,7 @@ from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements, RowNote
 from twin.numerics.covariance import Covariance
 from twin.planning import judge
-from twin.reporting.scene import Scene
+from twin.reporting.scene.program import Scene
 from twin.samples import thesis_plan
 from twin.uncertainty.at_tool import ToolUncertainty, UncertaintyMap
 from twin.uncertainty.population import draw_machines

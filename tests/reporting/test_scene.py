@@ -26,10 +26,10 @@ from twin.compensation.execute import execute_file
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.reporting.scene import ScenePath, scene_html
-from twin.reporting.scene.draw import SECONDS
+from twin.reporting.scene.draw import SECONDS, scene_html
 from twin.reporting.scene.path import (
     MAX_KEYFRAMES,
+    ScenePath,
     arrow_blocks,
     chosen_exaggeration,
     keyframes,

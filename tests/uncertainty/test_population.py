@@ -25,7 +25,9 @@ from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.budget import random_approach, volume
-from twin.uncertainty.population import BINS, TRIALS_PER_TASK, Counts, Draws, draw_machines
+from twin.uncertainty.draws import MACHINES_PER_STEP, Draws
+from twin.uncertainty.population import TRIALS_PER_TASK, draw_machines
+from twin.uncertainty.tally import BINS, Counts
 
 HERE = Workers(1)
 
@@ -33,6 +35,16 @@ HERE = Workers(1)
 def draws_of(machine: Machine, calibration: Calibration, *, poses: int, seed: int = 1) -> Draws:
     q = volume(machine, poses)
     return Draws(machine, calibration, LENGTH, Conditions(), q, random_approach(q), seed)
+
+
+def seen(draws: Draws, task: int, machines: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return deviations and lengths (4, poses, machines) and measures (4, machines) of the machines of one step."""
+    values = np.full((4, len(draws.positions), machines), np.nan)
+
+    def see(tile: slice, some: np.ndarray) -> None:
+        values[:, tile] = some
+
+    return values, draws.steps.run(task, machines, see)
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +59,12 @@ def test_a_drawn_machine_against_a_second_formulation(dmu50: Machine, uncertain:
     estimated = TruthMachine(tmp_path / "c.yaml", LENGTH)
     Calibration.zero(dmu50).save(tmp_path / "zero.yaml")
     as_drawn = TruthMachine(tmp_path / "zero.yaml", LENGTH)
-    draws = draws_of(dmu50, uncertain, poses=6, seed=9)
-    numbers = draws.tool.draw(np.random.default_rng(np.random.SeedSequence(9, spawn_key=(2,))), draws.steps.each)
-    point_um, distance_um, measures = next(iter(draws.steps.run(2, 4)))
-    assert point_um.shape == (3, 6, 4) and distance_um.shape == (6, 4)
+    draws = draws_of(dmu50, uncertain, poses=40, seed=9)
+    numbers = draws.tool.draw(np.random.default_rng(np.random.SeedSequence(9, spawn_key=(2,))), MACHINES_PER_STEP)
+    values, measures = seen(draws, 2, 4)
+    point_um, distance_um = values[:3], values[3]
+    assert point_um.shape == (3, 40, 4) and distance_um.shape == (40, 4)
+    assert distance_um == pytest.approx(np.linalg.norm(point_um, axis=0), rel=1e-12)
     for machine in range(4):
         drawn = estimated
         for name, by in zip(draws.tool.parameters, numbers[:, machine], strict=True):
@@ -98,10 +112,10 @@ def _squares(kinematics: Kinematics, q: np.ndarray, sides: np.ndarray) -> np.nda
 
 
 def test_a_machine_does_not_depend_on_the_number_of_machines(dmu50: Machine, uncertain: Calibration) -> None:
-    draws = draws_of(dmu50, uncertain, poses=7)
-    short, long = next(iter(draws.steps.run(0, 5))), next(iter(draws.steps.run(0, 50)))
-    assert np.array_equal(short[0], long[0][:, :, :5])
-    assert np.array_equal(short[2], long[2][:, :5])
+    draws = draws_of(dmu50, uncertain, poses=40)
+    (short, few), (long, more) = seen(draws, 0, 5), seen(draws, 0, 50)
+    assert np.array_equal(short, long[:, :, :5])
+    assert np.array_equal(few, more[:, :5])
 
 
 def test_another_seed_gives_other_machines(dmu50: Machine, uncertain: Calibration) -> None:

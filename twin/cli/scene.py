@@ -50,7 +50,7 @@ def scene(
 ) -> CommandResult:
     """Animate the machine running a program, with programmed and actual tool path, in one self-contained HTML file."""
     from twin._common.bundled import find_program
-    from twin.reporting.scene import draw_program  # imports meshcat, which is slow and needed only here
+    from twin.reporting.scene.program import draw_program  # imports meshcat, which is slow and needed only here
 
     loaded = options.machine(machine)
     source = find_program(program)

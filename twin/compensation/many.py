@@ -19,6 +19,7 @@ from twin._common.files import check_writable, move_into_place, scratch_folder, 
 from twin._common.progress import Progress, silent
 from twin.compensation.compensator import Compensator
 from twin.compensation.prepared import Options
+from twin.compute.native import equal_portions
 from twin.compute.parallel import Workers, map_as_completed
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -106,11 +107,17 @@ class ProgramAnswer(NamedTuple):
 @final
 @dataclass(frozen=True)
 class ProgramCompensator:
-    """Machine, calibration and options common to all programs."""
+    """Machine, calibration and options common to all programs.
+
+    Attributes:
+        machine, calibration, options: see `Compensator`.
+        programs: number of programs: many short ones are worth compiled code as one long program is.
+    """
 
     machine: Machine
     calibration: Calibration
     options: Options
+    programs: int
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state to pickle: the attributes without cached objects."""
@@ -126,10 +133,11 @@ class ProgramCompensator:
         try:
             if isinstance(task.data, InputError):
                 return task.data
-            if task.data is not None:
-                return self._elsewhere(task, task.data)
-            report = self.compensator.compensate_file(task.program, task.output)
-            return ProgramAnswer(report.to_text(), report.to_dict())
+            with equal_portions(self.programs):
+                if task.data is not None:
+                    return self._elsewhere(task, task.data)
+                report = self.compensator.compensate_file(task.program, task.output)
+                return ProgramAnswer(report.to_text(), report.to_dict())
         except (InputError, OutputError) as error:
             return error
 
@@ -207,7 +215,7 @@ def compensate_files(
             error in one program is in its `ProgramOutcome`.
     """
     own = Workers() if workers is None else workers
-    worker = ProgramCompensator(machine, calibration, Options() if options is None else options)
+    worker = ProgramCompensator(machine, calibration, Options() if options is None else options, len(programs))
     _ = worker.compensator  # an error common to all programs is raised once, before anything is written
     targets, folder = outputs([Path(program) for program in programs], Path(folder)), Path(folder)
     made = not folder.is_dir()

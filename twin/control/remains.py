@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, final
+from functools import lru_cache
+from typing import Any, final
 
 import numpy as np
 
 from twin._common.json_form import json_form
 from twin.control.design import Design, Share
 from twin.control.request import Request
-from twin.control.required import RequiredCorrections, step_back
+from twin.control.required import RequiredCorrections
 from twin.display import UNKNOWN
 from twin.kinematics.forward import Kinematics, Poses, rms_and_max
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import APPROACH, RecordingState
 from twin.machine.effects import ControlCorrection
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
-from twin.uncertainty.budget import random_approach, volume_inside_domains
-
-ITERATIONS: Final = 2
-"""Iterations of the linear axes' correction: the correctable error converges to a nanometre."""
 
 
 @final
@@ -157,31 +154,23 @@ def remaining_errors(required: RequiredCorrections, calibration: Calibration) ->
         required: the required corrections: the machine, its errors without the control, tool length and conditions.
         calibration: the same errors with the control's tables; without effects whose channel is not given.
     """
-    with_tables = required.kinematics_with(calibration)
-    q = volume_inside_domains(calibration)
-    sides, goal = random_approach(q), required.nominal.forward(q)
-    real = required.kinematics_with(required.calibration)
-    uncertainty = PointUncertainty.of(real, q, sides)
+    with_tables, at = required.kinematics_with(calibration), required.volume
+    uncertainty, before = _without_tables(required)
+    reached = with_tables.forward(at.q, at.sides)
     program, limited = None, 0
     if required.machine.runs_programs:
-        reached, limited = _with_program(required, with_tables, q, sides, goal)
-        program = volume_error(reached, goal, uncertainty)
-    before, tables = (volume_error(one.forward(q, sides), goal, uncertainty) for one in (real, with_tables))
-    return RemainingErrors(len(q), before, tables, program, uncertainty, limited)
+        commands, limited = required.corrected_commands(with_tables, reached)
+        program = volume_error(with_tables.forward(commands, at.sides), at.goal, uncertainty)
+    tables = volume_error(reached, at.goal, uncertainty)
+    return RemainingErrors(len(at.q), before, tables, program, uncertainty, limited)
 
 
-def _with_program(
-    required: RequiredCorrections, with_tables: Kinematics, q: np.ndarray, sides: np.ndarray, goal: Poses
-) -> tuple[Poses, int]:
-    """Return the poses reached by a program that corrects the remaining error, and how many are limited by an axis's range."""
-    machine, commands, limited = required.machine, q.copy(), np.zeros(len(q), dtype=bool)
-    linear = list(machine.linear)
-    limits = np.array([required.range_of(machine.axes[i]) for i in linear])
-    for _ in range(ITERATIONS):
-        step = commands[:, linear] + step_back(with_tables, commands, sides, goal.point_mm)
-        commands[:, linear] = np.clip(step, *limits.T)
-        limited = np.abs(commands[:, linear] - step).max(axis=1) > 1e-6
-    return with_tables.forward(commands, sides), int(limited.sum())
+@lru_cache(maxsize=1)
+def _without_tables(required: RequiredCorrections) -> tuple[PointUncertainty, VolumeError]:
+    """Return uncertainty and error without tables; every format asks for the same ones."""
+    real, at = required.kinematics_with(required.calibration), required.volume
+    uncertainty = PointUncertainty.of(real, at.q, at.sides)
+    return uncertainty, volume_error(real.forward(at.q, at.sides), at.goal, uncertainty)
 
 
 def volume_error(reached: Poses, goal: Poses, uncertainty: PointUncertainty) -> VolumeError:

@@ -8,13 +8,11 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.json_form import json_form
-from twin.control.remains import ITERATIONS, PointUncertainty, VolumeError, or_unknown, volume_error
-from twin.control.required import RequiredCorrections, step_back
-from twin.kinematics.forward import Kinematics, Poses
+from twin.control.remains import PointUncertainty, VolumeError, or_unknown, volume_error
+from twin.control.required import RequiredCorrections
 from twin.machine.calibration import Calibration
 from twin.machine.control import ControlSection
 from twin.uncertainty.at_tool import DEFINITION
-from twin.uncertainty.budget import random_approach, volume_inside_domains
 
 BEFORE: Final = "before"
 CONSTANTS: Final = "with_kinematics"
@@ -84,26 +82,15 @@ def stages_of(required: RequiredCorrections, known: Calibration, section: Contro
     models = {
         name: required.kinematics_with(known.with_control(one).with_transformation()) for name, one in kinds.items()
     }
-    q = volume_inside_domains(known)
-    sides, goal = random_approach(q), required.nominal.forward(q)
-    uncertainty = PointUncertainty.of(models[BEFORE], q, sides)
-    errors = {name: volume_error(model.forward(q, sides), goal, uncertainty) for name, model in models.items()}
+    at = required.volume
+    uncertainty = PointUncertainty.of(models[BEFORE], at.q, at.sides)
+    reached = {name: model.forward(at.q, at.sides) for name, model in models.items()}
+    errors = {name: volume_error(poses, at.goal, uncertainty) for name, poses in reached.items()}
     if machine.runs_programs:
-        reached = _with_program(required, models[TABLES if section.tables else CONSTANTS], q, sides, goal)
-        errors[PROGRAM] = volume_error(reached, goal, uncertainty)
-    return Stages(len(q), errors, uncertainty)
-
-
-def _with_program(
-    required: RequiredCorrections, corrected: Kinematics, q: np.ndarray, sides: np.ndarray, goal: Poses
-) -> Poses:
-    """Return the poses that a program reaches whose linear axes correct the remaining error, rounded to their least increments."""
-    machine, commands = required.machine, q.copy()
-    linear = list(machine.linear)
-    limits = np.array([required.range_of(machine.axes[i]) for i in linear])
-    increments = np.array([machine.axes[i].increment for i in linear])
-    for _ in range(ITERATIONS):
-        step = commands[:, linear] + step_back(corrected, commands, sides, goal.point_mm)
-        commands[:, linear] = np.clip(step, *limits.T)
-    commands[:, linear] = np.round(commands[:, linear] / increments) * increments
-    return corrected.forward(commands, sides)
+        last, linear = TABLES if section.tables else CONSTANTS, list(machine.linear)
+        corrected = models[last]
+        commands, _ = required.corrected_commands(corrected, reached[last])
+        increments = np.array([machine.axes[i].increment for i in linear])
+        commands[:, linear] = np.round(commands[:, linear] / increments) * increments
+        errors[PROGRAM] = volume_error(corrected.forward(commands, at.sides), at.goal, uncertainty)
+    return Stages(len(at.q), errors, uncertainty)

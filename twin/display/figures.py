@@ -22,6 +22,7 @@ from matplotlib.ticker import MaxNLocator
 
 from twin.display.markup import Html, part
 from twin.display.numbers import signed
+from twin.display.plain_axes import GRID
 
 FORWARD: Final = "#0072b2"
 BACKWARD: Final = "#d55e00"
@@ -51,7 +52,7 @@ def new_figure(width: float, height: float, layout: str | None = "constrained") 
 
 def style_axes(plot: Axes) -> None:
     """Add a pale grid behind the data and hide the top and right spines."""
-    plot.grid(color="#dddddd", linewidth=0.6)
+    plot.grid(**GRID)
     plot.set_axisbelow(True)
     plot.spines[["top", "right"]].set_visible(False)
 

@@ -287,7 +287,8 @@ def _adjust(found: Budget) -> Iterator[Step]:
     """Yield mechanical adjustments of errors that are large and significant."""
     significant, without_interval = [], []
     for one in found.errors:
-        if one.iso_class not in MECHANICAL or one.illustrative:
+        # The RMS error cannot fall by more than that of the error removed.
+        if one.iso_class not in MECHANICAL or one.illustrative or one.rms_um < WORTH * found.total.rms_um:
             continue
         rest = found.rms_without_um(one.name)
         if found.total.rms_um - rest < WORTH * found.total.rms_um:

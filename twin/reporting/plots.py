@@ -15,6 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
+from matplotlib.ticker import FixedFormatter, FixedLocator
 
 from twin._common.units import DEG, TURN
 from twin.display import figure, readable, with_half
@@ -31,6 +32,7 @@ from twin.display.figures import (
     style_axes,
     text_box_style,
 )
+from twin.display.plain_axes import draw_plain_axes
 from twin.reporting.compensation import CompensationForecast
 from twin.reporting.contributions import Contribution
 from twin.reporting.field import Field, Slice
@@ -45,10 +47,13 @@ WIDTH: Final = 4.4
 LEAN: Final = 0.34
 """Drawn angle of the largest squareness, rad."""
 LETTERS: Final = 9.5
+NUMBERS: Final = 9.0
 BARS: Final = 18
 """Largest number of errors drawn as bars; the table lists all."""
 LETTER: Final = 0.072
 """Width of a letter of a label, inches."""
+BELOW_ROWS: Final = 0.48
+"""Height of the numbers and the label below a plot of named rows, inches."""
 LINE: Final = 0.19
 """Height of a line of a legend, inches."""
 ABOVE_TURN: Final = 1.077
@@ -78,7 +83,7 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
         f"{one.name}{' *' if one.illustrative else ''}{'' if np.isfinite(one.u_rms_um) else ' ?'}" for one in shown
     ]
     # Names of effects can have more than twenty letters.
-    plot = _plot(WIDTH, 0.75 + 0.27 * len(shown), left=max(0.85, 0.2 + LETTER * max(map(len, names))))
+    plot = _plot(WIDTH, 0.75 + 0.27 * len(shown), left=max(0.85, 0.2 + LETTER * max(map(len, names))), plain=True)
     at = np.arange(len(shown))[::-1]
     colours = [FORWARD] * (len(shown) - 1) + [BOTH]
     plot.barh(at, [one.rms_um for one in shown], height=0.62, color=colours, label="RMS over the volume")
@@ -90,10 +95,10 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
             plot.plot(ends, [y, y], **whisker, solid_capstyle="butt")
     if any(np.isfinite(one.u_rms_um) for one in shown):
         plot.plot([], [], **whisker, label="U (95 %)")
-    plot.set_yticks(at, names)
     plot.set_xlim(left=0.0)
     plot.set(xlabel="error of the tool point [µm]", ylim=(-0.6, len(shown) - 0.4))
-    plot.grid(axis="y", visible=False)
+    _name_rows(plot, at, names)
+    draw_plain_axes(plot, NUMBERS, grid="x")
     _legend(plot, columns=3)
     return cast(Figure, plot.figure)
 
@@ -117,19 +122,24 @@ def plot_constants(found: Sequence[Constant]) -> Figure:
     """
     groups = [[one for one in found if one.unit == unit] for unit in ("urad", "um")]
     groups = [group for group in groups if group]
-    heights = [len(group) + 1.2 for group in groups]
-    drawing = new_figure(WIDTH, 0.35 + 0.3 * sum(heights))
-    plots = drawing.subplots(len(groups), 1, squeeze=False, height_ratios=heights).ravel()
-    for plot, group in zip(plots, groups, strict=True):
-        _dress(plot)
+    heights = np.array([len(group) + 1.2 for group in groups])
+    height = 0.35 + 0.3 * float(heights.sum())
+    heights *= (height - 0.04 - BELOW_ROWS * len(groups)) / heights.sum()
+    drawing, bottom = new_figure(WIDTH, height, layout=None), height - 0.04
+    for high, group in zip(heights, groups, strict=True):
+        bottom -= high
+        plot = drawing.add_axes((0.66 / WIDTH, bottom / height, 3.7 / WIDTH, high / height))
+        bottom -= BELOW_ROWS
+        _dress(plot, plain=True)
         at = np.arange(len(group))[::-1]
         for y, one in zip(at, group, strict=True):
             if one.known:
                 plot.plot([one.value - one.half, one.value + one.half], [y, y], color=FORWARD, linewidth=2.0)
             plot_markers(plot, one.value, y, FORWARD, "o", 6, markerfacecolor=FORWARD if one.known else "white")
         plot.axvline(0.0, color=BOTH, linewidth=0.8)
-        plot.set_yticks(at, [one.name + ("" if one.known else " ?") for one in group])
         plot.set(ylim=(-0.6, len(group) - 0.4), xlabel=f"value and 95 % interval [{readable(group[0].unit)}]")
+        _name_rows(plot, at, [one.name + ("" if one.known else " ?") for one in group])
+        draw_plain_axes(plot, NUMBERS)
     return drawing
 
 
@@ -178,8 +188,8 @@ def plot_field(field: Field) -> Figure:
     rows = field.drawn
     points, errors, size = field.point_mm[rows], field.error_um[rows], field.size_um[rows]
     factor, top = chosen_factor(points, errors), scale_top_um(float(size.max(initial=0.0)))
-    drawing = new_figure(6.4, 4.9)
-    plot: Any = drawing.add_subplot(projection="3d")
+    drawing = new_figure(6.4, 4.9, layout=None)
+    plot: Any = drawing.add_axes((0.056, 0.009, 0.753, 0.983), projection="3d")
     colours = viridis(np.clip(size / top, 0.0, 1.0))
     arrows = factor * errors * 1e-3
     if len(points):
@@ -195,7 +205,7 @@ def plot_field(field: Field) -> Figure:
     if len(points) > 1:
         plot.set_box_aspect(np.maximum(np.ptp(np.concatenate([points, points + arrows]), axis=0), 1.0), zoom=0.92)
     plot.view_init(elev=24, azim=-62)
-    bar = drawing.colorbar(_scale(top), ax=plot, shrink=0.7, pad=0.08)
+    bar = drawing.colorbar(_scale(top), cax=drawing.add_axes((0.873, 0.156, 0.026, 0.688)))
     bar.set_label(f"error [µm]; arrows × {factor:,.0f}".replace(",", " "))
     return drawing
 
@@ -214,15 +224,19 @@ def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure
     height = wide * high + 0.72
     drawing = new_figure(WIDTH, height, layout=None)
     plot = drawing.add_axes((0.72 / WIDTH, 0.55 / height, wide / WIDTH, wide * high / height))
-    _dress(plot)
+    _dress(plot, plain=True)
     levels = np.linspace(0.0, top, 9)
-    filled = plot.contourf(one.across, one.up, np.minimum(values, top), levels=levels, cmap=VIRIDIS)
+    plot.contourf(one.across, one.up, np.minimum(values, top), levels=levels, cmap=VIRIDIS)
     lines = plot.contour(one.across, one.up, values, levels=levels[1:-1], colors="white", linewidths=0.6)
     plot.clabel(lines, fmt="%g", fontsize=8)
     plot.set(xlabel=f"{one.horizontal} [mm]", ylabel=f"{one.vertical} [mm]")
-    plot.grid(visible=False)
+    draw_plain_axes(plot, NUMBERS, grid="")
     beside = drawing.add_axes(((0.72 + wide + 0.12) / WIDTH, 0.55 / height, 0.13 / WIDTH, wide * high / height))
-    drawing.colorbar(filled, cax=beside).set_label(label)
+    middles = 0.5 * (levels[1:] + levels[:-1])
+    beside.pcolormesh([0.0, 1.0], levels, middles[:, None], cmap=VIRIDIS, vmin=0.0, vmax=top)
+    beside.yaxis.set_major_locator(FixedLocator(levels.tolist()))
+    beside.set_ylabel(label)
+    draw_plain_axes(beside, 10.0, grid="", right=True, scale=False)
     return drawing
 
 
@@ -266,11 +280,12 @@ def _styles(outcome: CompensationForecast) -> list[str]:
 
 
 def _along(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
-    plot = _plot(WIDTH, 3.0, legend=2)
+    plot = _plot(WIDTH, 3.0, legend=2, plain=True)
     _curves(plot, motion, 1.0, "approach from below (+)", (1.8, 1.4))
     _stops(plot, stops, 1.0)
     plot.axhline(0.0, color=BOTH, linewidth=0.7)
     plot.set(xlabel=f"{motion.axis} [{motion.axis_unit}]", ylabel=f"{motion.name} [{readable(motion.unit)}]")
+    draw_plain_axes(plot, NUMBERS)
     _legend(plot, columns=2)
     return cast(Figure, plot.figure)
 
@@ -331,18 +346,27 @@ def _stops(plot: Axes, stops: Sequence[PositionEstimates], scale: float) -> None
         plot.errorbar(one.position * scale, one.value, one.half, linestyle="", **looks, label=text)
 
 
+def _name_rows(plot: Axes, at: np.ndarray, names: Sequence[str]) -> None:
+    """Give the rows of a plot their names; `Axes.set_yticks` would make matplotlib's ticks."""
+    plot.yaxis.set_major_locator(FixedLocator(at.tolist()))
+    plot.yaxis.set_major_formatter(FixedFormatter(list(names)))
+
+
 def _scale(top: float) -> ScalarMappable:
     return ScalarMappable(Normalize(0.0, top), VIRIDIS)
 
 
-def _plot(width: float, height: float, *, left: float = 0.72, legend: int = 1) -> Axes:
-    """Return one plot with fixed margins for labels and a legend of ``legend`` lines: automatic layout is as slow as drawing."""
+def _plot(width: float, height: float, *, left: float = 0.72, legend: int = 1, plain: bool = False) -> Axes:
+    """Return one plot with fixed margins for labels and a legend of ``legend`` lines: automatic layout is as slow as drawing.
+
+    With ``plain``, the caller adds the axes by `draw_plain_axes`.
+    """
     drawing = new_figure(width, height, layout=None)
     below = 0.52 + LINE * legend
     plot = drawing.add_axes(
         (left / width, below / height, (width - left - 0.12) / width, (height - below - 0.14) / height)
     )
-    _dress(plot)
+    _dress(plot, plain=plain)
     return plot
 
 
@@ -360,8 +384,11 @@ def _legend(plot: Axes, *, columns: int, size: float = 8.5) -> None:
     )
 
 
-def _dress(plot: Axes) -> None:
-    style_axes(plot)
-    plot.tick_params(labelsize=LETTERS - 0.5)
+def _dress(plot: Axes, *, plain: bool = False) -> None:
+    if plain:
+        plot.spines[["top", "right"]].set_visible(False)
+    else:
+        style_axes(plot)
+        plot.tick_params(labelsize=NUMBERS)
     plot.xaxis.label.set_fontsize(LETTERS)
     plot.yaxis.label.set_fontsize(LETTERS)

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
+from contextvars import copy_context
 from itertools import chain, pairwise
 from pathlib import Path
 from time import monotonic
@@ -118,8 +119,8 @@ class Streamed:
                     if reader.turns_later or reader.drills:
                         return
                     if part is not None:
-                        solved = solving.submit(self._solve, part)
-                        waiting.append((part, solved, accounting.submit(self._add, solved)))
+                        solved = solving.submit(copy_context().run, self._solve, part)
+                        waiting.append((part, solved, accounting.submit(copy_context().run, self._add, solved)))
                     while waiting and (len(waiting) > AHEAD or part is None):
                         first, solved, account = waiting.popleft()
                         new, _ = solved.result()

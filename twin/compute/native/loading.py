@@ -54,8 +54,11 @@ def worth_compiling(rows: int) -> bool:
 
 @contextmanager
 def equal_portions(portions: float) -> Iterator[None]:
-    """Mark the calls within as one of a number of equal portions of the same work; holds for the current thread."""
-    token = _portions.set(portions)
+    """Mark the calls within as one of a number of equal portions of the same work; holds for the current context.
+
+    Nested, the numbers are multiplied: parts of a program that is one of many.
+    """
+    token = _portions.set(_portions.get() * portions)
     try:
         yield
     finally:

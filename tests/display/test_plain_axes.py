@@ -1,0 +1,51 @@
+"""Tests of axes drawn as few artists: they show the same ticks, numbers and labels as matplotlib's own, at the same places."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.text import Text
+
+from twin.display.figures import new_figure, style_axes
+from twin.display.plain_axes import draw_plain_axes
+
+SIZE = 9.0
+
+
+def _plot(low: float, high: float, peak: float) -> Axes:
+    plot = new_figure(4.4, 3.0, None).add_axes((0.2, 0.3, 0.75, 0.65))
+    x = np.linspace(low, high, 50)
+    plot.plot(x, peak * np.sin(x / (high - low) * 5.0))
+    plot.set(xlabel="X [mm]", ylabel="E_XX [µm]")
+    return plot
+
+
+def _boxes(plot: Axes, texts: Iterable[Text]) -> dict[tuple[str, bool], tuple[float, ...]]:
+    """Return the boxes of texts in pixels, by text and by whether it stands at the vertical axis."""
+    renderer = plot.figure.canvas.get_renderer()  # type: ignore[union-attr, attr-defined]
+    left, boxes = plot.get_window_extent().x0, {one: one.get_window_extent(renderer) for one in texts}
+    return {(one.get_text(), box.x1 < left): tuple(box.extents) for one, box in boxes.items()}
+
+
+@pytest.mark.parametrize(("low", "high", "peak"), [(0, 500, 10.0), (-400, 0, 150.0), (3, 3.2, 0.4), (0, 7000, 2e4)])
+def test_same_texts_at_the_same_places(low: float, high: float, peak: float) -> None:
+    own, plain = _plot(low, high, peak), _plot(low, high, peak)
+    style_axes(own)
+    own.tick_params(labelsize=SIZE)
+    draw_plain_axes(plain, SIZE)
+    for plot in (own, plain):
+        plot.figure.canvas.draw()  # type: ignore[union-attr]
+    (low_x, high_x), (low_y, high_y) = own.get_xlim(), own.get_ylim()
+    texts = [one for one in own.get_xticklabels() if low_x <= one.get_position()[0] <= high_x]
+    texts += [one for one in own.get_yticklabels() if low_y <= one.get_position()[1] <= high_y]
+    expected = _boxes(own, [*texts, own.xaxis.label, own.yaxis.label])
+    found = _boxes(plain, [one for one in plain.texts if one.get_text()])
+    assert len(found) >= 8
+    assert set(found) == set(expected)
+    for text, box in found.items():
+        np.testing.assert_allclose(
+            box, expected[text], atol=1.6, err_msg=str(text)
+        )  # texts are rendered at whole pixels

@@ -1,0 +1,109 @@
+"""Axes of small pictures, drawn as a few artists that look like matplotlib's own. Needs the extra ``plots``.
+
+matplotlib makes five artists for each tick and places each several times: more than half of the time of a small picture.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
+from matplotlib.markers import TICKDOWN, TICKLEFT, TICKRIGHT
+from matplotlib.text import Text
+from matplotlib.textpath import text_to_path
+from matplotlib.ticker import FixedLocator, MaxNLocator
+from matplotlib.transforms import ScaledTranslation, Transform
+
+GRID: Final[dict[str, Any]] = {"color": "#dddddd", "linewidth": 0.6}
+"""Looks of a grid behind the data."""
+TICK: Final = 3.5
+"""Length of a tick, and its distance to its number, points."""
+LABEL_PAD: Final = 4.0
+"""Distance of the label of an axis from the numbers, points."""
+
+
+def draw_plain_axes(
+    plot: Axes, size: float, *, grid: Literal["both", "x", ""] = "both", scale: bool = True, right: bool = False
+) -> None:
+    """Draw grid, ticks, numbers and labels of a finished plot with linear axes, and hide matplotlib's own.
+
+    Args:
+        plot: the plot, with its data, limits and axis labels; fixed locators of axes and their formatters are used.
+        size: font size of the numbers, points.
+        grid: axes with a pale grid behind the data.
+        scale: whether the horizontal axis is drawn.
+        right: whether the vertical axis is at the right.
+    """
+    plot.set_title("", y=1.0)  # its place would otherwise be computed from those of the ticks
+    for axis in (plot.xaxis, plot.yaxis):
+        axis.set_visible(False)
+    if scale:
+        _draw(plot, plot.xaxis, size, grid=bool(grid), side=0)
+    _draw(plot, plot.yaxis, size, grid=grid == "both", side=1 if right else -1)
+
+
+def _draw(plot: Axes, axis: Axis, size: float, *, grid: bool, side: int) -> None:
+    """Draw one axis: below (``side`` 0), at the left (−1) or at the right (1)."""
+    at, texts = _numbers(plot, axis, size, upright=side != 0)
+    edge = np.full(len(at), float(side > 0))
+    along = plot.get_yaxis_transform() if side else plot.get_xaxis_transform()
+    font, outside = FontProperties(size=size), 2.0 * TICK
+    looks: dict[str, Any] = {"color": "black", "clip_on": False}
+    if grid:
+        across = np.tile([0.0, 1.0, np.nan], len(at))
+        x, y = _in_order(np.repeat(at, 3), across, side)
+        plot.add_artist(Line2D(x, y, transform=along, zorder=0.5, **GRID))
+    mark = {-1: TICKLEFT, 0: TICKDOWN, 1: TICKRIGHT}[side]
+    marks: dict[str, Any] = {"linestyle": "", "marker": mark, "markersize": TICK, "markeredgewidth": 0.8}
+    x, y = _in_order(at, edge, side)
+    plot.add_artist(Line2D(x, y, transform=along, zorder=2.1, **marks, **looks))
+    ends: dict[str, Any] = {
+        -1: {"va": "center_baseline", "ha": "right"},
+        0: {"va": "top", "ha": "center"},
+        1: {"va": "center_baseline", "ha": "left"},
+    }[side]
+    numbers = along + _outward(plot, outside, side)
+    for place, text in zip(at, texts, strict=True):
+        x, y = _in_order(place, edge[0], side)
+        plot.add_artist(Text(x, y, text, fontproperties=font, transform=numbers, **ends, **looks))
+    width, height, _ = np.max(
+        [text_to_path.get_text_width_height_descent(text, font, False) for text in (*texts, "lp")], axis=0
+    )
+    turned: dict[str, Any] = {"rotation": 90.0, "rotation_mode": "anchor", "va": "top" if side > 0 else "bottom"}
+    if not axis.label.get_text():
+        return
+    label = plot.transAxes + _outward(plot, outside + LABEL_PAD + (width if side else height), side)
+    x, y = _in_order(0.5, float(side > 0), side)
+    looks |= {"ha": "center", "fontsize": axis.label.get_fontsize(), **(turned if side else {"va": "top"})}
+    plot.add_artist(Text(x, y, axis.label.get_text(), transform=label, **looks))
+
+
+def _in_order(along: Any, across: Any, side: int) -> tuple[Any, Any]:
+    """Return the coordinates along and across an axis as x and y."""
+    return (across, along) if side else (along, across)
+
+
+def _outward(plot: Axes, points: float, side: int) -> Transform:
+    """Return the shift by a number of points away from the plot."""
+    inches = points / 72.0
+    shift = (side * inches, 0.0) if side else (0.0, -inches)
+    return ScaledTranslation(*shift, plot.get_figure(root=True).dpi_scale_trans)  # type: ignore[union-attr]
+
+
+def _numbers(plot: Axes, axis: Axis, size: float, *, upright: bool) -> tuple[np.ndarray, list[str]]:
+    """Return positions and texts of the ticks of an axis: those of a fixed locator, or as chosen by matplotlib."""
+    shape = plot.get_window_extent()
+    length = (shape.height if upright else shape.width) / plot.get_figure(root=True).dpi * 72.0  # type: ignore[union-attr]
+    most = int(np.clip(length // (size * (2.0 if upright else 3.0)), 1, 9))
+    given = axis.get_major_locator()
+    locator = given if isinstance(given, FixedLocator) else MaxNLocator(most, steps=[1, 2, 2.5, 5, 10])
+    low, high = sorted(axis.get_view_interval())
+    at = np.asarray(locator.tick_values(low, high))
+    texts = axis.get_major_formatter().format_ticks(at.tolist())
+    slack = 1e-10 * (high - low)
+    inside = (at >= low - slack) & (at <= high + slack)
+    return at[inside], [text for text, shown in zip(texts, inside, strict=True) if shown]
