@@ -21,9 +21,10 @@ from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.problem.signature_products import PointBlock, Signatures
-from twin.diagnosis.selection import pattern_test
+from twin.diagnosis.selection import pattern_scores
 from twin.diagnosis.selection.cross_validation import choose_folds
-from twin.diagnosis.selection.pattern_test import _Scores, scan_patterns
+from twin.diagnosis.selection.pattern_scores import PatternScores
+from twin.diagnosis.selection.pattern_test import scan_patterns
 from twin.diagnosis.selection.patterns import Pattern
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
@@ -271,7 +272,7 @@ def test_scores_of_patterns_beside_an_uncertain_calibration(searched: tuple[Prob
     part = problem.without(split(problem) == 1) if held_out else problem
     assert part is not None
     form = next(one for one in searcher.candidates.forms if one.key == ("reversal", "Y"))
-    scores = _Scores(part, [form])
+    scores = PatternScores(part, [form], searcher.patterns)
     for pattern in searcher.patterns[:40:13]:
         slope, gram = scores.of(pattern)
         true_slope, true_gram = dense_scores(part, pattern, part.signature(form.variant.columns))
@@ -286,10 +287,10 @@ def test_a_sample_gives_the_same_significant_patterns(
     """Scores are those of all readings; of the mean and variance for noise alone, a third of the readings gives nine tenths."""
     problem, searcher = searched
     whole = scan_patterns(problem, searcher.patterns, (), np.inf)
-    of_whole = _Scores(problem, ())
-    monkeypatch.setattr(pattern_test, "SAMPLED", 300)
+    of_whole = PatternScores(problem, (), searcher.patterns)
+    monkeypatch.setattr(pattern_scores, "SAMPLED", 300)
     some = scan_patterns(problem, searcher.patterns, (), np.inf)
-    of_some = _Scores(problem, ())
+    of_some = PatternScores(problem, (), searcher.patterns)
     for pattern in searcher.patterns[::11]:
         (slope, gram), (all_slope, all_gram) = of_some.of(pattern), of_whole.of(pattern)
         assert np.allclose(slope, all_slope, rtol=1e-9, atol=1e-9 * np.abs(all_slope).max())

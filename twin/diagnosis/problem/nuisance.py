@@ -13,7 +13,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from functools import reduce
 from hashlib import blake2b
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 import scipy
@@ -63,7 +63,7 @@ class Nuisance:
     ) -> None:
         self.signatures = signatures
         self.base, self.scale = (self, 1.0) if extended is None else extended
-        self.known: dict[Hashable, np.ndarray] = {}
+        self.known: dict[Hashable, Any] = {}
         self._setup, self._triangle, self._on_setup = setup, triangle, on_setup
         self._root, self._remaining = root, remaining
         self._grams: dict[bytes, np.ndarray] = {}

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from functools import reduce
+from functools import cache, reduce
+from functools import partial as partial_of
 from typing import Final, final
 
 import numpy as np
@@ -197,8 +198,8 @@ class Signatures:
             own_values = values.T if few_of(functions, index) else values.T[index]
             add_rows(found[:, start : start + len(values)], columns, weight[:, None] * own_values)
         for terms, products in sums.small.items():
-            columns = [self._lookup[functions][freedom][0] for functions, freedom in terms]
-            np.add.at(found, np.concatenate([np.zeros(0, dtype=int), *columns]), products.T)
+            at = [np.zeros(0, dtype=int), *(self._lookup[functions][freedom][0] for functions, freedom in terms)]
+            np.add.at(found, np.concatenate(at), products.T)
         return found
 
     def _projected(
@@ -261,7 +262,7 @@ class Signatures:
                 part = part_of(run)
                 block = self._block(run, runs)
                 turned: dict[Functions, np.ndarray] = {}
-                dots: dict[tuple[Freedom, Freedom], np.ndarray] = {}
+                dots = cache(partial_of(_dots, block))
                 for (a, b), lookup in needed.items():
                     of_a, of_b = block.values(a), block.values(b)
                     if of_a is None or of_b is None:
@@ -269,10 +270,7 @@ class Signatures:
                     for functions, of in ((a, of_a), (b, of_b)):
                         if functions not in turned:
                             turned[functions] = np.ascontiguousarray(of.T)
-                    for one, other in lookup.derivatives:
-                        if (one, other) not in dots:
-                            dots[one, other] = np.einsum("bi,bi->b", block.derivatives[one], block.derivatives[other])
-                    weights = np.stack([dots[both] for both in lookup.derivatives], axis=1)
+                    weights = np.stack([dots(*both) for both in lookup.derivatives], axis=1)
                     if not weights.any():
                         continue
                     if (part, a, b) not in total:
@@ -439,6 +437,11 @@ class Signatures:
                 own = lists.setdefault(functions, {}).setdefault(part.freedom, [])
                 own.append((place, index, part.weight * column.scale))
         return {functions: {freedom: as_arrays(own) for freedom, own in of.items()} for functions, of in lists.items()}
+
+
+def _dots(block: PointBlock, one: Freedom, other: Freedom) -> np.ndarray:
+    """Return the inner products (points,) of two derivatives at each point of a block."""
+    return np.asarray(np.einsum("bi,bi->b", block.derivatives[one], block.derivatives[other]))
 
 
 def signatures_of(view: LinearisedReadings, columns: Sequence[Column]) -> np.ndarray:
