@@ -147,7 +147,7 @@ def test_inner_products_without_some_points(searched: tuple[Problem, Searcher], 
     columns = np.arange(0, whole.shape[1], 211)
     size = np.linalg.norm(whole) ** 2
     close(left.cross(columns), whole[rows][:, columns].T @ whole[rows], size)
-    close(left.by_basis, problem.basis[rows].T @ whole[rows], size)
+    close(left.on_basis(problem.root), problem.root.T @ (problem.basis[rows].T @ whole[rows]), size)
     close(left.by_residual, whole[rows].T @ problem.residual[rows], size)
 
 

@@ -148,10 +148,22 @@ class Nuisance:
         """Return (points, 3, raw) basis of the set-up and columns of the parameters at a block of points."""
         return np.concatenate([self._setup_at(block.rows), self.signatures.at(block)], axis=2)
 
-    def from_raw(self, products: np.ndarray) -> np.ndarray:
-        """Return inner products (directions, …) with the basis, from those (raw, …) with `raw`."""
+    def from_raw(self, products: np.ndarray, root: np.ndarray | None = None) -> np.ndarray:
+        """Return inner products with the basis from those with `raw`.
+
+        Args:
+            products: (raw, …) inner products with `raw`.
+            root: (directions, k) coordinates of the vectors wanted instead of the basis; the basis itself if None.
+
+        Returns:
+            (k, …) inner products with these vectors.
+        """
         by_setup, by_columns = np.split(products, [self._setup.shape[1]])
-        return np.concatenate([by_setup, self._change.T @ (by_columns - self._on_setup.T @ by_setup)])
+        left = by_columns - self._on_setup.T @ by_setup
+        if root is None:
+            return np.concatenate([by_setup, self._change.T @ left])
+        of_setup, rest = np.split(root, [self._setup.shape[1]])
+        return np.asarray((self._change @ rest).T @ left + of_setup.T @ by_setup)
 
     def along(self, vectors: np.ndarray) -> np.ndarray:
         """Return inner products (directions, …) of the basis with (3n, …) vectors at all points."""
