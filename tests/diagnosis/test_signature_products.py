@@ -16,6 +16,7 @@ from tests.truth.hidden import Hidden
 from twin._common.arrays import read_only
 from twin.diagnosis import diagnose
 from twin.diagnosis.candidates.signatures import effect_columns
+from twin.diagnosis.problem import signature_products
 from twin.diagnosis.problem.forms import FALSE_ALARM_RATE, SAMPLED_POINTS
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
@@ -86,6 +87,25 @@ def test_inner_products_with_vectors_by_part(searched: tuple[Problem, Searcher],
     few = searcher.candidates.products.signatures.along(lambda block: vectors[block.rows], some)
     rows = (3 * some[:, None] + np.arange(3)).ravel()
     close(few[0], whole[rows].T @ vectors.reshape(-1, 70)[rows], np.linalg.norm(whole))
+
+
+def test_inner_products_with_interpolated_waves(
+    searched: tuple[Problem, Searcher], whole: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Values that are too many to be cached are interpolated between nodes, with an error of 1e-12 of the largest."""
+    problem, searcher = searched
+    monkeypatch.setattr(signature_products, "LARGEST_CACHE", 0)
+    columns = searcher.candidates.products.columns
+    signatures = Signatures(problem.view, columns, split(problem))
+    assert signatures._interpolated
+    rng = np.random.default_rng(6)
+    for width in (3, 70):
+        vectors = rng.standard_normal((len(problem.view.rows), 3, width))
+        found = signatures.along(lambda block, own=vectors: own[block.rows]).sum(axis=0)
+        close(found, whole.T @ vectors.reshape(-1, width), np.linalg.norm(whole))
+    some = np.arange(0, len(columns), 29)
+    found = signatures.at(PointBlock(problem.view, slice(None)), some.tolist())
+    close(found.reshape(len(whole), -1), whole[:, some], np.abs(whole).max())
 
 
 def test_inner_products_within_forms(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:

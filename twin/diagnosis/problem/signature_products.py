@@ -8,6 +8,7 @@ from functools import partial as partial_of
 from typing import Final, final
 
 import numpy as np
+import scipy
 
 from twin._common.threads import THREADS, map_chunks
 from twin.diagnosis.candidates.signatures import Column, Freedom, ReadingDerivatives, SignatureTerm
@@ -22,7 +23,7 @@ from twin.diagnosis.problem.signature_terms import (
     pair_codes,
 )
 from twin.identification.network import LinearisedReadings
-from twin.numerics.functions import Functions, Rows, pieces
+from twin.numerics.functions import Functions, Interpolation, Rows, pieces
 
 BLOCK_WIDTH: Final = 64
 """Vectors, or products of two functions, processed at a time, so that they stay in the processor's cache."""
@@ -59,6 +60,7 @@ class PointBlock:
         self.derivatives = ReadingDerivatives(view, rows)
         self._values: dict[Functions, np.ndarray | None] = {}
         self._acts: dict[Freedom, bool] = {}
+        self._weights: dict[Functions, scipy.sparse.csr_matrix] = {}
         self._kept, self._keep = ({}, ()) if kept is None else kept
 
     def acts(self, freedom: Freedom) -> bool:
@@ -71,9 +73,18 @@ class PointBlock:
         """Return the functions' values (points, count), or None if all are zero."""
         values = self._kept if functions in self._keep else self._values
         if functions not in values:
-            zero = functions.where is not None and not functions.where[self._points].any()
-            values[functions] = None if zero else functions.values(self._points)
+            values[functions] = None if self.is_zero(functions) else functions.values(self._points)
         return values[functions]
+
+    def is_zero(self, functions: Functions) -> bool:
+        """Return whether all functions are zero at these points."""
+        return functions.where is not None and not functions.where[self._points].any()
+
+    def weights(self, functions: Functions, interpolation: Interpolation) -> scipy.sparse.csr_matrix:
+        """Return the weights (points, nodes) of the interpolation of some functions."""
+        if functions not in self._weights:
+            self._weights[functions] = interpolation.weights[self._points]
+        return self._weights[functions]
 
 
 @final
@@ -178,16 +189,27 @@ class Signatures:
                 sums.small[terms] = products
         for freedom, projected, start in self._projected(block, right, by_freedom):
             for functions, (_, index, _) in by_freedom[freedom].items():
-                values = block.values(functions)
-                if values is None:
+                found = self._with_functions(block, projected, functions, index)
+                if found is None:
                     continue
-                # A derivative may multiply only a few of the functions.
-                found = projected @ (values[:, index] if few_of(functions, index) else values)
                 key = functions, freedom, start
                 if key in sums.large:
                     sums.large[key] += found
                 else:
                     sums.large[key] = found
+
+    def _with_functions(
+        self, block: PointBlock, projected: np.ndarray, functions: Functions, index: np.ndarray
+    ) -> np.ndarray | None:
+        """Return products (r, functions or nodes) of (r, points) vectors with functions; None if these are zero."""
+        if functions in self._interpolated:
+            weights = block.weights(functions, self._interpolated[functions])
+            return np.asarray((weights.T @ projected.T).T)
+        values = block.values(functions)
+        if values is None:
+            return None
+        # A derivative may multiply only a few of the functions.
+        return np.asarray(projected @ (values[:, index] if few_of(functions, index) else values))
 
     def _summed(self, sums: _Sums) -> np.ndarray:
         """Return the inner products (columns, r) of the signatures with the vectors, from those of their terms."""
@@ -195,7 +217,10 @@ class Signatures:
         while sums.large:
             (functions, freedom, start), values = sums.large.popitem()
             columns, index, weight = self._lookup[functions][freedom]
-            own_values = values.T if few_of(functions, index) else values.T[index]
+            if functions in self._interpolated:
+                own_values = self._interpolated[functions].table[:, index].T @ values.T
+            else:
+                own_values = values.T if few_of(functions, index) else values.T[index]
             add_rows(found[:, start : start + len(values)], columns, weight[:, None] * own_values)
         for terms, products in sums.small.items():
             at = [np.zeros(0, dtype=int), *(self._lookup[functions][freedom][0] for functions, freedom in terms)]
@@ -210,7 +235,7 @@ class Signatures:
         acting = [
             freedom
             for freedom, lookups in by_freedom.items()
-            if block.acts(freedom) and any(block.values(of) is not None for of in lookups)
+            if block.acts(freedom) and not all(block.is_zero(of) for of in lookups)
         ]
         for few in pieces(right.shape[1], BLOCK_WIDTH):
             some = np.ascontiguousarray(right[:, few])
@@ -226,7 +251,7 @@ class Signatures:
         acting = tuple(
             (functions, freedom)
             for functions, freedom in self._small
-            if block.acts(freedom) and block.values(functions) is not None
+            if block.acts(freedom) and not block.is_zero(functions)
         )
         count = sum(len(self._lookup[functions][freedom][0]) for functions, freedom in acting)
         found = np.empty((3, len(self.view.residual[block.rows]), count))
@@ -329,16 +354,21 @@ class Signatures:
         count = len(self.view.residual[block.rows])
         found = np.zeros((3, len(self.columns) if columns is None else len(columns), count))
         for functions, of in lookup.items():
-            values = block.values(functions)
-            if values is None:
-                continue
             for freedom, (at, index, weight) in of.items():
-                if not block.acts(freedom):
+                if block.is_zero(functions) or not block.acts(freedom):
                     continue
-                weighted, derivative = values.T[index] * weight[:, None], block.derivatives[freedom]
+                weighted = self._values_of(block, functions, index).T * weight[:, None]
+                derivative = block.derivatives[freedom]
                 for i in range(3):
                     add_rows(found[i], at, weighted * derivative[:, i])
         return found.transpose(2, 0, 1)
+
+    def _values_of(self, block: PointBlock, functions: Functions, index: np.ndarray) -> np.ndarray:
+        """Return values (points, index) of some functions that are not zero at a block of points."""
+        if functions in self._interpolated and few_of(functions, index):
+            interpolation = self._interpolated[functions]
+            return np.asarray(block.weights(functions, interpolation) @ interpolation.table[:, index])
+        return block.values(functions)[:, index]  # type: ignore[index]
 
     def combined(self, coefficients: np.ndarray) -> np.ndarray:
         """Return linear combinations (n, 3, r) of the signatures at all points, from coefficients (columns, r)."""
@@ -407,6 +437,9 @@ class Signatures:
         }
         size = sum(functions.count for functions in self._lookup) * len(self.view.rows)
         self._cache = size <= LARGEST_CACHE
+        # Values that are cached are not interpolated.
+        made = {of: None if self._cache or len(self.columns) < FEW else of.interpolation for of in self._lookup}
+        self._interpolated = {of: interpolation for of, interpolation in made.items() if interpolation is not None}
         self._runs = self._ordered_runs(np.arange(len(self.view.rows)), self._parts)
 
     def _runs_of(self, rows: np.ndarray | None) -> tuple[list[np.ndarray], Callable[[int], int], int]:
