@@ -93,8 +93,7 @@ class Nuisance:
         kept = values > RANK_TOLERANCE * values.max(initial=0.0)
         setup, triangle = orthonormal @ left[:, kept], values[kept, None] * right[kept]
         on_setup = signatures.along(lambda block: _at(setup, block.rows))[0].T
-        every, size = np.arange(len(view.rows)), sum(on_setup.shape)
-        whole = _gram(lambda points: _projected(signatures, setup, on_setup, points), size, every)
+        whole = _projected_gram(signatures, setup, on_setup, np.arange(len(view.rows)))
         count = len(triangle)
         found = cls(signatures, root, setup, triangle, on_setup + whole[:count, count:], whole[count:, count:])
         if columns:
@@ -210,7 +209,8 @@ class Nuisance:
         key = points.tobytes()
         if key not in self._grams:
             change = scipy.linalg.block_diag(np.eye(self.setup_count), self._change)
-            self._grams[key] = change.T @ _gram(self._projected, self.raw_count, points) @ change
+            inner = _projected_gram(self.signatures, self._setup, self._on_setup, points)
+            self._grams[key] = change.T @ inner @ change
         return self._grams[key]
 
     def _projected(self, points: Rows) -> np.ndarray:
@@ -234,6 +234,28 @@ def _projected(signatures: Signatures, setup: np.ndarray, on_setup: np.ndarray, 
     """Return (points, 3, raw) basis of the set-up, and signatures with the set-up projected out."""
     here = _at(setup, points)
     return np.concatenate([here, signatures.at(PointBlock(signatures.view, points)) - here @ on_setup], axis=2)
+
+
+def _projected_gram(signatures: Signatures, setup: np.ndarray, on_setup: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the Gram matrix of what `_projected` returns, over some points.
+
+    It follows from that of the signatures before projection, of which those of one side are zero at points of the other.
+    """
+
+    def partial(own: Sequence[np.ndarray]) -> np.ndarray:
+        found = np.zeros((sum(on_setup.shape), sum(on_setup.shape)))
+        for run in own:
+            here = [_at(setup, run), signatures.at(PointBlock(signatures.view, run))]
+            rows = np.concatenate(here, axis=2).reshape(3 * len(run), -1)
+            used = np.flatnonzero(rows.any(axis=0))
+            rows = np.ascontiguousarray(rows[:, used])
+            found[np.ix_(used, used)] += rows.T @ rows
+        return found
+
+    raw = reduce(np.ndarray.__iadd__, map_chunks(signatures.ordered_runs(points), partial))
+    change = np.eye(len(raw))
+    change[: len(on_setup), len(on_setup) :] = -on_setup
+    return np.asarray(change.T @ raw @ change)
 
 
 def _gram(rows_at: Callable[[Rows], np.ndarray], size: int, points: np.ndarray) -> np.ndarray:

@@ -59,15 +59,16 @@ class PointBlock:
         self._points = view.rows[rows]
         self.derivatives = ReadingDerivatives(view, rows)
         self._values: dict[Functions, np.ndarray | None] = {}
-        self._acts: dict[Freedom, bool] = {}
+        self._acts: dict[str, np.ndarray] = {}
         self._weights: dict[Functions, scipy.sparse.csr_matrix] = {}
         self._kept, self._keep = ({}, ()) if kept is None else kept
 
     def acts(self, freedom: Freedom) -> bool:
         """Return whether any of the readings depends on a degree of freedom."""
-        if freedom not in self._acts:
-            self._acts[freedom] = bool(self.derivatives[freedom].any())
-        return self._acts[freedom]
+        name, direction = freedom
+        if name not in self._acts:
+            self._acts[name] = np.any(self.derivatives.of(name) != 0.0, axis=(0, 1))
+        return bool(self._acts[name][direction])
 
     def values(self, functions: Functions) -> np.ndarray | None:
         """Return the functions' values (points, count), or None if all are zero."""
@@ -445,8 +446,12 @@ class Signatures:
     def _runs_of(self, rows: np.ndarray | None) -> tuple[list[np.ndarray], Callable[[int], int], int]:
         """Return runs of all points or of ``rows``, a function from run to part, and the number of parts."""
         if rows is not None:
-            return self._ordered_runs(rows, np.zeros(len(self._parts), dtype=int)), lambda run: 0, 1
+            return self.ordered_runs(rows), lambda run: 0, 1
         return self._runs, lambda run: int(self._parts[self._runs[run][0]]), int(self._parts.max(initial=0)) + 1
+
+    def ordered_runs(self, rows: np.ndarray) -> list[np.ndarray]:
+        """Split some points into runs of one side."""
+        return self._ordered_runs(rows, np.zeros(len(self._parts), dtype=int))
 
     def _ordered_runs(self, rows: np.ndarray, parts: np.ndarray) -> list[np.ndarray]:
         """Split points into runs of one part and one side, points where the same functions are zero together: zeros are skipped."""
