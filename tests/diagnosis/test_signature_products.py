@@ -16,14 +16,16 @@ from tests.truth.hidden import Hidden
 from twin._common.arrays import read_only
 from twin.diagnosis import diagnose
 from twin.diagnosis.candidates.signatures import effect_columns
+from twin.diagnosis.problem import signature_products
 from twin.diagnosis.problem.forms import FALSE_ALARM_RATE, SAMPLED_POINTS
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.problem.signature_products import PointBlock, Signatures
-from twin.diagnosis.selection import pattern_test
+from twin.diagnosis.selection import pattern_scores
 from twin.diagnosis.selection.cross_validation import choose_folds
-from twin.diagnosis.selection.pattern_test import _Scores, scan_patterns
+from twin.diagnosis.selection.pattern_scores import PatternScores
+from twin.diagnosis.selection.pattern_test import scan_patterns
 from twin.diagnosis.selection.patterns import Pattern
 from twin.diagnosis.selection.searcher import Searcher
 from twin.machine.calibration import Calibration
@@ -87,6 +89,25 @@ def test_inner_products_with_vectors_by_part(searched: tuple[Problem, Searcher],
     close(few[0], whole[rows].T @ vectors.reshape(-1, 70)[rows], np.linalg.norm(whole))
 
 
+def test_inner_products_with_interpolated_waves(
+    searched: tuple[Problem, Searcher], whole: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Values that are too many to be cached are interpolated between nodes, with an error of 1e-12 of the largest."""
+    problem, searcher = searched
+    monkeypatch.setattr(signature_products, "LARGEST_CACHE", 0)
+    columns = searcher.candidates.products.columns
+    signatures = Signatures(problem.view, columns, split(problem))
+    assert signatures._interpolated
+    rng = np.random.default_rng(6)
+    for width in (3, 70):
+        vectors = rng.standard_normal((len(problem.view.rows), 3, width))
+        found = signatures.along(lambda block, own=vectors: own[block.rows]).sum(axis=0)
+        close(found, whole.T @ vectors.reshape(-1, width), np.linalg.norm(whole))
+    some = np.arange(0, len(columns), 29)
+    found = signatures.at(PointBlock(problem.view, slice(None)), some.tolist())
+    close(found.reshape(len(whole), -1), whole[:, some], np.abs(whole).max())
+
+
 def test_inner_products_within_forms(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
     _, searcher = searched
     candidates = searcher.candidates
@@ -146,7 +167,7 @@ def test_inner_products_without_some_points(searched: tuple[Problem, Searcher], 
     columns = np.arange(0, whole.shape[1], 211)
     size = np.linalg.norm(whole) ** 2
     close(left.cross(columns), whole[rows][:, columns].T @ whole[rows], size)
-    close(left.by_basis, problem.basis[rows].T @ whole[rows], size)
+    close(left.on_basis(problem.root), problem.root.T @ (problem.basis[rows].T @ whole[rows]), size)
     close(left.by_residual, whole[rows].T @ problem.residual[rows], size)
 
 
@@ -271,7 +292,7 @@ def test_scores_of_patterns_beside_an_uncertain_calibration(searched: tuple[Prob
     part = problem.without(split(problem) == 1) if held_out else problem
     assert part is not None
     form = next(one for one in searcher.candidates.forms if one.key == ("reversal", "Y"))
-    scores = _Scores(part, [form])
+    scores = PatternScores(part, [form], searcher.patterns)
     for pattern in searcher.patterns[:40:13]:
         slope, gram = scores.of(pattern)
         true_slope, true_gram = dense_scores(part, pattern, part.signature(form.variant.columns))
@@ -286,10 +307,10 @@ def test_a_sample_gives_the_same_significant_patterns(
     """Scores are those of all readings; of the mean and variance for noise alone, a third of the readings gives nine tenths."""
     problem, searcher = searched
     whole = scan_patterns(problem, searcher.patterns, (), np.inf)
-    of_whole = _Scores(problem, ())
-    monkeypatch.setattr(pattern_test, "SAMPLED", 300)
+    of_whole = PatternScores(problem, (), searcher.patterns)
+    monkeypatch.setattr(pattern_scores, "SAMPLED", 300)
     some = scan_patterns(problem, searcher.patterns, (), np.inf)
-    of_some = _Scores(problem, ())
+    of_some = PatternScores(problem, (), searcher.patterns)
     for pattern in searcher.patterns[::11]:
         (slope, gram), (all_slope, all_gram) = of_some.of(pattern), of_whole.of(pattern)
         assert np.allclose(slope, all_slope, rtol=1e-9, atol=1e-9 * np.abs(all_slope).max())

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from itertools import pairwise
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
-import scipy
 
+LARGEST_DECAY: Final = 300.0
+"""Natural logarithm of the largest decay within a block of the recursion."""
 Between = Literal["held", "linear"]
 
 
@@ -41,7 +43,7 @@ def lagged(time_s: np.ndarray, source: np.ndarray, constant: float, between: Bet
     ahead = np.concatenate([[first], value[:-1]]) - begin + slope * constant
     driven = slope * (decay - 1.0) + ahead * passed * decay / constant**2
     back = np.empty((2, len(end)))
-    back[:, order] = value, _recursion(decay, driven, 0.0, uniform=False)
+    back[:, order] = value, _recursion(decay, driven, 0.0)
     return Lagged(back[0], back[1])
 
 
@@ -58,16 +60,20 @@ def follow(passed: np.ndarray, begin: np.ndarray, end: np.ndarray, constant: flo
     decay = np.exp(-passed / constant)
     gain = np.where(passed > 0.0, (1.0 - decay) * constant / np.where(passed > 0.0, passed, 1.0), 1.0)
     driven = (gain - decay) * begin + (1.0 - gain) * end
-    return _recursion(decay, driven, first, uniform=len(passed) > 0 and np.ptp(passed) <= 1e-9 * passed[0])
+    return _recursion(decay, driven, first)
 
 
-def _recursion(decay: np.ndarray, driven: np.ndarray, first: float, *, uniform: bool) -> np.ndarray:
-    """Return (n,) x with x_i = decay_i x_{i−1} + driven_i; ``uniform`` if every interval is equally long."""
-    if uniform:
-        found, _ = scipy.signal.lfilter([1.0], [1.0, -decay[0]], driven, zi=[decay[0] * first])
-        return np.asarray(found)
-    values, last = [], first
-    for share, more in zip(decay.tolist(), driven.tolist(), strict=True):
-        last = share * last + more
-        values.append(last)
-    return np.array(values)
+def _recursion(decay: np.ndarray, driven: np.ndarray, first: float) -> np.ndarray:
+    """Return (n,) x with x_i = decay_i x_{i−1} + driven_i.
+
+    With the cumulative product P of the decays, x_i = P_i (x_0 + Σ driven_j/P_j), in blocks in which P does not underflow.
+    """
+    rate = np.minimum(-np.log(np.maximum(decay, 1e-300)), LARGEST_DECAY)
+    block = (np.cumsum(rate) / LARGEST_DECAY).astype(int)
+    starts = [0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(decay)]
+    found, last = np.empty(len(decay)), first
+    for start, end in pairwise(starts):
+        factor = np.cumprod(np.exp(-rate[start:end]))
+        found[start:end] = factor * (last + np.cumsum(driven[start:end] / factor))
+        last = float(found[end - 1]) if end > start else last
+    return found

@@ -6,10 +6,12 @@ A search uses thousands of them; their values at all points would take many time
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, TypeVar, final
 
 import numpy as np
+import scipy
 
 PIECE: Final = 1024
 """Points processed at a time."""
@@ -17,6 +19,20 @@ PIECE: Final = 1024
 T = TypeVar("T")
 Rows = np.ndarray | slice
 """A selection of points: their indices, or a slice."""
+
+
+@final
+@dataclass(frozen=True)
+class Interpolation:
+    """Functions as sums of a few functions of narrow support, for sums over very many points.
+
+    Attributes:
+        weights: (points, nodes) sparse matrix.
+        table: (nodes, count) coefficients; the values are ``weights @ table``.
+    """
+
+    weights: scipy.sparse.csr_matrix
+    table: np.ndarray
 
 
 @final
@@ -29,6 +45,7 @@ class Functions:
         values: function from a selection of points to values (rows, count).
         where: (points,) whether any function is not zero there; anywhere if None.
         bound: upper bound of their magnitude; if None, the largest magnitude at the points is computed.
+        interpolate: function that makes an interpolation with the values' rounding error; None if there is none.
     """
 
     def __init__(
@@ -38,12 +55,19 @@ class Functions:
         values: Callable[[Rows], np.ndarray],
         where: np.ndarray | None = None,
         bound: float | None = None,
+        interpolate: Callable[[], Interpolation] | None = None,
     ) -> None:
         self.points = points
         self.count = count
         self.values = values
         self.where = where
         self._bound = bound
+        self._interpolate = interpolate
+
+    @cached_property
+    def interpolation(self) -> Interpolation | None:
+        """Return the interpolation; None if there is none."""
+        return None if self._interpolate is None else self._interpolate()
 
     @cached_property
     def largest(self) -> np.ndarray:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+import scipy
 
-from twin.numerics.functions import Functions, Rows, pieces
+from twin.numerics.functions import Functions, Interpolation, Rows, pieces
 
 SHORTEST_PERIOD: Final = 2.0
 """mm: pitch errors of shorter periods are not considered."""
@@ -16,6 +17,10 @@ SAMPLED_POSITIONS: Final = 500
 """Positions sampled for the spectral window: its sampling error is one over their square root, a tenth of the threshold."""
 BLOCK: Final = 64
 """Points processed at a time."""
+SUPPORT: Final = 16
+"""Nodes under the kernel of the interpolation: its error is about 1e-12."""
+OVERSAMPLING: Final = 2.0
+"""Nodes for each half period of the highest frequency."""
 
 
 def highest_frequency(q: np.ndarray, span: float) -> float:
@@ -45,8 +50,14 @@ def sampling_frequency(q: np.ndarray) -> float | None:
 
 
 def _window(frequencies: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return the spectral window of positions: 1 where all are whole periods apart."""
-    return np.asarray(np.abs(np.mean(np.exp(2j * np.pi * np.outer(frequencies, places)), axis=1)))
+    """Return the spectral window of positions at evenly spaced frequencies: 1 where all are whole periods apart.
+
+    Each frequency is the sum of one of a coarse and one of a fine grid, which makes the mean over positions a matrix product.
+    """
+    fine = max(int(np.ceil(np.sqrt(len(frequencies)))), 1)
+    offsets = frequencies[:fine] - frequencies[:1]
+    coarse, shifts = (np.exp(2j * np.pi * np.outer(part, places)) for part in (frequencies[::fine], offsets))
+    return np.abs(coarse @ shifts.T).ravel()[: len(frequencies)] / len(places)
 
 
 def _alias_free(places: np.ndarray, span: float, highest: float) -> float:
@@ -98,4 +109,31 @@ def waves(q: np.ndarray, first: float, step: float, count: int) -> Functions:
             found[block, count:] = first_part.reshape(-1, coarse * fine)[:, :count]
         return found
 
-    return Functions(len(q), 2 * count, values, bound=1.0)
+    def interpolate() -> Interpolation:
+        return _interpolation(q, first + step * np.arange(count))
+
+    return Functions(len(q), 2 * count, values, bound=1.0, interpolate=interpolate)
+
+
+def _interpolation(q: np.ndarray, frequencies: np.ndarray) -> Interpolation:
+    """Return the interpolation of sines, followed by cosines, of frequencies in radians per unit of q.
+
+    A wave is the sum over evenly spaced nodes of its values there times a Kaiser-Bessel kernel, divided by the kernel's Fourier
+    transform at its frequency; the error is the transform at the aliases (Fessler and Sutton 2003, IEEE Trans. Signal Process. 51,
+    560).
+    """
+    spacing = np.pi / (OVERSAMPLING * float(np.abs(frequencies).max()))
+    low = float(q.min()) - 0.5 * SUPPORT * spacing
+    at = (q - low) / spacing
+    nearest = np.ceil(at - 0.5 * SUPPORT).astype(np.int32)
+    nodes = int(nearest.max()) + SUPPORT
+    shape = np.pi * SUPPORT * (1.0 - 0.5 / OVERSAMPLING)
+    places = nearest[:, None] + np.arange(SUPPORT, dtype=np.int32)
+    share = np.maximum(1.0 - ((at[:, None] - places) / (0.5 * SUPPORT)) ** 2, 0.0)
+    kernel = scipy.special.i0(shape * np.sqrt(share))
+    rest = np.sqrt(shape**2 - (0.5 * SUPPORT * spacing * frequencies) ** 2)
+    angles = np.outer(low + spacing * np.arange(nodes), frequencies)
+    factor = rest / (SUPPORT * np.sinh(rest))
+    table = np.concatenate([np.sin(angles) * factor, np.cos(angles) * factor], axis=1)
+    starts = np.arange(0, places.size + 1, SUPPORT, dtype=np.int32)
+    return Interpolation(scipy.sparse.csr_matrix((kernel.ravel(), places.ravel(), starts), (len(q), nodes)), table)

@@ -141,9 +141,7 @@ def compare_with_search(opinion: SecondOpinion, groups: Sequence[Collection[Key]
         groups: for each cause of the search, the cause and those equivalent to it.
     """
     common = np.array([[effect.probability(group) for effect in opinion.effects] for group in groups])
-    rows, columns = (
-        scipy.optimize.linear_sum_assignment(-common) if len(groups) else (np.zeros(0, int), np.zeros(0, int))
-    )
+    rows, columns = _assigned(common) if len(groups) else (np.zeros(0, int), np.zeros(0, int))
     partner = {
         int(g): int(e)
         for g, e in zip(rows, columns, strict=True)
@@ -171,6 +169,15 @@ def compare_with_search(opinion: SecondOpinion, groups: Sequence[Collection[Key]
         for g, group in enumerate(groups)
     )
     return Comparison(causes, tuple(further))
+
+
+def _assigned(common: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns of the pairs, each row and column in at most one, with the largest sum of probabilities."""
+    best = common.argmax(axis=1)
+    if len(np.unique(best)) == len(best):
+        return np.arange(len(best)), best
+    rows, columns = scipy.optimize.linear_sum_assignment(-common)
+    return rows, columns
 
 
 def _alternatives(candidates: Candidates) -> list[Alternatives]:

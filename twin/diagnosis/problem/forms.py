@@ -173,7 +173,7 @@ class Candidates:
         slope = products.with_vectors(noise, points) * np.sqrt(more)
         scale = rng.chisquare(self.dof, NULL_DATA_SETS) / self.dof if np.isfinite(self.dof) else np.ones(NULL_DATA_SETS)
         smallest_log_p = np.zeros(NULL_DATA_SETS)
-        inner = [more * own for own in self._projected_blocks(products, root)]
+        inner = [more * own for own in self._projected_blocks(products, products.on_basis(root))]
         for rows, columns, blocks in zip(self._rows, self._columns, inner, strict=True):
             values, vectors = np.linalg.eigh(blocks)
             seen = _identifiable(values, np.einsum("nii->ni", blocks).max(axis=1))
@@ -218,18 +218,20 @@ class Candidates:
         return critical_value(dof, form.log_tests, self.level, self.dof)
 
     def _project(self, problem: Problem) -> None:
-        self._on_basis = problem.root.T @ self.products.by_basis
-        self._inner = self._projected_blocks(self.products, problem.root)
+        self._on_basis = self.products.on_basis(problem.root)
+        self._inner = self._projected_blocks(self.products, self._on_basis)
         # One row of inner products with all columns for each requested column; `_row` maps columns to rows, -1 where missing.
         self._cross = np.zeros((0, self._on_basis.shape[1]))
         self._row = np.full(self._on_basis.shape[1], -1)
         self._scans = {}
 
-    def _projected_blocks(self, products: Products, root: np.ndarray) -> list[np.ndarray]:
+    def _projected_blocks(self, products: Products, on_basis: np.ndarray) -> list[np.ndarray]:
         """Return the projected inner products within each form: (forms, w, w) for each width w."""
-        within = (root.T @ products.by_basis).T
-        removed = [within[columns] for columns in self._columns]
-        return [raw - own @ own.transpose(0, 2, 1) for raw, own in zip(products.within, removed, strict=True)]
+        within, found = np.ascontiguousarray(on_basis.T), []
+        for raw, columns in zip(products.within, self._columns, strict=True):
+            removed = within[columns]
+            found.append(raw - removed @ removed.transpose(0, 2, 1))
+        return found
 
     def set_problem(self, problem: Problem) -> None:
         """Take over the residual of a problem with the same set-up and rows; exclusions and refinements are undone."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from functools import reduce
 from hashlib import blake2b
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 import scipy
@@ -63,7 +63,7 @@ class Nuisance:
     ) -> None:
         self.signatures = signatures
         self.base, self.scale = (self, 1.0) if extended is None else extended
-        self.known: dict[Hashable, np.ndarray] = {}
+        self.known: dict[Hashable, Any] = {}
         self._setup, self._triangle, self._on_setup = setup, triangle, on_setup
         self._root, self._remaining = root, remaining
         self._grams: dict[bytes, np.ndarray] = {}
@@ -93,8 +93,7 @@ class Nuisance:
         kept = values > RANK_TOLERANCE * values.max(initial=0.0)
         setup, triangle = orthonormal @ left[:, kept], values[kept, None] * right[kept]
         on_setup = signatures.along(lambda block: _at(setup, block.rows))[0].T
-        every, size = np.arange(len(view.rows)), sum(on_setup.shape)
-        whole = _gram(lambda points: _projected(signatures, setup, on_setup, points), size, every)
+        whole = _projected_gram(signatures, setup, on_setup, np.arange(len(view.rows)))
         count = len(triangle)
         found = cls(signatures, root, setup, triangle, on_setup + whole[:count, count:], whole[count:, count:])
         if columns:
@@ -148,10 +147,22 @@ class Nuisance:
         """Return (points, 3, raw) basis of the set-up and columns of the parameters at a block of points."""
         return np.concatenate([self._setup_at(block.rows), self.signatures.at(block)], axis=2)
 
-    def from_raw(self, products: np.ndarray) -> np.ndarray:
-        """Return inner products (directions, …) with the basis, from those (raw, …) with `raw`."""
+    def from_raw(self, products: np.ndarray, root: np.ndarray | None = None) -> np.ndarray:
+        """Return inner products with the basis from those with `raw`.
+
+        Args:
+            products: (raw, …) inner products with `raw`.
+            root: (directions, k) coordinates of the vectors wanted instead of the basis; the basis itself if None.
+
+        Returns:
+            (k, …) inner products with these vectors.
+        """
         by_setup, by_columns = np.split(products, [self._setup.shape[1]])
-        return np.concatenate([by_setup, self._change.T @ (by_columns - self._on_setup.T @ by_setup)])
+        left = by_columns - self._on_setup.T @ by_setup
+        if root is None:
+            return np.concatenate([by_setup, self._change.T @ left])
+        of_setup, rest = np.split(root, [self._setup.shape[1]])
+        return np.asarray((self._change @ rest).T @ left + of_setup.T @ by_setup)
 
     def along(self, vectors: np.ndarray) -> np.ndarray:
         """Return inner products (directions, …) of the basis with (3n, …) vectors at all points."""
@@ -198,7 +209,8 @@ class Nuisance:
         key = points.tobytes()
         if key not in self._grams:
             change = scipy.linalg.block_diag(np.eye(self.setup_count), self._change)
-            self._grams[key] = change.T @ _gram(self._projected, self.raw_count, points) @ change
+            inner = _projected_gram(self.signatures, self._setup, self._on_setup, points)
+            self._grams[key] = change.T @ inner @ change
         return self._grams[key]
 
     def _projected(self, points: Rows) -> np.ndarray:
@@ -222,6 +234,28 @@ def _projected(signatures: Signatures, setup: np.ndarray, on_setup: np.ndarray, 
     """Return (points, 3, raw) basis of the set-up, and signatures with the set-up projected out."""
     here = _at(setup, points)
     return np.concatenate([here, signatures.at(PointBlock(signatures.view, points)) - here @ on_setup], axis=2)
+
+
+def _projected_gram(signatures: Signatures, setup: np.ndarray, on_setup: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the Gram matrix of what `_projected` returns, over some points.
+
+    It follows from that of the signatures before projection, of which those of one side are zero at points of the other.
+    """
+
+    def partial(own: Sequence[np.ndarray]) -> np.ndarray:
+        found = np.zeros((sum(on_setup.shape), sum(on_setup.shape)))
+        for run in own:
+            here = [_at(setup, run), signatures.at(PointBlock(signatures.view, run))]
+            rows = np.concatenate(here, axis=2).reshape(3 * len(run), -1)
+            used = np.flatnonzero(rows.any(axis=0))
+            rows = np.ascontiguousarray(rows[:, used])
+            found[np.ix_(used, used)] += rows.T @ rows
+        return found
+
+    raw = reduce(np.ndarray.__iadd__, map_chunks(signatures.ordered_runs(points), partial))
+    change = np.eye(len(raw))
+    change[: len(on_setup), len(on_setup) :] = -on_setup
+    return np.asarray(change.T @ raw @ change)
 
 
 def _gram(rows_at: Callable[[Rows], np.ndarray], size: int, points: np.ndarray) -> np.ndarray:

@@ -110,10 +110,9 @@ class Products:
     def _unrefined(self) -> bool:
         return all(one is other for one, other in zip(self.columns, self._original_columns, strict=True))
 
-    @property
-    def by_basis(self) -> np.ndarray:
-        """(directions, all) inner products with the nuisance basis."""
-        return self._problem.nuisances.from_raw(self.by_raw)
+    def on_basis(self, root: np.ndarray) -> np.ndarray:
+        """Return the inner products (k, all) with vectors of coordinates (directions, k) in the nuisance basis."""
+        return self._problem.nuisances.from_raw(self.by_raw, root)
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -123,6 +122,8 @@ class Products:
     def with_vectors(self, vectors: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return inner products (all, r) with (3·points, r) vectors at some points, in ascending order."""
         right = vectors.reshape(len(points), 3, -1)
+        if len(points) == len(self._problem.view.rows):
+            return self.along(lambda block: right[block.rows], None)
         return self.along(lambda block: right[np.searchsorted(points, np.asarray(block.rows))], points)
 
     def along(self, vectors: Callable[[PointBlock], np.ndarray], points: np.ndarray | None) -> np.ndarray:
@@ -139,10 +140,10 @@ class Products:
 
     def cross(self, columns: np.ndarray) -> np.ndarray:
         """Return the inner products (columns, all); cached."""
-        return np.asarray(self._by_part(columns).sum(axis=0))
+        return _stacked([own.sum(axis=0) for own in self._by_part(columns)], len(self._row))
 
-    def _by_part(self, columns: np.ndarray) -> np.ndarray:
-        """Return inner products (parts, columns, all); a single part where points are held out."""
+    def _by_part(self, columns: np.ndarray) -> list[np.ndarray]:
+        """Return inner products (parts, all) of each of some columns; a single part where points are held out."""
         fresh = columns[self._row[columns] < 0]
         if len(fresh) or len(self._changed):
             fresh = np.union1d(fresh, self._changed)
@@ -151,8 +152,9 @@ class Products:
             else:
                 whole, gone, factor = self._parent
                 if isinstance(gone, int):
-                    every = whole._by_part(fresh)
-                    found = (every.sum(axis=0) - every[gone])[None]
+                    found = _stacked([own.sum(axis=0) - own[gone] for own in whole._by_part(fresh)], len(self._row))[
+                        None
+                    ]
                 else:
                     found = factor * whole.cross(fresh)[None]
                     if gone is not None:
@@ -165,13 +167,11 @@ class Products:
             self._changed = self._changed[:0]
             self._row[fresh] = len(self._cross) + np.arange(len(fresh))
             self._cross += [np.ascontiguousarray(found[:, k]) for k in range(len(fresh))]
-        rows = [self._cross[row] for row in self._row[columns].tolist()]
-        return np.stack(rows, axis=1) if rows else np.zeros((len(self._by_residual), 0, len(self._row)))
+        return [self._cross[row] for row in self._row[columns].tolist()]
 
     def with_columns(self, columns: Sequence[Column]) -> np.ndarray:
         """Return the inner products (columns, all) of any columns with all; cached."""
-        every = self._parts_with_columns(columns)
-        return np.stack([own.sum(axis=0) for own in every]) if every else np.zeros((0, len(self._row)))
+        return _stacked([own.sum(axis=0) for own in self._parts_with_columns(columns)], len(self._row))
 
     def _parts_with_columns(self, columns: Sequence[Column]) -> list[np.ndarray]:
         """Return the inner products (parts, all) of each of some columns; a single part where points are held out."""
@@ -274,3 +274,8 @@ class Products:
 
         found = self.signatures.along(vectors, points)
         return found[:, :, :-1].transpose(0, 2, 1), found[:, :, -1].copy()
+
+
+def _stacked(rows: Sequence[np.ndarray], width: int) -> np.ndarray:
+    """Return rows (width,) as an array (rows, width), also if there are none."""
+    return np.stack(rows) if rows else np.zeros((0, width))

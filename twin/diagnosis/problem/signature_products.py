@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from functools import reduce
+from functools import cache, reduce
+from functools import partial as partial_of
 from typing import Final, final
 
 import numpy as np
+import scipy
 
 from twin._common.threads import THREADS, map_chunks
 from twin.diagnosis.candidates.signatures import Column, Freedom, ReadingDerivatives, SignatureTerm
@@ -21,7 +23,7 @@ from twin.diagnosis.problem.signature_terms import (
     pair_codes,
 )
 from twin.identification.network import LinearisedReadings
-from twin.numerics.functions import Functions, Rows, pieces
+from twin.numerics.functions import Functions, Interpolation, Rows, pieces
 
 BLOCK_WIDTH: Final = 64
 """Vectors, or products of two functions, processed at a time, so that they stay in the processor's cache."""
@@ -31,6 +33,8 @@ FEW_FUNCTIONS: Final = 20
 """Number of functions of a derivative up to which it is multiplied by these, which are fewer than the vectors."""
 LEAST_FUNCTIONS: Final = 16
 """Sets of fewer functions than this are merged into one set."""
+MOST_SUMS: Final = 4
+"""Number of sets of vectors that are not zero, besides that of all, for which sums are kept."""
 LARGEST_CACHE: Final = 2**25
 """Number of function values (256 MB) up to which they are cached between passes."""
 
@@ -55,15 +59,51 @@ class PointBlock:
         self._points = view.rows[rows]
         self.derivatives = ReadingDerivatives(view, rows)
         self._values: dict[Functions, np.ndarray | None] = {}
+        self._acts: dict[str, np.ndarray] = {}
+        self._weights: dict[Functions, scipy.sparse.csr_matrix] = {}
         self._kept, self._keep = ({}, ()) if kept is None else kept
+
+    def acts(self, freedom: Freedom) -> bool:
+        """Return whether any of the readings depends on a degree of freedom."""
+        name, direction = freedom
+        if name not in self._acts:
+            self._acts[name] = np.any(self.derivatives.of(name) != 0.0, axis=(0, 1))
+        return bool(self._acts[name][direction])
 
     def values(self, functions: Functions) -> np.ndarray | None:
         """Return the functions' values (points, count), or None if all are zero."""
         values = self._kept if functions in self._keep else self._values
         if functions not in values:
-            zero = functions.where is not None and not functions.where[self._points].any()
-            values[functions] = None if zero else functions.values(self._points)
+            values[functions] = None if self.is_zero(functions) else functions.values(self._points)
         return values[functions]
+
+    def is_zero(self, functions: Functions) -> bool:
+        """Return whether all functions are zero at these points."""
+        return functions.where is not None and not functions.where[self._points].any()
+
+    def weights(self, functions: Functions, interpolation: Interpolation) -> scipy.sparse.csr_matrix:
+        """Return the weights (points, nodes) of the interpolation of some functions."""
+        if functions not in self._weights:
+            self._weights[functions] = interpolation.weights[self._points]
+        return self._weights[functions]
+
+
+@final
+class _Sums:
+    """Inner products of functions times derivatives with some vectors, summed over blocks of points.
+
+    Args:
+        used: (r,) numbers of the vectors.
+
+    Attributes:
+        large: by functions, derivative and number of the first of a few vectors: (few, functions).
+        small: by functions and derivatives that are evaluated together: (r, terms).
+    """
+
+    def __init__(self, used: np.ndarray) -> None:
+        self.used = used
+        self.large: dict[tuple[Functions, Freedom, int], np.ndarray] = {}
+        self.small: dict[tuple[tuple[Functions, Freedom], ...], np.ndarray] = {}
 
 
 @final
@@ -119,38 +159,73 @@ class Signatures:
     def _along_runs(
         self, vectors: Callable[[PointBlock], np.ndarray], own: Sequence[tuple[int, Sequence[np.ndarray]]]
     ) -> np.ndarray:
-        """Return inner products (columns, r) with r vectors, summed over some runs."""
-        total: dict[tuple[Functions, Freedom, int], np.ndarray] = {}
-        small: np.ndarray | float = 0.0
+        """Return inner products (columns, r) with r vectors, summed over some runs.
+
+        A reading of one side of the machine has zeros in all derivatives and nuisance vectors of the other side; they are skipped.
+        """
+        sums: dict[bytes, _Sums] = {}
         for run in own:
             block = self._block(*run)
-            right = vectors(block).transpose(1, 2, 0)
-            together = right.shape[1] >= FEW
-            if together:
-                weighted = self._small_terms(block)
-                small = small + sum(right[i] @ weighted[i] for i in range(3))
-            for freedom, projected, start in self._projected(
-                block, right, self._large if together else self._by_freedom
-            ):
-                for functions, (_, index, _) in (self._large if together else self._by_freedom)[freedom].items():
-                    values = block.values(functions)
-                    if values is None:
-                        continue
-                    # A derivative may multiply only a few of the functions.
-                    found = projected @ (values[:, index] if few_of(functions, index) else values)
-                    key = functions, freedom, start
-                    if key in total:
-                        total[key] += found
-                    else:
-                        total[key] = found
-        found = np.zeros((len(self.columns), right.shape[1]))
-        while total:
-            (functions, freedom, start), values = total.popitem()
+            right = vectors(block)
+            width, used = right.shape[2], np.flatnonzero(right.any(axis=(0, 1)))
+            if len(sums) >= MOST_SUMS and used.tobytes() not in sums:
+                used = np.arange(width)
+            right = (right if len(used) == width else right[:, :, used]).transpose(1, 2, 0)
+            self._add_block(block, right, sums.setdefault(used.tobytes(), _Sums(used)))
+        found = np.zeros((len(self.columns), width))
+        for one in sums.values():
+            found[:, one.used] += self._summed(one)
+        return found
+
+    def _add_block(self, block: PointBlock, right: np.ndarray, sums: _Sums) -> None:
+        """Add the inner products of functions times derivatives with (3, r, points) vectors at a block of points."""
+        by_freedom = self._by_freedom
+        if right.shape[1] >= FEW:
+            by_freedom = self._large
+            terms, weighted = self._small_terms(block)
+            products = sum(right[i] @ weighted[i] for i in range(3))
+            if terms in sums.small:
+                sums.small[terms] += products
+            else:
+                sums.small[terms] = products
+        for freedom, projected, start in self._projected(block, right, by_freedom):
+            for functions, (_, index, _) in by_freedom[freedom].items():
+                found = self._with_functions(block, projected, functions, index)
+                if found is None:
+                    continue
+                key = functions, freedom, start
+                if key in sums.large:
+                    sums.large[key] += found
+                else:
+                    sums.large[key] = found
+
+    def _with_functions(
+        self, block: PointBlock, projected: np.ndarray, functions: Functions, index: np.ndarray
+    ) -> np.ndarray | None:
+        """Return products (r, functions or nodes) of (r, points) vectors with functions; None if these are zero."""
+        if functions in self._interpolated:
+            weights = block.weights(functions, self._interpolated[functions])
+            return np.asarray((weights.T @ projected.T).T)
+        values = block.values(functions)
+        if values is None:
+            return None
+        # A derivative may multiply only a few of the functions.
+        return np.asarray(projected @ (values[:, index] if few_of(functions, index) else values))
+
+    def _summed(self, sums: _Sums) -> np.ndarray:
+        """Return the inner products (columns, r) of the signatures with the vectors, from those of their terms."""
+        found = np.zeros((len(self.columns), len(sums.used)))
+        while sums.large:
+            (functions, freedom, start), values = sums.large.popitem()
             columns, index, weight = self._lookup[functions][freedom]
-            own_values = values.T if few_of(functions, index) else values.T[index]
+            if functions in self._interpolated:
+                own_values = self._interpolated[functions].table[:, index].T @ values.T
+            else:
+                own_values = values.T if few_of(functions, index) else values.T[index]
             add_rows(found[:, start : start + len(values)], columns, weight[:, None] * own_values)
-        if isinstance(small, np.ndarray):
-            np.add.at(found, self._small_columns, small.T)
+        for terms, products in sums.small.items():
+            at = [np.zeros(0, dtype=int), *(self._lookup[functions][freedom][0] for functions, freedom in terms)]
+            np.add.at(found, np.concatenate(at), products.T)
         return found
 
     def _projected(
@@ -158,25 +233,39 @@ class Signatures:
     ) -> Iterator[tuple[Freedom, np.ndarray, int]]:
         """Yield products (few, points) of each derivative with a few of the (3, r, points) vectors, and the number of the first."""
         buffers = np.empty((2, BLOCK_WIDTH, right.shape[2]))
+        acting = [
+            freedom
+            for freedom, lookups in by_freedom.items()
+            if block.acts(freedom) and not all(block.is_zero(of) for of in lookups)
+        ]
         for few in pieces(right.shape[1], BLOCK_WIDTH):
             some = np.ascontiguousarray(right[:, few])
-            for freedom, lookups in by_freedom.items():
-                if any(block.values(of) is not None for of in lookups):
-                    yield freedom, along_derivative(block.derivatives[freedom], some, buffers), few.start
+            for freedom in acting:
+                yield freedom, along_derivative(block.derivatives[freedom], some, buffers), few.start
 
-    def _small_terms(self, block: PointBlock) -> np.ndarray:
-        """Return (3, points, terms) the terms with few functions of a derivative: derivative times function times weight."""
-        found = np.zeros((3, len(self.view.residual[block.rows]), len(self._small_columns)))
+    def _small_terms(self, block: PointBlock) -> tuple[tuple[tuple[Functions, Freedom], ...], np.ndarray]:
+        """Return the terms with few functions of a derivative that are not zero in a block, and their values.
+
+        Returns:
+            Functions and derivative of the terms, and (3, points, terms) derivative times function times weight.
+        """
+        acting = tuple(
+            (functions, freedom)
+            for functions, freedom in self._small
+            if block.acts(freedom) and not block.is_zero(functions)
+        )
+        count = sum(len(self._lookup[functions][freedom][0]) for functions, freedom in acting)
+        found = np.empty((3, len(self.view.residual[block.rows]), count))
         start = 0
-        for functions, freedom in self._small:
+        for functions, freedom in acting:
             _, index, weight = self._lookup[functions][freedom]
-            values, at = block.values(functions), slice(start, start + len(index))
+            at = slice(start, start + len(index))
             start = at.stop
-            if values is not None:
-                own, derivative = values[:, index] * weight, block.derivatives[freedom]
-                for i in range(3):
-                    np.multiply(own, derivative[:, i, None], out=found[i, :, at])
-        return found
+            values = block.values(functions)
+            own, derivative = values[:, index] * weight, block.derivatives[freedom]  # type: ignore[index]
+            for i in range(3):
+                np.multiply(own, derivative[:, i, None], out=found[i, :, at])
+        return acting, found
 
     def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:
         """Return the inner products within groups of columns: (parts, groups, w, w) for each array (groups, w).
@@ -199,7 +288,7 @@ class Signatures:
                 part = part_of(run)
                 block = self._block(run, runs)
                 turned: dict[Functions, np.ndarray] = {}
-                dots: dict[tuple[Freedom, Freedom], np.ndarray] = {}
+                dots = cache(partial_of(_dots, block))
                 for (a, b), lookup in needed.items():
                     of_a, of_b = block.values(a), block.values(b)
                     if of_a is None or of_b is None:
@@ -207,10 +296,9 @@ class Signatures:
                     for functions, of in ((a, of_a), (b, of_b)):
                         if functions not in turned:
                             turned[functions] = np.ascontiguousarray(of.T)
-                    for one, other in lookup.derivatives:
-                        if (one, other) not in dots:
-                            dots[one, other] = np.einsum("bi,bi->b", block.derivatives[one], block.derivatives[other])
-                    weights = np.stack([dots[both] for both in lookup.derivatives], axis=1)
+                    weights = np.stack([dots(*both) for both in lookup.derivatives], axis=1)
+                    if not weights.any():
+                        continue
                     if (part, a, b) not in total:
                         total[part, a, b] = np.zeros((len(lookup.first), len(lookup.derivatives)))
                     for few in pieces(len(lookup.first), BLOCK_WIDTH):
@@ -267,14 +355,21 @@ class Signatures:
         count = len(self.view.residual[block.rows])
         found = np.zeros((3, len(self.columns) if columns is None else len(columns), count))
         for functions, of in lookup.items():
-            values = block.values(functions)
-            if values is None:
-                continue
             for freedom, (at, index, weight) in of.items():
-                weighted, derivative = values.T[index] * weight[:, None], block.derivatives[freedom]
+                if block.is_zero(functions) or not block.acts(freedom):
+                    continue
+                weighted = self._values_of(block, functions, index).T * weight[:, None]
+                derivative = block.derivatives[freedom]
                 for i in range(3):
                     add_rows(found[i], at, weighted * derivative[:, i])
         return found.transpose(2, 0, 1)
+
+    def _values_of(self, block: PointBlock, functions: Functions, index: np.ndarray) -> np.ndarray:
+        """Return values (points, index) of some functions that are not zero at a block of points."""
+        if functions in self._interpolated and few_of(functions, index):
+            interpolation = self._interpolated[functions]
+            return np.asarray(block.weights(functions, interpolation) @ interpolation.table[:, index])
+        return block.values(functions)[:, index]  # type: ignore[index]
 
     def combined(self, coefficients: np.ndarray) -> np.ndarray:
         """Return linear combinations (n, 3, r) of the signatures at all points, from coefficients (columns, r)."""
@@ -286,6 +381,8 @@ class Signatures:
                 block, rows = self._block(run, self._runs), self._runs[run]
                 total = np.zeros((3, len(rows), width))
                 for freedom, lookups in self._by_freedom.items():
+                    if not block.acts(freedom):
+                        continue
                     sums = np.zeros((len(rows), width))
                     for functions, (columns, index, weight) in lookups.items():
                         values = block.values(functions)
@@ -333,9 +430,6 @@ class Signatures:
             for freedom, own in of.items()
             if len(own[0]) <= FEW_FUNCTIONS
         ]
-        self._small_columns = np.concatenate(
-            [np.zeros(0, dtype=int), *(self._lookup[functions][freedom][0] for functions, freedom in self._small)]
-        )
         small = set(self._small)
         self._large = {
             freedom: large
@@ -344,22 +438,31 @@ class Signatures:
         }
         size = sum(functions.count for functions in self._lookup) * len(self.view.rows)
         self._cache = size <= LARGEST_CACHE
+        # Values that are cached are not interpolated.
+        made = {of: None if self._cache or len(self.columns) < FEW else of.interpolation for of in self._lookup}
+        self._interpolated = {of: interpolation for of, interpolation in made.items() if interpolation is not None}
         self._runs = self._ordered_runs(np.arange(len(self.view.rows)), self._parts)
 
     def _runs_of(self, rows: np.ndarray | None) -> tuple[list[np.ndarray], Callable[[int], int], int]:
         """Return runs of all points or of ``rows``, a function from run to part, and the number of parts."""
         if rows is not None:
-            return self._ordered_runs(rows, np.zeros(len(self._parts), dtype=int)), lambda run: 0, 1
+            return self.ordered_runs(rows), lambda run: 0, 1
         return self._runs, lambda run: int(self._parts[self._runs[run][0]]), int(self._parts.max(initial=0)) + 1
 
+    def ordered_runs(self, rows: np.ndarray) -> list[np.ndarray]:
+        """Split some points into runs of one side."""
+        return self._ordered_runs(rows, np.zeros(len(self._parts), dtype=int))
+
     def _ordered_runs(self, rows: np.ndarray, parts: np.ndarray) -> list[np.ndarray]:
-        """Split points into runs of one part each, points where the same functions are zero together, so that these are skipped."""
-        pattern = parts[rows]
+        """Split points into runs of one part and one side, points where the same functions are zero together: zeros are skipped."""
+        shown = np.sign(np.nan_to_num(self.view.shown[rows])).astype(int) + 1
+        group = np.ravel_multi_index((parts[rows], *shown.T), (int(parts.max(initial=0)) + 1, *(3 for _ in shown.T)))
+        pattern = group
         for functions in self._lookup:
             if functions.where is not None:
                 pattern = 2 * pattern + functions.where[self.view.rows[rows]]
         order = np.argsort(pattern, kind="stable")
-        ends = np.flatnonzero(np.diff(parts[rows][order])) + 1
+        ends = np.flatnonzero(np.diff(group[order])) + 1
         return [own[run] for own in np.split(rows[order], ends) for run in pieces(len(own))]
 
     def _grouped(self, columns: Sequence[int]) -> Mapping[Functions, Mapping[Freedom, Terms]]:
@@ -372,6 +475,11 @@ class Signatures:
                 own = lists.setdefault(functions, {}).setdefault(part.freedom, [])
                 own.append((place, index, part.weight * column.scale))
         return {functions: {freedom: as_arrays(own) for freedom, own in of.items()} for functions, of in lists.items()}
+
+
+def _dots(block: PointBlock, one: Freedom, other: Freedom) -> np.ndarray:
+    """Return the inner products (points,) of two derivatives at each point of a block."""
+    return np.asarray(np.einsum("bi,bi->b", block.derivatives[one], block.derivatives[other]))
 
 
 def signatures_of(view: LinearisedReadings, columns: Sequence[Column]) -> np.ndarray:

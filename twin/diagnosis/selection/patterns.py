@@ -18,7 +18,8 @@ import numpy as np
 
 from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import Column, SignatureTerm
-from twin.machine.effects.waves import APPROACH, Waves, terms
+from twin.machine.effects.waves import APPROACH, Waves
+from twin.machine.effects.waves import terms as products_of
 from twin.machine.machine import Axis, Machine
 from twin.measurement.instruments import SIDES
 from twin.measurement.state import machine_state
@@ -106,7 +107,7 @@ class Pattern:
     def order(self) -> np.ndarray:
         """Return (m,) the higher of the two orders of each function."""
         own = [np.array([0, *waves.half_waves]) for waves in self.waves(self.highest)]
-        return np.max([orders[i] for orders, i in zip(own, self._terms.T, strict=True)], axis=0)
+        return np.max([orders[i] for orders, i in zip(own, self.terms.T, strict=True)], axis=0)
 
     def waves(self, level: int) -> tuple[Waves, ...]:
         """Return the functions of its columns up to an order."""
@@ -116,8 +117,9 @@ class Pattern:
         return tuple(channel.waves.up_to(min(channel.paired, most)) for channel in self.channels)
 
     @cached_property
-    def _terms(self) -> np.ndarray:
-        return np.array(terms(self.waves(self.highest)))
+    def terms(self) -> np.ndarray:
+        """Return (m, columns) for each function the number of each column's function, from 1; 0 for the constant."""
+        return np.array(products_of(self.waves(self.highest)))
 
     def at(self, rows: Rows) -> np.ndarray:
         """Return (rows, m) values of its functions, zero on the other side."""
@@ -130,7 +132,7 @@ class Pattern:
             return np.asarray(first * own)
         one = np.ones((len(first), 1))
         pair = [np.concatenate([one, values], axis=1) for values in (first, others[0])]
-        return np.asarray(pair[0][:, self._terms[:, 0]] * pair[1][:, self._terms[:, 1]] * own)
+        return np.asarray(pair[0][:, self.terms[:, 0]] * pair[1][:, self.terms[:, 1]] * own)
 
     def columns(self, level: int, directions: Sequence[int]) -> list[Column]:
         """Return the signatures, µm per unit, of the functions up to an order along some directions, sorted by direction."""
@@ -145,6 +147,50 @@ class Pattern:
             [Column((SignatureTerm((self.derivative, i), functions, k, UM),), 1.0) for k in range(functions.count)]
             for i in range(3)
         ]
+
+
+@final
+class ChannelFunctions:
+    """The functions of several patterns of one side, made from those of their columns.
+
+    Args:
+        patterns: patterns with the same readings.
+
+    Attributes:
+        own: functions of each pattern among all.
+        count: number m of all functions.
+    """
+
+    def __init__(self, patterns: Sequence[Pattern]) -> None:
+        self._channels = list(dict.fromkeys(channel for pattern in patterns for channel in pattern.channels))
+        starts = np.cumsum([0, *(channel.values.shape[1] for channel in self._channels)]).tolist()
+        start = dict(zip(self._channels, starts[:-1], strict=True))
+        factors: list[np.ndarray] = []
+        self.own: dict[Pattern, slice] = {}
+        self.count = 0
+        for pattern in patterns:
+            # Function 0 is the constant.
+            numbers = np.zeros((len(pattern.order), 2), dtype=int)
+            for k, channel in enumerate(pattern.channels):
+                numbers[:, k] = np.where(pattern.terms[:, k] > 0, start[channel] + pattern.terms[:, k], 0)
+            factors.append(numbers)
+            self.own[pattern] = slice(self.count, self.count + len(numbers))
+            self.count += len(numbers)
+        self._first, self._second = np.concatenate(factors).T
+
+    def at(self, rows: np.ndarray) -> np.ndarray:
+        """Return (rows, m) values of all functions at readings of the side."""
+        factors = self._factors(rows)
+        return np.asarray(factors[:, self._first] * factors[:, self._second])
+
+    def with_vectors(self, rows: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """Return inner products (r, m) of all functions with (r, rows) vectors at readings of the side."""
+        factors = self._factors(rows)
+        every = factors.T @ (vectors[:, :, None] * factors)
+        return np.asarray(every[:, self._first, self._second])
+
+    def _factors(self, rows: np.ndarray) -> np.ndarray:
+        return np.concatenate([np.ones((len(rows), 1)), *(channel.values[rows] for channel in self._channels)], axis=1)
 
 
 def patterns(machine: Machine, data: Measurements) -> list[Pattern]:
