@@ -148,13 +148,17 @@ class ApproachTracker:
             row: (lines,) index of the position at which each line ends.
             first: (lines, axes) a point near the beginning of each.
         """
-        _, states, _ = self._follow(motion, commands)
-        found = ~np.isin(motion[row], [passage.before for passage in self._passages])
-        for axis in self._backlash.axes:
-            place, state = (np.append(self._last[axis, i], a[:-1, axis])[row] for i, a in enumerate((commands, states)))
-            for way in (first[:, axis] - place, commands[row, axis] - first[:, axis]):
-                found &= (way == 0.0) | (np.sign(way) == state)
-        return found
+        before = np.concatenate([self._last[None, :, 0], commands[:-1]])[row]
+        ways = first - before, commands[row] - first
+        # A line that begins elsewhere may first lead back.
+        apart = np.isin(motion[row], [passage.before for passage in self._passages])
+        apart |= ~(ways[0] * ways[1] >= 0.0)[:, self._backlash.axes].all(axis=1)
+        at = row[apart]
+        _, states, _ = self._follow(np.insert(motion, at, motion[at]), np.insert(commands, at, first[apart], axis=0))
+        own = np.insert(np.ones(len(motion), dtype=bool), at, False)
+        states = np.concatenate([self._last[None, :, 1], states[own][:-1]])[row]
+        onward = [(way == 0.0) | (np.sign(way) == states) for way in ways]
+        return np.asarray(~apart & (onward[0] & onward[1])[:, self._backlash.axes].all(axis=1))
 
     def _follow(self, motion: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return approach directions and positions within the play after n > 0 commands, and the last of the latter, as kept."""
