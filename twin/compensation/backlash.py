@@ -17,13 +17,14 @@ least increments does not count as a reversal, because rounding of words causes 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, final
 
 import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.units import UM, URAD
-from twin.compensation.toolpath import ToolPath
+from twin.compensation.toolpath import Passage, ToolPath
 from twin.machine.calibration import Calibration
 from twin.machine.effects import ControlCorrection, Reversal, ReversalCurve
 
@@ -88,22 +89,18 @@ class Backlash:
         self._dead_band = LEAST_REVERSAL * np.array([axis.increment for axis in machine.axes])
 
     def sides(self, path: ToolPath, motion: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """Return the approach directions that result from commands given one after the other.
+        """Return the (n, axes) approach directions, from −1 to +1, that result from commands given one after the other.
 
         Args:
             path: the program they belong to, for lines between its motions that are passed through.
             motion: (n,) index of the motion each belongs to, ascending.
             commands: (n, axes) mm and degrees.
-
-        Returns:
-            (n, axes) sides, from −1 to +1.
         """
-        found = np.zeros(commands.shape)
-        for axis in self.axes:
-            way, own = _with_passages(path, motion, commands[:, axis], axis)
-            lag = self.size[axis] < 0.0
-            found[:, axis] = (_play(way, -self.size[axis])[0] if lag else self._side_reached(way, axis))[own]
-        return found
+        return ApproachTracker(self, path).after(motion, commands)
+
+    def width(self, axis: int) -> float:
+        """Return the distance over which an axis reverses: its backlash, or the dead band if it changes its side at once."""
+        return float(-self.size[axis] if self.size[axis] < 0.0 else self._dead_band[axis])
 
     def commanded_sides(self, path: ToolPath, motion: np.ndarray, intended: np.ndarray) -> np.ndarray:
         """Return the sides to command for, from the intended axis positions; arguments as for `sides`.
@@ -114,20 +111,79 @@ class Backlash:
         """
         found = np.zeros(intended.shape)
         for axis in self.axes:
-            way, own = _with_passages(path, motion, intended[:, axis], axis)
-            found[:, axis] = _from_reversal(way, self._side_reached(way, axis))[own]
+            way, own = _with_passages(path.passages, motion, intended[:, axis], axis)
+            found[:, axis] = _from_reversal(way, _play(way, self._dead_band[axis])[1])[own]
         return found
 
-    def _side_reached(self, way: np.ndarray, axis: int) -> np.ndarray:
-        return _play(way, self._dead_band[axis])[1]
+
+@final
+class ApproachTracker:
+    """Approach directions that result from commands given one after the other, in one portion or several.
+
+    Args:
+        backlash: the reversal values.
+        path: the program, for lines between its motions that are passed through.
+    """
+
+    def __init__(self, backlash: Backlash, path: ToolPath) -> None:
+        self._backlash, self._passages = backlash, path.passages
+        # Position, position within the play, and end of it last reached, of every axis.
+        self._last = np.tile([np.nan, 0.0, 0.0], (len(backlash.size), 1))
+        self._motion = -1
+
+    def after(self, motion: np.ndarray, commands: np.ndarray) -> np.ndarray:
+        """Return the approach directions at the next positions; arguments and result as for `Backlash.sides`."""
+        if not len(motion):
+            return np.zeros(commands.shape)
+        sides, _, self._last = self._follow(motion, commands)
+        self._motion = int(motion[-1])
+        return sides
+
+    def steady(self, motion: np.ndarray, commands: np.ndarray, row: np.ndarray, first: np.ndarray) -> np.ndarray:
+        """Return (lines,) whether all axes keep their approach directions on straight lines to some of the next positions.
+
+        Args:
+            motion: motions of the next positions, as for `after`, which must still be called for them.
+            commands: these positions.
+            row: (lines,) index of the position at which each line ends.
+            first: (lines, axes) a point near the beginning of each.
+        """
+        before = np.concatenate([self._last[None, :, 0], commands[:-1]])[row]
+        ways = first - before, commands[row] - first
+        # A line that begins elsewhere may first lead back.
+        apart = np.isin(motion[row], [passage.before for passage in self._passages])
+        apart |= ~(ways[0] * ways[1] >= 0.0)[:, self._backlash.axes].all(axis=1)
+        at = row[apart]
+        _, states, _ = self._follow(np.insert(motion, at, motion[at]), np.insert(commands, at, first[apart], axis=0))
+        own = np.insert(np.ones(len(motion), dtype=bool), at, False)
+        states = np.concatenate([self._last[None, :, 1], states[own][:-1]])[row]
+        onward = [(way == 0.0) | (np.sign(way) == states) for way in ways]
+        return np.asarray(~apart & (onward[0] & onward[1])[:, self._backlash.axes].all(axis=1))
+
+    def _follow(self, motion: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return approach directions and positions within the play after n > 0 commands, and the last of the latter, as kept."""
+        sides, states, last = np.zeros(commands.shape), np.zeros(commands.shape), self._last.copy()
+        between = [passage for passage in self._passages if self._motion < passage.before <= motion[-1]]
+        for axis in self._backlash.axes:
+            way, own = _with_passages(between, motion, commands[:, axis], axis)
+            lag = self._backlash.size[axis] < 0.0
+            state, side = _play(way, self._backlash.width(axis), *last[axis])
+            last[axis] = way[-1], state[-1], side[-1]
+            states[:, axis], sides[:, axis] = state[own], (state if lag else side)[own]
+        return sides, states, last
 
 
-def _play(way: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+def _play(
+    way: np.ndarray, width: float, start: float = np.nan, begun: float = 0.0, reached: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the position of an axis within its play, and the end of the play it last reached.
 
     Args:
         way: (n,) positions, NaN if unknown.
         width: width of the play, in the same unit.
+        start: position before the first, NaN if unknown.
+        begun: position within the play there.
+        reached: the end of the play last reached there.
 
     Returns:
         (n,) from −1 to +1, changing over a distance of ``width``; 0 until the axis moves, and again where its position is unknown. (n,)
@@ -136,9 +192,9 @@ def _play(way: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
     states, sides = np.zeros(len(way)), np.zeros(len(way))
     if not len(way):
         return states, sides
-    rate, step = 2.0 / width, np.diff(way, prepend=np.nan)
+    rate, step = 2.0 / width, np.diff(way, prepend=start)
     first, last, behind, known = _stretches(step, rate)
-    at, state, side = first.copy(), np.append(0.0, known[:-1]), np.append(0.0, known[:-1])
+    at, state, side = first.copy(), np.append(begun, known[:-1]), np.append(reached, known[:-1])
     those = np.flatnonzero(at < behind)
     while len(those) > FEW:
         here, moved = at[those], step[at[those]]
@@ -175,7 +231,8 @@ def _stretches(step: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray, n
     direction = direction[np.maximum.accumulate(says)]
     begins = np.append(0, np.flatnonzero(direction[1:] != direction[:-1]) + 1)
     one_way, direction = np.add.reduceat(np.nan_to_num(step), begins), direction[begins]
-    known = np.where(direction == 0.0, 0.0, np.where(np.abs(one_way) * rate >= 2.0 + STILL, direction, np.nan))
+    known = np.where(np.abs(one_way) * rate >= 2.0 + STILL, direction, np.nan)
+    known[np.isnan(step[begins])] = 0.0
     certain = np.isfinite(known)
     certain[-1] = True
     behind = np.append(begins[1:], len(step))[certain]
@@ -232,10 +289,10 @@ def _ranges(begin: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _with_passages(
-    path: ToolPath, motion: np.ndarray, way: np.ndarray, axis: int
+    passages: Sequence[Passage], motion: np.ndarray, way: np.ndarray, axis: int
 ) -> tuple[np.ndarray, np.ndarray | slice]:
     """Return one axis's positions with those of passed-through lines inserted, and which are the original ones."""
-    moved = [passage for passage in path.passages if passage.moved[axis]]
+    moved = [passage for passage in passages if passage.moved[axis]]
     if not moved:
         return way, slice(None)
     at = np.searchsorted(motion, [passage.before for passage in moved], side="left")

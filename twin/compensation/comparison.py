@@ -51,6 +51,21 @@ class Commands:
         way, points = (None if array is None else array[lines] for array in (self.way, self.points))
         return Commands(self.begin[lines], way, points)
 
+    @property
+    def first(self) -> np.ndarray:
+        """(lines, axes) the first point of each line."""
+        if self.way is None or self.points is None:
+            return self.begin
+        return np.asarray(self.begin + (0.5 / self.points)[:, None] * self.way)
+
+    def split(self, line: np.ndarray, share: np.ndarray) -> Commands:
+        """Return the points as lines of their own where `split_lines` says so; single points as they are."""
+        if self.way is None or self.points is None:
+            return self
+        whole = np.isnan(share)
+        begin = self.begin[line] + np.where(whole, 0.0, share)[:, None] * self.way[line]
+        return Commands(begin, np.where(whole[:, None], self.way[line], 0.0), np.where(whole, self.points[line], 1))
+
     def as_array(self) -> np.ndarray:
         """Return the commands at all points, (n, axes)."""
         if self.way is None or self.points is None:
@@ -62,6 +77,21 @@ class Commands:
     def inputs(self) -> tuple[np.ndarray, np.ndarray]:
         """Begin and displacement."""
         return self.begin, np.zeros(self.begin.shape[1]) if self.way is None else self.way
+
+
+def split_lines(points: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return lines in which every point of some is a line of its own.
+
+    Args:
+        points: (lines,) number of points of each line.
+        which: (lines,) whether its points become lines.
+
+    Returns:
+        (n,) the line that each of them is from, and (n,) the fraction of it at which the point lies; NaN for a whole line.
+    """
+    counts = np.where(which, points, 1)
+    line = np.repeat(np.arange(len(points)), counts)
+    return line, np.where(which[line], fractions(counts), np.nan)
 
 
 @final

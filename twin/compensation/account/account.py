@@ -8,6 +8,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import rows_all_true
+from twin.compensation.account.directed import directed_points
 from twin.compensation.account.frames import FrameUse
 from twin.compensation.account.interpolation import interpolated
 from twin.compensation.account.notes import approach_notes, condition_notes, reversal_notes, setup_notes
@@ -150,55 +151,25 @@ class CompensationAccount:
         ways = path_errors.ways(corrected.rows, printed=True, as_run=True)
         # An idle program is written unchanged, so its arcs stay arcs.
         ends = Commands(rows.nominal), Commands(rows.nominal if pieces.idle else rows.commands)
-        directed, varying = bool(self._prepared.backlash.axes), bool(pieces.conditions.names)
-        if not directed:
-            keep = ~rows.backlash_move
-            state = self._state(pieces, rows.motion, rows.fraction)
-            points = SimulatedPoints(rows.motion, *ends, state, state)
-            yield points if keep.all() else points.of(np.flatnonzero(keep))
-        for portion in [dense] if directed else path_errors.portions(dense):
+        portions, varying = path_errors.portions(dense), bool(pieces.conditions.names)
+        if self._prepared.backlash.axes:
+            yield from directed_points(corrected, self._prepared, ends, portions, ways)
+            return
+        keep = ~rows.backlash_move
+        state = self._state(pieces, rows.motion, rows.fraction)
+        points = SimulatedPoints(rows.motion, *ends, state, state)
+        yield points if keep.all() else points.of(np.flatnonzero(keep))
+        for portion in portions:
             samples = path_errors.samples(portion)
-            nominal, written = path_errors.commands(samples, ways, point_by_point=directed or varying)
+            nominal, written = path_errors.commands(samples, ways)
             written = nominal if pieces.idle else written
             motion = legs[samples.leg] if nominal.points is not None else legs[samples.leg][samples.piece]
-            if directed:
-                fraction = np.concatenate([rows.fraction, path_errors.fractions(samples)])
-                yield self._with_sides(
-                    corrected, ends, (nominal, written), np.concatenate([rows.motion, motion]), fraction
-                )
-            else:
-                state = self._state(pieces, motion, path_errors.fractions(samples)) if varying else None
-                yield SimulatedPoints(motion, nominal, written, state, state)
-
-    def _with_sides(
-        self,
-        corrected: Corrected,
-        ends: tuple[Commands, Commands],
-        inside: tuple[Commands, Commands],
-        motion: np.ndarray,
-        fraction: np.ndarray,
-    ) -> SimulatedPoints:
-        """Return end points and dense points in order of travel, with approach directions, which depend on all earlier motion.
-
-        Args:
-            corrected: the stretch.
-            ends: nominal and written commands at the end points.
-            inside: the same at the dense points.
-            motion: (n,) motion of each point, end points first.
-            fraction: (n,) fraction of the motion at which each point lies.
-        """
-        inserted = np.zeros(len(motion), dtype=bool)
-        inserted[: len(corrected.own.backlash_move)] = corrected.own.backlash_move
-        order = np.lexsort((inserted, fraction, motion))
-        commands, sides = [], []
-        for end, dense in zip(ends, inside, strict=True):
-            both = np.concatenate([end.as_array(), dense.as_array()])
-            side = np.zeros(both.shape)
-            side[order] = self._prepared.backlash.sides(corrected.pieces.path, motion[order], both[order])
-            commands.append(Commands(both))
-            sides.append(corrected.pieces.conditions.at(side, motion, fraction))
-        # A move that only takes up backlash has no nominal position.
-        return SimulatedPoints(motion, commands[0], commands[1], sides[0], sides[1]).of(np.flatnonzero(~inserted))
+            points = SimulatedPoints(motion, nominal, written)
+            if varying:
+                points = points.of(np.arange(len(motion)))
+                state = self._state(pieces, points.motion, path_errors.fractions(samples))
+                points = points._replace(nominal_sides=state, written_sides=state)
+            yield points
 
     def _state(self, pieces: Pieces, motion: np.ndarray, fraction: np.ndarray) -> np.ndarray | None:
         """Return (n, axes + channels) the conditions of points where there is no backlash; None if they are the same everywhere."""

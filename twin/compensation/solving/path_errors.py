@@ -9,7 +9,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from twin._common.arrays import rows_all_true
-from twin.compensation.comparison import Commands
+from twin.compensation.comparison import Commands, split_lines
 from twin.compensation.solving.pieces import Pieces
 from twin.compensation.solving.rows import SAME, Rows, Ways, even_cuts, repeat_with_index, taken
 from twin.compensation.toolpath import SAMPLES_A_PIECE, spacings
@@ -113,31 +113,47 @@ class PathErrors:
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def _portion(self, legs: np.ndarray, rows: Rows, ways: Ways) -> np.ndarray:
-        samples, directed = self.samples(legs), self._pieces.aim.point.directed
-        nominal, written = self.commands(samples, ways, point_by_point=directed)
-        state = self._state(samples, rows, ways) if directed else None
+        samples = self.samples(legs)
+        nominal, written = self.commands(samples, ways)
+        piece, state = samples.piece if nominal.points is None else np.arange(len(samples.leg)), None
+        if self._pieces.aim.point.directed:
+            piece, share, state = self._directed(samples, rows, ways, on_lines=nominal.points is not None)
+            nominal, written = nominal.split(piece, share), written.split(piece, share)
         distance = self._pieces.aim.comparison.distance_mm(nominal, written, state)
         # A leg merged into another has no pieces and no points.
-        lines = self._pieces.legs.count[legs] * (self._points_per_piece(legs) if nominal.points is None else 1)
+        of_leg = np.repeat(np.arange(len(legs)), self._pieces.legs.count[legs])
+        lines = np.bincount(of_leg[piece], minlength=len(legs))
         worst = np.maximum.reduceat(np.append(distance, 0.0), np.cumsum(lines) - lines)
         return np.where(lines > 0, worst, 0.0)
 
-    def _state(self, samples: Samples, rows: Rows, ways: Ways) -> np.ndarray:
-        """Return (n, axes + channels) directions of approach and conditions inside pieces."""
-        motion = self._pieces.legs.motion[samples.leg][samples.piece]
-        return self._pieces.conditions.at(self._sides(samples, rows, ways), motion, self.fractions(samples))
+    def _directed(
+        self, samples: Samples, rows: Rows, ways: Ways, *, on_lines: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the lines within which directions of approach and conditions are constant.
 
-    def _sides(self, samples: Samples, rows: Rows, ways: Ways) -> np.ndarray:
-        """Return (n, axes) approach directions inside pieces."""
-        row = _rows_of(samples, ways)
-        sides = rows.approach[row[samples.piece]]
-        for axis in set(self._pieces.aim.backlash.axes) & set(self._pieces.prepared.machine.rotary):
+        Args:
+            samples: the points.
+            rows: the end points of all pieces.
+            ways: the ways of the pieces.
+            on_lines: whether every piece is a line; otherwise every point is one.
+
+        Returns:
+            (n,) piece and (n,) fraction of each line, as by `split_lines`, and (n, axes + channels) directions of approach and
+            conditions.
+        """
+        pieces, row = self._pieces, rows_of(samples, ways)
+        ended = rows.approach[row]
+        begun = np.array(ended)
+        for axis in set(pieces.aim.backlash.axes) & set(pieces.prepared.machine.rotary):
             # A rotary axis may be partly through its play at either end point. After an unobserved reversal it is fully through.
             last = np.maximum(row - 1, 0)
             unseen = rows.reverses[row, axis] & ~rows.backlash_move[last]
-            before = np.where(unseen, rows.approach[row, axis], rows.approach[last, axis])[samples.piece]
-            sides[:, axis] = before + samples.within * (sides[:, axis] - before)
-        return np.asarray(sides)
+            begun[:, axis] = np.where(unseen, ended[:, axis], rows.approach[last, axis])
+        varying = (begun != ended).any(axis=1) | bool(pieces.conditions.names) | (not on_lines)
+        piece, share = split_lines(samples.points, varying)
+        sides = begun[piece] + np.nan_to_num(share)[:, None] * (ended - begun)[piece]
+        fraction = self.fractions(samples) if pieces.conditions.names else share
+        return piece, share, pieces.conditions.at(sides, pieces.legs.motion[samples.leg][piece], fraction)
 
     # --- dense points ------------------------------------------------------------------------------------------------
 
@@ -182,15 +198,16 @@ class PathErrors:
         begin, end = (self._pieces.legs.at(samples.leg, (samples.number + i) * share) for i in (0, 1))
         return begin, end
 
-    def commands(self, samples: Samples, ways: Ways, *, point_by_point: bool = False) -> tuple[Commands, Commands]:
+    def commands(self, samples: Samples, ways: Ways) -> tuple[Commands, Commands]:
         """Return nominal commands, which the control derives from the original program, and those of pieces that follow ``ways``.
+
+        A piece is a line if all of these are straight lines of commands, else each point is.
 
         Args:
             samples: the points.
             ways: the ways of the pieces, as written.
-            point_by_point: whether every point shall be a line of its own, even where the commands lie on straight lines.
         """
-        row = _rows_of(samples, ways)
+        row = rows_of(samples, ways)
         motion = taken(self._pieces.legs.motion, samples.leg)
         begin, way = taken(ways.begin, row), taken(ways.way, row)
         straight = bool(np.all(self._pieces.straight[motion]))
@@ -200,11 +217,7 @@ class PathErrors:
                 first, last = self._fractions(samples)
                 meant, meant_way = meant + first[:, None] * meant_way, (last - first)[:, None] * meant_way
             if self._on_lines(motion):
-                nominal = self._line(meant, meant_way, samples.points)
-                written = self._line(begin, way, samples.points)
-                if point_by_point:
-                    return Commands(nominal.as_array()), Commands(written.as_array())
-                return nominal, written
+                return self._line(meant, meant_way, samples.points), self._line(begin, way, samples.points)
         of = motion[samples.piece]
         if straight:
             words = meant[samples.piece] + samples.within[:, None] * meant_way[samples.piece]
@@ -297,6 +310,6 @@ class PathErrors:
         return np.concatenate([words, pieces.end[:-1]]), np.concatenate([tcp, pieces.tcp[:-1]])
 
 
-def _rows_of(samples: Samples, ways: Ways) -> np.ndarray:
+def rows_of(samples: Samples, ways: Ways) -> np.ndarray:
     """Return (pieces,) the row of each piece's end point."""
     return taken(ways.rows, taken(ways.first, samples.leg) + samples.number)

@@ -40,9 +40,8 @@ def insert_backlash_moves(pieces: Pieces, rows: Rows) -> Rows:
         overshoot=np.concatenate([np.zeros_like(sides), np.zeros_like(beyond), beyond[over]])[order],
         untouched=found.untouched | pieces.left_as_written(rows)[found.motion],
     )
-    found = _without_steps_back(
-        pieces, pieces.printed(found).distinct(), found.approach, pieces.prepared.machine.rotary
-    )
+    found = pieces.printed(found).distinct()
+    found = _without_steps_back(pieces, found, found.approach, pieces.prepared.machine.rotary)
     return _without_steps_back(
         pieces, _linear_axes_solved_again(pieces, found), found.approach, pieces.prepared.machine.linear
     ).distinct()

@@ -1,0 +1,65 @@
+"""Approach directions followed portion by portion, and lines on which they stay the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twin.compensation.backlash import ApproachTracker, Backlash
+from twin.compensation.toolpath import MotionColumns, Passage, ToolPath
+from twin.machine.calibration import Calibration
+from twin.machine.effects import Reversal
+from twin.machine.machine import Machine
+
+SIZES = {"X": -8.0, "Y": 6.0, "B": -60.0}
+
+
+@pytest.fixture(scope="module")
+def backlash() -> Backlash:
+    machine = Machine.load("dmu50")
+    added = tuple(Reversal(machine.by_name[name], size) for name, size in SIZES.items())
+    return Backlash(replace(Calibration.zero(machine), extra=added))
+
+
+def walk(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Return commands with long, short and no steps, mm and degrees."""
+    size = rng.choice([0.0, 0.001, 0.003, 1.0], size=(count, 5))
+    return np.cumsum(size * rng.choice([-1.0, 1.0], size=size.shape), axis=0)
+
+
+def path(rng: np.random.Generator, count: int) -> ToolPath:
+    """Return a path with lines passed through before some of its motions; its motions are not used."""
+    none = MotionColumns.of({}, 5)
+    places = np.sort(rng.choice(count, size=count // 20, replace=False)).tolist()
+    passages = [Passage(i, rng.choice([np.nan, 1.0], size=5), rng.random(5) < 0.5) for i in places]
+    return ToolPath(none, none, (), tuple(passages))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_portions_give_the_directions_of_the_whole(backlash: Backlash, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    commands, program = walk(rng, 300), path(rng, 100)
+    motion = np.repeat(np.arange(100), 3)
+    cuts = np.split(np.arange(300), np.sort(rng.choice(300, size=8)))
+    tracker = ApproachTracker(backlash, program)
+    found = np.concatenate([tracker.after(motion[part], commands[part]) for part in cuts])
+    assert np.array_equal(found, backlash.sides(program, motion, commands))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_all_points_of_a_steady_line_have_the_direction_of_its_end(backlash: Backlash, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ends, program = walk(rng, 300), path(rng, 300)
+    motion, row = np.arange(300), np.arange(1, 300)
+    shares = (np.arange(5) + 0.5) / 5
+    begin, way = ends[:-1], np.diff(ends, axis=0)
+    points = begin[:, None] + shares[:, None] * way[:, None]
+    dense = np.concatenate([points, ends[1:, None]], axis=1).reshape(-1, 5)
+    sides = backlash.sides(program, np.append(0, np.repeat(motion[1:], 6)), np.concatenate([ends[:1], dense]))
+    same = sides[1:].reshape(-1, 6, 5)
+    steady = ApproachTracker(backlash, program).steady(motion, ends, row, points[:, 0])
+    assert 0.05 < steady.mean() < 0.9
+    # Steps that together are as long as the play end there up to rounding.
+    assert np.allclose(same[steady], same[steady, -1:], rtol=0.0, atol=1e-12)
