@@ -93,6 +93,11 @@ def test_linear_axes_only_keep_the_rotary_positions(dmu50: Machine) -> None:
     assert np.all(solution.where(Status.CONVERGED))
     assert np.array_equal(solution.positions[:, 3:], q[:, 3:] * dmu50.scale[3:] / dmu50.scale[3:])
     assert solution.point_residual_mm.max() <= 1e-9
+    # Alone they have a solver of their own, with only the functions of the linear axes; beside other poses they have not.
+    moves = np.arange(len(q)) == 7
+    mixed = Inverse(real).solve(target, q, rotary=moves)
+    assert np.array_equal(mixed.positions[~moves], solution.positions[~moves])
+    assert np.array_equal(mixed.code[~moves], solution.code[~moves])
 
 
 @given(seed=st.integers(0, 2**32 - 1), b=st.floats(3.0, 177.0), c=st.floats(-720.0, 720.0))

@@ -127,26 +127,35 @@ class Inverse:
 
     @cached_property
     def _solver(self) -> Solver:
+        return Solver(self._problem(self.kinematics.machine.rotary))
+
+    @cached_property
+    def _point_solver(self) -> Solver:
+        """Solver that moves linear axes only, which needs fewer functions."""
+        return Solver(self._problem(()))
+
+    @cached_property
+    def _steps(self) -> Steps:
+        return Steps(self.kinematics, self.rotary_limit_deg * DEG)
+
+    def _problem(self, rotary: tuple[int, ...]) -> InverseProblem:
         machine, calibration = self.kinematics.machine, self.kinematics.calibration
-        limit = self.rotary_limit_deg * DEG
         limits, domains = machine.limits / machine.scale[:, None], calibration.domains()
         lower = np.maximum(limits[:, 0], domains[:, 0]) - SLACK
         upper = np.minimum(limits[:, 1], domains[:, 1]) + SLACK
-        return Solver(
-            InverseProblem(
-                functions=Steps(self.kinematics, limit),
-                axes=len(machine.axes),
-                rotary=tuple(machine.rotary),
-                sides=sum(symbol.numel() for symbol in self.kinematics.symbols()[1:]),
-                scale=machine.scale,
-                bounds=np.column_stack([lower, upper]),
-                limits=machine.limits[list(machine.rotary)],
-                rotary_limit=limit,
-                tolerance=POINT_TOLERANCE,
-                steps=STEPS,
-                near=NEAR,
-                mm=MM,
-            )
+        return InverseProblem(
+            functions=self._steps,
+            axes=len(machine.axes),
+            rotary=rotary,
+            sides=sum(symbol.numel() for symbol in self.kinematics.symbols()[1:]),
+            scale=machine.scale,
+            bounds=np.column_stack([lower, upper]),
+            limits=machine.limits[list(rotary)],
+            rotary_limit=self.rotary_limit_deg * DEG,
+            tolerance=POINT_TOLERANCE,
+            steps=STEPS,
+            near=NEAR,
+            mm=MM,
         )
 
     def solve(self, targets: Poses, start: Any, *, rotary: bool | np.ndarray = True, approach: Any = None) -> Solution:
@@ -168,7 +177,8 @@ class Inverse:
         if begin.shape != (n, len(machine.axes)):
             raise InputError("start has the wrong shape", expected=f"({n}, {len(machine.axes)})", value=begin.shape)
         sides = self.kinematics.rows(begin, approach)[1:]
-        found = self._solver.solve(
+        solver = self._solver if np.any(rotary) else self._point_solver
+        found = solver.solve(
             Batch(
                 start=begin,
                 point=np.asarray(targets.point_mm, dtype=float),

@@ -16,6 +16,11 @@ ROUNDING: Final = 1e-10
 """Tolerance of that comparison, relative to the value or to one; rounding errors of either are a thousandth of it."""
 
 
+def unused(name: str) -> str:
+    """Return a C++ function in the place of a `routine` that is never called."""
+    return f"INLINE void {name}(const V *, const double *, V *) {{}}\n"
+
+
 def routine(name: str, tape: Tape) -> str:
     """Return the C++ function ``name(x, k, y)`` of inputs, constants and results."""
     first = tape.inputs + len(tape.constants)

@@ -53,14 +53,15 @@ class NumpySolver:
 
     def __init__(self, problem: InverseProblem) -> None:
         self.problem = problem
-        self._routines = [_Routine(problem, name) for name in ROUTINES]
-        self._turn, self._again, self._follow, self._repair, self._check = self._routines
+        self._routines = {name: _Routine(problem, name) for name in ROUTINES}
+        self._turn, self._again, self._follow, self._repair, self._check = self._routines.values()
 
     @property
-    def tapes(self) -> tuple[Tape, ...] | None:
-        """The instructions of all routines, in the order of `ROUTINES`; None if one is not supported."""
-        found = tuple(tape for tape in (routine.tape for routine in self._routines) if tape is not None)
-        return found if len(found) == len(ROUTINES) else None
+    def tapes(self) -> dict[str, Tape] | None:
+        """The instructions of the routines that the problem needs, by name; None if one is not supported."""
+        found = {name: self._routines[name].tape for name in self.problem.routines}
+        known = {name: tape for name, tape in found.items() if tape is not None}
+        return known if len(known) == len(found) else None
 
     def check(self, positions: np.ndarray, batch: Batch) -> np.ndarray:
         """Return the (n,) remaining distances of the point in mm at (n, axes) positions in mm and degrees."""

@@ -49,7 +49,7 @@ class InverseProblem:
     Attributes:
         functions: functions of a step.
         axes: number of axes.
-        rotary: indices of the rotary axes.
+        rotary: indices of the rotary axes that may move; if there are none, no pose may be `Batch.loose`.
         sides: number of further inputs: directions of approach, and channels that differ from pose to pose.
         scale: (axes,) metres per millimetre, radians per degree.
         bounds: (axes, 2) limits of a result in mm and degrees.
@@ -73,6 +73,11 @@ class InverseProblem:
     steps: int
     near: float
     mm: float
+
+    @property
+    def routines(self) -> tuple[str, ...]:
+        """Names of the functions that are needed: without rotary axes to move only those of the linear axes."""
+        return ROUTINES if self.rotary else ("follow", "check")
 
     @property
     def inputs(self) -> int:

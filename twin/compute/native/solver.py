@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final, final
@@ -10,7 +11,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.compute.native import loading
-from twin.compute.native.cpp import LARGEST_ANGLE, routine
+from twin.compute.native.cpp import LARGEST_ANGLE, routine, unused
 from twin.compute.native.numpy_solver import NumpySolver, angle
 from twin.compute.native.problem import CONVERGED, FOR_NUMPY, ROUTINES, Batch, BatchOutcome, InverseProblem
 
@@ -48,13 +49,13 @@ class _Compiled:
 
     problem: InverseProblem
     library: ctypes.CDLL
-    constants: tuple[np.ndarray, ...]
+    constants: Mapping[str, np.ndarray]
     numbers: dict[str, np.ndarray] = field(init=False)
 
     def __post_init__(self) -> None:
         (lower, upper), (first, last) = self.problem.bounds.T, self.problem.limits.T
         numbers = {"scale": self.problem.scale, "lower": lower, "upper": upper, "first": first, "last": last}
-        numbers |= {f"k_{name}": values for name, values in zip(ROUTINES, self.constants, strict=True)}
+        numbers |= {f"k_{name}": values for name, values in self.constants.items()}
         self.numbers = {name: np.array(values, dtype=float, order="C") for name, values in numbers.items()}
         self.library.solve.argtypes = (ctypes.POINTER(_SolveJob),)
         self.library.solve.restype = None
@@ -143,15 +144,15 @@ class Solver:
 
     @cached_property
     def _source(self) -> str:
-        problem, tapes = self.problem, self._plain.tapes or ()
+        problem, tapes = self.problem, self._plain.tapes or {}
         sizes = {"A": problem.axes, "N": problem.inputs, "R": len(problem.rotary), "S": problem.sides}
-        sizes["K"] = tapes[0].outputs - problem.axes - 1
+        sizes["K"] = tapes["turn"].outputs - problem.axes - 1 if "turn" in tapes else 0
         return "\n".join(
             [
                 loading.cpp_text("simd.hpp"),
                 f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};",
                 f"static const int ROTARY[] = {{{', '.join(map(str, problem.rotary or (0,)))}}};",
-                *(routine(name, tape) for name, tape in zip(ROUTINES, tapes, strict=True)),
+                *(routine(name, tapes[name]) if name in tapes else unused(name) for name in ROUTINES),
                 loading.cpp_text("solve.cpp"),
             ]
         )
@@ -163,7 +164,8 @@ class Solver:
         library = loading.library(self._source)
         if library is None:
             return None
-        return _Compiled(self.problem, library, tuple(np.array(tape.constants) for tape in tapes))
+        constants = {name: np.array(tapes[name].constants if name in tapes else ()) for name in ROUTINES}
+        return _Compiled(self.problem, library, constants)
 
 
 def _aligned(batch: Batch) -> Batch:
