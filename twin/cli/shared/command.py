@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -165,12 +166,10 @@ def path_parameters(function: Callable[..., Any]) -> dict[str, Output | None]:
 @contextmanager
 def progress_bar() -> Iterator[Any]:
     """Show a progress bar on stderr; show nothing if stderr is not a terminal."""
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    if not console.is_terminal or is_silenced():  # a disabled `Progress` of rich before 14.1 writes an empty line
+    if not sys.stderr.isatty() or is_silenced():  # a disabled `Progress` of rich before 14.1 writes an empty line
         yield lambda stage, fraction: None
         return
+    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (
@@ -180,7 +179,7 @@ def progress_bar() -> Iterator[Any]:
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
 
