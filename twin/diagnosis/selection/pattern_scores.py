@@ -91,13 +91,14 @@ class PatternScores:
         self._by_side: dict[str, list[Pattern]] = {}
         for pattern in tried:
             self._by_side.setdefault(pattern.derivative, []).append(pattern)
-        self._sides: dict[str, _Side] = {}
+        self._latest: tuple[str, _Side] | None = None
 
     def of(self, pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
-        """Return (3, m) φᵀMr and (3, m, m) φᵀMφ along each direction."""
-        if pattern.derivative not in self._sides:
-            self._sides[pattern.derivative] = self._side(self._by_side[pattern.derivative])
-        side = self._sides[pattern.derivative]
+        """Return (3, m) φᵀMr and (3, m, m) φᵀMφ along each direction; only the latest side is kept."""
+        if self._latest is None or self._latest[0] != pattern.derivative:
+            self._latest = None
+            self._latest = pattern.derivative, self._side(self._by_side[pattern.derivative])
+        side = self._latest[1]
         own = side.own[pattern]
         lost = side.lost[:, own]
         return side.slope[:, own], (side.grams[pattern] - lost @ lost.transpose(0, 2, 1)) / side.share
