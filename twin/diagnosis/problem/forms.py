@@ -380,19 +380,20 @@ class Candidates:
 
     def penalised_gain(self, forms: Sequence[Form]) -> float:
         """Return the chi² reduction by a set of forms, less the critical value of each for its identifiable directions."""
-        columns = columns_of(forms)
-        if len(columns) == 0:
+        if not forms:
             return 0.0
-        gram = self.gram(forms)
+        columns, gram = columns_of(forms), self.gram(forms)
+        inverse, _ = pseudo_inverse(gram)
+        slope = self.slope[columns]
+        total = float(slope @ (inverse @ slope)) - ADDITIONAL_CAUSE_PENALTY * (len(forms) - 1)
         # Adding 1 to the diagonal makes the matrix invertible; it is far below `LEAST_NONCENTRALITY`.
-        inverse = np.linalg.inv(gram + np.eye(len(columns)))
-        total = self.explained_by(forms) - ADDITIONAL_CAUSE_PENALTY * (len(forms) - 1)
-        for form in forms:
-            own = np.searchsorted(columns, form.columns)
-            left = np.linalg.inv(inverse[np.ix_(own, own)]) - np.eye(len(own))
-            most = float(np.diag(gram)[own].max())
-            dof = int(_identifiable(np.linalg.eigvalsh(left)[None], np.array([most])).sum())
-            total -= float(self._critical[form.index, dof]) if dof else self.critical_value(form, 1.0)
+        regular = np.linalg.inv(gram + np.eye(len(columns)))
+        for width, alike in _by_width(forms).items():
+            at = np.searchsorted(columns, np.stack([form.columns for form in alike]))
+            left = np.linalg.inv(regular[at[:, :, None], at[:, None, :]]) - np.eye(width)
+            seen = _identifiable(np.linalg.eigvalsh(left), np.diag(gram)[at].max(axis=1))
+            for form, dof in zip(alike, seen.sum(axis=1).tolist(), strict=True):
+                total -= float(self._critical[form.index, dof]) if dof else self.critical_value(form, 1.0)
         return total
 
     def blocks(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -458,11 +459,14 @@ class Candidates:
             forms: the forms already selected.
             beside: (r, all) and (r,) of directions that are given too, as in `scan_beside`.
         """
-        cross, slope = (np.zeros((0, len(self.slope))), np.zeros(0)) if beside is None else beside
-        left, columns = self.slope - cross.T @ slope, columns_of(forms)
-        if len(columns) == 0:
-            return cross.T, left
-        own = self._cross_rows(columns) - cross[:, columns].T @ cross
+        columns = columns_of(forms)
+        own = self._cross_rows(columns)
+        if beside is None:
+            inverse, root = pseudo_inverse(own[:, columns])
+            return own.T @ root, self.slope - (inverse @ self.slope[columns]) @ own
+        cross, slope = beside
+        left = self.slope - cross.T @ slope
+        own = own - cross[:, columns].T @ cross
         inverse, root = pseudo_inverse(own[:, columns])
         return np.concatenate([cross.T, own.T @ root], axis=1), left - (inverse @ left[columns]) @ own
 

@@ -56,7 +56,7 @@ class _Side:
         own: functions of each pattern among all.
         slope: (3, m) inner products with the residual along each direction.
         lost: (3, m, k) inner products with an orthonormal basis of nuisance and causes, over the sample.
-        grams: of each pattern the Gram matrices (3, own, own) over the sample.
+        grams: of each pattern the Gram matrices (3, own, own) over the sample, or one (1, own, own) if they are equal.
         share: share of the side's readings in the sample.
     """
 
@@ -91,13 +91,14 @@ class PatternScores:
         self._by_side: dict[str, list[Pattern]] = {}
         for pattern in tried:
             self._by_side.setdefault(pattern.derivative, []).append(pattern)
-        self._sides: dict[str, _Side] = {}
+        self._latest: tuple[str, _Side] | None = None
 
     def of(self, pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
-        """Return (3, m) φᵀMr and (3, m, m) φᵀMφ along each direction."""
-        if pattern.derivative not in self._sides:
-            self._sides[pattern.derivative] = self._side(self._by_side[pattern.derivative])
-        side = self._sides[pattern.derivative]
+        """Return (3, m) φᵀMr and (3, m, m) φᵀMφ along each direction; only the latest side is kept."""
+        if self._latest is None or self._latest[0] != pattern.derivative:
+            self._latest = None
+            self._latest = pattern.derivative, self._side(self._by_side[pattern.derivative])
+        side = self._latest[1]
         own = side.own[pattern]
         lost = side.lost[:, own]
         return side.slope[:, own], (side.grams[pattern] - lost @ lost.transpose(0, 2, 1)) / side.share
@@ -116,20 +117,23 @@ class PatternScores:
         raw = self._nuisance.raw(PointBlock(self._view, rows))
         causes = self._causes.reshape(len(self._kept), 3, -1)[rows]
         whole = np.concatenate([raw, causes], axis=2)
-        by_raw, grams = self._sampled(functions, alike, rows, fields)
+        acting, by_raw, grams = self._sampled(functions, alike, rows, fields)
         beside = _along_each(fields, whole[:, :, self._nuisance.base.raw_count :])
         by_beside = np.zeros((3, functions.count, beside.shape[2]))
         for some in pieces(len(rows) if beside.size else 0, TOGETHER):
             by_beside += functions.at(rows[some]).T @ beside[:, some]
-        lost = np.concatenate([by_raw * self._raw_scale, by_beside], axis=2) @ self._change(whole, len(own))
+        change, count = self._change(whole, len(own)), self._nuisance.base.raw_count
+        lost = by_raw @ (self._raw_scale[acting, None] * change[acting]) + by_beside @ change[count:]
         factor = self._nuisance.scale**2
         scaled = {pattern: gram * factor for pattern, gram in grams.items()}
         return _Side(functions.own, slope, lost, scaled, len(rows) / max(len(own), 1))
 
     def _sampled(
         self, functions: ChannelFunctions, alike: Sequence[Pattern], rows: np.ndarray, fields: np.ndarray
-    ) -> tuple[np.ndarray, dict[Pattern, np.ndarray]]:
-        """Return over the sample the (3, m, raw) inner products with the nuisance derivatives of the base, and the Gram matrices.
+    ) -> tuple[np.ndarray, np.ndarray, dict[Pattern, np.ndarray]]:
+        """Return over the sample the inner products with the nuisance derivatives of the base, and the Gram matrices.
+
+        The numbers of the derivatives that are not zero on this side, the (3, m, acting) inner products with these, and (3, own, own).
 
         They are the same in every test of these patterns on these readings and are kept.
         """
@@ -142,18 +146,16 @@ class PatternScores:
             along = _along_each(fields, base.raw(PointBlock(base.signatures.view, rows)))
             acting = np.flatnonzero(along.any(axis=(0, 1)))
             along = np.ascontiguousarray(along[:, :, acting])
-            by_raw = np.zeros((3, functions.count, base.raw_count))
-            grams = {pattern: np.zeros((3, len(pattern.order), len(pattern.order))) for pattern in alike}
+            by_raw = np.zeros((3, functions.count, len(acting)))
+            directions = 1 if equal else 3
+            grams = {pattern: np.zeros((directions, len(pattern.order), len(pattern.order))) for pattern in alike}
             for some in pieces(len(rows), TOGETHER):
                 made = functions.at(rows[some])
-                by_raw[:, :, acting] += made.T @ along[:, some]
+                by_raw += made.T @ along[:, some]
                 for pattern, own in functions.own.items():
-                    for i in range(1 if equal else 3):
+                    for i in range(directions):
                         grams[pattern][i] += made[:, own].T @ (made[:, own] * weight[some, i, None])
-            if equal:
-                for gram in grams.values():
-                    gram[1:] = gram[0]
-            base.known[key] = by_raw, grams
+            base.known[key] = acting, by_raw, grams
         return base.known[key]
 
     def distributions(self, tests: Sequence[tuple[Pattern, int, tuple[int, ...]]]) -> list[tuple[np.ndarray, float]]:
