@@ -8,12 +8,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from tests.benchmarks import curves, diagnosis, figures, growth, programs, sequences, solve
+from tests.benchmarks import curves, diagnosis, figures, folder, growth, programs, sequences, solve
 from tests.benchmarks.peers import run as peers
 
 EVERY: dict[str, Callable[[], object]] = {
     "solve": solve.main,
     "programs": lambda: programs.main([]),
+    "folder": lambda: folder.main([]),
     "diagnosis": lambda: diagnosis.main([]),
     "growth": lambda: growth.main([]),
     "figures": figures.main,

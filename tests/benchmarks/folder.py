@@ -1,9 +1,9 @@
 """Measure a folder of programs: run ``python -m tests.benchmarks.folder [PROGRAMS] [REPEATS]`` (default 200 and 3; five minutes).
 
 `twin compensate` of programs of 5,000 to 20,000 five-axis blocks, start-up included, in one process, in two processes, and on a Dask
-scheduler with two workers of one thread on this computer. The table gives wall-clock and processor seconds of every repeat, the peak
-memory of the largest process, and the ratio of the wall-clock times. Wall-clock times of processes that share two cores are useful
-only on an idle computer: the load stands above the table.
+scheduler with two workers of one thread on this computer. The table gives wall-clock and processor seconds of every repeat (for Dask,
+those of the command without its workers) and the ratio of the wall-clock times; below it, the memory of the largest process. With two
+cores, the ratio means something only on an idle computer: the load stands above and beside the table.
 """
 
 from __future__ import annotations
@@ -116,6 +116,7 @@ def main(arguments: list[str]) -> None:
     for name, runs in found.items():
         walls, processor = (" ".join(f"{value:.1f}" for value in column) for column in zip(*runs, strict=True))
         print(f"{name:<20}{walls:<26}{processor:<26}{alone / min(wall for wall, _ in runs):.2f}")
+    print(f"largest process of the commands: {resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0:.0f} MB")
 
 
 if __name__ == "__main__":

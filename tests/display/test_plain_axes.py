@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import cast
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.projections.polar import PolarAxes
 from matplotlib.text import Text
 
-from twin.display.figures import new_figure, style_axes
-from twin.display.plain_axes import draw_plain_axes
+from twin.display.figures import new_figure, polar_ticks, style_axes
+from twin.display.plain_axes import draw_plain_axes, draw_plain_polar
 
 SIZE = 9.0
 
@@ -49,3 +51,26 @@ def test_same_texts_at_the_same_places(low: float, high: float, peak: float) -> 
         np.testing.assert_allclose(
             box, expected[text], atol=1.6, err_msg=str(text)
         )  # texts are rendered at whole pixels
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 360.0), (0.0, 180.0), (-120.0, 120.0)])
+def test_angles_at_the_same_places(low: float, high: float) -> None:
+    angles = np.deg2rad(np.arange(low, high, 30.0))
+    plots = [
+        cast(PolarAxes, new_figure(4.4, 4.3, None).add_axes((0.1, 0.1, 0.8, 0.8), projection="polar")) for _ in "12"
+    ]
+    for plot in plots:
+        ticks, _ = polar_ticks(plot, 5.0, (low, high))
+    own, plain = plots
+    own.set_xticks(angles)
+    own.tick_params(axis="x", labelsize=8)
+    draw_plain_polar(plain, angles, ticks, sizes=(8.0, 7.5))
+    for plot in plots:
+        plot.figure.canvas.draw()  # type: ignore[union-attr]
+    found = _boxes(plain, [one for one in plain.texts if one.get_text().endswith("°")])
+    expected = _boxes(own, own.get_xticklabels())
+    assert {text for text, _ in found} == {f"{angle:.0f}°" for angle in np.arange(low, high, 30.0)}
+    places = [sorted(tuple(np.round(box, 3)) for box in boxes.values()) for boxes in (found, expected)]
+    assert len(places[0]) == len(angles)
+    np.testing.assert_allclose(places[0], places[1], atol=1.6)
+    assert [text for _, text in ticks] == [one.get_text() for one in plain.texts if "°" not in one.get_text()]

@@ -5,6 +5,7 @@ matplotlib makes five artists for each tick and places each several times: more 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from matplotlib.axis import Axis
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.markers import TICKDOWN, TICKLEFT, TICKRIGHT
+from matplotlib.projections.polar import PolarAxes
 from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
 from matplotlib.ticker import FixedLocator, MaxNLocator
@@ -22,6 +24,8 @@ GRID: Final[dict[str, Any]] = {"color": "#dddddd", "linewidth": 0.6}
 """Looks of a grid behind the data."""
 TICK: Final = 3.5
 """Length of a tick, and its distance to its number, points."""
+TURNED_PAD: Final = 14.0
+"""Distance of the middle of the number of an angle from the outer circle, points."""
 LABEL_PAD: Final = 4.0
 """Distance of the label of an axis from the numbers, points."""
 
@@ -44,6 +48,48 @@ def draw_plain_axes(
     if scale:
         _draw(plot, plot.xaxis, size, grid=bool(grid), side=0)
     _draw(plot, plot.yaxis, size, grid=grid == "both", side=1 if right else -1)
+
+
+def draw_plain_polar(
+    plot: PolarAxes, angles: np.ndarray, radii: Sequence[tuple[float, str]], *, sizes: Sequence[float]
+) -> None:
+    """Draw grid, angles and radii of a finished polar plot, and hide matplotlib's own.
+
+    Args:
+        plot: the plot, with its data and limits; over a full turn if the limits are.
+        angles: (n,) angles of the rays and their numbers, rad.
+        radii: radii of the circles, ascending, with their texts.
+        sizes: font sizes of the angles and of the radii, points.
+    """
+    for axis in (plot.xaxis, plot.yaxis):
+        axis.set_visible(False)
+    (low, high), (start, end) = sorted(plot.get_ylim()), np.deg2rad((plot.get_thetamin(), plot.get_thetamax()))
+    arc = np.linspace(start, end, 181)
+    rays = np.repeat(angles, 3), np.tile([low, high, np.nan], len(angles))
+    circles = np.tile([*arc, np.nan], len(radii)), np.repeat([radius for radius, _ in radii], len(arc) + 1)
+    for x, y in (rays, circles):
+        plot.add_artist(Line2D(x, y, color="#cccccc", linewidth=0.5, zorder=0.5))
+    looks: dict[str, Any] = {"color": "black", "clip_on": False}
+    for angle in angles:
+        away = _shifted(plot, TURNED_PAD * np.cos(angle), TURNED_PAD * np.sin(angle))
+        text = f"{np.round(np.rad2deg(angle)) + 0.0:.0f}°"
+        middle: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": sizes[0]}
+        plot.add_artist(Text(angle, high, text, transform=plot.transData + away, **middle, **looks))
+    full = end - start > 2.0 * np.pi - 1e-9
+    right, up = (0.0, 0.0) if full else (2.0 * TICK * np.sin(start), -2.0 * TICK * np.cos(start))
+    where = plot.transData + _shifted(plot, right, up)
+    beside: dict[str, Any] = {"ha": "left", "va": "bottom"}
+    if not full:
+        beside = {
+            "ha": "center" if abs(right) < TICK else "left" if right > 0.0 else "right",
+            "va": "center" if abs(up) < TICK else "bottom" if up > 0.0 else "top",
+        }
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
+    for radius, text in radii:
+        at = np.deg2rad(plot.get_rlabel_position()) if full else start
+        plot.add_artist(
+            Text(at, radius, text, transform=where, fontsize=sizes[1], bbox=box, zorder=1.5, **beside, **looks)
+        )
 
 
 def _draw(plot: Axes, axis: Axis, size: float, *, grid: bool, side: int) -> None:
@@ -89,9 +135,13 @@ def _in_order(along: Any, across: Any, side: int) -> tuple[Any, Any]:
 
 def _outward(plot: Axes, points: float, side: int) -> Transform:
     """Return the shift by a number of points away from the plot."""
-    inches = points / 72.0
-    shift = (side * inches, 0.0) if side else (0.0, -inches)
-    return ScaledTranslation(*shift, plot.get_figure(root=True).dpi_scale_trans)  # type: ignore[union-attr]
+    return _shifted(plot, side * points, 0.0) if side else _shifted(plot, 0.0, -points)
+
+
+def _shifted(plot: Axes, x: float, y: float) -> Transform:
+    """Return the shift by x and y points."""
+    inches: Any = plot.get_figure(root=True).dpi_scale_trans  # type: ignore[union-attr]
+    return ScaledTranslation(x / 72.0, y / 72.0, inches)
 
 
 def _numbers(plot: Axes, axis: Axis, size: float, *, upright: bool) -> tuple[np.ndarray, list[str]]:

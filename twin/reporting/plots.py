@@ -32,7 +32,7 @@ from twin.display.figures import (
     style_axes,
     text_box_style,
 )
-from twin.display.plain_axes import draw_plain_axes
+from twin.display.plain_axes import draw_plain_axes, draw_plain_polar
 from twin.reporting.compensation import CompensationForecast
 from twin.reporting.contributions import Contribution
 from twin.reporting.field import Field, Slice
@@ -305,19 +305,14 @@ def _polar(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
     )
     plot.plot(q, np.zeros(len(q)), color=BOTH, linewidth=1.1)
     ticks, full = polar_ticks(plot, extent, (low, high))
-    plot.set_yticks([tick for tick, _ in ticks], [text for _, text in ticks], fontsize=7.5)
     plot.set_rlabel_position(100.0 if full else (low + high) / 2.0)
-    for label in plot.get_yticklabels():
-        label.set_bbox(text_box_style(0.8, 0.4))
-    plot.set_xticks(np.arange(np.ceil(low / 30.0) * 30.0, high + (0.0 if full else 1.0), 30.0) * DEG)
-    plot.tick_params(axis="x", labelsize=8)
+    angles = np.arange(np.ceil(low / 30.0) * 30.0, high + (0.0 if full else 1.0), 30.0) * DEG
+    draw_plain_polar(plot, angles, ticks, sizes=(8.0, 7.5))
     title = f"{motion.name} [{readable(motion.unit)}]"
     plot.set_title(title, loc="left", fontsize=LETTERS, y=ABOVE_TURN if wide else 1.0)
-    for axis in (plot.xaxis, plot.yaxis):
-        axis.set_label_coords(0.5, 0.5)  # they have no labels, whose places would be computed from those of all ticks
     _legend(plot, columns=2, size=8.0)
     rows = -(-len(plot.get_legend_handles_labels()[0]) // 2)
-    downward = float(np.sin(plot.get_xticks()).min(initial=0.0)) < -0.4
+    downward = float(np.sin(angles).min(initial=0.0)) < -0.4
     below, above = LEGEND_LINE * rows + (0.41 if downward else 0.16), 0.475 if wide else 0.26
     plot.set_position((0.02, below / height, 0.96, (height - below - above) / height))
     return drawing
