@@ -225,8 +225,8 @@ class PathErrors:
             words = self._pieces.words_at(of, self.fractions(samples))
         new = begin[samples.piece] + samples.within[:, None] * way[samples.piece]
         return (
-            Commands(self._space.commands(words, self._pieces.tcp[of])),
-            Commands(self._space.commands(new, self._pieces.tcp_out[of])),
+            Commands(self._space.simulated_commands(words, self._pieces.tcp[of])),
+            Commands(self._space.simulated_commands(new, self._pieces.tcp_out[of])),
         )
 
     def _on_lines(self, motions: np.ndarray) -> bool:

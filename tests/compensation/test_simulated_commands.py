@@ -1,0 +1,35 @@
+"""Commands of tool-tip words in closed form compared with the solver that also corrects end points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from twin.compensation.toolpath import Setup, WordSpace
+from twin.compensation.toolpath.words import Tilt
+from twin.machine.machine import Machine
+
+
+@pytest.mark.parametrize("name", ["dmu50", "trunnion_ac", "xyzbc_trunnion"])
+@pytest.mark.parametrize("tilted", [False, True])
+@pytest.mark.parametrize("count", [300, 60_000])
+def test_both_ways_agree(name: str, tilted: bool, count: int) -> None:
+    machine = Machine.load(name)
+    tilt = Tilt(
+        Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix(),
+        np.array([3.0, -5.0, 7.0]),
+        np.array([20.0, 30.0]),
+        stays=False,
+    )
+    setup = Setup(work_offset={machine.names[-1]: 5.0}, work_origin_mm=(1.0, 2.0, 3.0))
+    space = WordSpace(machine, setup, 90.0, tilt if tilted else None)
+    rng = np.random.default_rng(4)
+    words = np.hstack([rng.uniform(-60.0, 60.0, (count, 3)), rng.uniform(-40.0, 80.0, (count, 2))])
+    tcp = rng.random(count) < 0.8
+    words[rng.random(count) < 0.01, 0] = np.nan
+    exact, fast = space.commands(words, tcp), space.simulated_commands(words, tcp)
+    assert np.isnan(exact).any()
+    # The solver ends below 1e-9 mm.
+    assert np.allclose(fast, exact, rtol=0.0, atol=1e-9, equal_nan=True)
+    assert np.array_equal(fast[:, machine.rotary], exact[:, machine.rotary], equal_nan=True)
