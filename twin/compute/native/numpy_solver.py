@@ -35,7 +35,7 @@ class _Routine:
 
     @cached_property
     def tape(self) -> Tape | None:
-        """Its instructions; None if one is not supported."""
+        """The instructions; None if one is not supported."""
         return Tape.of(self._function)
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
