@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from twin.compensation import Compensator, Options
 from twin.compensation.backlash import ApproachTracker, Backlash
 from twin.compensation.toolpath import MotionColumns, Passage, ToolPath
 from twin.machine.calibration import Calibration
@@ -63,3 +65,19 @@ def test_all_points_of_a_steady_line_have_the_direction_of_its_end(backlash: Bac
     assert 0.05 < steady.mean() < 0.9
     # Steps that together are as long as the play end there up to rounding.
     assert np.allclose(same[steady], same[steady, -1:], rtol=0.0, atol=1e-12)
+
+
+def test_an_inserted_move_that_prints_as_its_neighbour_is_omitted(tmp_path: Path) -> None:
+    """A reversal value below half an increment of the words: its moves lead nowhere and are omitted (a `ValueError` once)."""
+    machine = Machine.load("dmu50")
+    added = (Reversal(machine.by_name["C"], -5.0),)
+    given = Calibration.default(machine)
+    compensator = Compensator(machine, replace(given, extra=(*given.extra, *added)), Options(tool_length_mm=120.0))
+    rng = np.random.default_rng(2)
+    steps = 0.5 * rng.integers(-3, 4, size=(200, 5)) * (rng.random((200, 5)) < 0.6)
+    rows = np.array([200.0, 200.0, -150.0, 30.0, 40.0]) + np.cumsum(steps, axis=0)
+    source, target = tmp_path / "p.nc", tmp_path / "out.nc"
+    lines = ("X{:.3f} Y{:.3f} Z{:.3f} B{:.3f} C{:.3f}\n".format(*row) for row in rows.tolist())
+    source.write_text(f"G90 G21\nG1 F2000\n{''.join(lines)}M30\n")
+    report = compensator.compensate_file(source, target)
+    assert report.complete and report.rewritten == 200
