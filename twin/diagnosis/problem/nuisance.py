@@ -237,7 +237,7 @@ def _projected(signatures: Signatures, setup: np.ndarray, on_setup: np.ndarray, 
 
 
 def _projected_gram(signatures: Signatures, setup: np.ndarray, on_setup: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the Gram matrix of the result of `_projected`, over some points.
+    """Return the Gram matrix of the columns of `_projected`, over some points.
 
     It follows from that of the signatures before projection, of which those of one side are zero at points of the other.
     """
