@@ -18,10 +18,11 @@ from twin.diagnosis import diagnose
 from twin.diagnosis.candidates.signatures import effect_columns
 from twin.diagnosis.problem import signature_products
 from twin.diagnosis.problem.forms import FALSE_ALARM_RATE, SAMPLED_POINTS
+from twin.diagnosis.problem.point_block import PointBlock
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.products import Products
 from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.problem.signature_products import PointBlock, Signatures
+from twin.diagnosis.problem.signature_products import Signatures
 from twin.diagnosis.selection import pattern_scores
 from twin.diagnosis.selection.cross_validation import choose_folds
 from twin.diagnosis.selection.pattern_scores import PatternScores

@@ -20,7 +20,8 @@ import scipy
 
 from twin._common.threads import map_chunks
 from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.problem.signature_products import PointBlock, Signatures
+from twin.diagnosis.problem.point_block import PointBlock
+from twin.diagnosis.problem.signature_products import Signatures
 from twin.identification.network import LinearisedReadings
 from twin.numerics.functions import Functions, Rows, pieces, tabulated
 

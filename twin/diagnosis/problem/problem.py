@@ -18,7 +18,8 @@ import numpy as np
 
 from twin.diagnosis.candidates.signatures import Column, effect_columns
 from twin.diagnosis.problem.nuisance import Nuisance
-from twin.diagnosis.problem.signature_products import PointBlock, Signatures
+from twin.diagnosis.problem.point_block import PointBlock
+from twin.diagnosis.problem.signature_products import Signatures
 from twin.identification.network import LinearisedReadings, Network
 from twin.identification.setup import SetUp
 from twin.machine.calibration import Calibration

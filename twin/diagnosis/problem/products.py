@@ -9,8 +9,9 @@ from typing import final
 import numpy as np
 
 from twin.diagnosis.candidates.signatures import Column
+from twin.diagnosis.problem.point_block import PointBlock
 from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.signature_products import PointBlock, Signatures
+from twin.diagnosis.problem.signature_products import Signatures
 
 
 @final

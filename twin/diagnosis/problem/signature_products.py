@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, reduce
 from functools import partial as partial_of
 from typing import Final, final
 
 import numpy as np
-import scipy
 
 from twin._common.threads import THREADS, map_chunks
-from twin.diagnosis.candidates.signatures import Column, Freedom, ReadingDerivatives, SignatureTerm
+from twin.diagnosis.candidates.signatures import Column, Freedom, SignatureTerm
+from twin.diagnosis.problem.point_block import PointBlock
 from twin.diagnosis.problem.signature_terms import (
     PairCodes,
     ProductPlan,
@@ -23,7 +23,7 @@ from twin.diagnosis.problem.signature_terms import (
     pair_codes,
 )
 from twin.identification.network import LinearisedReadings
-from twin.numerics.functions import Functions, Interpolation, Rows, pieces
+from twin.numerics.functions import Functions, pieces
 
 BLOCK_WIDTH: Final = 64
 """Vectors, or products of two functions, processed at a time, so that they stay in the processor's cache."""
@@ -37,55 +37,6 @@ MOST_SUMS: Final = 4
 """Number of sets of vectors that are not zero, besides that of all, for which sums are kept."""
 LARGEST_CACHE: Final = 2**25
 """Number of function values (256 MB) up to which they are cached between passes."""
-
-
-@final
-class PointBlock:
-    """Derivatives and functions of the state at a block of points, each computed once.
-
-    Args:
-        view: linearisation at some or all points of the data.
-        rows: the block's rows in the view.
-        kept: values of functions that are kept for further passes, and the functions to keep; none if None.
-    """
-
-    def __init__(
-        self,
-        view: LinearisedReadings,
-        rows: Rows,
-        kept: tuple[dict[Functions, np.ndarray | None], Collection[Functions]] | None = None,
-    ) -> None:
-        self.rows = rows
-        self._points = view.rows[rows]
-        self.derivatives = ReadingDerivatives(view, rows)
-        self._values: dict[Functions, np.ndarray | None] = {}
-        self._acts: dict[str, np.ndarray] = {}
-        self._weights: dict[Functions, scipy.sparse.csr_matrix] = {}
-        self._kept, self._keep = ({}, ()) if kept is None else kept
-
-    def acts(self, freedom: Freedom) -> bool:
-        """Return whether any of the readings depends on a degree of freedom."""
-        name, direction = freedom
-        if name not in self._acts:
-            self._acts[name] = np.any(self.derivatives.of(name) != 0.0, axis=(0, 1))
-        return bool(self._acts[name][direction])
-
-    def values(self, functions: Functions) -> np.ndarray | None:
-        """Return the functions' values (points, count), or None if all are zero."""
-        values = self._kept if functions in self._keep else self._values
-        if functions not in values:
-            values[functions] = None if self.is_zero(functions) else functions.values(self._points)
-        return values[functions]
-
-    def is_zero(self, functions: Functions) -> bool:
-        """Return whether all functions are zero at these points."""
-        return functions.where is not None and not functions.where[self._points].any()
-
-    def weights(self, functions: Functions, interpolation: Interpolation) -> scipy.sparse.csr_matrix:
-        """Return the weights (points, nodes) of the interpolation of some functions."""
-        if functions not in self._weights:
-            self._weights[functions] = interpolation.weights[self._points]
-        return self._weights[functions]
 
 
 @final

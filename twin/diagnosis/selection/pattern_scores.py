@@ -16,8 +16,9 @@ import scipy
 from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import Column, ReadingDerivatives
 from twin.diagnosis.problem.forms import Form
+from twin.diagnosis.problem.point_block import PointBlock
 from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.signature_products import PointBlock, Signatures
+from twin.diagnosis.problem.signature_products import Signatures
 from twin.diagnosis.selection.patterns import ChannelFunctions, Pattern
 from twin.numerics.functions import Rows, pieces
 
