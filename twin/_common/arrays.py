@@ -50,6 +50,13 @@ def all_within(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool
     )
 
 
+def outside_bounds(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return (n, k) which values lie outside the (k,) bounds of their columns; fast where none does, which is the usual case."""
+    if all_within(values, lower, upper):
+        return np.zeros(values.shape, dtype=bool)
+    return np.asarray((values < lower) | (values > upper))
+
+
 def row_lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the (n,) lengths of (n, 3) vectors; `numpy.linalg.norm` along an axis is slower."""
     x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]

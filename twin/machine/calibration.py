@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 import yaml
 
-from twin._common.arrays import all_within, read_only
+from twin._common.arrays import outside_bounds, read_only
 from twin._common.errors import InputError, closest_name
 from twin._common.files import write_atomic
 from twin._common.provenance import (
@@ -412,9 +412,7 @@ class Calibration:
     def outside_domains(self, positions: np.ndarray) -> np.ndarray:
         """Return (n, axes) whether positions (mm, degrees) leave the domain of a curve by more than rounding."""
         lower, upper = (self.domains() + np.array([-1e-9, 1e-9])).T
-        if all_within(positions, lower, upper):  # the usual case
-            return np.zeros(positions.shape, dtype=bool)
-        return np.asarray((positions < lower) | (positions > upper))
+        return outside_bounds(positions, lower, upper)
 
     def state(self, positions: np.ndarray) -> dict[str, np.ndarray]:
         """Return the positions (n, axes) as arrays (n,) by axis name."""
