@@ -174,7 +174,7 @@ class CorrectionTally:
         below = of_block <= u_of_block
         columns = [lines[first[below]], of_block[below], u_of_block[below]]
         self._below.append(np.rec.fromarrays(columns, dtype=BELOW))
-        squares = np.array([size @ size, *np.einsum("ij,ij->j", known, known)])
+        squares = np.array([np.einsum("i,i", size, size), *np.einsum("ij,ij->j", known, known)])
         self._tally.add(np.stack([size, expanded]), squares, lines)
         self._blocks += len(first)
         self._known, self._without = bool(tool.parameters), tool.without_uncertainty
