@@ -35,8 +35,10 @@ POSES: Final = 12 * PART_LINES
 """Poses solved and checked at once before any block is split: six for each short block of the longest part. Longer blocks need more
 poses, so fewer of them are solved at once.
 """
-AHEAD: Final = 1
+AHEAD: Final = 2
 """Parts read ahead while an earlier one is solved."""
+BEHIND: Final = 2
+"""Parts by which the report may lag. More parts ahead or behind keep both cores busy, and take some 15 MB each."""
 
 
 Solved = tuple[NewPositions, Sequence[Corrected]]
@@ -112,7 +114,7 @@ class Streamed:
         Reading and writing, solving, and reporting run through the parts in order, each on its own thread.
         """
         waiting: deque[tuple[ProgramPart, Future[Solved], Future[None]]] = deque()
-        accounted: Future[None] | None = None
+        accounted: deque[Future[None]] = deque()
         with ThreadPoolExecutor(1) as solving, ThreadPoolExecutor(1) as accounting:
             try:
                 for part in chain(reader.parts(), (None,)):
@@ -124,12 +126,12 @@ class Streamed:
                     while waiting and (len(waiting) > AHEAD or part is None):
                         first, solved, account = waiting.popleft()
                         new, _ = solved.result()
-                        if accounted is not None:
-                            accounted.result()  # at most one part behind, to bound the memory
-                        accounted = account
+                        accounted.append(account)
+                        if len(accounted) > BEHIND:
+                            accounted.popleft().result()
                         yield first, new
-                if accounted is not None:
-                    accounted.result()
+                for account in accounted:
+                    account.result()
             finally:
                 solving.shutdown(cancel_futures=True)
                 accounting.shutdown(cancel_futures=True)
