@@ -11,7 +11,7 @@ before 3 before 0). Each program is written as soon as it is done, and is kept o
 reports the expanded uncertainty U at the tool by Monte Carlo and by first-order propagation, where U is largest, whether first order
 is adequate (JCGM 101, clause 8), and the distribution over the machines of the error in the volume (RMS and maximum over the poses),
 uncompensated and compensated with this calibration. A million machines at 200 poses, 200 million poses, took 21 s on two shared cores
-(7.6 million a second); memory does not grow with their number.
+(9.6 million a second); memory does not grow with their number.
 
 Work goes to processes of this computer (joblib; `--workers`, by default one per core) or to a Dask cluster by the address of its
 scheduler (`pip install 'twin[cluster]'`, then there `dask scheduler` and `dask worker ADDRESS --nworkers N --nthreads 1`, here
