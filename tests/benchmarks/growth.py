@@ -107,7 +107,7 @@ def drawn(path: Path, found: dict[str, list[tuple[int, float, float]]], title: s
     """Plot time and memory on logarithmic axes, with a line of proportional growth."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    figure = Figure(figsize=(11.0, 4.8), layout="constrained")
     for axes, column, label in zip(figure.subplots(1, 2), (1, 2), ("time / s", "peak memory / MB"), strict=True):
         for kind, rows in found.items():
             axes.loglog([row[0] for row in rows], [row[column] for row in rows], "o-", label=kind)
@@ -118,7 +118,7 @@ def drawn(path: Path, found: dict[str, list[tuple[int, float, float]]], title: s
             sizes = np.array([SIZES[0], SIZES[-1]])
             axes.loglog(sizes, sizes * 1e-4, "k:", label="proportional")
             lines = axes.get_legend_handles_labels()
-    figure.legend(*lines, loc="outside lower center", ncols=len(lines[0]), fontsize="small")
+    figure.legend(*lines, loc="outside lower center", ncols=4, fontsize="small")
     figure.suptitle(title)
     figure.savefig(path, dpi=110)
 
