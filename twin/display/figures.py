@@ -22,8 +22,9 @@ from matplotlib.ticker import MaxNLocator
 
 from twin.display.markup import Html, part
 from twin.display.numbers import signed
-from twin.display.plain_axes import GRID
 
+GRID: Final[dict[str, Any]] = {"color": "#dddddd", "linewidth": 0.6}
+"""Looks of a grid behind the data."""
 FORWARD: Final = "#0072b2"
 BACKWARD: Final = "#d55e00"
 BOTH: Final = "#222222"

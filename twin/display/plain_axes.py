@@ -20,8 +20,8 @@ from matplotlib.textpath import text_to_path
 from matplotlib.ticker import FixedLocator, MaxNLocator
 from matplotlib.transforms import ScaledTranslation, Transform
 
-GRID: Final[dict[str, Any]] = {"color": "#dddddd", "linewidth": 0.6}
-"""Looks of a grid behind the data."""
+from twin.display.figures import GRID, text_box_style
+
 TICK: Final = 3.5
 """Length of a tick, and its distance to its number, points."""
 TURNED_PAD: Final = 14.0
@@ -84,7 +84,7 @@ def draw_plain_polar(
             "ha": "center" if abs(right) < TICK else "left" if right > 0.0 else "right",
             "va": "center" if abs(up) < TICK else "bottom" if up > 0.0 else "top",
         }
-    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.4}
+    box = text_box_style(0.8, 0.4)
     for radius, text in radii:
         at = np.deg2rad(plot.get_rlabel_position()) if full else start
         plot.add_artist(

@@ -44,8 +44,9 @@ def rotation_exp(vector: Any) -> Any:
     Raises:
         InputError: another shape, or a number that is not finite.
     """
-    components = _vector(vector)
-    return _expression()(vector) if isinstance(vector, ca.SX) else _rodrigues(*components)
+    if isinstance(vector, ca.SX) and vector.numel() == 3:
+        return _expression()(vector)
+    return _rodrigues(*_vector(vector))
 
 
 @cache

@@ -155,10 +155,8 @@ class CompensationAccount:
         if self._prepared.backlash.axes:
             yield from directed_points(corrected, self._prepared, ends, portions, ways)
             return
-        keep = ~rows.backlash_move
         state = self._state(pieces, rows.motion, rows.fraction)
-        points = SimulatedPoints(rows.motion, *ends, state, state)
-        yield points if keep.all() else points.of(np.flatnonzero(keep))
+        yield SimulatedPoints(rows.motion, *ends, state, state).of(np.flatnonzero(~rows.backlash_move))
         for portion in portions:
             samples = path_errors.samples(portion)
             nominal, written = path_errors.commands(samples, ways)

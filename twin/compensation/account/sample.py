@@ -36,7 +36,9 @@ class SimulatedPoints(NamedTuple):
     written_sides: np.ndarray | None = None
 
     def of(self, lines: np.ndarray) -> SimulatedPoints:
-        """Return the points of some lines, each as a line of its own."""
+        """Return the points of some lines, given in ascending order, each as a line of its own."""
+        if self.nominal.points is None and self.written.points is None and len(lines) == len(self.motion):
+            return self  # all of them, single points already
         number = np.repeat(lines, self.nominal.counts[lines])
         nominal, written = (Commands(one.of(lines).as_array()) for one in (self.nominal, self.written))
         before, after = (None if one is None else one[number] for one in (self.nominal_sides, self.written_sides))

@@ -194,7 +194,7 @@ class _Builder:
 
     def constant(self, value: float) -> int:
         number = self.value(("const", float(value)))
-        self.constants[number] = float(value)
+        self.constants.setdefault(number, float(value))  # zero and minus zero are one constant, the first
         return number
 
     def numeric(self, number: int) -> int:
@@ -314,12 +314,11 @@ class _Builder:
             if value < 0 or value in used:
                 continue
             used.add(value)
-            key = self.known[value]
-            if isinstance(key, tuple) and key[0] != "const":
-                stack += [key[1], key[2]]
+            if value >= self.inputs and value not in self.constants:
+                stack += self.known[value][1:]
         constants = [v for v in sorted(used) if v in self.constants]
         nodes = [v for v in sorted(used) if v >= self.inputs and v not in self.constants]
         new = {v: v for v in range(self.inputs)} | {-1: -1}
         new |= {v: self.inputs + i for i, v in enumerate([*constants, *nodes])}
         code = tuple((self.known[v][0], new[self.known[v][1]], new[self.known[v][2]]) for v in nodes)
-        return tuple(self.known[v][1] for v in constants), code, tuple(new[v] for v in results)
+        return tuple(self.constants[v] for v in constants), code, tuple(new[v] for v in results)
