@@ -17,6 +17,8 @@ def main(arguments: list[str] | None = None) -> None:
     """
     # Before NumPy is imported: starting its threads takes longer than importing it, and all large computations limit it to one.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Else pydantic searches all installed distributions for its plugins; twin uses none.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     words = sys.argv[1:] if arguments is None else arguments
     if words[:1] == ["doctor"] and not {"-h", "--help"} & set(words) and not installation.can_start():
         installation.exit_with_findings()

@@ -115,7 +115,13 @@ class PreparedMachine:
         options.conditions.require(calibration)
         self.by_block = channels_by_block(calibration, options.conditions)
         self.space = WordSpace(machine, options.setup, options.tool_length_mm) if space is None else space
-        self.real = self._with(calibration)
+        self.real = Kinematics(
+            machine,
+            calibration,
+            tool_length_mm=options.tool_length_mm,
+            conditions=options.conditions,
+            by_pose=self.by_block,
+        )
         self.backlash = Backlash(calibration)
         self.comparison = PoseComparison(self.real, self.space.nominal)
         self.nominal_comparison = PoseComparison(self.space.nominal, self.space.nominal)
@@ -166,30 +172,14 @@ class PreparedMachine:
         return self.with_errors(lambda name: False, lambda table: True) if self.calibration.corrections else None
 
     def with_errors(self, keep: Keep, keep_table: KeepTable) -> Kinematics:
-        """Return the machine with only some of its errors; arguments as for `calibration_with`."""
-        return self._with(self.calibration_with(keep, keep_table))
-
-    def calibration_with(self, keep: Keep, keep_table: KeepTable) -> Calibration:
-        """Return the calibration with only some of its errors.
+        """Return the machine with only some of its errors.
 
         Args:
             keep: whether to keep an error, by the ISO 230-1 name of the error motion it is part of.
             keep_table: whether to keep the correction by a table of the control.
         """
         tables = {table.name: table for table in self.calibration.corrections}
-        return self.calibration.where(
-            lambda name: keep_table(tables[name]) if name in tables else keep(self._acts_as[name])
-        )
-
-    def _with(self, calibration: Calibration) -> Kinematics:
-        length = self.options.tool_length_mm
-        return Kinematics(
-            self.machine,
-            calibration,
-            tool_length_mm=length,
-            conditions=self.options.conditions,
-            by_pose=self.by_block,
-        )
+        return self.real.where(lambda name: keep_table(tables[name]) if name in tables else keep(self._acts_as[name]))
 
     @cached_property
     def _acts_as(self) -> dict[str, str]:
@@ -239,13 +229,13 @@ class CorrectionAim:
         self.prepared = prepared
         self.turns = turns
         self.scope = scope = prepared.options.scope or Scope.everything(orientation=turns)
-        corrected = prepared.calibration_with(
+        corrected = prepared.with_errors(
             lambda name: (
                 scope.at_point(name, prepared.machine) or (turns and scope.in_orientation(name, prepared.machine))
             ),
             self._table_at_point,
         )
-        self.backlash = Backlash(corrected if prepared.thesis is None else prepared.space.nominal.calibration)
+        self.backlash = Backlash((prepared.space.nominal if prepared.thesis is not None else corrected).calibration)
 
     def _table_at_point(self, table: ControlCorrection) -> bool:
         return self.scope.covers(_classes_of(table))

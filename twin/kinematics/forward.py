@@ -6,7 +6,7 @@ Positions are (poses, axes) arrays in mm and degrees, axes in command order. The
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
@@ -23,7 +23,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.chain import branches, chain_function, sparse
 from twin.machine.conditions import APPROACH, Conditions
 from twin.machine.effects.empirical import check_ranges
-from twin.machine.error_vector import error_vector
+from twin.machine.error_vector import ErrorTerms
 from twin.machine.machine import Machine
 from twin.machine.machine_file import LONGEST_TOOL_MM
 from twin.numerics.spatial import tilt
@@ -144,13 +144,29 @@ class Kinematics:
         self.calibration = given_errors.with_tool(self.tool_length_mm)
         check_ranges(self.calibration.empirical, self.conditions.channels)
         self.chain = chain_function(machine)
-        names = [*(f"{APPROACH}{axis.name}" for axis in machine.axes), *self.by_pose]
-        q, side = ca.SX.sym("q", len(machine.axes)), ca.SX.sym("approach", len(names))
-        channels = self.conditions.channels | dict(zip(names, ca.vertsplit(side), strict=True))
-        errors = error_vector(machine, self.calibration.effects, q, channels)
-        self.directed = bool(ca.depends_on(errors, side))
-        inputs = {"q": q, "approach": side} if self.directed else {"q": q}
+        varying = [*(f"{APPROACH}{axis.name}" for axis in machine.axes), *self.by_pose]
+        self._terms = ErrorTerms(machine, self.calibration.effects, self.conditions.channels, varying)
+        self._set_errors()
+
+    def _set_errors(self) -> None:
+        """Build the function of the errors of the calibration."""
+        terms = self._terms
+        errors = terms.vector({effect.name for effect in self.calibration.effects})
+        self.directed = bool(ca.depends_on(errors, terms.channels))
+        inputs = {"q": terms.q, "approach": terms.channels} if self.directed else {"q": terms.q}
         self.errors = ca.Function("errors", [*inputs.values()], [errors], [*inputs], ["e"])
+
+    def where(self, keep: Callable[[str], bool]) -> Kinematics:
+        """Return the same machine with only those effects whose name fulfils ``keep``, as by `Calibration.where`."""
+        calibration = self.calibration.where(keep)
+        if len(calibration.effects) == len(self.calibration.effects):
+            return self
+        found = object.__new__(Kinematics)
+        found.machine, found.conditions, found.by_pose = self.machine, self.conditions, self.by_pose
+        found.tool_length_mm, found.chain = self.tool_length_mm, self.chain
+        found.calibration, found._terms = calibration, self._terms
+        found._set_errors()
+        return found
 
     def _repr_html_(self) -> str:
         known = ", ".join(f"{name} {value:g}" for name, value in self.conditions.channels.items())

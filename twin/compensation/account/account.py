@@ -22,7 +22,7 @@ from twin.compensation.comparison import Commands
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving import Corrected, Pieces
 from twin.compensation.solving.rows import Rows
-from twin.kinematics.forward import Kinematics, Poses, angle_between_rad
+from twin.kinematics.forward import Poses, angle_between_rad
 from twin.nc.blocks import Notice
 from twin.uncertainty.at_tool import ToolUncertainty
 
@@ -261,21 +261,22 @@ class CompensationAccount:
 
     def _classes(self, *, all_corrected: bool) -> Iterator[ClassShare]:
         """Yield the share of each class; ``all_corrected``: whether every block is corrected."""
-        nominal = [_nominal_poses(aim, sample) for aim, sample in self._samples.items()]
+        before, after = [], []
+        for aim, sample in self._samples.items():
+            nominal, poses = aim.prepared.space.nominal, sample.poses()
+            before.append((aim, *poses[:2], nominal.forward(poses[0])))
+            after.append((aim, *poses[2:], nominal.forward(poses[2])))
         for name in self._aim.by_class:
-            parts = [
-                _class_errors(aim.by_class[name], sample, *poses)
-                for (aim, sample), poses in zip(self._samples.items(), nominal, strict=True)
-            ]
-            share, turn, residual = (np.concatenate([np.zeros(0), *columns]) for columns in zip(*parts, strict=True))
             corrected = None if self._prepared.thesis is not None else name in self._aim.scope.classes
+            share_um, turn_urad = _class_errors(name, before)
+            left = 0.0 if corrected and all_corrected else None
             yield ClassShare(
                 name=name,
                 corrected=corrected,
-                before_rms_um=_rms(share),
-                before_max_um=float(share.max(initial=0.0)),
-                before_max_urad=float(turn.max(initial=0.0)),
-                left_rms_um=_rms(residual) if corrected is False else 0.0 if corrected and all_corrected else None,
+                before_rms_um=_rms(share_um),
+                before_max_um=float(share_um.max(initial=0.0)),
+                before_max_urad=float(turn_urad.max(initial=0.0)),
+                left_rms_um=_rms(_class_errors(name, after)[0]) if corrected is False else left,
             )
 
 
@@ -299,23 +300,21 @@ def _uncertainty(tool: ToolUncertainty, pieces: Pieces, rows: Rows) -> np.ndarra
     return interpolated(values, np.hstack([rows.nominal, rows.approach]), np.array(near + [SAME_SIDE] * len(axes)))
 
 
-def _nominal_poses(aim: CorrectionAim, sample: Sample) -> tuple[Poses, Poses]:
-    """Return the poses of the machine without errors at sampled commands, before and after correction."""
-    before, _, after, _ = sample.poses()
-    nominal = aim.prepared.space.nominal
-    return nominal.forward(before), nominal.forward(after)
-
-
 def _class_errors(
-    alone: Kinematics, sample: Sample, nominal_before: Poses, nominal_after: Poses
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the errors of one class at sampled poses: point (µm) and axis (µrad) before correction, and point (µm) after it."""
-    before, before_from, after, after_from = sample.poses()
-    alone_before = alone.forward(before, before_from)
-    share = np.linalg.norm(alone_before.point_mm - nominal_before.point_mm, axis=1) * 1e3
-    turn = angle_between_rad(alone_before.axis, nominal_before.axis) * 1e6
-    residual = alone.forward(after, after_from).point_mm - nominal_after.point_mm
-    return share, turn, np.linalg.norm(residual, axis=1) * 1e3
+    name: str, samples: Sequence[tuple[CorrectionAim, np.ndarray, np.ndarray, Poses]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the errors of one class at sampled poses: of the point (µm) and of the tool axis (µrad).
+
+    Args:
+        name: the class.
+        samples: commands, approach directions and nominal poses, for each aim of the correction.
+    """
+    point_um, axis_urad = [np.zeros(0)], [np.zeros(0)]
+    for aim, commands, approach, nominal in samples:
+        reached = aim.by_class[name].forward(commands, approach)
+        point_um.append(np.linalg.norm(reached.point_mm - nominal.point_mm, axis=1) * 1e3)
+        axis_urad.append(angle_between_rad(reached.axis, nominal.axis) * 1e6)
+    return np.concatenate(point_um), np.concatenate(axis_urad)
 
 
 def _rms(values: np.ndarray) -> float:

@@ -3,7 +3,7 @@
 To add an effect, write one file with its class and `Specification` and add it to `twin._common.families.EFFECTS`.
 """
 
-from twin.machine.effects.base import Effect, Frame, Parameter, assemble
+from twin.machine.effects.base import Effect, Frame, Parameter, assemble, summed
 from twin.machine.effects.control import ControlCorrection
 from twin.machine.effects.cross_axis import CrossAxis
 from twin.machine.effects.empirical import Empirical
@@ -51,5 +51,6 @@ __all__ = [
     "ZeroOffset",
     "assemble",
     "split_name",
+    "summed",
     "unit_of",
 ]

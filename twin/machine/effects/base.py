@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, final
 
@@ -127,11 +127,16 @@ def channel(positions: Mapping[str, Any], name: str, effect: str) -> Any:
 
 def assemble(effects: Sequence[Effect], frames: Sequence[ErrorFrame], positions: Mapping[str, Any]) -> list[list[Any]]:
     """Return all error frames at the given positions: ``[frame][component]``, metres and radians; 0.0 where no effect acts."""
+    return summed([(effect.frame, effect.components(positions)) for effect in effects], frames)
+
+
+def summed(terms: Iterable[tuple[Frame, Mapping[int, Any]]], frames: Sequence[ErrorFrame]) -> list[list[Any]]:
+    """Return all error frames, as by `assemble`, from frame and components (µm, µrad) of each effect."""
     index = {(frame.axis, frame.role): i for i, frame in enumerate(frames)}
     total: list[list[Any]] = [[0.0] * 6 for _ in frames]
-    for effect in effects:
-        row = total[index[effect.frame.axis, effect.frame.role]]
-        for component, value in effect.components(positions).items():
+    for at, components in terms:
+        row = total[index[at.axis, at.role]]
+        for component, value in components.items():
             row[component] = row[component] + value * (UM if component < 3 else URAD)
     return total
 
