@@ -31,7 +31,7 @@ from twin.identification.axis_run import (
     to_text,
 )
 from twin.machine.control import ControlCurve, ControlTerm, TableSum, format_named, read_tables
-from twin.machine.control.kinematics import KINEMATICS, kinematics_named, linear_shift
+from twin.machine.control.kinematics import kinematics_formats, kinematics_named, linear_shift
 from twin.machine.control.spatial import CorrectionGrid
 from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection
 from twin.measurement.formats import convert
@@ -341,7 +341,7 @@ KINDS: Mapping[str, Kind] = {
     "plain language": Kind("a.h", NC, _program),
     "apt": Kind("a.cls", NC, _program),
     "urdf": Kind("a.urdf", XML, _urdf, 4),
-    **{form.name: Kind(form.file, [], _kinematics(form.name)) for form in KINEMATICS},
+    **{form.name: Kind(form.file, [], _kinematics(form.name)) for form in kinematics_formats()},
     **{f"measured by {name}": Kind(case.FILE, [], _measured(name), 2) for name, case in MEASURED.items()},
 }
 
@@ -464,7 +464,7 @@ _SAMPLES: Mapping[str, Callable[[], str]] = {
     ),
     "apt": lambda: "UNITS/MM\nFEDRAT/MMPM,500\nGOTO/1,2,3,0,0,1\nGOTO/2,2,3,0,0.6,0.8\nRAPID\nGOTO/5,5,5,0,0,1\nFINI\n",
     "urdf": lambda: (bundled_folder() / "dmu50.urdf").read_text(),
-    **{form.name: _nominal_kinematics(form.name) for form in KINEMATICS},
+    **{form.name: _nominal_kinematics(form.name) for form in kinematics_formats()},
     **{f"measured by {name}": (lambda case=case: case.GOOD) for name, case in MEASURED.items()},
 }
 

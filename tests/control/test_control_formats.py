@@ -20,7 +20,15 @@ from twin._common.errors import InputError
 from twin._common.units import DEG
 from twin.cli.doc import page_text
 from twin.machine.classes import BASIC
-from twin.machine.control import FORMATS, ControlCurve, ControlTerm, Correction, TableFormat, TableSum, read_tables
+from twin.machine.control import (
+    ControlCurve,
+    ControlTerm,
+    Correction,
+    TableFormat,
+    TableSum,
+    read_tables,
+    table_formats,
+)
 from twin.machine.control.formats.linuxcnc import LinuxCnc
 from twin.machine.control.spatial import EXACT_UM, CorrectionGrid
 from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection
@@ -29,7 +37,7 @@ from twin.machine.machine import Machine
 MACHINE = Machine.load("dmu50")
 URAD_A_DEG = np.pi / 180.0 * 1e6
 RANGES = {"X": (0.0, 500.0), "Y": (0.0, 450.0), "Z": (-400.0, 0.0), "B": (0.0, 180.0), "C": (0.0, 360.0)}
-every_format = pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
+every_format = pytest.mark.parametrize("form", table_formats(), ids=lambda form: form.name)
 
 values = st.floats(-150.0, 150.0).map(lambda value: round(value, 3))
 
@@ -127,10 +135,10 @@ def test_every_format_is_documented(form: TableFormat) -> None:
     assert module is not None and len(module.__doc__ or "") > 300
     if form.unchecked:
         assert "**Not checked**" in module.__doc__
-    assert f"| `{form.name}` {form.what} | {form.carries} | {form.leaves} |" in page_text("twin.machine.control")
+    assert f"| `{form.name}` {form.what} | {form.carries} | {form.leaves} |" in page_text("twin.control")
     assert list(form.classes) == [name for name in BASIC if name in form.classes] != []
     assert form.points >= 2 and min(form.rounding) >= 0.0 < form.tolerance_um
-    assert [one.name for one in FORMATS].count(form.name) == 1
+    assert [one.name for one in table_formats()].count(form.name) == 1
 
 
 @every_format

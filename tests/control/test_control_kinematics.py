@@ -23,7 +23,7 @@ from twin.compensation import Options, compensate
 from twin.control.constants import make_kinematics, real_geometry
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.control.kinematics import KINEMATICS, kinematics_named, linear_shift, table_geometry
+from twin.machine.control.kinematics import kinematics_formats, kinematics_named, linear_shift, table_geometry
 from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.budget import volume
@@ -36,7 +36,10 @@ MACHINES = {
     for name, path in (("dmu50", "dmu50"), ("ac", URDF / "trunnion_ac.yaml"), ("bc", URDF / "xyzbc_trunnion.yaml"))
 }
 POSSIBLE = [
-    (name, form.name) for name in MACHINES for form in KINEMATICS if (name, form.name) != ("dmu50", "linuxcnc-trt")
+    (name, form.name)
+    for name in MACHINES
+    for form in kinematics_formats()
+    if (name, form.name) != ("dmu50", "linuxcnc-trt")
 ]
 
 

@@ -24,7 +24,7 @@ from twin.control import ControlTables, Request, account_of, make, write_folder
 from twin.display import figure
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.control import FORMATS, ControlSection, TableEntry, TableSum, format_named, read_tables
+from twin.machine.control import ControlSection, TableEntry, TableSum, format_named, read_tables, table_formats
 from twin.machine.effects import CrossAxis, Reversal
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
@@ -37,7 +37,7 @@ def slow(kind: str) -> object:
     return pytest.param(kind, marks=pytest.mark.slow)
 
 
-TOLERANCE_UM = {form.name: form.tolerance_um for form in FORMATS}
+TOLERANCE_UM = {form.name: form.tolerance_um for form in table_formats()}
 
 
 def drawn(machine: Machine, seed: int, *, rotary: bool, um: float = 10.0, urad: float = 60.0) -> Calibration:
@@ -455,7 +455,7 @@ def test_the_report_gives_the_same_figures(length: float, dmu50: Machine, tmp_pa
     assert run(["report", "-o", str(tmp_path / "r.html"), *given, "--json", str(tmp_path / "r.json")]) == 0
     report = json.loads((tmp_path / "r.json").read_text())
     assert {one["format"] for one in report["control_tables"]} == {
-        form.name for form in FORMATS if form.correction is TableSum
+        form.name for form in table_formats() if form.correction is TableSum
     }
     for one in report["control_tables"]:
         out = tmp_path / one["format"]

@@ -115,14 +115,19 @@ def members(package: str, table: Mapping[str, str]) -> tuple[Any, ...]:
     Raises:
         LookupError: a member has another name than in the table.
     """
-    return tuple(_member(name, package, home) for name, home in table.items())
+    return tuple(member(package, table, name) for name in table)
 
 
-def _member(name: str, package: str, home: str) -> Any:
-    module, attribute = home.split(":")
+def member(package: str, table: Mapping[str, str], name: str) -> Any:
+    """Import one member of a family; arguments as for `members`.
+
+    Raises:
+        LookupError: it has another name than in the table.
+    """
+    module, attribute = table[name].split(":")
     found = getattr(import_module(f"{package}.{module}"), attribute)
     some = found if isinstance(found, tuple) else (found() if isinstance(found, type) else found,)
-    for member in some:
-        if member.name == name:
-            return member
+    for one in some:
+        if one.name == name:
+            return one
     raise LookupError(f"{package}.{module}.{attribute} has no member of the name {name!r}")

@@ -23,7 +23,7 @@ PAGES: Final = {
     "report": "twin.reporting",
     "compare": "twin.comparison",
     "watch": "twin.watching",
-    "control": "twin.machine.control",
+    "control": "twin.control",
     "interferometer": "twin.identification.axis_run",
     "paths": "twin.compensation.fewer_blocks",
     "many": "twin.compute.parallel",

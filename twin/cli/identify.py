@@ -138,10 +138,11 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
     Raises:
         InputError: an unknown format; a file that cannot be read, or is not a table of this machine.
     """
-    from twin.machine.control import FORMATS, ControlSection, TableEntry, read_tables
+    from twin._common.families import TABLE_FORMATS
+    from twin.machine.control import ControlSection, TableEntry, read_tables
 
     found: dict[str, list[Path]] = {}
-    known = [form.name for form in FORMATS]
+    known = list(TABLE_FORMATS)
     for entry in entries:
         kind, equals, file = entry.partition("=")
         if not equals or kind not in known:

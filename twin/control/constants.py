@@ -92,7 +92,7 @@ def make_kinematics(
 
     Args:
         calibration: the errors.
-        kind: name of one of `twin.machine.control.kinematics.KINEMATICS`.
+        kind: name of a format of `twin.machine.control.kinematics`.
         tool_length_mm: tool length of the functional point; None: that of the machine file.
         notes: lines for comments.
 

@@ -142,7 +142,7 @@ def compare_tables(
     Args:
         machine: the machine.
         calibration: its errors, without effects whose channel is not given.
-        kind: one of `twin.machine.control.FORMATS`.
+        kind: a format of `twin.machine.control`.
         files: files of the control.
         at: positions of the other axes while one moves, mm and degrees.
         tool_length_mm: tool length; None: that of the machine file.

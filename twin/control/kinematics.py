@@ -41,7 +41,7 @@ class KinematicsRequest:
     """Kinematics to be written, and the tables beside them.
 
     Attributes:
-        kind: name of one of `twin.machine.control.kinematics.KINEMATICS`.
+        kind: name of a format of `twin.machine.control.kinematics`.
         tables: format and settings of the tables; None for kinematics alone.
         tool_length_mm: tool length of the functional point; None: that of the machine file.
         conditions: temperatures and time.

@@ -17,7 +17,7 @@ class Request:
     """Format and settings of the tables to be made.
 
     Attributes:
-        kind: name of one of `twin.machine.control.FORMATS`.
+        kind: name of a format of `twin.machine.control`.
         at: positions of the other axes while one moves, mm or degrees by axis; by default the middle of a linear range, 0° of a rotary.
         tool_length_mm: tool length for which the point is corrected; None: that of the machine file.
         classes: basic classes to correct (ISO/TR 16907).

@@ -11,7 +11,7 @@ from twin._common.json_form import json_form
 from twin.control import CorrectedShare, RemainingErrors, Request, account_of, make
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.control import FORMATS, TableSum
+from twin.machine.control import TableSum, table_formats
 
 
 @final
@@ -55,7 +55,7 @@ def tables_left(
         return ()
     found: list[TablesLeft] = []
     required = None
-    for form in FORMATS:
+    for form in table_formats():
         if form.correction is not TableSum:
             continue
         request = Request(form.name, tool_length_mm=real.tool_length_mm, conditions=real.conditions)

@@ -6,7 +6,7 @@ agrees to `AGREES_UM`), valid files (`GOOD`) and changes that make them invalid 
 
 from importlib import import_module
 
-from twin.machine.control import FORMATS
+from twin.machine.control import table_formats
 
-CASES = {form.name: import_module(f"{__name__}.{form.name}") for form in FORMATS}
+CASES = {form.name: import_module(f"{__name__}.{form.name}") for form in table_formats()}
 BY_HAND = {name: case.by_hand for name, case in CASES.items()}

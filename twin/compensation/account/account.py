@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -35,6 +35,15 @@ a curve's uncertainty changes by less than one per cent, except at the very ends
 """
 SAME_SIDE: Final = 0.01
 """The same limit for approach directions, which range from −1 to +1."""
+
+
+class _Sampled(NamedTuple):
+    """Sampled poses of one aim: commands, approach directions (n, axes), and poses of the machine without errors."""
+
+    aim: CorrectionAim
+    commands: np.ndarray
+    approach: np.ndarray
+    nominal: Poses
 
 
 @final
@@ -261,11 +270,13 @@ class CompensationAccount:
 
     def _classes(self, *, all_corrected: bool) -> Iterator[ClassShare]:
         """Yield the share of each class; ``all_corrected``: whether every block is corrected."""
-        before, after = [], []
+        before: list[_Sampled] = []
+        after: list[_Sampled] = []
         for aim, sample in self._samples.items():
-            nominal, poses = aim.prepared.space.nominal, sample.poses()
-            before.append((aim, *poses[:2], nominal.forward(poses[0])))
-            after.append((aim, *poses[2:], nominal.forward(poses[2])))
+            nominal = aim.prepared.space.nominal
+            meant, meant_from, written, written_from = sample.poses()
+            before.append(_Sampled(aim, meant, meant_from, nominal.forward(meant)))
+            after.append(_Sampled(aim, written, written_from, nominal.forward(written)))
         for name in self._aim.by_class:
             corrected = None if self._prepared.thesis is not None else name in self._aim.scope.classes
             share_um, turn_urad = _class_errors(name, before)
@@ -300,14 +311,12 @@ def _uncertainty(tool: ToolUncertainty, pieces: Pieces, rows: Rows) -> np.ndarra
     return interpolated(values, np.hstack([rows.nominal, rows.approach]), np.array(near + [SAME_SIDE] * len(axes)))
 
 
-def _class_errors(
-    name: str, samples: Sequence[tuple[CorrectionAim, np.ndarray, np.ndarray, Poses]]
-) -> tuple[np.ndarray, np.ndarray]:
+def _class_errors(name: str, samples: Sequence[_Sampled]) -> tuple[np.ndarray, np.ndarray]:
     """Return the errors of one class at sampled poses: of the point (µm) and of the tool axis (µrad).
 
     Args:
         name: the class.
-        samples: commands, approach directions and nominal poses, for each aim of the correction.
+        samples: the poses.
     """
     point_um, axis_urad = [np.zeros(0)], [np.zeros(0)]
     for aim, commands, approach, nominal in samples:

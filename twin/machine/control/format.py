@@ -1,4 +1,4 @@
-"""Base class of a control's table formats: one final class per format, each in its own file (`twin.machine.control.FORMATS`)."""
+"""Base class of a control's table formats: one final class per format, each in its own file (`twin.machine.control.formats`)."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from typing import Any, Literal, final
 
 from twin._common.errors import InputError
 from twin._common.files import read_bytes
-from twin.machine.control.formats import FORMATS
+from twin.machine.control.formats import format_named
 
 ErrorsAre = Literal["uncorrected", "remaining"]
 
@@ -38,7 +38,7 @@ class TableEntry:
 
     Attributes:
         file: its path.
-        format: name of its format, one of `twin.machine.control.FORMATS` or, for kinematics, of `KINEMATICS`.
+        format: name of its format, a format of `twin.machine.control` or, for kinematics, of `KINEMATICS`.
         classes: classes of ISO/TR 16907 whose errors it corrects, completely or in part.
         sha256: SHA-256 of the file when it was recorded.
     """
@@ -96,8 +96,7 @@ class ControlSection:
     @property
     def caution(self) -> str:
         """Warning that errors measured with active tables are valid for one tool length only; empty if it does not apply."""
-        using_tool = {form.name for form in FORMATS if form.knows_machine}
-        if self.errors_are == "uncorrected" or using_tool.isdisjoint(self.formats):
+        if self.errors_are == "uncorrected" or not any(format_named(name).knows_machine for name in self.formats):
             return ""
         return (
             "The control uses the length of the active tool: these errors were measured with its tables active and are valid only for "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from twin._common import families
 from twin._common.errors import InputError
@@ -12,28 +12,30 @@ from twin.machine.control.correction import Correction
 from twin.machine.control.format import TableFormat
 from twin.machine.machine import Machine
 
-FORMATS: Final[tuple[TableFormat[Any], ...]] = families.members(__name__, families.TABLE_FORMATS)
-"""All formats."""
+
+def table_formats() -> tuple[TableFormat[Any], ...]:
+    """Return all formats."""
+    return families.members(__name__, families.TABLE_FORMATS)
 
 
 def format_named(name: str) -> TableFormat[Any]:
-    """Return the format of that name.
+    """Return the format of that name; the modules of the others are not imported.
 
     Raises:
         InputError: there is no such format.
     """
-    for form in FORMATS:
-        if form.name == name:
-            return form
-    names = " ".join(form.name for form in FORMATS)
-    raise InputError("no such format of control tables", expected=f"one of {names}", value=name)
+    if name not in families.TABLE_FORMATS:
+        expected = f"one of {' '.join(families.TABLE_FORMATS)}"
+        raise InputError("no such format of control tables", expected=expected, value=name)
+    form: TableFormat[Any] = families.member(__name__, families.TABLE_FORMATS, name)
+    return form
 
 
 def read_tables(kind: str, files: Sequence[Path], machine: Machine) -> Correction:
     """Return the tables of one control from its files.
 
     Args:
-        kind: name of one of `FORMATS`.
+        kind: name of a format.
         files: all files of the control, including those that assign tables to axes.
         machine: the machine whose axes they move.
 

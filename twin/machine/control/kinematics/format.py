@@ -1,4 +1,4 @@
-"""Base class of the kinematics of a control's transformation: one final class per format, each in its own file (`KINEMATICS`)."""
+"""Base class of the kinematics of a control's transformation: one final class per format, each in its own file."""
 
 from __future__ import annotations
 
