@@ -20,7 +20,7 @@ from twin._common.units import MM, URAD
 from twin.compute.batch import BatchFunction
 from twin.display import card, first_rows, fixed, note, pairs, table
 from twin.machine.calibration import Calibration
-from twin.machine.chain import branches, chain_function, sparse
+from twin.machine.chain import chain_function, sparse, tip_function
 from twin.machine.conditions import APPROACH, Conditions
 from twin.machine.effects.empirical import check_ranges
 from twin.machine.error_vector import ErrorTerms
@@ -210,12 +210,12 @@ class Kinematics:
 
     def tip_and_axis_at(self, *at: Any) -> tuple[Any, Any]:
         """Return tip and tool axis in the work frame as expressions of `symbols`; fewer operations than `pose_at`."""
-        return self.tip_and_axis_with(at[0], ca.densify(self.errors(*at)))
+        return self.tip_and_axis_with(at[0], self.errors(*at))
 
     def tip_and_axis_with(self, q: Any, errors: Any) -> tuple[Any, Any]:
         """Return the same at positions (axes,) with given errors (6·frames,)."""
-        tool, work = branches(self.machine, q, errors)
-        return work.into(*tool.carried(*self.tip_and_axis))
+        tip, axis = tip_function(self.machine)(q, errors, self.tool_length_mm * MM)
+        return tip, axis
 
     @property
     def tip_and_axis(self) -> tuple[Any, Any]:

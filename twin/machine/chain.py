@@ -48,6 +48,20 @@ def chain_function(machine: Machine) -> ca.Function:
     return ca.Function("chain", [q, e, length], [pose.rotation, pose.translation], ["q", "e", "length"], ["R", "p"])
 
 
+@lru_cache(maxsize=16)  # as `chain_function`
+def tip_function(machine: Machine) -> ca.Function:
+    """Return the function of the tool tip and the tool axis in the work frame, which takes fewer operations than `chain_function`.
+
+    Inputs: as for `chain_function`. Outputs: ``p`` (3,) the tool tip, metres; ``z`` (3,) the tool axis, from tip to spindle.
+    """
+    q = ca.SX.sym("q", len(machine.axes))
+    e = ca.SX.sym("e", 6 * len(machine.frames))
+    length = ca.SX.sym("length")
+    tool, work = branches(machine, q, e)
+    tip, axis = work.into(*tool.carried(ca.vertcat(ca.SX(2, 1), -length), sparse(0.0, 0.0, 1.0)))
+    return ca.Function("tip", [q, e, length], [tip, axis], ["q", "e", "length"], ["p", "z"])
+
+
 def frame_pose(machine: Machine, frame: int, q: Any, e: Any) -> Pose:
     """Return the pose of a frame of the model in the base frame; ``e`` None: nominal."""
     model_frame = machine.model.frames[frame]
