@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import TypeVar, overload
+from typing import Final, TypeVar, overload
 
 import numpy as np
 
@@ -28,6 +28,10 @@ class MadeOnAccess(Sequence[Item]):
         return self.item(which) if isinstance(which, int) else [self.item(i) for i in which]
 
 
+WIDE: Final = 64
+"""Rows of a narrow array that NumPy's operations take as one: fifteen times as fast for (n, 5) values as `min(axis=0)`."""
+
+
 def read_only(array: np.ndarray) -> np.ndarray:
     """Make an array read-only and return it."""
     array.flags.writeable = False
@@ -42,12 +46,16 @@ def rows_all_true(good: np.ndarray) -> np.ndarray:
 def all_within(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
     """Return whether all of (n, k) values lie within the (k,) bounds of their columns; false if one is not a number.
 
-    NumPy's operations along the rows of a narrow array are ten times slower than those on its columns.
+    NumPy's operations along the rows of a narrow array are slow, so many rows are treated as one that is `WIDE` times as wide.
     """
-    return len(values) == 0 or all(
-        bool(column.min() >= low and column.max() <= high)
-        for column, low, high in zip(values.T, lower, upper, strict=True)
-    )
+    even = len(values) // WIDE * WIDE
+    for part, repeated in ((values[:even].reshape(even // WIDE, WIDE * values.shape[1]), WIDE), (values[even:], 1)):
+        if len(part) and not (
+            np.all(part.min(axis=0) >= np.tile(lower, repeated))
+            and np.all(part.max(axis=0) <= np.tile(upper, repeated))
+        ):
+            return False
+    return True
 
 
 def outside_bounds(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

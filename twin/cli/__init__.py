@@ -19,6 +19,8 @@ def main(arguments: list[str] | None = None) -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Else pydantic searches all installed distributions for its plugins; twin uses none.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    # A thread that returns from compiled code, where most of the work is done, waits this long (s) for one that runs Python.
+    sys.setswitchinterval(2e-4)
     words = sys.argv[1:] if arguments is None else arguments
     if words[:1] == ["doctor"] and not {"-h", "--help"} & set(words) and not installation.can_start():
         installation.exit_with_findings()

@@ -12,7 +12,7 @@ from twin._common.arrays import rows_all_true
 from twin.compensation.comparison import Commands, split_lines
 from twin.compensation.solving.pieces import Pieces
 from twin.compensation.solving.rows import SAME, Rows, Ways, even_cuts, repeat_with_index, taken
-from twin.compensation.toolpath import SAMPLES_A_PIECE, spacings
+from twin.compensation.toolpath import SAMPLES_A_PIECE
 from twin.compute.along import fractions
 
 POSES: Final = 100_000
@@ -176,16 +176,11 @@ class PathErrors:
     def _points_per_piece(self, legs: np.ndarray) -> np.ndarray:
         """Return (legs,) the number of dense points per piece of each leg."""
         all_legs = self._pieces.legs
-        lengths = taken(self._spacings, taken(all_legs.motion, legs))
+        lengths = taken(self._pieces.path.columns.spacings, taken(all_legs.motion, legs))
         if not all_legs.whole(legs):
             lengths = lengths * (all_legs.end[legs] - all_legs.begin[legs]) / np.maximum(all_legs.count[legs], 1)
         points = np.ceil(lengths)
         return np.maximum(SAMPLES_A_PIECE, points).astype(int)
-
-    @cached_property
-    def _spacings(self) -> np.ndarray:
-        """(motions,) length of each motion in units of the largest distance between samples."""
-        return spacings(self._pieces.start, self._pieces.end)
 
     def fractions(self, samples: Samples) -> np.ndarray:
         """Return (n,) the fraction of the motion at each point."""

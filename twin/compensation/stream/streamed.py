@@ -27,7 +27,7 @@ from twin.compensation.solving import Corrected, EndState, Pieces, correct, new_
 from twin.compensation.solving.rows import even_cuts
 from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
-from twin.compensation.toolpath import SAMPLES_A_PIECE, MotionColumns, ToolPath, spacings
+from twin.compensation.toolpath import SAMPLES_A_PIECE, MotionColumns, ToolPath
 from twin.compute.native import equal_portions
 from twin.nc.columns import NewPositions
 
@@ -174,7 +174,7 @@ def _silent(stage: str, fraction: float) -> None:
 
 def _ends(motions: MotionColumns, tolerance_mm: float) -> list[int]:
     """Return where to cut motions so that each cut has at most about `POSES` poses before any block is split, and their number."""
-    long = spacings(motions.start, motions.end)
+    long = motions.spacings
     poses = 1.0 + np.maximum(SAMPLES_A_PIECE, np.where(np.isfinite(long), long, 0.0))
     for i, move in motions.special.items():
         if move.arc is not None and np.isfinite(motions.start[i]).all():

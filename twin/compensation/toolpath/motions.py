@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final, final
 
 import numpy as np
 
 from twin._common.arrays import MadeOnAccess
+from twin.compensation.toolpath.samples import spacings
 from twin.nc.blocks import Kind, Move, Notice
 
 COLUMNS: Final = ("move", "line", "rapid", "tcp", "start", "end", "by_vector")
@@ -110,8 +112,15 @@ class MotionColumns(MadeOnAccess[PathMotion]):
 
     def part(self, begin: int, end: int) -> MotionColumns:
         """Return the motions from index ``begin`` up to ``end``."""
+        if (begin, end) == (0, len(self)):
+            return self
         special = {i - begin: move for i, move in self.special.items() if begin <= i < end}
         return MotionColumns(special=special, **{name: getattr(self, name)[begin:end] for name in COLUMNS})
+
+    @cached_property
+    def spacings(self) -> np.ndarray:
+        """(motions,) length of each motion in units of the largest distance between two samples."""
+        return spacings(self.start, self.end)
 
     def __len__(self) -> int:
         return len(self.line)
