@@ -17,7 +17,6 @@ MM_PER_INCH = 25.4
 LARGEST = 1e9
 """Upper limit of coordinates, feeds and parameters (mm, degrees, mm/min); no real program comes near it."""
 
-_LINE = re.compile(r"[^\r\n]*+(?:\r\n|\n|\r)|[^\r\n]++")
 _CONTROL = bytes(c for c in range(32) if c not in b"\t\n\r\f\x1a\x11\x12\x13\x14")
 _SPACES = re.compile(r"[ \t]+")
 UNIT_LENGTH = 1e-15
@@ -36,12 +35,13 @@ def read_lines(data: bytes, source: str, dialect: str) -> Program:
     check = TextCheck(source)
     check.add(data)
     check.finish()
-    return Program(source=source, dialect=dialect, texts=tuple(_LINE.findall(data.decode("latin-1"))))
+    return Program(source=source, dialect=dialect, texts=tuple(lines_in(data)))
 
 
 def lines_in(data: bytes) -> Iterator[str]:
     """Return the lines of some bytes, each with its own ending."""
-    return (match.group() for match in _LINE.finditer(data.decode("latin-1")))
+    # Not `str.splitlines`, which ends a line at other characters too.
+    return (line.decode("latin-1") for line in data.splitlines(keepends=True))
 
 
 def count_of(data: bytes, character: int) -> int:

@@ -24,8 +24,12 @@ _WORD: Final = re.compile(r"([A-Z])[ \t]*([+-]?[\d.]+|[+-]?#\d+|[+-]?\[[^\[\]]*\
 _MACRO: Final = re.compile(r"G[ \t]*65(?![\d.])", _FLAGS)
 _END: Final = re.compile(r"(?<![A-Z\d])M[ \t]*0*(?:2|30)(?!\d)", _FLAGS)
 _RETURN: Final = re.compile(r"(?<!\w)(?:M[ \t]*0*(?:99|17|30|2)(?![\d=])|RET(?!\w))", _FLAGS)
-_LIKELY: Final = re.compile(r"[ \t]*(?:N\d+[ \t]*)?(?:O[ \t]*[\d<]|L[ \t]*\d|[A-Z_][A-Z_])", _FLAGS)
+_CALL_AT_BEGIN: Final = r"[ \t]*(?:[Nn]\d+[ \t]*)?(?:[Oo][ \t]*[\d<]|[Ll][ \t]*\d|[A-Za-z_][A-Za-z_])"
+_LIKELY: Final = re.compile(_CALL_AT_BEGIN, re.ASCII)
 _INSIDE: Final = re.compile(r"M[ \t]*1?98|G[ \t]*65", _FLAGS)
+_LIKELY_ANYWHERE: Final = re.compile(rf"[\r\n]{_CALL_AT_BEGIN}", re.ASCII)
+_INSIDE_ANYWHERE: Final = re.compile(r"[MmGg][ \t]*(?:1?98|65)", re.ASCII)
+"""Found in every program that has a line with one of the two above; these two are searched quickly, letters of both cases written out."""
 _LOCALS: Final = 33
 """Number of local variables of a macro."""
 _O_WORD: Final = re.compile(r"O[ \t]*(\d+|<[^>]*>)[ \t]*(SUB|ENDSUB|RETURN|CALL)(?!\w)[ \t]*(.*)", _FLAGS | re.DOTALL)
@@ -52,14 +56,20 @@ _SUFFIXES: Final = ("", ".spf", ".mpf", ".nc", ".ngc", ".txt", ".tap", ".iso")
 class IsoInliner(Inliner):
     """Writes out the subprograms of ISO programs."""
 
-    def likely(self, text: str) -> bool:
+    def likely(self, texts: Sequence[str]) -> list[int]:
         """See `Inliner.likely`."""
-        inside = ("98" in text or "65" in text) and _INSIDE.search(text) is not None
-        return inside or _LIKELY.match(text) is not None
+        whole = "\n" + "".join(texts)
+        if not (_LIKELY_ANYWHERE.search(whole) or _INSIDE_ANYWHERE.search(whole)):
+            return []
+        return [
+            i
+            for i, text in enumerate(texts)
+            if _LIKELY.match(text) or (("98" in text or "65" in text) and _INSIDE.search(text))
+        ]
 
     def call(self, line: Line) -> Call | None:
         """See `Inliner.call`."""
-        if not self.likely(line.text):
+        if not self.likely([line.text]):
             return None
         text = line.text[_NUMBER.match(line.text).end() :]  # type: ignore[union-attr]  # it matches anything
         bare = _NOTES.sub("", text).strip()

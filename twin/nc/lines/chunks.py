@@ -93,7 +93,8 @@ def chunks(program: Program, names: tuple[str, ...], scanner: Scanner | None = N
     """Yield a program in memory in chunks, with `DELETED_LINE` in place of empty texts."""
     code = line_code(len(program.texts))
     for first in range(0, len(program.texts), CHUNK_LINES):
-        text = "".join(one or DELETED_LINE for one in program.texts[first : first + CHUNK_LINES])
+        texts = program.texts[first : first + CHUNK_LINES]
+        text = "".join(texts if all(texts) else [one or DELETED_LINE for one in texts])
         yield Chunk(text.encode("latin-1"), first, names, code, scanner)
 
 
