@@ -29,7 +29,7 @@ _LIKELY: Final = re.compile(_CALL_AT_BEGIN, re.ASCII)
 _INSIDE: Final = re.compile(r"M[ \t]*1?98|G[ \t]*65", _FLAGS)
 _LIKELY_ANYWHERE: Final = re.compile(rf"[\r\n]{_CALL_AT_BEGIN}", re.ASCII)
 _INSIDE_ANYWHERE: Final = re.compile(r"[MmGg][ \t]*(?:1?98|65)", re.ASCII)
-"""Found in every program that has a line with one of the two above; these two are searched quickly, letters of both cases written out."""
+"""Found in every program that has a line with one of the two above; quick, because letters of both cases are written out."""
 _LOCALS: Final = 33
 """Number of local variables of a macro."""
 _O_WORD: Final = re.compile(r"O[ \t]*(\d+|<[^>]*>)[ \t]*(SUB|ENDSUB|RETURN|CALL)(?!\w)[ \t]*(.*)", _FLAGS | re.DOTALL)
