@@ -28,8 +28,10 @@ import scipy
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 
-SERIES_TERMS: Final = 9
-"""Terms of the sine and cosine series of a small rotation: exact to double precision up to 1 rad; errors are < 0.2."""
+SERIES_TERMS: Final = 6
+"""Terms of the sine and cosine series of a small rotation: exact to double precision up to 0.3 rad, three times the largest angle that a
+calibration may have (`twin.machine.calibration.LARGEST_ANGLE_URAD`). They are a tenth of the operations of a pose.
+"""
 ORTHONORMAL: Final = 1e-9
 """Tolerance of RᵀR against the identity: a nanoradian, a thousandth of the last digit reported; rounding along a chain is 1e-14."""
 
@@ -38,7 +40,7 @@ def rotation_exp(vector: Any) -> Any:
     """Return the rotation matrix of a rotation vector (exponential map, Rodrigues).
 
     Args:
-        vector: (..., 3) axis times angle, rad, of any length; or an SX expression, of up to 1 rad: there the coefficients are series in
+        vector: (..., 3) axis times angle, rad, of any length; or an SX expression, of up to 0.3 rad: there the coefficients are series in
             the squared length, smooth through zero to any derivative.
 
     Raises:
