@@ -9,6 +9,7 @@ import pytest
 
 from tests.compute.test_native import compiled, eager, libraries  # noqa: F401
 from twin.compensation.comparison import Commands, PoseComparison
+from twin.compensation.toolpath.words import Setup, WordSpace
 from twin.compute import batch
 from twin.compute.native import loading
 from twin.kinematics.forward import Kinematics, angle_between_rad
@@ -102,6 +103,35 @@ def test_sides_of_a_reversal(dmu50: Machine) -> None:
     assert comparison.distance_mm(q, q) * 1e3 == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
 
 
+@pytest.mark.parametrize("tips", [(True, True), (True, False), (False, True)], ids=["both", "nominal", "written"])
+def test_lines_of_words_of_the_tool_tip(tips: tuple[bool, bool], dmu50: Machine, calibration: Calibration) -> None:
+    """As many points, converted to commands one by one by the solver."""
+    setup = Setup(work_offset={"X": 5.0, "B": 1.0, "C": -2.0}, work_origin_mm=(12.0, -7.0, 30.0))
+    space = WordSpace(dmu50, setup, LENGTH)
+    comparison = PoseComparison(Kinematics(dmu50, calibration, tool_length_mm=LENGTH), space.nominal, space.commands_at)
+
+    def converted(words: np.ndarray) -> np.ndarray:
+        return space.commands(words, np.ones(len(words), dtype=bool))
+
+    def tool_tip(points: Commands) -> Commands:
+        words = space.words(points.begin, np.ones(len(points.begin), dtype=bool))
+        return Commands(words, points.way, points.points, converted)
+
+    given = [tool_tip(one) if tip else one for one, tip in zip((lines(60, 5), lines(60, 6)), tips, strict=True)]
+    single = [Commands(one.as_array()) for one in given]
+    worst, line = np.zeros(100), np.repeat(np.arange(100), given[0].counts)
+    np.maximum.at(worst, line, comparison.distance_mm(*single))
+    assert np.abs(comparison.distance_mm(given[0], given[1]) - worst).max() <= ROUNDING_MM
+    for found, expected in zip(
+        comparison.totals(*given, None, None), comparison.totals(*single, None, None), strict=True
+    ):
+        assert found.count == expected.count == 60
+        assert found.squares == pytest.approx(expected.squares, rel=1e-9)
+        assert found.line.tolist() == line[expected.line].tolist()
+    few = np.array([3, 1, 40])
+    assert np.array_equal(given[0].of(few).as_array(), np.concatenate([single[0].begin[line == i] for i in few]))
+
+
 @compiled
 @pytest.mark.usefixtures("eager")
 def test_small_deviations_are_confirmed(dmu50: Machine, calibration: Calibration) -> None:
@@ -114,5 +144,5 @@ def test_small_deviations_are_confirmed(dmu50: Machine, calibration: Calibration
     begin, end = (Inverse(real).solve(nominal.forward(at), at).positions for at in (q, q + way))
     comparison = PoseComparison(real, nominal)
     _, after = comparison.totals(meant, Commands(begin, end - begin, meant.points), None, None)
-    assert comparison._totals._confirmed
+    assert comparison._function("totals", meant, meant)._confirmed
     assert after.count == 2000 and after.largest[1, 1] < 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, final
@@ -35,11 +36,13 @@ class Commands:
         begin: (lines, axes) start of each line.
         way: (lines, axes) displacement along each line; None for single points.
         points: (lines,) number of points, at fractions (k + ½)/n of the line; None for single points.
+        converted: function from (n, axes) words of the tool tip to commands, if the lines are straight lines of such words; else None.
     """
 
     begin: np.ndarray
     way: np.ndarray | None = None
     points: np.ndarray | None = None
+    converted: Callable[[np.ndarray], np.ndarray] | None = None
 
     @property
     def counts(self) -> np.ndarray:
@@ -49,7 +52,7 @@ class Commands:
     def of(self, lines: np.ndarray) -> Commands:
         """Return the points of some lines: indices or (lines,) booleans."""
         way, points = (None if array is None else array[lines] for array in (self.way, self.points))
-        return Commands(self.begin[lines], way, points)
+        return Commands(self.begin[lines], way, points, self.converted)
 
     @property
     def first(self) -> np.ndarray:
@@ -71,7 +74,8 @@ class Commands:
         if self.way is None or self.points is None:
             return np.asarray(self.begin)
         line = np.repeat(np.arange(len(self.begin)), self.points)
-        return np.asarray(self.begin[line] + fractions(self.points)[:, None] * self.way[line])
+        found = np.asarray(self.begin[line] + fractions(self.points)[:, None] * self.way[line])
+        return found if self.converted is None else self.converted(found)
 
     @property
     def inputs(self) -> tuple[np.ndarray, np.ndarray]:
@@ -117,10 +121,14 @@ class PoseComparison:
     Args:
         real: the machine with errors.
         nominal: the machine without errors.
+        of_words: commands as an expression of words of the tool tip, for lines of such words; by default the words themselves.
     """
 
-    def __init__(self, real: Kinematics, nominal: Kinematics) -> None:
-        self._real, self._nominal = real, nominal
+    def __init__(
+        self, real: Kinematics, nominal: Kinematics, of_words: Callable[[Any], Any] = lambda words: words
+    ) -> None:
+        self._real, self._nominal, self._of_words = real, nominal, of_words
+        self._along: dict[tuple[str, bool, bool], AlongFunction] = {}
 
     def distance_mm(self, nominal: Commands, commanded: Commands, approach: np.ndarray | None = None) -> np.ndarray:
         """Return (lines,) the largest distance between the functional points on each line; 0 on a line without points.
@@ -130,7 +138,8 @@ class PoseComparison:
             commanded: as many commands given to the machine with errors.
             approach: (lines, axes) approach directions, as in `Kinematics.directed`.
         """
-        return self._distance.largest((*nominal.inputs, *commanded.inputs, *self._sides(approach)), nominal.counts)
+        inputs = (*nominal.inputs, *commanded.inputs, *self._sides(approach))
+        return self._function("distance", nominal, commanded).largest(inputs, nominal.counts)
 
     def poses(self, nominal: np.ndarray, commanded: np.ndarray, approach: np.ndarray | None = None) -> ComparedPoses:
         """Return the deviations in point and orientation at (n, axes) nominal and given commands."""
@@ -155,7 +164,7 @@ class PoseComparison:
             after: the same with written commands.
         """
         inputs = (*nominal.inputs, *written.inputs, *self._sides(before), *self._sides(after))
-        both = self._totals.totals(inputs, nominal.counts, SLACK)
+        both = self._function("totals", nominal, written).totals(inputs, nominal.counts, SLACK)
         parts = (slice(0, QUANTITIES), slice(QUANTITIES, None))
         first, last = (
             Totals(both.count, both.squares[p] * UNITS**2, both.largest[p, p] * UNITS, both.line[p]) for p in parts
@@ -167,23 +176,29 @@ class PoseComparison:
             return ()
         return (np.zeros(len(self._real.machine.axes)) if approach is None else approach,)
 
-    @cached_property
-    def _distance(self) -> AlongFunction:
-        inputs, meant, given, share = self._symbols()
+    def _function(self, name: str, nominal: Commands, given: Commands) -> AlongFunction:
+        """Return the function of that name (``distance`` or ``totals``) for lines of commands or of words, built when first needed."""
+        words = nominal.converted is not None, given.converted is not None
+        if (name, *words) not in self._along:
+            make = self._distance if name == "distance" else self._totals
+            self._along[name, *words] = AlongFunction(make(*words))
+        return self._along[name, *words]
+
+    def _distance(self, *words: bool) -> ca.Function:
+        inputs, meant, given, share = self._symbols(*words)
         sides = self._real.symbols()[1:]
         distance, _, _ = self._compared(meant, given, sides)
-        return AlongFunction(ca.Function("distance", [*inputs, *sides, share], [distance]))
+        return ca.Function("distance", [*inputs, *sides, share], [distance])
 
     @cached_property
     def _poses(self) -> BatchFunction:
-        inputs, meant, given, share = self._symbols()
+        inputs, meant, given, share = self._symbols(False, False)
         sides = self._real.symbols()[1:]
         distance, (angle, *_), beyond = self._compared(meant, given, sides)
         return BatchFunction(ca.Function("poses", [*inputs, *sides, share], [distance, angle, beyond]))
 
-    @cached_property
-    def _totals(self) -> AlongFunction:
-        inputs, meant, given, share = self._symbols()
+    def _totals(self, *words: bool) -> ca.Function:
+        inputs, meant, given, share = self._symbols(*words)
         sides, outputs, beyond = [], [], []
         for commands in (meant, given):
             mine = self._real.symbols()[1:]
@@ -191,14 +206,21 @@ class PoseComparison:
             sides += mine
             outputs += [distance, *(ca.fabs(angle) for angle in turned)]
             beyond.append(out)
-        return AlongFunction(ca.Function("totals", [*inputs, *sides, share], [*outputs, ca.fmax(*beyond)]))
+        return ca.Function("totals", [*inputs, *sides, share], [*outputs, ca.fmax(*beyond)])
 
-    def _symbols(self) -> tuple[list[Any], Any, Any, Any]:
-        """Return begin and displacement of nominal and given commands, these commands, and the fraction."""
+    def _symbols(self, *words: bool) -> tuple[list[Any], Any, Any, Any]:
+        """Return begin and displacement of nominal and given lines, the commands at a point, and the fraction.
+
+        Args:
+            words: whether the nominal lines, and the given ones, are lines of words of the tool tip.
+        """
         axes = len(self._real.machine.axes)
         share = ca.SX.sym("share")
         lines = [[ca.SX.sym(f"{which}_{part}", axes) for part in ("begin", "way")] for which in ("meant", "given")]
-        meant, given = (begin + share * way for begin, way in lines)
+        meant, given = (
+            self._of_words(begin + share * way) if tips else begin + share * way
+            for (begin, way), tips in zip(lines, words, strict=True)
+        )
         return [*lines[0], *lines[1]], meant, given, share
 
     def _compared(self, meant: Any, given: Any, sides: list[Any]) -> tuple[Any, tuple[Any, ...], Any]:

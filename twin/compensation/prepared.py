@@ -123,8 +123,8 @@ class PreparedMachine:
             by_pose=self.by_block,
         )
         self.backlash = Backlash(calibration)
-        self.comparison = PoseComparison(self.real, self.space.nominal)
-        self.nominal_comparison = PoseComparison(self.space.nominal, self.space.nominal)
+        self.comparison = self.compared(self.real)
+        self.nominal_comparison = self.compared(self.space.nominal)
         if calibration.corrections and options.method == "thesis":
             raise InputError(
                 "the method of the thesis does not model the control's own tables and would correct their share twice",
@@ -184,6 +184,10 @@ class PreparedMachine:
     @cached_property
     def _acts_as(self) -> dict[str, str]:
         return {effect.name: error_motion_of(effect, self.machine) for effect in self.calibration.effects}
+
+    def compared(self, real: Kinematics) -> PoseComparison:
+        """Return the pose comparison of a machine with errors with the nominal pose."""
+        return PoseComparison(real, self.space.nominal, self.space.commands_at)
 
     def outside(self, commands: np.ndarray) -> np.ndarray:
         """(n,) whether commands (mm, degrees) leave an axis's range."""
@@ -249,7 +253,7 @@ class CorrectionAim:
     @cached_property
     def comparison(self) -> PoseComparison:
         """Pose comparison of that machine with the nominal pose."""
-        return PoseComparison(self.point, self.prepared.space.nominal)
+        return self.prepared.compared(self.point)
 
     @cached_property
     def point_inverse(self) -> Inverse:

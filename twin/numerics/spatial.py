@@ -29,8 +29,8 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 
 SERIES_TERMS: Final = 6
-"""Terms of the sine and cosine series of a small rotation: exact to double precision up to 0.3 rad, three times the largest angle that a
-calibration may have (`twin.machine.calibration.LARGEST_ANGLE_URAD`). They are a tenth of the operations of a pose.
+"""Terms of the sine and cosine series of a small rotation: exact to double precision up to 0.3 rad, three times the largest angle that
+a calibration may have (`twin.machine.calibration.LARGEST_ANGLE_URAD`). They are a tenth of the operations of a pose.
 """
 ORTHONORMAL: Final = 1e-9
 """Tolerance of RᵀR against the identity: a nanoradian, a thousandth of the last digit reported; rounding along a chain is 1e-14."""
@@ -40,8 +40,8 @@ def rotation_exp(vector: Any) -> Any:
     """Return the rotation matrix of a rotation vector (exponential map, Rodrigues).
 
     Args:
-        vector: (..., 3) axis times angle, rad, of any length; or an SX expression, of up to 0.3 rad: there the coefficients are series in
-            the squared length, smooth through zero to any derivative.
+        vector: (..., 3) axis times angle, rad, of any length; or an SX expression, of up to 0.3 rad: there the coefficients are series
+            in the squared length, smooth through zero to any derivative.
 
     Raises:
         InputError: another shape, or a number that is not finite.

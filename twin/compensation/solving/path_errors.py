@@ -196,7 +196,7 @@ class PathErrors:
     def commands(self, samples: Samples, ways: Ways) -> tuple[Commands, Commands]:
         """Return nominal commands, which the control derives from the original program, and those of pieces that follow ``ways``.
 
-        A piece is a line if all of these are straight lines of commands, else each point is.
+        A piece is a line if all of these are straight lines of commands or of words, else each point is.
 
         Args:
             samples: the points.
@@ -212,7 +212,11 @@ class PathErrors:
                 first, last = self._fractions(samples)
                 meant, meant_way = meant + first[:, None] * meant_way, (last - first)[:, None] * meant_way
             if self._on_lines(motion):
-                return self._line(meant, meant_way, samples.points), self._line(begin, way, samples.points)
+                tips, tips_out = (bool(mode[motion[:1]].any()) for mode in (self._pieces.tcp, self._pieces.tcp_out))
+                return (
+                    self._line(meant, meant_way, samples.points, tips=tips),
+                    self._line(begin, way, samples.points, tips=tips_out),
+                )
         of = motion[samples.piece]
         if straight:
             words = meant[samples.piece] + samples.within[:, None] * meant_way[samples.piece]
@@ -225,14 +229,25 @@ class PathErrors:
         )
 
     def _on_lines(self, motions: np.ndarray) -> bool:
-        """Return whether straight words are straight lines of commands in some motions: no arc, no tool-tip words, no tilted plane."""
-        pieces = self._pieces
-        return self._space.tilt is None and not np.any(pieces.tcp[motions]) and bool(np.all(pieces.straight[motions]))
+        """Return whether some motions can be simulated as lines of commands or of words.
 
-    def _line(self, begin: np.ndarray, way: np.ndarray, points: np.ndarray) -> Commands:
-        """Return points on straight lines of words that are straight lines of commands."""
-        still = np.zeros(len(begin), dtype=bool)
-        return Commands(self._space.commands(begin, still), self._space.displacements(way), points)
+        They are straight, in one mode and outside a tilted plane. Lines of tool-tip words are split into points if the machine's errors
+        depend on approach directions or conditions.
+        """
+        pieces = self._pieces
+        if self._space.tilt is not None or not np.all(pieces.straight[motions]):
+            return False
+        tips = np.count_nonzero(pieces.tcp[motions])
+        return not tips or (tips == len(motions) and not pieces.prepared.real.directed)
+
+    def _line(self, begin: np.ndarray, way: np.ndarray, points: np.ndarray, *, tips: bool) -> Commands:
+        """Return points on straight lines of words: of the axes, or of the tool ``tips``."""
+        mode = np.full(len(begin), tips)
+        if tips:
+            return Commands(
+                begin, way, points, lambda words: self._space.simulated_commands(words, np.full(len(words), True))
+            )
+        return Commands(self._space.commands(begin, mode), self._space.displacements(way), points)
 
     # --- ways of pieces ----------------------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -180,7 +180,7 @@ class WordSpace:
 
     def simulated_commands(self, words: np.ndarray, tcp: np.ndarray) -> np.ndarray:
         """Return the same up to rounding in a fraction of the time, for the many points between those that are written."""
-        return self._converted(words, tcp, self._linear_axes)
+        return self._converted(words, tcp, self._linear_axes_of_many)
 
     def _converted(
         self, words: np.ndarray, tcp: np.ndarray, linear_axes: Callable[..., tuple[np.ndarray, ...]]
@@ -206,8 +206,18 @@ class WordSpace:
         target = Poses(tips, self.nominal.forward(start).rotation)
         return (self.inverse.solve(target, start, rotary=False).positions[:, self.order[:3]],)
 
+    def commands_at(self, words: Any) -> Any:
+        """Return `simulated_commands` as an expression of (axes,) words of the tool tip outside a tilted plane."""
+        rotary = words[3:] + ca.DM(self.offset[3:])
+        linear = self._linear_axes(words[:3] + ca.DM(self.origin), rotary)
+        return ca.vertcat(linear, rotary)[np.argsort(self.order).tolist()]
+
     @cached_property
-    def _linear_axes(self) -> BatchFunction:
+    def _linear_axes_of_many(self) -> BatchFunction:
+        return BatchFunction(self._linear_axes)
+
+    @cached_property
+    def _linear_axes(self) -> ca.Function:
         """Commands of the linear axes, mm, by tool tip in the work frame (mm) and rotary axes (degrees), all in word order.
 
         Linear axes only translate, so that the tip is linear in their commands: three equations with three unknowns.
@@ -221,7 +231,7 @@ class WordSpace:
         left = wanted * MM - ca.substitute(tip, linear, ca.DM.zeros(3))
         others = [ca.cross(a, b) for a, b in ((y, z), (z, x), (x, y))]
         found = ca.vertcat(*(ca.dot(left, other) for other in others)) / ca.dot(x, others[0])
-        return BatchFunction(ca.Function("linear_axes", [wanted, rotary], [ca.cse(ca.densify(found))]))
+        return ca.Function("linear_axes", [wanted, rotary], [ca.cse(ca.densify(found))])
 
     def displacements(self, words: np.ndarray) -> np.ndarray:
         """Return (n, axes) displacements of axis words in command order."""
