@@ -104,17 +104,24 @@ class Branches:
         best, least = np.full(previous.shape, np.nan), np.full(len(previous), np.inf)
         lower, upper = self._limits.T[0] - SLACK_DEG, self._limits.T[1] + SLACK_DEG
         for solution in (solutions[:, 0], solutions[:, 1]):
-            free = np.isnan(solution)
-            angles = np.where(free, previous, solution)
-            turns = np.round((previous - angles) / 360.0)
+            rows: np.ndarray | slice = slice(None)
             for shift in (0.0, -1.0, 1.0):
-                candidate = np.where(free, previous, angles + 360.0 * (turns + shift))
-                candidate = candidate + 360.0 * ((candidate < lower) * 1.0 - (candidate > upper) * 1.0)
+                before = previous[rows]
+                free = np.isnan(solution[rows])
+                angles = np.where(free, before, solution[rows])
+                nearest = angles + 360.0 * (np.round((before - angles) / 360.0) + shift)
+                candidate = np.where(free, before, nearest)
+                out = (candidate < lower) * 1.0 - (candidate > upper) * 1.0
+                candidate = candidate + 360.0 * out
                 clipped = np.clip(candidate, *self._limits.T)
-                travel = np.maximum(*np.abs(clipped - previous).T)
+                travel = np.maximum(*np.abs(clipped - before).T)
                 inside = rows_all_true((candidate >= lower) & (candidate <= upper)) & ~(free[:, 0] & free[:, 1])
-                better = inside & (travel < least)
-                best[better], least[better] = clipped[better], travel[better]
+                better = inside & (travel < least[rows])
+                chosen = np.flatnonzero(better) if isinstance(rows, slice) else rows[better]
+                best[chosen], least[chosen] = clipped[better], travel[better]
+                if shift == 0.0:
+                    # Elsewhere no other turn is nearer.
+                    rows = np.flatnonzero(out.any(axis=1))
         return best
 
     def along(self, solutions: np.ndarray, before: np.ndarray, offset: np.ndarray) -> np.ndarray:
