@@ -194,3 +194,15 @@ def test_a_missing_input_is_named(
     (tmp_path / "measured1.csv").write_text("")
     assert message in refused(capsys, *arguments)
     assert [file.name for file in tmp_path.iterdir()] == ["measured1.csv"]
+
+
+def test_no_time_is_spent_on_searching_for_cycles_at_the_end() -> None:
+    program = (
+        "import atexit, gc\n"
+        "atexit.register(lambda: print('frozen', gc.get_freeze_count() > 0))\n"
+        "from twin.cli import main\n"
+        "try:\n    main(['--version'])\n"
+        "except SystemExit:\n    print(gc.get_threshold()[0])\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ran.stdout.splitlines()[1:] == ["20000", "frozen True"]

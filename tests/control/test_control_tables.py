@@ -477,3 +477,15 @@ def test_the_report_gives_the_same_figures(length: float, dmu50: Machine, tmp_pa
     assert after["control_tables"] == []
     left = best["error_at_tool"]["with_tables"]
     assert after["budget"]["total"]["rms_um"] == pytest.approx(left["rms_um"], rel=1e-9)
+
+
+def test_poses_with_tables_are_those_of_their_kinematics(dmu50: Machine, tmp_path: Path) -> None:
+    errors = drawn(dmu50, 5, rotary=True)
+    made = make(dmu50, errors, Request("heidenhain", tool_length_mm=LENGTH))
+    write_folder(made, errors, errors, {}, tmp_path)
+    known, required = Calibration.load(tmp_path / "calibration.yaml", dmu50), made.required
+    assert known.corrections
+    q = required.volume.q
+    found, expected = required.poses_with(known, q), required.kinematics_with(known).forward(q, required.volume.sides)
+    assert found.point_mm == pytest.approx(expected.point_mm, abs=1e-9)
+    assert np.abs(expected.point_mm - required.poses_with(errors, q).point_mm).max() > 1e-3

@@ -28,7 +28,7 @@ from twin.diagnosis.wording.panels import cause_panels, residual_panels
 from twin.diagnosis.wording.plots import plot_cause, plot_ranking, plot_residuals, plot_unexplained
 from twin.diagnosis.wording.report import diagnosis_html
 from twin.diagnosis.wording.text import WIDTH
-from twin.diagnosis.wording.words import cause_title, chance, listed, measured, odds, separating_points
+from twin.diagnosis.wording.words import cause_title, chance, measured, odds, separating_points
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
@@ -349,8 +349,6 @@ def test_numbers_carry_as_many_digits_as_are_known() -> None:
     assert measured(3.0, 0.0, "1") == "3"
     assert [chance(p) for p in (1e-300, 2e-4, 0.12)] == ["under 1 in a million", "1 in 5,000", "12 %"]
     assert odds(np.log(4321.0)) == "about 4,300 times less likely" and odds(800.0).startswith("more than a million")
-    assert listed(["a"]) == "a" and listed(["a", "b", "c"]) == "a, b and c"
-    assert listed([str(i) for i in range(20)]) == "0, 1, 2, 3, 4, 5, 6 and 13 more"
 
 
 def test_points_are_grouped_by_the_causes_they_separate() -> None:

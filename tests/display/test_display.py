@@ -26,7 +26,7 @@ from twin.compute.parallel import Workers
 from twin.diagnosis import diagnose
 from twin.display import graph, histogram, measured, rounded
 from twin.display.markup import ACCENT, WARNING
-from twin.display.numbers import ticks
+from twin.display.numbers import p_value_text, ticks
 from twin.identification import Identification, identify
 from twin.kinematics.forward import Kinematics
 from twin.kinematics.inverse import Inverse
@@ -446,3 +446,7 @@ def test_a_joint_covariance_is_used(dmu50: Machine) -> None:
     )
     text = shown(one).text
     assert "E_C0Y 22.0 ± 9.8 µrad" in text and "E_X0C 4.0 ± 3.9 µm" in text
+
+
+def test_a_p_value_too_small_for_a_number_is_a_bound() -> None:
+    assert [p_value_text(p) for p in (0.012345, 1.0, 1e-98, 1e-100)] == ["p = 0.012", "p = 1", "p = 1e-98", "p < 1e-99"]

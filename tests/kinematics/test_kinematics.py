@@ -202,3 +202,12 @@ def test_results_are_read_only(dmu50: Machine, calibration: Calibration) -> None
     poses = Kinematics(dmu50, calibration).forward([250, 225, -200, 0, 0])
     with pytest.raises(ValueError, match="read-only"):
         poses.point_mm[0, 0] = 1.0
+
+
+def test_poses_with_given_errors_are_those_of_the_chain(dmu50: Machine, cases: tuple[np.ndarray, np.ndarray]) -> None:
+    q, errors = cases[0][:50], cases[1][:50]
+    found = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=123.0).with_errors(q, errors.reshape(50, -1))
+    for i in range(50):
+        expected = reference_pose(dmu50, q[i], errors[i], 0.123)
+        assert found.point_mm[i] == pytest.approx(expected[:3, 3], abs=MM_TOLERANCE)
+        assert found.rotation[i] == pytest.approx(expected[:3, :3], abs=RAD_TOLERANCE)

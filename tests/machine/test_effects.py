@@ -15,7 +15,7 @@ from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.machine.calibration import Calibration
 from twin.machine.effects import MACHINE_EFFECTS, Effect, Specification
 from twin.machine.effects.entries import effect_named, entry_of
-from twin.machine.effects.specification import FittedCause
+from twin.machine.effects.specification import FittedCause, title_of
 from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 
@@ -211,3 +211,9 @@ def test_thermal_lag_obeys_its_differential_equation(machine: Machine) -> None:
     given = {name: np.zeros(5) for name in machine.names} | {"time_s": time[order], "T_bed_degC": warm[order]}
     moved = np.linalg.norm(table(effect.components(given), 5)[:3], axis=0)
     np.testing.assert_allclose(moved, SIZES["coefficient"] * solved.y[0][order], rtol=1e-6)
+
+
+def test_an_effect_without_specification_is_titled_by_its_name() -> None:
+    known = SPECIFICATIONS["reversal"]
+    assert title_of(known, "reversal", "Y") == known.title("Y")[:1].upper() + known.title("Y")[1:]
+    assert title_of(None, "worn_nut", "Y") == "Worn nut Y"

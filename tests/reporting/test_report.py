@@ -29,8 +29,8 @@ from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.reporting import MachineReport, machine_report
+from twin.reporting.comparing import compare_points
 from twin.reporting.page import machine_html
-from twin.reporting.readings import compare_points
 from twin.uncertainty.at_tool import ToolUncertainty
 
 MADE = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)

@@ -21,10 +21,11 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
+from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.at_tool import POSES_PER_STEP, ToolUncertainty, radius_95
-from twin.uncertainty.budget import error_budget, volume
+from twin.uncertainty.budget import PartialErrors, error_budget, errors_in, random_approach, state_at, volume
 from twin.uncertainty.population import numerical_tolerance
 
 LENGTH = 120.0
@@ -279,3 +280,29 @@ def test_info_prints_the_uncertainty_at_the_tool(
     assert f"U at least {over.rms_um:.2f} µm RMS, {over.max_um:.2f} µm largest" in text
     assert "not included (no covariance in the calibration): E_XX" in text
     assert "peak u" in text
+
+
+def test_errors_of_effects_are_those_of_the_kinematics(dmu50: Machine, uncertain: Calibration) -> None:
+    real, q = Kinematics(dmu50, uncertain), volume(dmu50, 40)
+    sides = random_approach(q)
+    found = errors_in(state_at(dmu50, q, sides, real.conditions), uncertain.effects, dmu50, len(q))
+    assert found == pytest.approx(real.error_frames(q, sides).reshape(40, -1), abs=1e-15)
+
+
+def test_poses_with_some_errors_are_those_of_the_calibration_with_them_alone(
+    dmu50: Machine, uncertain: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("twin.uncertainty.budget.ROWS", 90)
+    with_reversal = replace(uncertain, extra=(effect_named("reversal", "Y", {"size": 5.0}, dmu50),))
+    q = volume(dmu50, 40)
+    sides = random_approach(q)
+    names = [effect.name for effect in with_reversal.effects]
+    selections = [{names[0]}, {names[-1]}, set(names[::2]), set(), set(names)]
+    partial = PartialErrors(Kinematics(dmu50, with_reversal, tool_length_mm=LENGTH), q, sides)
+    expected = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=LENGTH).forward(q)
+    for some, (nominal, found) in zip(selections, partial.poses(selections), strict=True):
+        assert nominal.point_mm == pytest.approx(expected.point_mm, abs=1e-10)
+        assert some or np.array_equal(found.point_mm, nominal.point_mm)
+        alone = Kinematics(dmu50, with_reversal.where(some.__contains__), tool_length_mm=LENGTH).forward(q, sides)
+        assert found.point_mm == pytest.approx(alone.point_mm, abs=1e-10)
+        assert found.rotation == pytest.approx(alone.rotation, abs=1e-13)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, final
 
 import numpy as np
@@ -154,13 +154,13 @@ def remaining_errors(required: RequiredCorrections, calibration: Calibration) ->
         required: the required corrections: the machine, its errors without the control, tool length and conditions.
         calibration: the same errors with the control's tables; without effects whose channel is not given.
     """
-    with_tables, at = required.kinematics_with(calibration), required.volume
+    reach, at = partial(required.poses_with, calibration), required.volume
     uncertainty, before = _without_tables(required)
-    reached = with_tables.forward(at.q, at.sides)
+    reached = reach(at.q)
     program, limited = None, 0
     if required.machine.runs_programs:
-        commands, limited = required.corrected_commands(with_tables, reached)
-        program = volume_error(with_tables.forward(commands, at.sides), at.goal, uncertainty)
+        commands, limited = required.corrected_commands(reach, reached)
+        program = volume_error(reach(commands), at.goal, uncertainty)
     tables = volume_error(reached, at.goal, uncertainty)
     return RemainingErrors(len(at.q), before, tables, program, uncertainty, limited)
 

@@ -7,7 +7,7 @@ correction is complete; with fewer it corrects the part along them. It is a firs
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, final
@@ -23,7 +23,7 @@ from twin.machine.conditions import Conditions
 from twin.machine.effects import Effect
 from twin.machine.iso16907 import error_motion_of, iso_class
 from twin.machine.machine import Axis, Machine
-from twin.uncertainty.budget import random_approach, volume_inside_domains
+from twin.uncertainty.budget import errors_in, random_approach, state_at, volume_inside_domains
 
 REMEMBERED: Final = 256
 """Corrections at the positions of a column that are remembered: every format asks for the same ones."""
@@ -109,18 +109,29 @@ class RequiredCorrections:
         back = np.linalg.pinv(_derivatives(self.nominal, q, None))
         return Volume(q, random_approach(q), self.nominal.forward(q), back)
 
-    def corrected_commands(self, real: Kinematics, reached: Poses) -> tuple[np.ndarray, int]:
+    def poses_with(self, errors: Calibration, commands: np.ndarray) -> Poses:
+        """Return the poses at commands (n, axes) for `volume` with the given errors, without building their kinematics.
+
+        Raises:
+            InputError: a position outside the domain of a curve; an effect needs a channel that is not given.
+        """
+        errors.check(commands)
+        state = state_at(self.machine, commands, self.volume.sides, self.conditions)
+        effects = errors.with_tool(self.tool_length_mm).effects
+        return self.nominal.with_errors(commands, errors_in(state, effects, self.machine, len(commands)))
+
+    def corrected_commands(self, reach: Callable[[np.ndarray], Poses], reached: Poses) -> tuple[np.ndarray, int]:
         """Return the commands (n, axes) of `volume` whose linear axes correct the point, and at how many an axis's range limits them.
 
         Args:
-            real: the machine that is corrected.
+            reach: commands (n, axes) for `volume` → poses of the machine that is corrected.
             reached: poses that it reaches with the commands of `volume`.
         """
         at, linear = self.volume, list(self.machine.linear)
         commands, limited = at.q.copy(), np.zeros(len(at.q), dtype=bool)
         limits = np.array([self.range_of(self.machine.axes[i]) for i in linear])
         for i in range(ITERATIONS):
-            poses = real.forward(commands, at.sides) if i else reached
+            poses = reach(commands) if i else reached
             off = poses.point_mm - at.goal.point_mm
             step = commands[:, linear] - (at.back @ off[:, :, None])[:, :, 0]
             commands[:, linear] = np.clip(step, *limits.T)

@@ -10,6 +10,7 @@ import numpy as np
 from twin._common.json_form import json_form
 from twin.control.remains import PointUncertainty, VolumeError, or_unknown, volume_error
 from twin.control.required import RequiredCorrections
+from twin.kinematics.forward import Poses
 from twin.machine.calibration import Calibration
 from twin.machine.control import ControlSection
 from twin.uncertainty.at_tool import DEFINITION
@@ -88,9 +89,12 @@ def stages_of(required: RequiredCorrections, known: Calibration, section: Contro
     errors = {name: volume_error(poses, at.goal, uncertainty) for name, poses in reached.items()}
     if machine.runs_programs:
         last, linear = TABLES if section.tables else CONSTANTS, list(machine.linear)
-        corrected = models[last]
-        commands, _ = required.corrected_commands(corrected, reached[last])
+
+        def reach(commands: np.ndarray) -> Poses:
+            return models[last].forward(commands, at.sides)
+
+        commands, _ = required.corrected_commands(reach, reached[last])
         increments = np.array([machine.axes[i].increment for i in linear])
         commands[:, linear] = np.round(commands[:, linear] / increments) * increments
-        errors[PROGRAM] = volume_error(corrected.forward(commands, at.sides), at.goal, uncertainty)
+        errors[PROGRAM] = volume_error(reach(commands), at.goal, uncertainty)
     return Stages(len(at.q), errors, uncertainty)

@@ -14,11 +14,13 @@ from twin.display.numbers import (
     expanded,
     figure,
     fixed,
+    p_value_text,
     place,
     readable,
     with_half,
     with_joined_units,
 )
+from twin.display.sentences import capital, listed, lower
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -62,7 +64,21 @@ def templates() -> Environment:
     )
     found.globals |= {"ACCENT": ACCENT, "WARNING": WARNING, "UNKNOWN": UNKNOWN}
     found.globals |= {
-        one.__name__: one for one in (compact, expanded, figure, fixed, isfinite, place, readable, with_half)
+        one.__name__: one
+        for one in (
+            capital,
+            compact,
+            expanded,
+            figure,
+            fixed,
+            isfinite,
+            listed,
+            lower,
+            p_value_text,
+            place,
+            readable,
+            with_half,
+        )
     }
     found.filters["with_joined_units"] = lambda text: with_joined_units(str(text), "&nbsp;")
     found.globals["page"] = found.get_template(PARTS).module

@@ -130,6 +130,11 @@ def ceiling(value: float) -> float:
     return next(digit * power for digit in _ROUND if digit * power >= value * (1.0 - 1e-12))
 
 
+def p_value_text(p: float) -> str:
+    """Return a p-value as a number: p = 0.012."""
+    return "p < 1e-99" if p < 1e-99 else f"p = {p:.2g}"
+
+
 def with_joined_units(text: str, space: str) -> str:
     """Return a text with the given space between numbers and their units."""
     return TIED.sub(rf"\1{space}\2", text)

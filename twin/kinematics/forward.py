@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, final
 
 import casadi as ca
@@ -280,7 +280,7 @@ class Kinematics:
         """
         q = self.check(positions)
         rotation, point = self.reached(q * self.machine.scale, approach)
-        return Poses(read_only(point / MM), read_only(rotation.reshape(-1, 3, 3).transpose(0, 2, 1)))
+        return _poses(rotation, point)
 
     def error_frames(self, positions: Any, approach: Any = None) -> np.ndarray:
         """Return (n, frames, 6) error frames at commands: metres and rotation vectors in radians, in the order of ``machine.frames``.
@@ -291,6 +291,20 @@ class Kinematics:
         q = self.check(positions)
         (errors,) = self._error_frames(*self.rows(q * self.machine.scale, approach))
         return read_only(errors.reshape(len(q), -1, 6))
+
+    def with_errors(self, positions: Any, errors: np.ndarray) -> Poses:
+        """Return the poses with given errors in place of those of the calibration.
+
+        Args:
+            positions: as for `forward`.
+            errors: (n, 6·frames) metres and rotation vectors in radians, frame after frame.
+
+        Raises:
+            InputError: as for `forward`.
+        """
+        q = self.check(positions) * self.machine.scale
+        rotation, point = _chain_of_rows(self.machine)(q, errors, np.array([self.tool_length_mm * MM]))
+        return _poses(rotation, point)
 
     def sensitivities(self, positions: Any, approach: Any = None) -> Sensitivities:
         """Return the derivatives of the pose by the commands and by every error motion.
@@ -341,6 +355,16 @@ class Kinematics:
     def outside_domain(self, q: np.ndarray) -> np.ndarray:
         """Return (n, axes) where positions (mm, degrees) are outside the domains of the calibration (`Calibration.outside`)."""
         return self.calibration.outside(q)
+
+
+@lru_cache(maxsize=16)  # shared by all calibrations; a machine is immutable
+def _chain_of_rows(machine: Machine) -> BatchFunction:
+    return BatchFunction(chain_function(machine))
+
+
+def _poses(rotation: np.ndarray, point: np.ndarray) -> Poses:
+    """Return the poses of (n, 9) rotations, column by column, and (n, 3) points in metres."""
+    return Poses(read_only(point / MM), read_only(rotation.reshape(-1, 3, 3).transpose(0, 2, 1)))
 
 
 def angle_between_rad(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Final, Literal, final
 
 from twin._common.json_form import json_form
-from twin.diagnosis.wording.words import capital, listed, lower
 from twin.display import UNKNOWN, expanded, figure, with_half
+from twin.display.sentences import capital, listed, lower
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import SETTINGS, needed_values
 from twin.reporting.compensation import CompensationForecast

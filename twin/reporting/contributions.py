@@ -17,7 +17,7 @@ from twin.machine.effects import split_name
 from twin.machine.iso16907 import error_motion_of, iso_class
 from twin.reporting.words import named
 from twin.uncertainty.at_tool import ToolUncertainty, radius_95
-from twin.uncertainty.budget import BudgetRow, error_budget, random_approach, volume_inside_domains
+from twin.uncertainty.budget import BudgetRow, PartialErrors, error_budget, random_approach, volume_inside_domains
 
 JSON_NAMES: Final = MappingProxyType(
     {
@@ -113,9 +113,14 @@ class Budget:
         Args:
             name: name of that error.
         """
-        only = without(self.kinematics, {name})
-        remaining = only.forward(self.positions, self.sides).point_mm - self.nominal_poses.point_mm
+        others = {effect.name for effect in self.kinematics.calibration.effects} - {name}
+        ((nominal, found),) = self._partial.poses([others])
+        remaining = found.point_mm - nominal.point_mm
         return float(np.sqrt(np.mean(np.sum(remaining**2, axis=1)))) * 1e3
+
+    @cached_property
+    def _partial(self) -> PartialErrors:
+        return PartialErrors(self.kinematics, self.positions, self.sides)
 
     @cached_property
     def nominal_poses(self) -> Poses:

@@ -15,10 +15,10 @@ from typing import Final
 from matplotlib.figure import Figure
 
 from twin._common.language import Language
-from twin.diagnosis.wording import words
 from twin.display import Html, place, render, with_half
 from twin.display.figures import embedded
 from twin.display.numbers import COVERAGE_FACTOR
+from twin.display.sentences import listed
 from twin.machine.control import ControlSection
 from twin.machine.display import uncertainty_of
 from twin.machine.effects import Effect
@@ -93,7 +93,6 @@ def machine_html(report: MachineReport, front: FrontPage | None = None, language
         marks=MARKS,
         stops_of=stops_of,
         plots=plots,
-        words=words,
         AT_TOOL=AT_TOOL,
         CLASSES=CLASSES,
         DEFINITION=DEFINITION,
@@ -133,7 +132,7 @@ def _translated(page: str, to: Translator | None) -> str:
 def _over(report: MachineReport) -> str:
     field = report.field
     stands = f", at {place(field.standing)}" if field.standing else ""
-    return f"over {words.listed(list(field.spread))}{stands}"
+    return f"over {listed(list(field.spread))}{stands}"
 
 
 def _viewer(report: MachineReport, to: Translator | None) -> str:

@@ -31,7 +31,7 @@ from twin.reporting.contributions import Budget, budget
 from twin.reporting.field import Field, field
 from twin.reporting.identified import Identified
 from twin.reporting.motions import Motion, motions
-from twin.reporting.readings import PointComparison, compare_points
+from twin.reporting.readings import PointComparison
 from twin.reporting.sources import Sources, sources
 from twin.reporting.tables import TablesLeft, tables_left
 from twin.reporting.words import named
@@ -304,6 +304,10 @@ def _over_the_volume(
 def _comparisons(
     measured: Sequence[tuple[Path, Measurements]], known: Calibration, progress: Progress
 ) -> Iterator[PointComparison]:
+    if not measured:
+        return
+    from twin.reporting.comparing import compare_points  # imports the diagnosis: slow, and needed only here
+
     for i, (path, data) in enumerate(measured):
         progress("measured", 0.5 + 0.35 * i / len(measured))
         yield compare_points(data, known.machine, known, path)

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from twin.diagnosis.wording.words import capital, cause_title
-from twin.machine.effects import split_name
+from twin.display.sentences import capital
+from twin.machine.effects import MACHINE_EFFECTS, split_name
 from twin.machine.effects.names import motion_in_words
+from twin.machine.effects.specification import title_of
 from twin.machine.machine import Machine
 
 CLASSES: Final[Mapping[str, str]] = MappingProxyType(
@@ -43,7 +44,7 @@ def named(name: str, machine: Machine) -> str:
         return name
     if effect == "control":
         return f"Table in the control: {where}"
-    return cause_title(effect, where.partition("[")[0])
+    return _title(effect, where.partition("[")[0])
 
 
 def motion_kind(name: str, machine: Machine) -> str:
@@ -82,5 +83,10 @@ _MOTIONS: Final = {
 def _of_motion(name: str, machine: Machine) -> str:
     component, average, axis = split_name(name)
     if average:
-        return cause_title("squareness", name) if machine.by_name[axis].linear else capital(motion_in_words(name))
+        return _title("squareness", name) if machine.by_name[axis].linear else capital(motion_in_words(name))
     return _MOTIONS[motion_kind(name, machine)].format(axis=axis, direction="xyz"[component % 3])
+
+
+def _title(effect: str, where: str) -> str:
+    """Return the name of a machine effect at a place; a calibration holds no effects of instruments."""
+    return title_of({one.name: one for one in MACHINE_EFFECTS}.get(effect), effect, where)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.kinematics.forward import Kinematics, rms_and_max
+from twin.kinematics.forward import Kinematics, Poses, rms_and_max
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import APPROACH, Conditions
 from twin.machine.display import standard_uncertainty
-from twin.machine.effects import Effect, unit_of
+from twin.machine.effects import Effect, assemble, unit_of
 from twin.machine.iso16907 import error_motion_of, iso_class
 from twin.machine.machine import Machine
 
@@ -21,6 +21,8 @@ POSES: Final = 2000
 SEED: Final = 16907
 CURVE_POINTS: Final = 721
 """Number of points at which a curve's peak is sought: every half degree of a turn."""
+ROWS: Final = 16_384
+"""Largest number of poses evaluated in one call, fewer than are worth compiling for."""
 
 
 @final
@@ -99,6 +101,54 @@ def state_at(
     return found | dict(conditions.channels) | dict(zip(names, sides.T, strict=True))
 
 
+def errors_in(state: Mapping[str, Any], effects: Sequence[Effect], machine: Machine, count: int) -> np.ndarray:
+    """Return the errors (n, 6·frames) of effects in ``count`` states (`state_at`), as `Kinematics.with_errors` takes them."""
+    rows = assemble(effects, machine.frames, state)
+    return np.stack([np.broadcast_to(value, count) for row in rows for value in row], axis=1)
+
+
+@final
+class PartialErrors:
+    """Poses of a machine with some of its errors: each error is evaluated once, and many selections at a time.
+
+    Args:
+        real: the machine with all its errors.
+        q: (n, axes) commands, mm and degrees.
+        sides: (n, axes) directions of approach, +1 or −1.
+
+    Raises:
+        InputError: a position outside the domain of a curve.
+    """
+
+    def __init__(self, real: Kinematics, q: np.ndarray, sides: np.ndarray) -> None:
+        self._real = real
+        self._q = real.check(q)
+        state = state_at(real.machine, q, sides, real.conditions)
+        self._errors: dict[str, np.ndarray] = {}
+        for effect in real.calibration.effects:
+            own = errors_in(state, [effect], real.machine, len(q))
+            self._errors[effect.name] = self._errors.get(effect.name, 0.0) + own
+
+    def poses(self, selections: Sequence[Collection[str]]) -> Iterator[tuple[Poses, Poses]]:
+        """Yield the (n,) nominal poses, and those with each selection of errors, given by the names of their effects.
+
+        Both are results of one call, so that an error without effect gives exactly zero.
+        """
+        count, size = len(self._q), 6 * len(self._real.machine.frames)
+        step = max(1, ROWS // max(count, 1))
+        for first in range(0, len(selections), step):
+            some = [(), *selections[first : first + step]]
+            errors = np.zeros((len(some), count, size))
+            for total, names in zip(errors, some, strict=True):
+                for name, own in self._errors.items():
+                    if name in names:
+                        total += own
+            found = self._real.with_errors(np.tile(self._q, (len(some), 1)), errors.reshape(-1, size))
+            parts = [slice(i * count, (i + 1) * count) for i in range(len(some))]
+            nominal, *reached = (Poses(found.point_mm[rows], found.rotation[rows]) for rows in parts)
+            yield from ((nominal, one) for one in reached)
+
+
 def error_budget(
     machine: Machine,
     calibration: Calibration,
@@ -117,28 +167,34 @@ def error_budget(
         conditions: temperatures and time.
     """
     q = volume_inside_domains(calibration)
-    nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm).forward(q)
     sides = random_approach(q)
     classes = {effect.name: iso_class(error_motion_of(effect, machine), machine) for effect in calibration.effects}
 
-    def at_tool(limited: Calibration) -> tuple[float, float, tuple[float, float], tuple[float, float]]:
-        real = Kinematics(machine, limited, tool_length_mm=tool_length_mm, conditions=conditions)
-        reached = real.forward(q, sides)
+    real = Kinematics(machine, calibration, tool_length_mm=tool_length_mm, conditions=conditions)
+    partial = PartialErrors(real, q, sides)
+
+    def at_tool(nominal: Poses, reached: Poses) -> tuple[float, float, tuple[float, float], tuple[float, float]]:
         distance = np.linalg.norm(reached.point_mm - nominal.point_mm, axis=1) * 1e3
         return float(np.sqrt(np.mean(distance**2))), float(distance.max()), *rms_and_max(reached.tilt_urad(nominal))
 
     state = state_at(machine, q, sides, Conditions() if conditions is None else conditions)
-    rows = []
-    for effect, peak, u, unit, illustrative in _entries(calibration, state):
-        alone = at_tool(calibration.where({effect.name}.__contains__))
-        rows.append(BudgetRow(effect.name, classes[effect.name], unit, peak, u, *alone, illustrative))
+    entries = list(_entries(calibration, state))
+    rows = [
+        BudgetRow(effect.name, classes[effect.name], unit, peak, u, *at_tool(*alone), illustrative)
+        for (effect, peak, u, unit, illustrative), alone in zip(
+            entries, partial.poses([{effect.name} for effect, *_ in entries]), strict=True
+        )
+    ]
     totals = []
-    for iso in dict.fromkeys(row.iso_class for row in rows):
-        members = {row.name: row.illustrative for row in rows if row.iso_class == iso}
-        own = at_tool(calibration.where(members.__contains__))
-        totals.append(BudgetRow(iso, iso, "", np.nan, np.nan, *own, any(members.values())))
+    members = {
+        iso: [row for row in rows if row.iso_class == iso] for iso in dict.fromkeys(row.iso_class for row in rows)
+    }
+    selections = [{row.name for row in some} for some in members.values()]
+    for (iso, some), own in zip(members.items(), partial.poses(selections), strict=True):
+        totals.append(BudgetRow(iso, iso, "", np.nan, np.nan, *at_tool(*own), any(row.illustrative for row in some)))
     drawn = any(row.illustrative for row in rows)
-    totals.append(BudgetRow("all", "all", "", np.nan, np.nan, *at_tool(calibration), drawn))
+    (whole,) = partial.poses([{row.name for row in rows}])
+    totals.append(BudgetRow("all", "all", "", np.nan, np.nan, *at_tool(*whole), drawn))
     return tuple(rows), tuple(totals)
 
 

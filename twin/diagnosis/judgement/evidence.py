@@ -12,7 +12,7 @@ from twin.diagnosis.estimate.estimate import Estimate
 from twin.diagnosis.problem.forms import Candidates, Form
 from twin.diagnosis.result import readable_unit
 from twin.diagnosis.selection.cross_validation import predicts_held_out
-from twin.diagnosis.wording.words import listed
+from twin.display.sentences import listed
 from twin.machine.calibration import Calibration
 from twin.machine.effects.specification import FittedCause
 from twin.numerics.waves import SHORTEST_PERIOD, sampling_frequency

@@ -16,9 +16,10 @@ from twin._common.provenance import warning_texts
 from twin.diagnosis.result import Cause, DiagnosisResult, Quantity, readable_unit
 from twin.diagnosis.wording import panels, verdict, words
 from twin.diagnosis.wording.plots import plot_panel, plot_unexplained
-from twin.diagnosis.wording.words import column, listed
+from twin.diagnosis.wording.words import column
 from twin.display import Html, render
 from twin.display.figures import embedded
+from twin.display.sentences import listed, lower
 from twin.machine.effects.specification import NOTHING
 from twin.measurement.checks import assumptions, grouped_notes
 
@@ -98,7 +99,7 @@ def _picture(panel: panels.Panel, caption: str) -> Html:
 
 def _listed_causes(keys: Sequence[tuple[str, str]]) -> Html:
     """Return causes in words with their symbols, as HTML."""
-    named = [(escape(words.lower(words.cause_title(*key))), escape(words.symbol(*key))) for key in keys]
+    named = [(escape(lower(words.cause_title(*key))), escape(words.symbol(*key))) for key in keys]
     return Html(listed([f"{name} <span class=symbol>{sign}</span>" for name, sign in named]))
 
 

@@ -16,18 +16,16 @@ from twin.diagnosis.wording.words import (
     grouped,
     held_out_words,
     likelihood_words,
-    listed,
-    lower,
     measured,
     micrometres,
     missing,
     odds,
     percent,
-    probability,
     separating_points,
     symbol,
 )
-from twin.display.numbers import with_joined_units
+from twin.display.numbers import p_value_text, with_joined_units
+from twin.display.sentences import listed, lower
 from twin.measurement.checks import assumptions, grouped_notes
 
 WIDTH: Final = 100
@@ -56,7 +54,7 @@ def diagnosis_text(diagnosis: DiagnosisResult) -> str:
         "",
         *_wrapped(
             f"RMS residual {diagnosis.rms_um:.3g} µm per coordinate, {diagnosis.expected_rms_um:.3g} µm expected from "
-            f"{diagnosis.noise_source} ({probability(diagnosis.p_value)}, {diagnosis.tried} causes tested).",
+            f"{diagnosis.noise_source} ({p_value_text(diagnosis.p_value)}, {diagnosis.tried} causes tested).",
             hang=2,
         ),
     ]
@@ -130,7 +128,7 @@ def _cause(cause: Cause) -> list[str]:
         lines += _wrapped(_numbers(cause), start=4, hang=6)
     if cause.share > 0.0:
         lines += _wrapped(
-            f"explains {percent(cause.share)} of the excess over noise, {probability(cause.p_value)}", start=4, hang=6
+            f"explains {percent(cause.share)} of the excess over noise, {p_value_text(cause.p_value)}", start=4, hang=6
         )
     if cause.probability is not None:
         lines += _wrapped(likelihood_words(cause.probability, not cause.equivalent), start=4, hang=6)

@@ -11,18 +11,16 @@ import numpy as np
 from twin.diagnosis.result import Cause, DiagnosisResult, Extension
 from twin.diagnosis.wording.words import (
     advice,
-    capital,
     cause_title,
     column,
     held_out_words,
     kind,
-    listed,
-    lower,
     micrometres,
     percent,
     separating_points,
     side,
 )
+from twin.display.sentences import capital, listed, lower
 
 Mood = Literal["well", "wrong", "unknown", "disturbed"]
 SHOWN: Final = 4

@@ -5,18 +5,17 @@ The report, the text and the notebook all take their words from here. The symbol
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import ceil, exp, floor, isfinite, log10
 from typing import Any, Final, final
 
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.display.numbers import COVERAGE_FACTOR, figure
+from twin.display.sentences import capital, listed
 from twin.machine.effects.names import axis_of
-from twin.machine.effects.specification import Advice, Kind
+from twin.machine.effects.specification import Advice, Kind, title_of
 
-MANY: Final = 8
-"""Items listed by name; the rest are counted."""
 ENOUGH: Final = 25.0
 """Expected χ² between the predictions of two causes that rules one of them out."""
 HOPELESS: Final = 1000.0
@@ -40,8 +39,7 @@ def symbol(effect: str, where: str) -> str:
 
 def cause_title(effect: str, where: str) -> str:
     """Return the name of a cause in words, without symbols."""
-    known = SPECIFICATIONS.get(effect)
-    return f"{capital(effect.replace('_', ' '))} {where}" if known is None else capital(known.title(where))
+    return title_of(SPECIFICATIONS.get(effect), effect, where)
 
 
 def family(effect: str) -> str:
@@ -70,13 +68,6 @@ def column(name: str) -> str:
 def side(carrier: str) -> str:
     """Return in words which points a statement is about."""
     return {"tool": "points on the tool side", "work": "points on the work side"}.get(carrier, "points on both sides")
-
-
-def listed(names: Sequence[str], *, most: int = MANY) -> str:
-    """Return the names as "A, B and C"; above ``most`` names, the first ones and the number of the others."""
-    if len(names) > most:
-        return f"{', '.join(names[: most - 1])} and {len(names) - most + 1} more"
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def grouped(keys: Iterable[tuple[str, str]]) -> list[str]:
@@ -191,11 +182,6 @@ def _name_and_symbol(effect: str, where: str) -> str:
     return f"{cause_title(effect, where)} ({symbol(effect, where)})"
 
 
-def probability(p: float) -> str:
-    """Return a p-value as a number: p = 0.012."""
-    return "p < 1e-99" if p < 1e-99 else f"p = {p:.2g}"
-
-
 def chance(p: float) -> str:
     """Return a p-value in words: under 1 in a million; 1 in 5,000; 12 %."""
     if p < 1e-6:
@@ -216,16 +202,6 @@ def _round_number(value: float) -> int:
     """Return the value rounded to its first two digits."""
     digits = max(len(str(int(value))) - 2, 0)
     return round(value / 10**digits) * 10**digits
-
-
-def capital(text: str) -> str:
-    """Return the text with a capital first letter."""
-    return text[:1].upper() + text[1:]
-
-
-def lower(text: str) -> str:
-    """Return a name for the middle of a sentence, in lower case unless it starts with the letter of an axis."""
-    return text if text[1:2] == " " else text[:1].lower() + text[1:]
 
 
 def percent(share: float) -> str:

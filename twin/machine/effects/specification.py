@@ -16,6 +16,7 @@ from typing import Any, Final, Literal, final
 import numpy as np
 
 from twin._common.errors import InputError, closest_name
+from twin.display.sentences import capital
 from twin.machine.effects.base import Effect, Frame
 from twin.machine.effects.payload import Payload
 from twin.machine.machine import Machine
@@ -268,3 +269,8 @@ class Specification:
             else:
                 found.append(where)
         return found, missing
+
+
+def title_of(known: Specification | None, effect: str, where: str) -> str:
+    """Return the name of an effect at a place in words; made of its name if it has no specification."""
+    return f"{capital(effect.replace('_', ' '))} {where}" if known is None else capital(known.title(where))
