@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -13,7 +14,8 @@ from twin._common.errors import InputError
 from twin.compute.batch import BatchFunction
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.chain import chain_function
+from twin.machine.chain import chain_function, tip_function
+from twin.machine.effects import Reversal
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
 
@@ -211,3 +213,31 @@ def test_poses_with_given_errors_are_those_of_the_chain(dmu50: Machine, cases: t
         expected = reference_pose(dmu50, q[i], errors[i], 0.123)
         assert found.point_mm[i] == pytest.approx(expected[:3, 3], abs=MM_TOLERANCE)
         assert found.rotation[i] == pytest.approx(expected[:3, :3], abs=RAD_TOLERANCE)
+
+
+def test_tip_and_axis_are_those_of_the_chain(dmu50: Machine, cases: tuple[np.ndarray, np.ndarray]) -> None:
+    q, errors = cases
+    inputs = q * dmu50.scale, errors.reshape(POSES, -1), np.array([0.123])
+    rotation, point = BatchFunction(chain_function(dmu50))(*inputs)
+    tip, axis = BatchFunction(tip_function(dmu50))(*inputs)
+    assert np.abs(tip - point).max() * 1e3 <= MM_TOLERANCE
+    assert np.abs(axis - rotation[:, 6:]).max() <= RAD_TOLERANCE
+
+
+def test_some_of_the_errors(dmu50: Machine, calibration: Calibration) -> None:
+    """As with the calibration of these errors alone, approach directions included."""
+    extra = (Reversal(dmu50.by_name["X"], 6.0), Reversal(dmu50.by_name["C"], -9.0))
+    whole = replace(calibration, extra=extra)
+    machine = Kinematics(dmu50, whole, tool_length_mm=80.0)
+    rng = np.random.default_rng(4)
+    q, sides = random_commands(dmu50, 50, rng), rng.choice([-1.0, 1.0], (50, 5))
+    q[:, 4] %= 360.0
+    names = [effect.name for effect in whole.effects]
+    for chosen in [set(), {"E_XX", "E_C0Y"}, set(names) - {"reversal:X", "reversal:C"}, {"reversal:C"}]:
+        some = machine.where(chosen.__contains__)
+        alone = Kinematics(dmu50, whole.where(chosen.__contains__), tool_length_mm=80.0)
+        assert [effect.name for effect in some.calibration.effects] == [name for name in names if name in chosen]
+        assert some.directed is alone.directed is any(name.startswith("reversal") for name in chosen)
+        found, expected = some.forward(q, sides), alone.forward(q, sides)
+        assert np.array_equal(found.point_mm, expected.point_mm) and np.array_equal(found.rotation, expected.rotation)
+    assert machine.where(lambda name: True) is machine
