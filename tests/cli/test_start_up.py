@@ -54,10 +54,12 @@ def test_no_command_imports_a_large_package_before_it_runs() -> None:
     assert ran.stdout.split() == []
 
 
-def run_light(folder: Path, lines: Sequence[Sequence[str]], *, completed: bool = False) -> list[tuple[int, str]]:
+def run_light(
+    folder: Path, lines: Sequence[Sequence[str]], *, completed: bool = False, allowed: str = ""
+) -> list[tuple[int, str]]:
     """Run command lines one after the other in one process; return status and output of each; fail at the first heavy import."""
     ran = subprocess.run(
-        [sys.executable, "-c", RUN, " ".join(HEAVY)],
+        [sys.executable, "-c", RUN, " ".join(HEAVY - {allowed})],
         input=json.dumps([[list(line), completed] for line in lines]),
         cwd=folder,
         capture_output=True,
@@ -169,6 +171,12 @@ def test_completion_imports_no_large_package(tmp_path: Path) -> None:
     found = run_light(tmp_path, [line.split(" ") for line in lines], completed=True)
     for (_, text), expected in zip(found, lines.values(), strict=True):
         assert expected in text.splitlines()
+
+
+def test_completion_of_error_names_imports_only_what_reads_yaml(tmp_path: Path) -> None:
+    lines = ["plan --reduce E_C0", "identify m.csv -m xyzbc_trunnion --only E_C0", "plan --machine none --reduce E_C0"]
+    for _, text in run_light(tmp_path, [line.split(" ") for line in lines], completed=True, allowed="yaml"):
+        assert "E_C0Y" in text.splitlines()
 
 
 @pytest.mark.parametrize(

@@ -8,17 +8,19 @@ from typing import cast
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.axis import Tick
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.text import Text
 
 from twin.display.figures import new_figure, polar_ticks, style_axes
-from twin.display.plain_axes import draw_plain_axes, draw_plain_polar
+from twin.display.plain_axes import add_plain_axes, add_plain_polar, draw_plain_axes, draw_plain_polar
 
 SIZE = 9.0
 
 
-def _plot(low: float, high: float, peak: float) -> Axes:
-    plot = new_figure(4.4, 3.0, None).add_axes((0.2, 0.3, 0.75, 0.65))
+def _plot(low: float, high: float, peak: float, *, plain: bool = False) -> Axes:
+    figure, place = new_figure(4.4, 3.0, None), (0.2, 0.3, 0.75, 0.65)
+    plot = add_plain_axes(figure, place) if plain else figure.add_axes(place)
     x = np.linspace(low, high, 50)
     plot.plot(x, peak * np.sin(x / (high - low) * 5.0))
     plot.set(xlabel="X [mm]", ylabel="E_XX [µm]")
@@ -34,7 +36,7 @@ def _boxes(plot: Axes, texts: Iterable[Text]) -> dict[tuple[str, bool], tuple[fl
 
 @pytest.mark.parametrize(("low", "high", "peak"), [(0, 500, 10.0), (-400, 0, 150.0), (3, 3.2, 0.4), (0, 7000, 2e4)])
 def test_same_texts_at_the_same_places(low: float, high: float, peak: float) -> None:
-    own, plain = _plot(low, high, peak), _plot(low, high, peak)
+    own, plain = _plot(low, high, peak), _plot(low, high, peak, plain=True)
     style_axes(own)
     own.tick_params(labelsize=SIZE)
     draw_plain_axes(plain, SIZE)
@@ -56,9 +58,8 @@ def test_same_texts_at_the_same_places(low: float, high: float, peak: float) -> 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 360.0), (0.0, 180.0), (-120.0, 120.0)])
 def test_angles_at_the_same_places(low: float, high: float) -> None:
     angles = np.deg2rad(np.arange(low, high, 30.0))
-    plots = [
-        cast(PolarAxes, new_figure(4.4, 4.3, None).add_axes((0.1, 0.1, 0.8, 0.8), projection="polar")) for _ in "12"
-    ]
+    figures, place = [new_figure(4.4, 4.3, None) for _ in "12"], (0.1, 0.1, 0.8, 0.8)
+    plots = [cast(PolarAxes, figures[0].add_axes(place, projection="polar")), add_plain_polar(figures[1], place)]
     for plot in plots:
         ticks, _ = polar_ticks(plot, 5.0, (low, high))
     own, plain = plots
@@ -74,3 +75,14 @@ def test_angles_at_the_same_places(low: float, high: float) -> None:
     assert len(places[0]) == len(angles)
     np.testing.assert_allclose(places[0], places[1], atol=1.6)
     assert [text for _, text in ticks] == [one.get_text() for one in plain.texts if "°" not in one.get_text()]
+
+
+def test_axes_without_ticks_have_their_lines_at_the_same_places() -> None:
+    own, plain = _plot(0.0, 500.0, 10.0), _plot(0.0, 500.0, 10.0, plain=True)
+    draw_plain_axes(plain, SIZE)
+    for plot in (own, plain):
+        plot.figure.canvas.draw()  # type: ignore[union-attr]
+    assert not [*plain.xaxis.majorTicks, *plain.yaxis.minorTicks, *plain.findobj(Tick)] and own.findobj(Tick)
+    for name, spine in plain.spines.items():
+        points = [one.get_transform().transform_path(one.get_path()).vertices for one in (spine, own.spines[name])]
+        np.testing.assert_allclose(*points, atol=1e-9, err_msg=name)

@@ -6,15 +6,16 @@ matplotlib makes five artists for each tick and places each several times: more 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, cast, final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
+from matplotlib.axis import Axis, XAxis, YAxis
+from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.markers import TICKDOWN, TICKLEFT, TICKRIGHT
-from matplotlib.projections.polar import PolarAxes
+from matplotlib.projections.polar import PolarAxes, RadialAxis, ThetaAxis
 from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
 from matplotlib.ticker import FixedLocator, MaxNLocator
@@ -28,6 +29,74 @@ TURNED_PAD: Final = 14.0
 """Distance of the middle of the number of an angle from the outer circle, points."""
 LABEL_PAD: Final = 4.0
 """Distance of the label of an axis from the numbers, points."""
+
+
+class _WithoutTicks:
+    """Mixin of an axis that is not drawn: matplotlib makes the first ticks of an axis with it, half of the time of empty axes."""
+
+    if not TYPE_CHECKING:  # matplotlib declares variables
+        majorTicks = minorTicks = property(lambda self: [])
+
+    def get_major_ticks(self, numticks: int | None = None) -> list[Any]:
+        """Return no ticks."""
+        return []
+
+    get_minor_ticks = get_major_ticks
+
+
+@final
+class _PlainXAxis(_WithoutTicks, XAxis):
+    """Horizontal axis that is not drawn."""
+
+
+@final
+class _PlainYAxis(_WithoutTicks, YAxis):
+    """Vertical axis that is not drawn."""
+
+
+@final
+class _PlainThetaAxis(_WithoutTicks, ThetaAxis):
+    """Axis of angles that is not drawn."""
+
+
+@final
+class _PlainRadialAxis(_WithoutTicks, RadialAxis):
+    """Axis of radii that is not drawn."""
+
+
+@final
+class _PlainAxes(Axes):
+    def _init_axis(self) -> None:
+        self.xaxis, self.yaxis = _PlainXAxis(self, clear=False), _PlainYAxis(self, clear=False)
+        for axis, names in ((self.xaxis, ("bottom", "top")), (self.yaxis, ("left", "right"))):
+            for name in names:
+                self.spines[name].register_axis(axis)
+
+
+@final
+class _PlainPolarAxes(PolarAxes):
+    def _init_axis(self) -> None:
+        self.xaxis, self.yaxis = _PlainThetaAxis(self, clear=False), _PlainRadialAxis(self, clear=False)
+        for name in ("polar", "inner"):
+            self.spines[name].register_axis(self.yaxis)
+
+
+def add_plain_axes(figure: Figure, place: tuple[float, float, float, float]) -> Axes:
+    """Return new axes of a figure, to be finished by `draw_plain_axes`.
+
+    Args:
+        figure: the figure.
+        place: left, bottom, width and height in shares of the figure.
+    """
+    plot = figure.add_axes(place, axes_class=_PlainAxes)
+    for spine in plot.spines.values():
+        spine.get_position()  # places it, as a tick would
+    return plot
+
+
+def add_plain_polar(figure: Figure, place: tuple[float, float, float, float]) -> PolarAxes:
+    """The same for `draw_plain_polar`."""
+    return cast(PolarAxes, figure.add_axes(place, axes_class=_PlainPolarAxes))
 
 
 def draw_plain_axes(

@@ -32,7 +32,8 @@ from twin.display import (
 from twin.display.numbers import COVERAGE_FACTOR, ceiling
 from twin.machine.control import ControlSection
 from twin.machine.effects import AxisLocation, Effect, ErrorMotion, Squareness, split_name, unit_of
-from twin.machine.machine import DIRECTIONS, Machine
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 
 POINTS: Final = 121

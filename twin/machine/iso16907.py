@@ -17,7 +17,8 @@ from twin.display import card, pairs
 from twin.machine.classes import BASIC, COMBINED, NAMES
 from twin.machine.conditions import RecordingState
 from twin.machine.effects import ControlCorrection, Effect, split_name
-from twin.machine.machine import DIRECTIONS, Machine
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Machine
 
 CONTROL: Final = "control"
 """Corrections that the control applies: not a class of errors, but accounted for separately."""

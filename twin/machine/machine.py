@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, Literal, final
+from typing import Literal, final
 
 import numpy as np
 import pinocchio as pin
@@ -28,6 +28,7 @@ from twin._common.errors import InputError
 from twin._common.units import DEG, MM
 from twin._common.yaml_files import EntryPath, line_of, load_yaml
 from twin.display import Cell, card, chain, pairs, span, table
+from twin.machine.error_names import NamedAxis, Vector, component_names, location_names, squareness_names
 from twin.machine.machine_file import (
     SCHEMA,
     AxisEntry,
@@ -38,13 +39,7 @@ from twin.machine.machine_file import (
     turns_in_machine_frame,
 )
 
-DIRECTIONS = "XYZABC"
-"""Components of an error frame in order: translations along, rotations about x, y, z (ISO 230-1, 3.4)."""
-Vector = tuple[float, float, float]
 AXIS_HEADERS = ("axis", "kind", "range", "least increment", "carries", "joint in the URDF")
-
-PARALLEL: Final = 0.1
-"""Sine of the angle below which two linear axes count as parallel and span no datum plane."""
 
 
 @final
@@ -241,8 +236,7 @@ class Machine:
 
     def error_names(self, frame: ErrorFrame) -> tuple[str, ...]:
         """Return the ISO 230-1 names of a frame's six components: ``E_XX`` … ``E_CX``, or ``E_X0C`` … ``E_C0C``."""
-        mark = "" if frame.role == "motion" else "0"
-        return tuple(f"E_{direction}{mark}{frame.axis}" for direction in DIRECTIONS)
+        return component_names(frame.axis, average=frame.role == "location")
 
     def plausible(self, name: str) -> float:
         """Return the prior standard deviation of an error, µm or µrad.
@@ -260,39 +254,18 @@ class Machine:
 
     @cached_property
     def location_names(self) -> tuple[str, ...]:
-        """Names of the rotary axes' locations: two offsets and two angles each, perpendicular to the axis (ISO 230-1, 3.5)."""
-        names: list[str] = []
-        for frame in self.frames:
-            if frame.role == "location":
-                along = int(np.argmax(np.abs(self.by_name[frame.axis].direction)))
-                six = self.error_names(frame)
-                names += [six[i] for i in range(3) if i != along] + [six[3 + i] for i in range(3) if i != along]
-        return tuple(names)
+        """Names of the rotary axes' locations (`twin.machine.error_names.location_names`)."""
+        return location_names(self._named_axes)
 
     @cached_property
     def squareness_names(self) -> tuple[str, ...]:
-        """Names of the squareness errors that remain with the choice of the machine frame, by that frame's directions.
+        """Names of the squareness errors (`twin.machine.error_names.squareness_names`)."""
+        return squareness_names(self._named_axes)
 
-        The first linear axis is the datum axis and has none. The first one that is not parallel to it lies in the datum plane with it
-        and has one, about the plane's normal (contract §1). Every other one has two, perpendicular to its direction.
-        """
-        names: list[str] = []
-        datum: np.ndarray | None = None
-        plane = False
-        for index in self.linear:
-            axis = self.axes[index]
-            direction = axis.machine_direction
-            if datum is None:
-                datum = direction
-                continue
-            normal = np.cross(datum, direction)
-            if not plane and np.linalg.norm(normal) > PARALLEL:
-                plane = True
-                names.append(f"E_{'ABC'[int(np.argmax(np.abs(normal)))]}0{axis.name}")
-            else:
-                along = int(np.argmax(np.abs(direction)))
-                names += [f"E_{'ABC'[i]}0{axis.name}" for i in range(3) if i != along]
-        return tuple(names)
+    @property
+    def _named_axes(self) -> list[NamedAxis]:
+        x = [(axis, *axis.machine_direction.tolist()) for axis in self.axes]
+        return [NamedAxis(axis.name, axis.linear, axis.direction, (a, b, c)) for axis, a, b, c in x]
 
     def configuration(self, q: np.ndarray, errors: np.ndarray | None = None) -> np.ndarray:
         """Return the Pinocchio configuration of one pose.

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from twin._common.errors import InputError
 from twin._common.units import DEG
 from twin._common.yaml_files import EntryPath, line_of
+from twin.machine.error_names import MIN_ALIGNMENT
 from twin.machine.urdf_file import read_urdf
 
 SCHEMA = "twin.machine/1"
@@ -22,8 +23,6 @@ MAX_POSITION: Final = 1e6
 """Largest position of an axis, mm or degrees: a kilometre."""
 LONGEST_TOOL_MM: Final = 5_000.0
 """Largest tool length: twice that of long boring bars. A larger value is a wrong unit or a misplaced decimal point."""
-MIN_ALIGNMENT: Final = 0.7071
-"""Cosine of the largest angle, 45° (rounded), between a direction of a linear axis's error frame and that of the base frame."""
 
 _Position = Annotated[float, Field(ge=-MAX_POSITION, le=MAX_POSITION)]
 

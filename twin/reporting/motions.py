@@ -15,7 +15,7 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.conditions import APPROACH
 from twin.machine.display import combined_uncertainty
 from twin.machine.effects import Effect, PitchError, unit_of
-from twin.machine.machine import DIRECTIONS
+from twin.machine.error_names import DIRECTIONS
 from twin.reporting.readings import curve_ranges, is_motion, sum_of_effects
 from twin.reporting.words import named
 

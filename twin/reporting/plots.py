@@ -14,7 +14,6 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import FixedFormatter, FixedLocator
 
 from twin._common.units import DEG, TURN
@@ -32,7 +31,7 @@ from twin.display.figures import (
     style_axes,
     text_box_style,
 )
-from twin.display.plain_axes import draw_plain_axes, draw_plain_polar
+from twin.display.plain_axes import add_plain_axes, add_plain_polar, draw_plain_axes, draw_plain_polar
 from twin.reporting.compensation import CompensationForecast
 from twin.reporting.contributions import Contribution
 from twin.reporting.field import Field, Slice
@@ -128,7 +127,7 @@ def plot_constants(found: Sequence[Constant]) -> Figure:
     drawing, bottom = new_figure(WIDTH, height, layout=None), height - 0.04
     for high, group in zip(heights, groups, strict=True):
         bottom -= high
-        plot = drawing.add_axes((0.66 / WIDTH, bottom / height, 3.7 / WIDTH, high / height))
+        plot = add_plain_axes(drawing, (0.66 / WIDTH, bottom / height, 3.7 / WIDTH, high / height))
         bottom -= BELOW_ROWS
         _dress(plot, plain=True)
         at = np.arange(len(group))[::-1]
@@ -223,7 +222,7 @@ def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure
     wide = min(SIDE, MOST_HIGH / high)
     height = wide * high + 0.72
     drawing = new_figure(WIDTH, height, layout=None)
-    plot = drawing.add_axes((0.72 / WIDTH, 0.55 / height, wide / WIDTH, wide * high / height))
+    plot = add_plain_axes(drawing, (0.72 / WIDTH, 0.55 / height, wide / WIDTH, wide * high / height))
     _dress(plot, plain=True)
     levels = np.linspace(0.0, top, 9)
     plot.contourf(one.across, one.up, np.minimum(values, top), levels=levels, cmap=VIRIDIS)
@@ -231,7 +230,7 @@ def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure
     plot.clabel(lines, fmt="%g", fontsize=8)
     plot.set(xlabel=f"{one.horizontal} [mm]", ylabel=f"{one.vertical} [mm]")
     draw_plain_axes(plot, NUMBERS, grid="")
-    beside = drawing.add_axes(((0.72 + wide + 0.12) / WIDTH, 0.55 / height, 0.13 / WIDTH, wide * high / height))
+    beside = add_plain_axes(drawing, ((0.72 + wide + 0.12) / WIDTH, 0.55 / height, 0.13 / WIDTH, wide * high / height))
     middles = 0.5 * (levels[1:] + levels[:-1])
     beside.pcolormesh([0.0, 1.0], levels, middles[:, None], cmap=VIRIDIS, vmin=0.0, vmax=top)
     beside.yaxis.set_major_locator(FixedLocator(levels.tolist()))
@@ -295,7 +294,7 @@ def _polar(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
     wide = high - low > 200.0
     height = 4.3 if wide else 3.2
     drawing = new_figure(WIDTH, height, layout=None)
-    plot = cast(PolarAxes, drawing.add_axes((0.0, 0.0, 1.0, 1.0), projection="polar"))
+    plot = add_plain_polar(drawing, (0.0, 0.0, 1.0, 1.0))
     q = motion.position * DEG
     lines = _curves(plot, motion, DEG, "from below (+)", (1.6, 1.3))
     _stops(plot, stops, DEG)
@@ -358,9 +357,8 @@ def _plot(width: float, height: float, *, left: float = 0.72, legend: int = 1, p
     """
     drawing = new_figure(width, height, layout=None)
     below = 0.52 + LINE * legend
-    plot = drawing.add_axes(
-        (left / width, below / height, (width - left - 0.12) / width, (height - below - 0.14) / height)
-    )
+    place = left / width, below / height, (width - left - 0.12) / width, (height - below - 0.14) / height
+    plot = add_plain_axes(drawing, place) if plain else drawing.add_axes(place)
     _dress(plot, plain=plain)
     return plot
 

@@ -78,8 +78,16 @@ def _machine(ctx: Any) -> Machine:
 
 
 def _names(ctx: Any) -> tuple[str, ...]:
-    machine = _machine(ctx)
-    return (*machine.motion_names, *machine.squareness_names, *machine.location_names)
+    """Return the names of the machine's errors; `_machine` would take as long as the rest of the completion together."""
+    from twin._common.bundled import find_bundled
+    from twin.machine.error_names import axes_of, component_names, location_names, squareness_names
+
+    try:
+        axes = axes_of(find_bundled(ctx.params.get("machine") or DEFAULT, ".yaml", "a machine file"))
+    except ValueError:
+        axes = axes_of(find_bundled(DEFAULT, ".yaml", "a machine file"))
+    motions = [name for axis in axes for name in component_names(axis.name)]
+    return (*motions, *squareness_names(axes), *location_names(axes))
 
 
 def _starting_with(incomplete: str, names: Any) -> list[str]:

@@ -18,7 +18,8 @@ from twin.machine.effects.error_motion import (
     STRAIGHTNESS,
     specification_of,
 )
-from twin.machine.machine import DIRECTIONS, Axis
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Axis
 from twin.machine.motion_curve import Curve
 from twin.numerics.curves import POWER, CurveSpace, conversion
 from twin.numerics.functions import Functions, Rows

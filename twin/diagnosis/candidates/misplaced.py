@@ -26,7 +26,8 @@ from twin.diagnosis.candidates.signatures import (
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect, ErrorMotion, split_name
 from twin.machine.effects.specification import Advice, FittedCause, Specification
-from twin.machine.machine import DIRECTIONS, Axis
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Axis
 from twin.numerics.functions import Functions
 from twin.numerics.functions import tabulated as tabulated
 

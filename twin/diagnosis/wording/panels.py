@@ -16,7 +16,8 @@ from twin.machine.effects import Effect
 from twin.machine.effects.names import axis_of, motion_in_words
 from twin.machine.effects.specification import Drawing
 from twin.machine.effects.waves import APPROACH
-from twin.machine.machine import DIRECTIONS, Machine
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Machine
 from twin.measurement.state import machine_state
 
 STOPS: Final = 24

@@ -39,7 +39,8 @@ from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM, URAD
 from twin.identification.thesis.three_point import REFLECTORS, three_point
 from twin.machine.calibration import Calibration
-from twin.machine.machine import DIRECTIONS, Machine
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import rotation_exp

@@ -17,7 +17,8 @@ from twin.compute.batch import BatchFunction
 from twin.machine.chain import frame_pose, joint_in_base
 from twin.machine.control.correction import Correction, TableSummary
 from twin.machine.control.curve import ControlCurve
-from twin.machine.machine import DIRECTIONS, Axis, Machine
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Axis, Machine
 
 DIRECTION_TOLERANCE: Final = 1e-12
 _SIGN: Final = {"tool": 1.0, "work": -1.0, "both": 0.0}

@@ -22,7 +22,8 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin.machine.datum.links import DatumLink
-from twin.machine.machine import DIRECTIONS, Axis
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Axis
 
 Datum = Literal["mean lines", "end points", "as given"]
 MEAN_LINES: Final = "mean lines"

@@ -25,7 +25,7 @@ from twin.machine.datum.conditions import (
 from twin.machine.datum.fit import FIT_TOLERANCE, fit, functions, with_values
 from twin.machine.datum.links import DatumLink, Numbers, links_of
 from twin.machine.effects import split_name
-from twin.machine.machine import DIRECTIONS
+from twin.machine.error_names import DIRECTIONS
 from twin.machine.motion_curve import conversion_of
 from twin.numerics.covariance import Covariance
 

@@ -19,7 +19,8 @@ from twin._common.arrays import read_only
 from twin._common.units import UM, URAD
 from twin.machine.effects import AxisLocation, Squareness, split_name
 from twin.machine.effects.base import Effect
-from twin.machine.machine import DIRECTIONS, Axis, Machine
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Axis, Machine
 from twin.machine.motion_curve import Curve
 from twin.numerics.spatial import cross_matrix, rotation_exp, rotation_log
 

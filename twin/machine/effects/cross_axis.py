@@ -10,7 +10,8 @@ from twin.machine.effects.base import Effect, Frame, Parameter
 from twin.machine.effects.names import direction_of, split_name
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDED, Advice, Drawing, Specification, State
-from twin.machine.machine import DIRECTIONS, Machine
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Machine
 
 
 @final

@@ -12,7 +12,8 @@ from twin.machine.effects.base import Effect, Frame, Parameter
 from twin.machine.effects.names import direction_of, split_name, unit_of
 from twin.machine.effects.payload import Payload
 from twin.machine.effects.specification import EXTENDED, Advice, Drawing, Forms, SharedColumns, Specification, State
-from twin.machine.machine import DIRECTIONS, Machine
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Machine
 from twin.numerics.elementary import cos, sin
 from twin.numerics.functions import Functions, cached_in_state
 from twin.numerics.waves import highest_order, waves

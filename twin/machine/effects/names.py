@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from twin.machine.machine import DIRECTIONS
+from twin.machine.error_names import DIRECTIONS
 
 
 def split_name(name: str) -> tuple[int, bool, str]:

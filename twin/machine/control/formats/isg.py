@@ -37,7 +37,8 @@ from twin.machine.control.curve import ControlCurve, period_of
 from twin.machine.control.format import TableFormat
 from twin.machine.control.lines import TableLine, check_increasing, fixed_decimals, table_lines
 from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection, rest_geometry
-from twin.machine.machine import DIRECTIONS, Axis, Machine
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Axis, Machine
 
 FILE: Final = "volcomp.csv"
 LIST: Final = "volcomp.lis"
