@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from twin._common import families
-from twin.machine.control import FORMATS as TABLE_FORMATS
-from twin.machine.control import KINEMATICS
+from twin.machine.control import kinematics_formats, table_formats
 from twin.machine.effects import MACHINE_EFFECTS
 from twin.machine.machine import Machine
 from twin.measurement.formats import FORMATS as MEASURED_FORMATS
@@ -21,8 +20,8 @@ from twin.planning.sequences import SEQUENCES, SET_UPS
     [
         (families.INSTRUMENTS, INSTRUMENTS),
         (families.MEASURED_FORMATS, MEASURED_FORMATS),
-        (families.TABLE_FORMATS, TABLE_FORMATS),
-        (families.KINEMATICS_FORMATS, KINEMATICS),
+        (families.TABLE_FORMATS, table_formats()),
+        (families.KINEMATICS_FORMATS, kinematics_formats()),
         (families.EFFECTS, MACHINE_EFFECTS),
         (families.SEQUENCES, SEQUENCES),
         (families.DRIFTS, DRIFTS),
