@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.machine.errors import random_calibration
 from twin._common.errors import InputError
@@ -15,7 +18,8 @@ from twin.compensation.execute import execute_file
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import read_program
-from twin.nc.blocks import AxisWords, Interpretation
+from twin.nc.blocks import AxisWords, Interpretation, Program
+from twin.nc.iso.calls import IsoInliner
 
 AXES = AxisWords(("X", "Y", "Z"), ("B", "C"), dict.fromkeys("XYZBC", 0.001))
 CASES: dict[str, tuple[dict[str, str], str]] = {
@@ -158,3 +162,16 @@ def test_a_program_without_calls_is_itself(dmu50: Machine) -> None:
     program, dialect = read_program("cone_frustum.nc")
     assert dialect.expanded(program, Path()) is program
     assert Compensator(dmu50, Calibration.zero(dmu50)).compensate(program, dialect).text == program.text
+
+
+WORDS = ["M", "m", "G", "g", "O", "L", "N7", "X", " ", "\t", "1", "98", "65", "198", "<", "9", "."]
+
+
+@given(st.lists(st.lists(st.sampled_from(WORDS), max_size=6).map("".join), max_size=4))
+def test_lines_that_may_be_calls(lines: list[str]) -> None:
+    """All lines with a pattern of a call, searched one by one."""
+    begin = re.compile(r"[ \t]*(?:N\d+[ \t]*)?(?:O[ \t]*[\d<]|L[ \t]*\d|[A-Z_][A-Z_])", re.IGNORECASE)
+    inside = re.compile(r"M[ \t]*1?98|G[ \t]*65", re.IGNORECASE)
+    texts = [f"{line}\n" for line in lines]
+    inliner = IsoInliner(Program("p.nc", "iso", tuple(texts)), None)
+    assert inliner.likely(texts) == [i for i, one in enumerate(texts) if begin.match(one) or inside.search(one)]

@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, final
 
+import numpy as np
+
 from twin.nc.dialect import as_comment
 from twin.nc.inline import Call, Inliner, Line, refused, with_ending
 from twin.nc.iso import vocabulary
@@ -28,8 +30,7 @@ _CALL_AT_BEGIN: Final = r"[ \t]*(?:[Nn]\d+[ \t]*)?(?:[Oo][ \t]*[\d<]|[Ll][ \t]*\
 _LIKELY: Final = re.compile(_CALL_AT_BEGIN, re.ASCII)
 _INSIDE: Final = re.compile(r"M[ \t]*1?98|G[ \t]*65", _FLAGS)
 _LIKELY_ANYWHERE: Final = re.compile(rf"[\r\n]{_CALL_AT_BEGIN}", re.ASCII)
-_INSIDE_ANYWHERE: Final = re.compile(r"[MmGg][ \t]*(?:1?98|65)", re.ASCII)
-"""Found in every program that has a line with one of the two above; quick, because letters of both cases are written out."""
+"""Found in every program that has a line with the first of these two; quick, because letters of both cases are written out."""
 _LOCALS: Final = 33
 """Number of local variables of a macro."""
 _O_WORD: Final = re.compile(r"O[ \t]*(\d+|<[^>]*>)[ \t]*(SUB|ENDSUB|RETURN|CALL)(?!\w)[ \t]*(.*)", _FLAGS | re.DOTALL)
@@ -52,6 +53,18 @@ _STATEMENTS: Final = (
 _SUFFIXES: Final = ("", ".spf", ".mpf", ".nc", ".ngc", ".txt", ".tap", ".iso")
 
 
+def _may_call_inside(text: str) -> bool:
+    """Return whether M or G stands before 98, 198 or 65 in a text that begins with a line ending: so in all that `_INSIDE` finds."""
+    characters = np.frombuffer(text.encode("latin-1"), dtype=np.uint8)
+    first, second = characters[:-1], characters[1:]
+    pairs = ((first == ord("9")) & (second == ord("8"))) | ((first == ord("6")) & (second == ord("5")))
+    before = np.flatnonzero(pairs) - 1
+    before -= characters[before] == ord("1")
+    while (blank := np.isin(characters[before], np.frombuffer(b" \t", dtype=np.uint8))).any():
+        before -= blank
+    return bool(np.isin(characters[before], np.frombuffer(b"MmGg", dtype=np.uint8)).any())
+
+
 @final
 class IsoInliner(Inliner):
     """Writes out the subprograms of ISO programs."""
@@ -59,7 +72,7 @@ class IsoInliner(Inliner):
     def likely(self, texts: Sequence[str]) -> list[int]:
         """See `Inliner.likely`."""
         whole = "\n" + "".join(texts)
-        if not (_LIKELY_ANYWHERE.search(whole) or _INSIDE_ANYWHERE.search(whole)):
+        if not (_LIKELY_ANYWHERE.search(whole) or _may_call_inside(whole)):
             return []
         return [
             i
