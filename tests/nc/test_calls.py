@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.machine.errors import random_calibration
@@ -168,6 +168,9 @@ WORDS = ["M", "m", "G", "g", "O", "L", "N7", "X", " ", "\t", "1", "98", "65", "1
 
 
 @given(st.lists(st.lists(st.sampled_from(WORDS), max_size=6).map("".join), max_size=4))
+@example(["X M198"])
+@example(["X1", "Xg \t65."])
+@example(["Xm98"])
 def test_lines_that_may_be_calls(lines: list[str]) -> None:
     """All lines with a pattern of a call, searched one by one."""
     begin = re.compile(r"[ \t]*(?:N\d+[ \t]*)?(?:O[ \t]*[\d<]|L[ \t]*\d|[A-Z_][A-Z_])", re.IGNORECASE)
