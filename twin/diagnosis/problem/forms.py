@@ -155,12 +155,13 @@ class Candidates:
         """
         problem, rng = self.problem, np.random.default_rng(SEED)
         count = len(problem.view.rows)
-        points, products, root = np.arange(count), self.products, problem.root
+        points, products, root, inner = np.arange(count), self.products, problem.root, self._inner
         if count > SAMPLED_POINTS:
             # A sample of the points suffices for the correlation between forms.
             points = np.sort(rng.choice(count, SAMPLED_POINTS, replace=False))
             products = Products(problem, self.products.columns, self._columns, points)
             root = problem.orthonormal_on(points)
+            inner = [count / len(points) * own for own in self._projected_blocks(products, products.on_basis(root))]
         basis = problem.rows(points).reshape(-1, len(problem.nuisance_coordinates))
         read = problem.network.read[points].reshape(-1)
         noise = rng.standard_normal((len(read), NULL_DATA_SETS)) * read[:, None]
@@ -169,11 +170,9 @@ class Candidates:
             @ rng.standard_normal((problem.calibration_directions.shape[1], NULL_DATA_SETS))
         )
         noise -= basis @ (root @ (root.T @ (basis.T @ noise)))
-        more = count / len(points)
-        slope = products.with_vectors(noise, points) * np.sqrt(more)
+        slope = products.with_vectors(noise, points) * np.sqrt(count / len(points))
         scale = rng.chisquare(self.dof, NULL_DATA_SETS) / self.dof if np.isfinite(self.dof) else np.ones(NULL_DATA_SETS)
         smallest_log_p = np.zeros(NULL_DATA_SETS)
-        inner = [more * own for own in self._projected_blocks(products, products.on_basis(root))]
         for rows, columns, blocks in zip(self._rows, self._columns, inner, strict=True):
             values, vectors = np.linalg.eigh(blocks)
             seen = _identifiable(values, np.einsum("nii->ni", blocks).max(axis=1))

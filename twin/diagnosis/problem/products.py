@@ -129,7 +129,7 @@ class Products:
 
     def along(self, vectors: Callable[[PointBlock], np.ndarray], points: np.ndarray | None) -> np.ndarray:
         """Return inner products (all, r) with vectors made block by block, over some points or all."""
-        return np.asarray(self.signatures.along(vectors, points).sum(axis=0))
+        return np.asarray(self.signatures.along(vectors, points, by_part=False)[0])
 
     def set_residual(self, residual: np.ndarray) -> None:
         """Replace the residual (3n,)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, reduce
 from functools import partial as partial_of
+from threading import Lock
 from typing import Final, final
 
 import numpy as np
@@ -83,34 +84,44 @@ class Signatures:
             self.columns[i] = column
         self._prepare()
 
-    def along(self, vectors: Callable[[PointBlock], np.ndarray], rows: np.ndarray | None = None) -> np.ndarray:
+    def along(
+        self, vectors: Callable[[PointBlock], np.ndarray], rows: np.ndarray | None = None, *, by_part: bool = True
+    ) -> np.ndarray:
         """Return inner products (parts, columns, r) with r vectors.
 
         Args:
             vectors: function that returns the vectors (points, 3, r) at a block of points.
             rows: the points to sum over, as one part; all points, by part, if None.
+            by_part: whether all points are summed by part, not as one part.
         """
         runs, part_of, count = self._runs_of(rows)
         if not self.columns:
             runs = runs[:1]  # only for the number of vectors
-        by_part: list[list[int]] = [[] for _ in range(count)]
+        lists: list[list[int]] = [[] for _ in range(count)]
         for run in range(len(runs)):
-            by_part[part_of(run)].append(run)
+            lists[part_of(run)].append(run)
         # A part is summed by one thread: no thread holds the sums of all parts, and the result does not depend on their order.
-        shares = by_part if count > 1 else [own for own in (by_part[0][i::THREADS] for i in range(THREADS)) if own]
-        found: list[np.ndarray] = [np.empty(0)] * len(shares)
+        if count == 1 or not by_part:
+            every = [run for own in lists for run in own]
+            lists = [own for own in (every[i::THREADS] for i in range(THREADS)) if own]
+        made: list[np.ndarray] = []
+        lock = Lock()
 
         def fill(own: Sequence[int]) -> None:
             for share in own:
-                found[share] = self._along_runs(vectors, [(run, runs) for run in shares[share]])
+                sums, width = self._sums_over(vectors, [(run, runs) for run in lists[share]])
+                with lock:
+                    if not made:
+                        made.append(np.zeros((len(lists), len(self.columns), width)))
+                self._add_sums(sums, made[0][share])
 
-        map_chunks(range(len(shares)), fill)
-        return np.stack(found) if count > 1 else reduce(np.ndarray.__iadd__, found)[None]
+        map_chunks(range(len(lists)), fill)
+        return made[0] if count > 1 and by_part else reduce(np.ndarray.__iadd__, made[0])[None]
 
-    def _along_runs(
+    def _sums_over(
         self, vectors: Callable[[PointBlock], np.ndarray], own: Sequence[tuple[int, Sequence[np.ndarray]]]
-    ) -> np.ndarray:
-        """Return inner products (columns, r) with r vectors, summed over some runs.
+    ) -> tuple[Sequence[_Sums], int]:
+        """Return inner products with r vectors, summed over some runs, and r.
 
         A reading of one side of the machine has zeros in all derivatives and nuisance vectors of the other side; they are skipped.
         """
@@ -123,10 +134,17 @@ class Signatures:
                 used = np.arange(width)
             right = (right if len(used) == width else right[:, :, used]).transpose(1, 2, 0)
             self._add_block(block, right, sums.setdefault(used.tobytes(), _Sums(used)))
-        found = np.zeros((len(self.columns), width))
-        for one in sums.values():
-            found[:, one.used] += self._summed(one)
-        return found
+        return list(sums.values()), width
+
+    def _add_sums(self, sums: Sequence[_Sums], found: np.ndarray) -> None:
+        """Add sums over points to the inner products (columns, r)."""
+        for one in sums:
+            if len(one.used) == found.shape[1]:
+                self._add_summed(one, found)
+            else:
+                part = np.zeros((len(found), len(one.used)))
+                self._add_summed(one, part)
+                found[:, one.used] += part
 
     def _add_block(self, block: PointBlock, right: np.ndarray, sums: _Sums) -> None:
         """Add the inner products of functions times derivatives with (3, r, points) vectors at a block of points."""
@@ -163,9 +181,8 @@ class Signatures:
         # A derivative may multiply only a few of the functions.
         return np.asarray(projected @ (values[:, index] if few_of(functions, index) else values))
 
-    def _summed(self, sums: _Sums) -> np.ndarray:
-        """Return the inner products (columns, r) of the signatures with the vectors, from those of their terms."""
-        found = np.zeros((len(self.columns), len(sums.used)))
+    def _add_summed(self, sums: _Sums, found: np.ndarray) -> None:
+        """Add to the inner products (columns, r) of the signatures with the vectors those of their terms."""
         while sums.large:
             (functions, freedom, start), values = sums.large.popitem()
             columns, index, weight = self._lookup[functions][freedom]
@@ -177,7 +194,6 @@ class Signatures:
         for terms, products in sums.small.items():
             at = [np.zeros(0, dtype=int), *(self._lookup[functions][freedom][0] for functions, freedom in terms)]
             np.add.at(found, np.concatenate(at), products.T)
-        return found
 
     def _projected(
         self, block: PointBlock, right: np.ndarray, by_freedom: Mapping[Freedom, Mapping[Functions, Terms]]
