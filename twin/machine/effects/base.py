@@ -5,11 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar, Literal, final
 
 import numpy as np
 import pinocchio as pin
 
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import UM, URAD
 from twin.machine.machine import Axis, ErrorFrame, Machine
@@ -141,11 +143,12 @@ def summed(terms: Iterable[tuple[Frame, Mapping[int, Any]]], frames: Sequence[Er
     return total
 
 
+@lru_cache(maxsize=256)  # asked for every candidate of a diagnosis; a machine is immutable
 def rest_orientation(machine: Machine, joint: int) -> np.ndarray:
     """Return the orientation (3, 3) of a joint in the base frame with all axes at zero."""
     data = machine.model.createData()
     pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
-    return np.asarray(data.oMi[joint].rotation)
+    return read_only(np.array(data.oMi[joint].rotation))
 
 
 def base_vector(turn: np.ndarray, direction: str) -> Vector:
