@@ -9,10 +9,10 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
+from twin.nc.apt.locations import VECTOR_DECIMALS
 from twin.nc.apt.program import read, rewritten
 from twin.nc.apt.statements import statement_at, statements
 from twin.nc.apt.technology import line_words
-from twin.nc.apt.writer import VECTOR_DECIMALS
 from twin.nc.blocks import AxisWords, Interpretation, Kind, Program
 from twin.nc.columns import NewPositions, as_columns
 from twin.nc.dialect import Dialect

@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 
 from twin.nc.apt.lines import locations, scan
+from twin.nc.apt.locations import TogetherJob, together_code
 from twin.nc.apt.reader import AptReader
 from twin.nc.apt.statements import Statement, statement_at
 from twin.nc.apt.writer import AptWriter
@@ -59,7 +60,8 @@ def rewritten(program: Program, axes: AxisWords, moves: MoveColumns, new: NewPos
         moves: its moves.
         new: their replacements.
     """
-    reader, writer = AptReader(program.source, axes), AptWriter(newline_of(program))
+    reader = AptReader(program.source, axes)
+    writer = AptWriter(newline_of(program), together_code(len(program.texts)))
     out: list[str] = []
     for part in _parts(program, lambda chunk: _replaced_together(chunk, moves, new), lambda: False):
         if isinstance(part, _Run):
@@ -69,7 +71,7 @@ def rewritten(program: Program, axes: AxisWords, moves: MoveColumns, new: NewPos
             rows = new.rows(which)
             whole = slice(int(scanned.start[part.begin]), int(scanned.end[part.end - 1]))
             positions, vectors = new.positions[rows] / reader.unit, new.vectors[rows]
-            out.append(writer.together(scanned, whole, lines, new.count[which], positions, vectors))
+            out.append(writer.together(TogetherJob(scanned, whole, lines, new.count[which], positions, vectors)))
             continue
         moved = reader.step(part) is not None
         index = int(np.searchsorted(moves.line, part.line)) if moved else -1

@@ -5,19 +5,12 @@ from __future__ import annotations
 import re
 from typing import Final, final
 
-import numpy as np
-
+from twin.nc.apt.locations import MOST_DECIMALS, POSITION_DECIMALS, VECTOR_DECIMALS, Said, Together, TogetherJob
 from twin.nc.apt.statements import Statement
 from twin.nc.blocks import Kind, Rewrite
 from twin.nc.emit import vector_texts
-from twin.nc.lines.scan import Scan
 from twin.nc.text import Style, apply_edits, ending, format_number, style_of
 
-POSITION_DECIMALS: Final = 5
-VECTOR_DECIMALS: Final = 9
-MOST_DECIMALS: Final = 12
-"""Decimals of a coordinate that are kept at most."""
-_COMPONENT: Final = f"%.{VECTOR_DECIMALS}f"
 _EXPONENT: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)[EeDd][+-]?\d{1,3}", re.ASCII)
 
 
@@ -27,11 +20,13 @@ class AptWriter:
 
     Args:
         newline: line ending of the program.
+        together: how simple statements are written together.
     """
 
-    def __init__(self, newline: str) -> None:
+    def __init__(self, newline: str, together: Together) -> None:
         self.newline = newline
-        self._said: tuple[str, ...] | None = vector_texts((0.0, 0.0, 1.0), VECTOR_DECIMALS, False)
+        self._together = together
+        self._said: Said | None = vector_texts((0.0, 0.0, 1.0), VECTOR_DECIMALS, False)
 
     def unchanged(self, raw: str, *, tilts: bool) -> str:
         """Return a statement unchanged; ``tilts``: whether it has a tool vector."""
@@ -82,50 +77,10 @@ class AptWriter:
             lines[-1] = lines[-1].removesuffix(newline)
         return "".join(lines)
 
-    def together(
-        self,
-        scan: Scan,
-        whole: slice,
-        lines: np.ndarray,
-        count: np.ndarray,
-        positions: np.ndarray,
-        vectors: np.ndarray,
-    ) -> str:
-        """Return simple ``GOTO`` statements, consecutive except for comments, with new locations.
-
-        Args:
-            scan: the text.
-            whole: the range of the text that contains the lines.
-            lines: (n,) indices of the lines.
-            count: (n,) number of segments of each.
-            positions: (segments, axes) their end points in program units.
-            vectors: (segments, 3) their tool vectors.
-        """
-        text, words = scan.data[whole].decode("latin-1"), scan.words
-        first, last = scan.first[lines], scan.first[lines + 1] - 1
-        places = np.clip(words.fraction[first[:, None] + [0, 1, 2]], POSITION_DECIMALS, MOST_DECIMALS)
-        numbers = list(zip(*(_fixed(positions[:, i], np.repeat(places[:, i], count)) for i in range(3)), strict=True))
-        tools = list(zip(*(_shortest(vectors[:, i]) for i in range(3)), strict=True))
-        ranges = (words.start[first], words.end[last], scan.start[lines], scan.end[lines])
-        columns = (*((ends - whole.start).tolist() for ends in ranges), (last - first == 5).tolist(), count.tolist())
-
-        def location(row: int, *, again: bool) -> str:
-            new = again or tools[row] != self._said
-            self._said = tools[row]
-            return ",".join(numbers[row] + tools[row] if new else numbers[row])
-
-        out, at, row = list[str](), 0, 0
-        for begin, behind, start, end, tilted, segments in zip(*columns, strict=True):
-            out += (text[at:begin], location(row, again=tilted))
-            at = behind
-            if segments > 1:
-                head, newline = text[start:begin], ending(text[start:end])
-                out.append(text[behind:end])
-                out += (f"{head}{location(row + i, again=False)}{newline}" for i in range(1, segments))
-                at = end
-            row += segments
-        out.append(text[at:])
-        return "".join(out)
+    def together(self, job: TogetherJob) -> str:
+        """Return simple ``GOTO`` statements with new locations."""
+        text, self._said = self._together(job, self._said)
+        return text
 
     def _vector(self, vector: list[float] | None, *, again: bool) -> tuple[str, ...]:
         """Return the components of a tool vector, none if it is the last one written; ``again``: always."""
@@ -135,24 +90,6 @@ class AptWriter:
         new = again or texts != self._said
         self._said = texts
         return texts if new else ()
-
-
-def _fixed(values: np.ndarray, places: np.ndarray) -> list[str]:
-    """Return numbers as `format_number` does with these many decimals and no fewer."""
-    found = list(map("%.*f".__mod__, zip(places.tolist(), values.tolist(), strict=True)))
-    for i in np.flatnonzero(np.signbit(values) & (np.abs(values) < 1.0)).tolist():
-        found[i] = format_number(float(values[i]), int(places[i]), Style(min_decimals=int(places[i])))
-    return found
-
-
-def _shortest(values: np.ndarray) -> list[str]:
-    """Return the components of tool vectors as `vector_texts` does."""
-    found = [
-        text.rstrip("0").rstrip(".") if text[-1] == "0" else text for text in map(_COMPONENT.__mod__, values.tolist())
-    ]
-    for i in np.flatnonzero(np.signbit(values) & (np.abs(values) < 10.0**-VECTOR_DECIMALS)).tolist():
-        found[i] = format_number(float(values[i]), VECTOR_DECIMALS, Style())
-    return found
 
 
 def _decimals(text: str) -> int:
