@@ -46,7 +46,7 @@ def rows_all_true(good: np.ndarray) -> np.ndarray:
 def all_within(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
     """Return whether all of (n, k) values lie within the (k,) bounds of their columns; false if one is not a number.
 
-    NumPy's operations along the rows of a narrow array are slow, so many rows are treated as one that is `WIDE` times as wide.
+    NumPy's operations along the rows of a narrow array are slow, therefore `WIDE` rows are treated as one.
     """
     even = len(values) // WIDE * WIDE
     for part, repeated in ((values[:even].reshape(even // WIDE, WIDE * values.shape[1]), WIDE), (values[even:], 1)):
