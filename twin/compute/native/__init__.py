@@ -14,14 +14,15 @@ pose and core (minimum to maximum of the repeats):
 |---|---|---|---|
 | 7,500 (4,200 to 11,800) | 630 (350 to 920) | 7,000 (4,000 to 8,900) | 30 (24 to 33) |
 
-**Programs.** `twin compensate` processes ISO programs of any length in chunks: a million five-axis blocks in 3.6 to 3.9 s with
-start-up, 2.1 to 2.4 s (420,000 to 475,000 a second) in a process that has started, in 230 MB whatever the length, including reading,
-solving, checking, splitting, writing, reading back and reporting: 0.60 to 0.65 times as long as a plain Python loop that only parses
-and prints the same words. The check between block end points and the account are one compiled pass that keeps no value of a single
-point (`along.cpp`). Plain language, APT, drilling cycles and calibrations with reversals are held in memory; processor time per block
-in µs: axis words 4, drilling strokes 8, plain language and tool-tip words 11, reversals 18, APT 23. `twin.compensate_file(…)` does
-the same from a script. If the calibration has a covariance, U of a long program is computed at some block ends and interpolated
-between them, within 1 % (`twin/compensation/account/interpolation.py`).
+**Programs.** `twin compensate` processes ISO programs of any length in chunks: a million five-axis blocks in 2.5 s with start-up, 1.9 s
+(530,000 a second) in a process that has started, in 260 MB whatever the length, including reading, solving, checking, splitting,
+writing, reading back and reporting: 0.55 times as long as a plain Python loop that only parses and prints the same words. A command
+takes 0.75 s before and after its program (Intel Xeon, two shared cores, AVX-512; 2026-11-25). The check between block end points and
+the account are one compiled pass that keeps no value of a single point (`along.cpp`). Plain language, APT, drilling cycles and
+calibrations with reversals are held in memory; processor time per block in µs: axis words 3 to 3.5, tool-tip words 5, drilling strokes
+6.5, plain language 7.5, reversals and APT 9.5 to 11. `twin.compensate_file(…)` does the same from a script. If the calibration has a
+covariance, U of a long program is computed at some block ends and interpolated between them, within 1 %
+(`twin/compensation/account/interpolation.py`).
 
 **Measurements** (an earlier run). 100,000 points: `identify` 46 s and 1.2 GB, `diagnose` 40 s and 1.2 GB (the command, with table and
 page, 46 s). With an uncertain calibration `diagnose` takes longer: 181 s of processor time and 2.4 GB with 398 uncertain parameters
