@@ -67,7 +67,8 @@ class Commands:
             return self
         whole = np.isnan(share)
         begin = self.begin[line] + np.where(whole, 0.0, share)[:, None] * self.way[line]
-        return Commands(begin, np.where(whole[:, None], self.way[line], 0.0), np.where(whole, self.points[line], 1))
+        way = np.where(whole[:, None], self.way[line], 0.0)
+        return Commands(begin, way, np.where(whole, self.points[line], 1), self.converted)
 
     def as_array(self) -> np.ndarray:
         """Return the commands at all points, (n, axes)."""
