@@ -16,6 +16,7 @@ from twin.diagnosis.problem.point_block import PointBlock
 from twin.diagnosis.problem.signature_terms import (
     PairCodes,
     ProductPlan,
+    SummedTerms,
     Terms,
     add_rows,
     along_derivative,
@@ -38,24 +39,6 @@ MOST_SUMS: Final = 4
 """Number of sets of vectors that are not zero, besides that of all, for which sums are kept."""
 LARGEST_CACHE: Final = 2**25
 """Number of function values (256 MB) up to which they are cached between passes."""
-
-
-@final
-class _Sums:
-    """Inner products of functions times derivatives with some vectors, summed over blocks of points.
-
-    Args:
-        used: (r,) numbers of the vectors.
-
-    Attributes:
-        large: by functions, derivative and number of the first of a few vectors: (few, functions).
-        small: by functions and derivatives that are evaluated together: (r, terms).
-    """
-
-    def __init__(self, used: np.ndarray) -> None:
-        self.used = used
-        self.large: dict[tuple[Functions, Freedom, int], np.ndarray] = {}
-        self.small: dict[tuple[tuple[Functions, Freedom], ...], np.ndarray] = {}
 
 
 @final
@@ -120,12 +103,12 @@ class Signatures:
 
     def _sums_over(
         self, vectors: Callable[[PointBlock], np.ndarray], own: Sequence[tuple[int, Sequence[np.ndarray]]]
-    ) -> tuple[Sequence[_Sums], int]:
+    ) -> tuple[Sequence[SummedTerms], int]:
         """Return inner products with r vectors, summed over some runs, and r.
 
         A reading of one side of the machine has zeros in all derivatives and nuisance vectors of the other side; they are skipped.
         """
-        sums: dict[bytes, _Sums] = {}
+        sums: dict[bytes, SummedTerms] = {}
         for run in own:
             block = self._block(*run)
             right = vectors(block)
@@ -133,10 +116,10 @@ class Signatures:
             if len(sums) >= MOST_SUMS and used.tobytes() not in sums:
                 used = np.arange(width)
             right = (right if len(used) == width else right[:, :, used]).transpose(1, 2, 0)
-            self._add_block(block, right, sums.setdefault(used.tobytes(), _Sums(used)))
+            self._add_block(block, right, sums.setdefault(used.tobytes(), SummedTerms(used)))
         return list(sums.values()), width
 
-    def _add_sums(self, sums: Sequence[_Sums], found: np.ndarray) -> None:
+    def _add_sums(self, sums: Sequence[SummedTerms], found: np.ndarray) -> None:
         """Add sums over points to the inner products (columns, r)."""
         for one in sums:
             if len(one.used) == found.shape[1]:
@@ -146,7 +129,7 @@ class Signatures:
                 self._add_summed(one, part)
                 found[:, one.used] += part
 
-    def _add_block(self, block: PointBlock, right: np.ndarray, sums: _Sums) -> None:
+    def _add_block(self, block: PointBlock, right: np.ndarray, sums: SummedTerms) -> None:
         """Add the inner products of functions times derivatives with (3, r, points) vectors at a block of points."""
         by_freedom = self._by_freedom
         if right.shape[1] >= FEW:
@@ -181,7 +164,7 @@ class Signatures:
         # A derivative may multiply only a few of the functions.
         return np.asarray(projected @ (values[:, index] if few_of(functions, index) else values))
 
-    def _add_summed(self, sums: _Sums, found: np.ndarray) -> None:
+    def _add_summed(self, sums: SummedTerms, found: np.ndarray) -> None:
         """Add to the inner products (columns, r) of the signatures with the vectors those of their terms."""
         while sums.large:
             (functions, freedom, start), values = sums.large.popitem()

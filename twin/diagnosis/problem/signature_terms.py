@@ -33,6 +33,24 @@ class ProductPlan:
     entries: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
+@final
+class SummedTerms:
+    """Inner products of functions times derivatives with some vectors, summed over blocks of points.
+
+    Args:
+        used: (r,) numbers of the vectors.
+
+    Attributes:
+        large: by functions, derivative and number of the first of a few vectors: (few, functions).
+        small: by functions and derivatives that are evaluated together: (r, terms).
+    """
+
+    def __init__(self, used: np.ndarray) -> None:
+        self.used = used
+        self.large: dict[tuple[Functions, Freedom, int], np.ndarray] = {}
+        self.small: dict[tuple[tuple[Functions, Freedom], ...], np.ndarray] = {}
+
+
 def along_derivative(derivative: np.ndarray, vectors: np.ndarray, buffers: np.ndarray) -> np.ndarray:
     """Return products (r, points) of a derivative (points, 3) with vectors (3, r, points), in the first of two buffers.
 
