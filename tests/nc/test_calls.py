@@ -172,9 +172,11 @@ WORDS = ["M", "m", "G", "g", "O", "L", "N7", "X", " ", "\t", "1", "98", "65", "1
 @example(["X1", "Xg \t65."])
 @example(["Xm98"])
 def test_lines_that_may_be_calls(lines: list[str]) -> None:
-    """All lines with a pattern of a call, searched one by one."""
+    """All lines with a pattern of a call, one by one and in the whole text."""
     begin = re.compile(r"[ \t]*(?:N\d+[ \t]*)?(?:O[ \t]*[\d<]|L[ \t]*\d|[A-Z_][A-Z_])", re.IGNORECASE)
     inside = re.compile(r"M[ \t]*1?98|G[ \t]*65", re.IGNORECASE)
     texts = [f"{line}\n" for line in lines]
     inliner = IsoInliner(Program("p.nc", "iso", tuple(texts)), None)
-    assert inliner.likely(texts) == [i for i, one in enumerate(texts) if begin.match(one) or inside.search(one)]
+    expected = [bool(begin.match(one) or inside.search(one)) for one in texts]
+    assert [inliner.likely(one) for one in texts] == expected
+    assert inliner.likely_within("".join(texts)) or not any(expected)

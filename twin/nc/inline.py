@@ -69,8 +69,12 @@ class Inliner(ABC):
         return [Line(text, self.program.source, i) for i, text in enumerate(self.program.texts, 1)]
 
     @abstractmethod
-    def likely(self, texts: Sequence[str]) -> list[int]:
-        """Return the indices of lines that may be calls; quick, with every call and few other lines."""
+    def likely(self, text: str) -> bool:
+        """Return whether a line may be a call; quick, True for every call and few other lines."""
+
+    @abstractmethod
+    def likely_within(self, text: str) -> bool:
+        """Return whether a line of a text may be a call; quicker than line by line, True if `likely` is for one of them."""
 
     @abstractmethod
     def call(self, line: Line) -> Call | None:
@@ -102,7 +106,10 @@ class Inliner(ABC):
         Raises:
             InputError: a call that cannot be written out, with its file and line.
         """
-        if not any(self.call(self.lines[i]) for i in self.likely(self.program.texts)):
+        if not self.likely_within(self.program.text):
+            return self.program
+        likely = [i for i, text in enumerate(self.program.texts) if self.likely(text)]
+        if not any(self.call(self.lines[i]) for i in likely):
             return self.program
         found: list[tuple[str, Origin]] = []
         for line in self.main():

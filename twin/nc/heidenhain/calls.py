@@ -29,15 +29,15 @@ _FRAME: Final = re.compile(r"(?:BEGIN|END)[ \t]+PGM\b|BLK[ \t]+FORM\b", _FLAGS)
 class HeidenhainInliner(Inliner):
     """Writes out the subprograms of Heidenhain programs."""
 
-    def likely(self, texts: Sequence[str]) -> list[int]:
+    def likely(self, text: str) -> bool:
         """See `Inliner.likely`."""
-        if "CALL" not in "".join(texts).upper():
-            return []
-        return [i for i, text in enumerate(texts) if "CALL" in text.upper()]
+        return "CALL" in text.upper()
+
+    likely_within = likely
 
     def call(self, line: Line) -> Call | None:
         """See `Inliner.call`."""
-        if not self.likely([line.text]):
+        if not self.likely(line.text):
             return None
         bare = _bare(line)
         if not _ANY_CALL.match(bare):

@@ -29,8 +29,8 @@ _RETURN: Final = re.compile(r"(?<!\w)(?:M[ \t]*0*(?:99|17|30|2)(?![\d=])|RET(?!\
 _CALL_AT_BEGIN: Final = r"[ \t]*(?:[Nn]\d+[ \t]*)?(?:[Oo][ \t]*[\d<]|[Ll][ \t]*\d|[A-Za-z_][A-Za-z_])"
 _LIKELY: Final = re.compile(_CALL_AT_BEGIN, re.ASCII)
 _INSIDE: Final = re.compile(r"M[ \t]*1?98|G[ \t]*65", _FLAGS)
-_LIKELY_ANYWHERE: Final = re.compile(rf"[\r\n]{_CALL_AT_BEGIN}", re.ASCII)
-"""Found in every program that has a line with the first of these two; quick, because letters of both cases are written out."""
+_LIKELY_WITHIN: Final = re.compile(rf"[\r\n]{_CALL_AT_BEGIN}", re.ASCII)
+"""The first of these two at the begin of a line; quick, because letters of both cases are written out."""
 _LOCALS: Final = 33
 """Number of local variables of a macro."""
 _O_WORD: Final = re.compile(r"O[ \t]*(\d+|<[^>]*>)[ \t]*(SUB|ENDSUB|RETURN|CALL)(?!\w)[ \t]*(.*)", _FLAGS | re.DOTALL)
@@ -69,20 +69,19 @@ def _may_call_inside(text: str) -> bool:
 class IsoInliner(Inliner):
     """Writes out the subprograms of ISO programs."""
 
-    def likely(self, texts: Sequence[str]) -> list[int]:
+    def likely(self, text: str) -> bool:
         """See `Inliner.likely`."""
-        whole = "\n" + "".join(texts)
-        if not (_LIKELY_ANYWHERE.search(whole) or _may_call_inside(whole)):
-            return []
-        return [
-            i
-            for i, text in enumerate(texts)
-            if _LIKELY.match(text) or (("98" in text or "65" in text) and _INSIDE.search(text))
-        ]
+        inside = ("98" in text or "65" in text) and _INSIDE.search(text) is not None
+        return inside or _LIKELY.match(text) is not None
+
+    def likely_within(self, text: str) -> bool:
+        """See `Inliner.likely_within`."""
+        lines = "\n" + text
+        return _LIKELY_WITHIN.search(lines) is not None or _may_call_inside(lines)
 
     def call(self, line: Line) -> Call | None:
         """See `Inliner.call`."""
-        if not self.likely([line.text]):
+        if not self.likely(line.text):
             return None
         text = line.text[_NUMBER.match(line.text).end() :]  # type: ignore[union-attr]  # it matches anything
         bare = _NOTES.sub("", text).strip()
