@@ -144,5 +144,5 @@ def test_small_deviations_are_confirmed(dmu50: Machine, calibration: Calibration
     begin, end = (Inverse(real).solve(nominal.forward(at), at).positions for at in (q, q + way))
     comparison = PoseComparison(real, nominal)
     _, after = comparison.totals(meant, Commands(begin, end - begin, meant.points), None, None)
-    assert comparison._function("totals", meant, meant)._confirmed
+    assert comparison._function(comparison._totals, meant, meant)._confirmed
     assert after.count == 2000 and after.largest[1, 1] < 1.0

@@ -140,7 +140,7 @@ class PoseComparison:
             approach: (lines, axes) approach directions, as in `Kinematics.directed`.
         """
         inputs = (*nominal.inputs, *commanded.inputs, *self._sides(approach))
-        return self._function("distance", nominal, commanded).largest(inputs, nominal.counts)
+        return self._function(self._distance, nominal, commanded).largest(inputs, nominal.counts)
 
     def poses(self, nominal: np.ndarray, commanded: np.ndarray, approach: np.ndarray | None = None) -> ComparedPoses:
         """Return the deviations in point and orientation at (n, axes) nominal and given commands."""
@@ -165,7 +165,7 @@ class PoseComparison:
             after: the same with written commands.
         """
         inputs = (*nominal.inputs, *written.inputs, *self._sides(before), *self._sides(after))
-        both = self._function("totals", nominal, written).totals(inputs, nominal.counts, SLACK)
+        both = self._function(self._totals, nominal, written).totals(inputs, nominal.counts, SLACK)
         parts = (slice(0, QUANTITIES), slice(QUANTITIES, None))
         first, last = (
             Totals(both.count, both.squares[p] * UNITS**2, both.largest[p, p] * UNITS, both.line[p]) for p in parts
@@ -177,13 +177,13 @@ class PoseComparison:
             return ()
         return (np.zeros(len(self._real.machine.axes)) if approach is None else approach,)
 
-    def _function(self, name: str, nominal: Commands, given: Commands) -> AlongFunction:
-        """Return the function of that name (``distance`` or ``totals``) for lines of commands or of words, built when first needed."""
+    def _function(self, make: Callable[..., ca.Function], nominal: Commands, given: Commands) -> AlongFunction:
+        """Return a function for lines of commands or of words, made when first needed."""
         words = nominal.converted is not None, given.converted is not None
-        if (name, *words) not in self._along:
-            make = self._distance if name == "distance" else self._totals
-            self._along[name, *words] = AlongFunction(make(*words))
-        return self._along[name, *words]
+        key = make.__name__, *words
+        if key not in self._along:
+            self._along[key] = AlongFunction(make(*words))
+        return self._along[key]
 
     def _distance(self, *words: bool) -> ca.Function:
         inputs, meant, given, share = self._symbols(*words)

@@ -264,8 +264,11 @@ class Machine:
 
     @property
     def _named_axes(self) -> list[NamedAxis]:
-        x = [(axis, *axis.machine_direction.tolist()) for axis in self.axes]
-        return [NamedAxis(axis.name, axis.linear, axis.direction, (a, b, c)) for axis, a, b, c in x]
+        found = []
+        for axis in self.axes:
+            x, y, z = axis.machine_direction.tolist()
+            found.append(NamedAxis(axis.name, axis.linear, axis.direction, (x, y, z)))
+        return found
 
     def configuration(self, q: np.ndarray, errors: np.ndarray | None = None) -> np.ndarray:
         """Return the Pinocchio configuration of one pose.

@@ -130,14 +130,12 @@ class Budget:
 
 def without(real: Kinematics, names: Collection[str]) -> Kinematics:
     """Return the kinematics without some of the errors."""
-    errors = real.calibration.where(lambda name: name not in names)
-    return Kinematics(real.machine, errors, tool_length_mm=real.tool_length_mm, conditions=real.conditions)
+    return real.where(lambda name: name not in names)
 
 
 def nominal_machine(real: Kinematics) -> Kinematics:
     """Return the kinematics of the nominal machine, without errors."""
-    none = real.calibration.where(lambda name: False)
-    return Kinematics(real.machine, none, tool_length_mm=real.tool_length_mm)
+    return real.where(lambda name: False)
 
 
 def budget(kinematics: Kinematics) -> Budget:

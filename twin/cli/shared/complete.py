@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from twin._common.defaults import DEFAULT, bundled_folder
 from twin._common.families import PROGRAM_SUFFIXES
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 YAML: Final = (".yaml", ".yml")
 
-
+Found = TypeVar("Found")
 Completer = Callable[[str], list[str]]
 
 
@@ -71,10 +71,15 @@ def causes(ctx: Any, incomplete: str) -> list[str]:
 def _machine(ctx: Any) -> Machine:
     from twin.machine.machine import Machine
 
+    return _from_machine(ctx, Machine.load)
+
+
+def _from_machine(ctx: Any, read: Callable[[str], Found]) -> Found:
+    """Return what ``read`` finds in the machine that is given; in the default one if that cannot be read."""
     try:
-        return Machine.load(ctx.params.get("machine") or DEFAULT)
+        return read(ctx.params.get("machine") or DEFAULT)
     except ValueError:
-        return Machine.load(DEFAULT)
+        return read(DEFAULT)
 
 
 def _names(ctx: Any) -> tuple[str, ...]:
@@ -82,10 +87,7 @@ def _names(ctx: Any) -> tuple[str, ...]:
     from twin._common.bundled import find_bundled
     from twin.machine.error_names import axes_of, component_names, location_names, squareness_names
 
-    try:
-        axes = axes_of(find_bundled(ctx.params.get("machine") or DEFAULT, ".yaml", "a machine file"))
-    except ValueError:
-        axes = axes_of(find_bundled(DEFAULT, ".yaml", "a machine file"))
+    axes = _from_machine(ctx, lambda name: axes_of(find_bundled(name, ".yaml", "a machine file")))
     motions = [name for axis in axes for name in component_names(axis.name)]
     return (*motions, *squareness_names(axes), *location_names(axes))
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import ctypes
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -78,6 +79,30 @@ def library(source: str) -> ctypes.CDLL | None:
             disable(source, str(error))
             return None
     return _loaded[name]
+
+
+def confirmed_library(
+    package: str, file: str, jobs: Mapping[str, type[ctypes.Structure]], agrees: Callable[[ctypes.CDLL], bool]
+) -> ctypes.CDLL | None:
+    """Return the compiled library of a C++ file; None if it cannot be compiled, or its results are wrong.
+
+    Args:
+        package: the package of the file.
+        file: its name.
+        jobs: the structure that each of its functions takes a pointer to, by the function's name.
+        agrees: whether the library gives the same results as Python on a sample.
+    """
+    source = resources.files(package).joinpath(file).read_text(encoding="utf-8")
+    found = library(source)
+    if found is None:
+        return None
+    for name, job in jobs.items():
+        function = getattr(found, name)
+        function.argtypes, function.restype = (ctypes.POINTER(job),), None
+    if not agrees(found):
+        disable(source, f"{file} does not agree with Python")
+        return None
+    return found
 
 
 def disable(source: str, why: str) -> None:

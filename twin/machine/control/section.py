@@ -38,7 +38,7 @@ class TableEntry:
 
     Attributes:
         file: its path.
-        format: name of its format, a format of `twin.machine.control` or, for kinematics, of `KINEMATICS`.
+        format: name of its format, one of `twin.machine.control.formats` or, for kinematics, of `twin.machine.control.kinematics`.
         classes: classes of ISO/TR 16907 whose errors it corrects, completely or in part.
         sha256: SHA-256 of the file when it was recorded.
     """

@@ -6,7 +6,6 @@ import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from typing import Final, final
 
 import numpy as np
@@ -173,16 +172,11 @@ def together_code(lines: int) -> Together:
 @cache
 def _compiled() -> _CompiledLocations | None:
     """Return the compiled code; None if it cannot be compiled, or differs from `written` on a sample."""
-    source = resources.files("twin.nc.apt").joinpath("locations.cpp").read_text(encoding="utf-8")
-    found = loading.library(source)
-    if found is None:
-        return None
-    found.write_locations.argtypes, found.write_locations.restype = (ctypes.POINTER(_LocationJob),), None
-    compiled = _CompiledLocations(found)
-    if not _agrees(compiled):
-        loading.disable(source, "the compiled writer of APT locations does not agree with Python")
-        return None
-    return compiled
+    jobs = {"write_locations": _LocationJob}
+    found = loading.confirmed_library(
+        "twin.nc.apt", "locations.cpp", jobs, lambda one: _agrees(_CompiledLocations(one))
+    )
+    return None if found is None else _CompiledLocations(found)
 
 
 def _agrees(compiled: _CompiledLocations) -> bool:

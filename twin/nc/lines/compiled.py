@@ -6,7 +6,6 @@ import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from typing import Final, final
 
 import numpy as np
@@ -198,17 +197,9 @@ def line_code(lines: int) -> LineCode:
 @cache
 def _compiled() -> _Compiled | None:
     """Return the compiled code; None if it cannot be compiled, or differs from the arrays on a sample."""
-    source = resources.files("twin.nc.lines").joinpath("lines.cpp").read_text(encoding="utf-8")
-    found = loading.library(source)
-    if found is None:
-        return None
-    for function, job in ((found.scan, _Job), (found.rewrite, _RewriteJob)):
-        function.argtypes, function.restype = (ctypes.POINTER(job),), None
-    compiled = _Compiled(found)
-    if not _agrees(compiled):
-        loading.disable(source, "the compiled text functions do not agree with NumPy")
-        return None
-    return compiled
+    jobs = {"scan": _Job, "rewrite": _RewriteJob}
+    found = loading.confirmed_library("twin.nc.lines", "lines.cpp", jobs, lambda one: _agrees(_Compiled(one)))
+    return None if found is None else _Compiled(found)
 
 
 def _agrees(compiled: _Compiled) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ from twin.machine.machine import Machine
 
 def table_formats() -> tuple[TableFormat[Any], ...]:
     """Return all formats."""
-    return families.members(__name__, families.TABLE_FORMATS)
+    return tuple(map(format_named, families.TABLE_FORMATS))
 
 
+@cache
 def format_named(name: str) -> TableFormat[Any]:
     """Return the format of that name; the modules of the others are not imported.
 

@@ -6,6 +6,8 @@ To add one, write its file and add it to `twin._common.families.KINEMATICS_FORMA
 
 from __future__ import annotations
 
+from functools import cache
+
 from twin._common import families
 from twin._common.errors import InputError
 from twin.machine.control.kinematics.format import KinematicsFormat
@@ -24,9 +26,10 @@ __all__ = [
 
 def kinematics_formats() -> tuple[KinematicsFormat, ...]:
     """Return all formats."""
-    return families.members(__name__, families.KINEMATICS_FORMATS)
+    return tuple(map(kinematics_named, families.KINEMATICS_FORMATS))
 
 
+@cache
 def kinematics_named(name: str) -> KinematicsFormat:
     """Return the format of that name; the modules of the others are not imported.
 
