@@ -25,7 +25,7 @@ from tests.machine.errors import random_calibration
 from tests.uncertainty.test_population import draws_of, with_covariance
 from twin import cli
 from twin._common.errors import InputError
-from twin.compute.parallel import Workers, cluster, map_as_completed, map_in_order, run
+from twin.compute.parallel import Workers, cluster, map_as_completed, map_in_order, processes
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -33,7 +33,6 @@ from twin.uncertainty.population import draw_machines
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Workers(1)
-LOKY = Workers(2)
 DASK = [sys.executable, "-m", "dask"]
 PROGRAM = "G21 G90\nG0 X100 Y100 Z-100 B30 C10\nG1 X120 F500\nY150 C20\nM30\n"
 
@@ -82,10 +81,13 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             process.wait(30)
 
 
-@pytest.fixture(params=["loky", "dask"])
-def others(request: pytest.FixtureRequest) -> Workers:
-    """Return workers in other processes: on this computer, and on a cluster."""
-    return LOKY if request.param == "loky" else Workers(scheduler=request.getfixturevalue("scheduler"))
+@pytest.fixture(params=["copies", "new", "dask"])
+def others(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Workers:
+    """Return workers in other processes: copies of this one (on Linux), new ones, and those of a cluster."""
+    if request.param == "dask":
+        return Workers(scheduler=request.getfixturevalue("scheduler"))
+    monkeypatch.setattr(processes, "only_idle_threads", lambda: request.param == "copies")
+    return Workers(2)
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +100,39 @@ def test_order_and_names(others: Workers) -> None:
     assert list(map_in_order(chores.squared, 1, range(7), others)) == [1 + i * i for i in range(7)]
     assert sorted(map_as_completed(chores.squared, 1, range(7), others)) == [(i, 1 + i * i) for i in range(7)]
     assert list(map_in_order(chores.squared, 1, [], others)) == []
+
+
+def test_workers_end_with_the_results(others: Workers, tmp_path: Path) -> None:
+    """Leave after the first result: the other workers, which sleep for a minute, are ended."""
+    found = map_as_completed(chores.patient, tmp_path, range(4), others)
+    assert next(found) == (0, 0)
+    until(lambda: len(list(tmp_path.iterdir())) >= 2)
+    began = time.monotonic()
+    found.close()
+    assert time.monotonic() - began < 20.0
+    if others.scheduler is None:
+        assert not [int(file.read_text()) for file in tmp_path.iterdir() if exists(int(file.read_text()))]
+
+
+def exists(process: int) -> bool:
+    """Return whether a process exists."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_copy_needs_a_process_without_other_threads() -> None:
+    """Threads of this process that could hold a lock forbid copies of it; idle ones of compiled code do not."""
+    alone = (
+        "import numpy as np; from twin.compute.native import loading; loading.map_parts([slice(0, 1), slice(1, 2)], id)"
+    )
+    other = "import threading, time; threading.Thread(target=time.sleep, args=(60,), daemon=True).start()"
+    for lines, may in ((alone, "True"), (other, "False")):
+        source = f"{lines}\nfrom twin.compute.native import only_idle_threads\nprint(only_idle_threads())"
+        done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True)
+        assert done.stdout.strip() == may, done.stderr
 
 
 def test_threads_of_linear_algebra_do_not_show(others: Workers) -> None:
@@ -273,8 +308,8 @@ def test_a_refusal_arrives_as_it_was_raised(others: Workers) -> None:
 
 def test_a_task_that_kills_its_workers_is_named(monkeypatch: pytest.MonkeyPatch, others: Workers) -> None:
     """All other tasks are completed, without endless waiting. Two deaths suffice: one among others, one alone."""
-    monkeypatch.setattr(run, "SUSPECT_DEATHS", 1)
-    monkeypatch.setattr(run, "MAX_DEATHS", 2)
+    monkeypatch.setattr(processes, "SUSPECT_DEATHS", 1)
+    monkeypatch.setattr(processes, "MAX_DEATHS", 2)
     found = dict(
         map_as_completed(
             chores.deadly, 3, range(4), others, name=lambda task: f"task number {task}", return_errors=True

@@ -248,6 +248,7 @@ class CommandFiles:
         self.read: set[Path] = set()
         self.outputs: set[Path] = set()
         self.written: set[Path] = set()
+        self._identities: set[tuple[int, int]] = set()
 
     def add_input(self, path: Path) -> None:
         """Register an input file.
@@ -259,6 +260,7 @@ class CommandFiles:
         if file in self.outputs - self.written:
             raise _input_conflict(path)
         self.read.add(file)
+        self._identities |= _identity(file)
 
     def add_output(self, path: Path) -> None:
         """Register an output file.
@@ -269,7 +271,7 @@ class CommandFiles:
         file = _resolved(path)
         if file in self.written:
             return
-        if any(_same_file(file, one) for one in self.read):
+        if file in self.read or _identity(file) & self._identities:
             raise _input_conflict(path)
         self.outputs.add(file)
 
@@ -300,11 +302,13 @@ def _input_conflict(path: Path) -> InputError:
     return InputError("output file is also an input", expected="another file", file=path)
 
 
-def _same_file(one: Path, other: Path) -> bool:
+def _identity(file: Path) -> set[tuple[int, int]]:
+    """Return device and number of a file, which all its names share; empty if there is no such file."""
     try:
-        return one == other or one.samefile(other)
+        found = file.stat()
     except (OSError, ValueError):
-        return False
+        return set()
+    return {(found.st_dev, found.st_ino)}
 
 
 def _resolved(path: Path) -> Path:

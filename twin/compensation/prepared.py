@@ -149,13 +149,13 @@ class PreparedMachine:
             self._within[space] = PreparedMachine(self.machine, self._given, options, space)
         return self._within[space]
 
-    @property
+    @cached_property
     def constant(self) -> dict[str, float]:
         """Channels that the calibration needs and that have one value for the whole program."""
         used = self.options.conditions.used(self.calibration)
         return {name: value for name, value in used.items() if name not in self.by_block}
 
-    @property
+    @cached_property
     def comments(self) -> tuple[str, ...]:
         """Comments for the header of an output: warnings, and the conditions that it is for."""
         conditions = self.options.conditions

@@ -12,7 +12,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from twin.compute.native import RowFunction
+from twin.compute.native import RowFunction, worth_compiling
 
 MANY: Final = 4096
 """Number of rows in a call from which `twin.compute.native.rows` is faster than CasADi's own evaluation."""
@@ -62,7 +62,7 @@ class BatchFunction:
             for array, width in zip(inputs, self._widths_in, strict=True)
         ]
         outputs = tuple(np.empty((rows, width)) for width in self.widths_out)
-        if rows >= MANY and self._row_function(arrays, outputs):
+        if (rows >= MANY or worth_compiling(rows)) and self._row_function(arrays, outputs):
             return outputs
         columns = [np.ascontiguousarray(array) for array in arrays]
         start = 0

@@ -33,7 +33,7 @@ the same candidates takes, from readings to named causes, 1.3 times as long (1.2
 
 from twin.compute.native.along import CompiledAlong, Totals
 from twin.compute.native.cpp import ROUNDING
-from twin.compute.native.loading import equal_portions, solver_description, worth_compiling
+from twin.compute.native.loading import equal_portions, only_idle_threads, solver_description, worth_compiling
 from twin.compute.native.problem import (
     CONVERGED,
     OUT_OF_RANGE,
@@ -60,6 +60,7 @@ __all__ = [
     "StepFunctions",
     "Totals",
     "equal_portions",
+    "only_idle_threads",
     "solver_description",
     "worth_compiling",
 ]

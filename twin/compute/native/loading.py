@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -28,6 +29,8 @@ digits the first time and later.
 """
 PORTION: Final = 32_768
 """Rows per chunk of a thread."""
+ROW_THREADS: Final = "rows"
+"""First part of the names of these threads."""
 
 Part = TypeVar("Part")
 
@@ -132,7 +135,13 @@ def map_parts(parts: list[slice], work: Callable[[slice], Part]) -> list[Part]:
 @cache
 def _pool(process: int) -> ThreadPoolExecutor:
     """Return the threads of a process, which are started once: starting them for every call takes longer than many a call."""
-    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix=f"rows-{process}")
+    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix=f"{ROW_THREADS}-{process}")
+
+
+def only_idle_threads() -> bool:
+    """Return whether this process has no other threads than this one and those of `map_parts`, which then wait for work."""
+    here = threading.current_thread()
+    return all(one is here or one.name.startswith(ROW_THREADS) for one in threading.enumerate())
 
 
 def solver_description() -> str:

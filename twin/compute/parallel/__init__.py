@@ -13,15 +13,16 @@ is adequate (JCGM 101, clause 8), and the distribution over the machines of the 
 uncompensated and compensated with this calibration. A million machines at 200 poses, 200 million poses, took 21 s on two shared cores
 (9.6 million a second); memory does not grow with their number.
 
-Work goes to processes of this computer (joblib; `--workers`, by default one per core) or to a Dask cluster by the address of its
-scheduler (`pip install 'twin[cluster]'`, then there `dask scheduler` and `dask worker ADDRESS --nworkers N --nthreads 1`, here
-`--scheduler ADDRESS`). `python -m tests.diagnosis.battery` and `tests.diagnosis.rivals` take the same two options. The same seed
-gives the same bits on any number of workers, local or remote: tasks have a fixed size and a seed each, linear algebra runs on one
-thread, and results are added in the order of the tasks. A worker that dies is replaced and its tasks are repeated. A task whose
-worker dies four times is reported as failed: with several programs the others are completed, otherwise the run ends (on a cluster:
-`distributed.scheduler.allowed-failures`). Before the work the versions of `twin` (digest of its source), Python, numpy, scipy, casadi
-and pin on every worker are checked; a worker with other versions is rejected. Workers with another processor or compiler are used
-with a warning: last digits may differ. Programs are sent to a cluster and back as data; it needs no shared file system.
+Work goes to processes of this computer (`--workers`, by default one per core; on Linux copies of the running one, which start at once)
+or to a Dask cluster by the address of its scheduler (`pip install 'twin[cluster]'`, then there `dask scheduler` and `dask worker
+ADDRESS --nworkers N --nthreads 1`, here `--scheduler ADDRESS`). `python -m tests.diagnosis.battery` and `tests.diagnosis.rivals` take
+the same two options. The same seed gives the same bits on any number of workers, local or remote: tasks have a fixed size and a seed
+each, linear algebra runs on one thread, and results are added in the order of the tasks. A worker that dies is replaced and its tasks
+are repeated. A task whose worker dies four times is reported as failed: with several programs the others are completed, otherwise the
+run ends (on a cluster: `distributed.scheduler.allowed-failures`). Before the work the versions of `twin` (digest of its source),
+Python, numpy, scipy, casadi and pin on every worker are checked; a worker with other versions is rejected. Workers with another
+processor or compiler are used with a warning: last digits may differ. Programs are sent to a cluster and back as data; it needs no
+shared file system.
 
 **Trust.** Trust a scheduler only as you trust your own code. Tasks and results are sent as pickles (cloudpickle), and unpickling runs
 the code in them: the scheduler and its workers can run any code on this computer, and anyone with access to the scheduler's port can

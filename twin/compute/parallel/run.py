@@ -1,29 +1,27 @@
-"""Independent tasks run through joblib: in this process, on processes of this computer (loky), or on a Dask cluster.
+"""Independent tasks: in this process, on processes of this computer, or on a Dask cluster (joblib).
 
 A task is a pure function of its arguments, including its seed, and runs with one thread of linear algebra. Its result therefore does
 not depend on the number of workers nor on the worker that runs it, and a task whose worker died can be repeated. joblib is imported
-with the first tasks: a command for one program has none.
+only where it is needed.
 """
 
 from __future__ import annotations
 
 import os
 import pickle
-import signal
 import threading
-import time
 import warnings
-from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
-from typing import Any, Final, TypeVar, final
+from typing import Any, TypeVar, final
 
 from threadpoolctl import threadpool_limits
 
 from twin._common.errors import InputError, OutputError
+from twin.compute.parallel.processes import TASKS_PER_WORKER, on_processes
 from twin.compute.parallel.tls import Tls
 from twin.compute.parallel.versions import version_differences, versions
 
@@ -31,13 +29,6 @@ Shared = TypeVar("Shared")
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 Refusal = InputError | OutputError
-
-TASKS_PER_WORKER: Final = 2
-"""Tasks in flight per worker: one running and one waiting, which bounds memory without idle workers."""
-SUSPECT_DEATHS: Final = 2
-"""Number of worker deaths after which the tasks in flight at each of them are run one at a time, to find the cause."""
-MAX_DEATHS: Final = 4
-"""Number of worker deaths during a task after which it is given up."""
 
 _task_lock = threading.Lock()
 
@@ -97,24 +88,18 @@ def map_as_completed(
     Raises:
         InputError: raised by a task; workers died repeatedly during one task; there is no usable cluster at the address.
     """
-    import cloudpickle
-    from joblib import cpu_count
-
     own = Workers() if workers is None else workers
-    processes = min(cpu_count() if own.processes is None else own.processes, len(tasks))
-    if own.scheduler is None and processes <= 1:
+    processes = min(_cores() if own.processes is None else own.processes, len(tasks))
+
+    def task_name(index: int) -> str:
+        return name(tasks[index])
+
+    if own.scheduler is not None:
+        found = _on_cluster(function, shared, tasks, own.scheduler, own.tls, task_name)
+    elif processes <= 1:
         found = _in_this_process(function, shared, tasks)
     else:
-        common = cloudpickle.dumps((function, shared))
-
-        def task_name(index: int) -> str:
-            return name(tasks[index])
-
-        found = (
-            _on_processes(common, tasks, processes, task_name)
-            if own.scheduler is None
-            else _on_cluster(common, tasks, own.scheduler, own.tls, task_name)
-        )
+        found = on_processes(function, shared, tasks, processes, task_name)
     with closing(found):
         for index, result in found:
             if isinstance(result, InputError | OutputError) and not return_errors:
@@ -153,68 +138,27 @@ def _in_this_process(
         yield index, result
 
 
-def _on_processes(
-    common: bytes, tasks: Sequence[Any], processes: int, name: Callable[[int], str]
-) -> Generator[tuple[int, Any], None, None]:
-    from concurrent.futures.process import BrokenProcessPool
+def _cores() -> int:
+    """Return the number of cores that this process may use, as joblib counts them."""
+    from joblib import cpu_count
 
-    from joblib import Parallel
-
-    left = dict.fromkeys(range(len(tasks)))
-    deaths: Counter[int] = Counter()
-    while left:
-        suspect = next((index for index in left if deaths[index] >= SUSPECT_DEATHS), None)
-        out: set[int] = set()
-        # At least two, since joblib would run a single job in this process.
-        pool = Parallel(
-            n_jobs=max(2, processes),
-            backend="loky",
-            batch_size=1,
-            pre_dispatch=TASKS_PER_WORKER * max(2, processes),
-            return_as="generator_unordered",
-            max_nbytes=None,
-            initializer=_prepare_worker,
-            initargs=(os.getpid(),),
-        )
-        some = list(left) if suspect is None else [suspect]
-        try:
-            with _closing(pool(_calls(common, tasks, some, out, None))) as results:
-                for index, result in results:
-                    del left[index]
-                    yield index, result
-        except BrokenProcessPool:
-            deaths.update(out & left.keys())
-            if suspect is not None and deaths[suspect] >= MAX_DEATHS:
-                del left[suspect]
-                yield (
-                    suspect,
-                    InputError(
-                        f"a worker process died {MAX_DEATHS} times while running this task",
-                        expected="enough memory for the task, or fewer workers",
-                        value=name(suspect),
-                    ),
-                )
-
-
-def _prepare_worker(parent: int) -> None:
-    """Make a worker process ignore Ctrl-C, which its parent handles, and end when its parent has ended."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
-
-
-def _exit_with(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(0.5)
-    os._exit(1)
+    return int(cpu_count())
 
 
 def _on_cluster(
-    common: bytes, tasks: Sequence[Any], address: str, tls: Tls | None, name: Callable[[int], str]
+    function: Callable[[Shared, Task], Result],
+    shared: Shared,
+    tasks: Sequence[Task],
+    address: str,
+    tls: Tls | None,
+    name: Callable[[int], str],
 ) -> Generator[tuple[int, Any], None, None]:
-    from joblib import Parallel
+    import cloudpickle
+    from joblib import Parallel, delayed
 
     from twin.compute.parallel.cluster import connected  # Dask is optional and slow to import
 
+    common, expected = cloudpickle.dumps((function, shared)), versions()
     with connected(address, tls, name) as (backend, threads):
         pool = Parallel(
             n_jobs=threads,
@@ -223,14 +167,15 @@ def _on_cluster(
             pre_dispatch=TASKS_PER_WORKER * threads,
             return_as="generator_unordered",
         )
-        with _closing(pool(_calls(common, tasks, range(len(tasks)), set(), versions()))) as results:
+        calls = (delayed(work)(i, common, cloudpickle.dumps(task), expected) for i, task in enumerate(tasks))
+        with _closing(pool(calls)) as results:
             for found in results:  # noqa: UP028  # `yield from` would close them without `_closing`
                 yield found
 
 
 @contextmanager
 def _closing(results: Any) -> Iterator[Any]:
-    """Close the results on leaving the context, which ends the workers, also on Ctrl-C and after a partial read."""
+    """Close the results on leaving the context, which ends the tasks, also on Ctrl-C and after a partial read."""
     try:
         yield results
     finally:
@@ -239,29 +184,18 @@ def _closing(results: Any) -> Iterator[Any]:
             results.close()
 
 
-def _calls(
-    common: bytes, tasks: Sequence[Any], some: Sequence[int], out: set[int], expected: dict[str, str] | None
-) -> Iterator[Any]:
-    import cloudpickle
-    from joblib import delayed
-
-    for index in some:
-        out.add(index)
-        yield delayed(work)(index, common, cloudpickle.dumps(tasks[index]), expected)
-
-
-def work(index: int, common: bytes, packed: bytes, expected: dict[str, str] | None) -> tuple[int, Any]:
-    """Run one task on a worker and return its index with its result; an `InputError` or `OutputError` is a result, too.
+def work(index: int, common: bytes, packed: bytes, expected: dict[str, str]) -> tuple[int, Any]:
+    """Run one task on a worker of a cluster and return its index with its result; an `InputError` or `OutputError` is a result, too.
 
     Args:
         index: of the task.
         common: the function and the shared value, pickled, so that Dask's scheduler need not be able to load them.
         packed: the task, pickled.
-        expected: the versions on the calling computer; None for a worker on the same computer.
+        expected: the versions on the calling computer.
     """
     # A Dask worker may have several threads, but only one at a time may use the shared value.
     with _task_lock:
-        different = "" if expected is None else version_differences(expected, versions())
+        different = version_differences(expected, versions())
         if different:
             return index, InputError(
                 f"a worker has other versions: {different}",
