@@ -6,11 +6,10 @@ The nominal tool axis in the work frame is ``Rot(n₁, θ₁)·Rot(n₂, θ₂)�
 
 from __future__ import annotations
 
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.arrays import rows_all_true
 from twin._common.errors import InputError
 from twin._common.units import DEG
 from twin.kinematics.forward import Kinematics
@@ -74,22 +73,22 @@ class Branches:
             and NaN for an axis that does not change the tool's direction (it may have any position).
         """
         n1, n2, u = self._n1, self._n2, self._a0
-        gamma = float(n1 @ n2)
+        gamma, normal = float(n1 @ n2), np.cross(n1, n2)
+        square = 1.0 - gamma**2
         alpha, beta = float(u @ n2), axis @ n1
-        x = (beta - gamma * alpha) / (1.0 - gamma**2)
-        y = (alpha - gamma * beta) / (1.0 - gamma**2)
-        normal = np.cross(n1, n2)
-        squared = (1.0 - x**2 - y**2 - 2.0 * x * y * gamma) / (normal @ normal)
+        x, y = (beta - gamma * alpha) / square, (alpha - gamma * beta) / square
+        squared = (1.0 - x * x - y * y - 2.0 * gamma * x * y) / square
         # A vector on the boundary of the reachable set gives zero up to rounding.
         height = np.sqrt(np.where(squared > -1e-12, np.maximum(squared, 0.0), np.nan))
-        found = np.empty((len(axis), 2, 2))
-        for k, sign in enumerate((1.0, -1.0)):
-            middle = x[:, None] * n1 + y[:, None] * n2 + (sign * height)[:, None] * normal
-            found[:, k, self._order[1]] = _angle_about(n2, np.broadcast_to(u, middle.shape), middle)
-            found[:, k, self._order[0]] = _angle_about(n1, middle, axis)
-        reachable = np.isfinite(height)
-        found[~reachable] = np.nan
-        return found / DEG
+        # About each axis turn the parts normal to it: along the other axis less its part along this one, and along the normal of both.
+        start = float(u @ n1) - gamma * alpha, float(u @ normal)
+        end = axis @ n2 - gamma * beta, axis @ normal
+        found = np.empty((2, 2, len(axis)))  # axis by axis: NumPy is slow along a short last axis
+        for k, up in enumerate((height, -height)):
+            found[k, self._order[1]] = _angle((x, up), start, square)
+            found[k, self._order[0]] = _angle((y, up), end, square)
+        found /= DEG
+        return found.transpose(2, 0, 1)
 
     def nearest(self, solutions: np.ndarray, previous: np.ndarray) -> np.ndarray:
         """Return the solution for each vector nearest to the rotary positions before it, including whole turns.
@@ -101,28 +100,52 @@ class Branches:
         Returns:
             (n, 2) degrees within the axes' ranges, NaN where there is no solution.
         """
-        best, least = np.full(previous.shape, np.nan), np.full(len(previous), np.inf)
-        lower, upper = self._limits.T[0] - SLACK_DEG, self._limits.T[1] + SLACK_DEG
-        for solution in (solutions[:, 0], solutions[:, 1]):
-            rows: np.ndarray | slice = slice(None)
-            for shift in (0.0, -1.0, 1.0):
-                before = previous[rows]
-                free = np.isnan(solution[rows])
-                angles = np.where(free, before, solution[rows])
-                nearest = angles + 360.0 * (np.round((before - angles) / 360.0) + shift)
-                candidate = np.where(free, before, nearest)
-                out = (candidate < lower) * 1.0 - (candidate > upper) * 1.0
-                candidate = candidate + 360.0 * out
-                clipped = np.clip(candidate, *self._limits.T)
-                travel = np.maximum(*np.abs(clipped - before).T)
-                inside = rows_all_true((candidate >= lower) & (candidate <= upper)) & ~(free[:, 0] & free[:, 1])
-                better = inside & (travel < least[rows])
-                chosen = np.flatnonzero(better) if isinstance(rows, slice) else rows[better]
-                best[chosen], least[chosen] = clipped[better], travel[better]
-                if shift == 0.0:
-                    # Elsewhere no other turn is nearer.
-                    rows = np.flatnonzero(out.any(axis=1))
-        return best
+        before = np.ascontiguousarray(previous.T)
+        best, least = np.full(before.shape, np.nan), np.full(len(previous), np.inf)
+        for solution in (np.ascontiguousarray(solutions[:, k].T) for k in (0, 1)):
+            free = np.isnan(solution)
+            angles = np.where(free, before, solution) if free.any() else solution
+            found = angles + 360.0 * np.round((before - angles) / 360.0)
+            found[free] = before[free]
+            inside = self._inside(found)
+            found, travel = self._clipped(found, before)
+            possible = ~(free[0] & free[1])
+            better = inside & possible & (travel < least)
+            # Only where the nearest turn is out of range can another one be nearer.
+            rows = np.flatnonzero(~inside & possible)
+            if rows.size:
+                found[:, rows], travel[rows], better[rows] = self._other_turns(
+                    angles[:, rows], free[:, rows], before[:, rows], least[rows]
+                )
+            best[:, better], least[better] = found[:, better], travel[better]
+        return best.T
+
+    def _inside(self, angles: np.ndarray) -> np.ndarray:
+        """Return (n,) whether (2, n) degrees are within the axes' ranges."""
+        lower, upper = self._limits[:, 0, None] - SLACK_DEG, self._limits[:, 1, None] + SLACK_DEG
+        within = (angles >= lower) & (angles <= upper)
+        return np.asarray(within[0] & within[1])
+
+    def _clipped(self, angles: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (2, n) degrees without their `SLACK_DEG` beyond a limit, and the (n,) larger travel of the two axes to them."""
+        clipped = np.clip(angles, self._limits[:, 0, None], self._limits[:, 1, None])
+        return clipped, np.maximum(*np.abs(clipped - before))
+
+    def _other_turns(
+        self, angles: np.ndarray, free: np.ndarray, before: np.ndarray, least: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the nearest of the turns of (2, n) degrees that are within range, its travel, and whether that is below ``least``."""
+        lower, upper = self._limits[:, 0, None] - SLACK_DEG, self._limits[:, 1, None] + SLACK_DEG
+        best, least = np.full(angles.shape, np.nan), np.array(least)
+        found = np.zeros(len(least), dtype=bool)
+        for shift in (0.0, -1.0, 1.0):
+            candidate = angles + 360.0 * (np.round((before - angles) / 360.0) + shift)
+            candidate[free] = before[free]
+            candidate += 360.0 * ((candidate < lower) * 1.0 - (candidate > upper) * 1.0)
+            clipped, travel = self._clipped(candidate, before)
+            better = self._inside(candidate) & (travel < least)
+            best[:, better], least[better], found[better] = clipped[:, better], travel[better], True
+        return best, least, found
 
     def along(self, solutions: np.ndarray, before: np.ndarray, offset: np.ndarray) -> np.ndarray:
         """Return the solution for each vector nearest to that of the vector before it, up to the first without a solution.
@@ -166,10 +189,14 @@ class Branches:
         return np.asarray(angles[1:] - 360.0 * np.cumsum(np.round(np.diff(angles, axis=0) / 360.0), axis=0))
 
 
-def _angle_about(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return the angle that turns ``start`` into ``end`` about ``axis``; NaN where both are parallel to it."""
-    a = start - np.outer(start @ axis, axis)
-    b = end - np.outer(end @ axis, axis)
-    angle = np.arctan2(np.cross(a, b) @ axis, np.einsum("ni,ni->n", a, b))
-    lengths = np.minimum(np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1))
-    return np.where(lengths < PARALLEL, np.nan, angle)
+def _angle(of: tuple[np.ndarray, np.ndarray], products: tuple[Any, Any], square: float) -> np.ndarray:
+    """Return (n,) the angles between two vectors normal to an axis, given in two perpendicular vectors; NaN where one has no length.
+
+    Args:
+        of: components of one of them.
+        products: scalar products of the other with those two vectors.
+        square: squared length of each of the two.
+    """
+    (a, b), (c, d) = of, products
+    length = np.minimum((a * a + b * b) * square, (c * c + d * d) / square)
+    return np.where(length < PARALLEL**2, np.nan, np.arctan2(a * d - b * c, a * c + b * d))
