@@ -74,8 +74,9 @@ extern "C" int64_t along(Along *given) {
       const int64_t step = job.in_step[c];
       if (step == 1 && some == W) __builtin_memcpy(&x[c], in + line, sizeof(V));
       else for (int l = 0; l < W; ++l) x[c][l] = in[at[l] * step];
-      far |= vabs(x[c]) > job.far;
     }
+    // Not in the loop above: a processor waits to read a register that was just written number by number.
+    for (int c = 0; c < N - 1; ++c) far |= vabs(x[c]) > job.far;
     if (any(far)) return 1;
     const M there = number < (double)some;
     V worst = V{};
