@@ -55,19 +55,22 @@ struct Number {
 };
 
 // Read a number of digits and points; return where it ends.
-static int64_t read_number(const Scanned* job, int64_t at, Number& number) {
-    number = {};
+inline int64_t read_number(const uint8_t* text, int64_t at, Number& number) {
+    int64_t digits = 0;
+    int count = 0, whole = -1, points = 0;
     for (;; ++at) {
-        const uint8_t kind = job->kind[job->text[at]];
-        if (kind == DIGIT) {
-            ++(number.points ? number.fraction : number.whole);
-            if (number.whole + number.fraction <= MOST_DIGITS) number.digits = 10 * number.digits + (job->text[at] - '0');
-        } else if (kind == POINT) {
-            ++number.points;
+        const unsigned digit = text[at] - unsigned{'0'};
+        if (digit < 10) {
+            if (++count <= MOST_DIGITS) digits = 10 * digits + digit;
+        } else if (text[at] == '.') {
+            if (!points++) whole = count;
         } else {
-            return at;
+            break;
         }
     }
+    if (whole < 0) whole = count;
+    number = {whole, count - whole, points, digits};
+    return at;
 }
 
 // Read the lines; `blank` is 2 for a line that may be a comment. The text is followed by a zero, which is no character of a simple line.
@@ -98,7 +101,7 @@ void scan(Scanned* job) {
             const int64_t begin = at + 1;
             const uint8_t sign = job->kind[text[begin]] == SIGN ? text[begin] : 0;
             Number number;
-            const int64_t stop = read_number(job, begin + (sign != 0), number);
+            const int64_t stop = read_number(text, begin + (sign != 0), number);
             const uint8_t after = job->kind[text[stop]];
             at = stop;
             ordinary = number.whole + number.fraction + number.points > 0 && (after == BLANK || after == LETTER || after == END);
