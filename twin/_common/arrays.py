@@ -51,8 +51,8 @@ def all_within(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool
     even = len(values) // WIDE * WIDE
     for part, repeated in ((values[:even].reshape(even // WIDE, WIDE * values.shape[1]), WIDE), (values[even:], 1)):
         if len(part) and not (
-            np.all(part.min(axis=0) >= np.tile(lower, repeated))
-            and np.all(part.max(axis=0) <= np.tile(upper, repeated))
+            (part.min(axis=0).reshape(repeated, -1) >= lower).all()
+            and (part.max(axis=0).reshape(repeated, -1) <= upper).all()
         ):
             return False
     return True

@@ -71,6 +71,6 @@ def insert_comments(
     newline = next((ending(line) for line in lines if ending(line)), "\n")
     if at and not ending(lines[at - 1]):
         before += newline
-    small = any(char.islower() for line in lines for char in line)
+    small = any(line != line.upper() for line in lines)
     written = (style(line) for line in new)
     return before + "".join(f"{line if small else line.upper()}{newline}" for line in written) + rest(text[begin:])

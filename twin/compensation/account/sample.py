@@ -52,7 +52,6 @@ class Sample:
     def __init__(self) -> None:
         self._share = 1.0
         self._parts: list[tuple[np.ndarray, ...]] = []
-        self._count = 0
 
     def add(self, first: int, points: SimulatedPoints, known: Callable[[SimulatedPoints], np.ndarray]) -> None:
         """Add those points that belong to the sample.
@@ -78,21 +77,19 @@ class Sample:
         for commands, sides in ((some.nominal, some.nominal_sides), (some.written, some.written_sides)):
             written = commands.as_array()[keep]
             poses += [written, np.zeros(written.shape) if sides is None else sides[keep]]
-        self._take((place[some.motion[keep]], *poses))
-        while (
-            self._count > CLASS_POSES
-            and self._share > LEAST_SHARE
-            and any(np.any(part[0] < self._share / 2.0) for part in self._parts)
-        ):
-            self._share /= 2.0
-            parts, self._parts, self._count = self._parts, [], 0
-            for part in parts:
-                self._take(part)
+        self._parts.append((place[some.motion[keep]], *poses))
+        self._thin()
 
-    def _take(self, part: tuple[np.ndarray, ...]) -> None:
-        keep = np.flatnonzero(part[0] < self._share)
-        self._parts.append(tuple(array[keep] for array in part))
-        self._count += len(keep)
+    def _thin(self) -> None:
+        """Halve the share as often as necessary, and keep the poses that belong to it."""
+        share, places = self._share, np.concatenate([part[0] for part in self._parts])
+        while np.count_nonzero(places < share) > CLASS_POSES and share > LEAST_SHARE and np.any(places < share / 2.0):
+            share /= 2.0
+        self._share = share
+        for i, part in enumerate(self._parts):
+            keep = np.flatnonzero(part[0] < share)
+            if len(keep) < len(part[0]):
+                self._parts[i] = tuple(array.take(keep, axis=0) for array in part)
 
     def poses(self) -> tuple[np.ndarray, ...]:
         """Return four (n, axes) arrays: nominal commands, their approach directions, written commands, their approach directions."""
