@@ -109,9 +109,10 @@ class Pieces:
         whole = np.flatnonzero(fraction == 1.0)
         words[whole] = self.end.take(of[whole], axis=0)
         if not self.straight.all():
-            for motion in np.unique(of[~self.straight[of]]):
-                rows = of == motion
-                words[rows] = self.path.motions[motion].along(fraction[rows])
+            curved = np.flatnonzero(~self.straight[of])
+            curved = curved[np.argsort(of[curved], kind="stable")]
+            for rows in np.split(curved, np.flatnonzero(np.diff(of[curved])) + 1) if curved.size else ():
+                words[rows] = self.path.motions[of[rows[0]]].along(fraction[rows])
         return words
 
     def state(self, rows: Rows) -> np.ndarray:

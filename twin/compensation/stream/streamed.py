@@ -144,11 +144,12 @@ class Streamed:
         """
         cuts: list[Corrected] = []
         if len(part.motions) and part.aim is not None:
-            for begin, end in pairwise([0, *_ends(part.motions, self._prepared.options.tolerance_mm)]):
+            ends = _ends(part.motions, self._prepared.options.tolerance_mm)
+            for begin, end in pairwise([0, *ends]):
                 motions = part.motions.part(begin, end)
                 path = ToolPath(motions, motions)
                 pieces = Pieces(self._prepared, path, part.aim, ISO, source=str(self._source.path))
-                with equal_portions(self._source.parts):
+                with equal_portions(self._source.parts * len(ends)):
                     cuts.append(correct(pieces, _silent, before=self._end))
                 self._end = cuts[-1].end
         return new_positions(cuts, part.moves, len(self._prepared.space.axes.names)), cuts
@@ -156,7 +157,7 @@ class Streamed:
     def _add(self, solved: Future[Solved]) -> None:
         """Add a part to the report."""
         cuts = solved.result()[1]
-        with equal_portions(self._source.parts):
+        with equal_portions(self._source.parts * len(cuts)):
             for cut in cuts:
                 if self._account is None:
                     self._account = CompensationAccount(self._prepared, cut.pieces.aim, str(self._source.path))
