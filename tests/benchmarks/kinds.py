@@ -1,4 +1,4 @@
-"""Programs for `tests.benchmarks.programs`: other languages, tool-tip words, drilling cycles, and a machine with backlash."""
+"""Programs for `tests.benchmarks.programs`: other languages, tool-tip words, drilling cycles, arcs, and a machine with backlash."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from twin.machine.machine import Machine
 
 HOLES_EACH = 5
 """Strokes that a drilled hole takes; they count as blocks."""
+CHORDS_EACH = 136
+"""About how many chords replace a full circle; they count as blocks."""
 
 
 class Kind(NamedTuple):
@@ -69,12 +71,20 @@ def _drilled(blocks: int) -> str:
     return f"G90 G21\nG0 Z-100 B0 C0\n{cycle}{holes}G80\nM30\n"
 
 
+def _circles(blocks: int) -> str:
+    lines = []
+    for i in range(blocks // CHORDS_EACH):
+        lines += [f"G1 X{200 + i % 97 * 0.5:.3f} Y{200 + i % 53 * 0.7:.3f}", f"G2 I{5 + i % 11}. J0."]
+    return "\n".join(["G90 G21 G17", "G0 X200 Y200 Z-100 B0 C0", "G1 F1000 X200.", *lines, "M30", ""])
+
+
 KINDS = {
     "ISO, axis words": Kind(lambda blocks: _iso(_axes(blocks)), ".nc"),
     "ISO, tool-tip words": Kind(_tool_tip, ".nc", tcp=True),
     "Heidenhain": Kind(_heidenhain, ".h"),
     "APT": Kind(_apt, ".cls"),
     "drilling, strokes": Kind(_drilled, ".nc"),
+    "ISO, circles": Kind(_circles, ".nc"),
     "ISO, with backlash": Kind(lambda blocks: _iso(_axes(blocks)), ".nc", reversals=True),
 }
 
