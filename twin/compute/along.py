@@ -9,6 +9,7 @@ from typing import Final, TypeVar, final
 import casadi as ca
 import numpy as np
 
+from twin._common.arrays import distinct
 from twin.compute.batch import BatchFunction
 from twin.compute.native import ROUNDING, CompiledAlong, Totals, worth_compiling
 
@@ -107,7 +108,7 @@ class AlongFunction:
     ) -> Iterator[tuple[slice, tuple[np.ndarray, ...]]]:
         """Yield portions of the lines with the outputs at all of their points."""
         total = np.cumsum(points)
-        cuts = np.unique(np.searchsorted(total, np.arange(AT_ONCE, total[-1], AT_ONCE))).tolist() if len(total) else []
+        cuts = distinct(np.searchsorted(total, np.arange(AT_ONCE, total[-1], AT_ONCE))) if len(total) else []
         for first, last in pairwise([0, *cuts, len(points)]):
             count = points[first:last]
             number = np.repeat(np.arange(first, last), count)

@@ -233,7 +233,7 @@ class Calibration:
     def _numbers(self) -> Numbers:
         return Numbers(self.machine, self.curves, self.squareness, self.location)
 
-    @property
+    @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """The error model: one effect per entry, in the order of the file."""
         found: list[Effect] = []

@@ -8,6 +8,7 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from twin._common.arrays import distinct
 from twin.kinematics.forward import Poses
 
 SAME: Final = 1e-9
@@ -130,4 +131,6 @@ def even_cuts(sizes: np.ndarray, most: float) -> list[int]:
     """Return where to cut items of (n,) sizes into the fewest portions of about equal size, none much larger than ``most``."""
     total = np.cumsum(sizes)
     count = int(np.ceil(total[-1] / most)) if len(total) else 0
-    return np.unique(np.searchsorted(total, total[-1] * np.arange(1, count) / count)).tolist() if count > 1 else []
+    if count <= 1:
+        return []
+    return distinct(np.searchsorted(total, total[-1] * np.arange(1, count) / count))

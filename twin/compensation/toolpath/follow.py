@@ -81,7 +81,7 @@ class Follower:
         changes = np.searchsorted(moves.line, [one.line for one in left], side="right")
         later = np.searchsorted(moves.line, [line for line, _ in self._later])
         modes = (np.diff(moves.tcp) | np.diff(moves.by_vector)).nonzero()[0] + 1
-        stops = np.unique([*single, *(i + 1 for i in single), *modes, *changes, *later, len(moves)]).astype(int)
+        stops = np.array(sorted({*single, *(i + 1 for i in single), *modes, *changes, *later, len(moves)}), dtype=int)
         parts: list[MotionColumns] = []
         loose: dict[int, PathMotion] = {}
         at = 0

@@ -11,6 +11,7 @@ from typing import Final, final
 import casadi as ca
 import numpy as np
 
+from twin._common.arrays import distinct
 from twin.compute.native import loading
 from twin.compute.native.cpp import LARGEST_ANGLE
 from twin.compute.native.routine import CompiledRoutine
@@ -150,5 +151,5 @@ def _even(points: np.ndarray) -> list[slice]:
     """Return parts of the lines with about `POINTS` points each; they do not depend on the number of processors."""
     total = np.cumsum(points)
     count = -(-int(total[-1]) // POINTS)
-    cuts = np.unique(np.searchsorted(total, total[-1] * np.arange(1, count) / count)).tolist()
+    cuts = distinct(np.searchsorted(total, total[-1] * np.arange(1, count) / count))
     return [slice(first, last) for first, last in pairwise([0, *cuts, len(points)]) if last > first]

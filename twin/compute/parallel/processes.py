@@ -28,8 +28,6 @@ from threadpoolctl import threadpool_limits
 from twin._common.errors import InputError, OutputError
 from twin.compute.native import only_idle_threads
 
-TASKS_PER_WORKER: Final = 2
-"""Tasks in flight per worker: one running and one waiting, which bounds memory without idle workers."""
 SUSPECT_DEATHS: Final = 2
 """Number of worker deaths after which the tasks in flight at each of them are run one at a time, to find the cause."""
 MAX_DEATHS: Final = 4
@@ -45,6 +43,7 @@ def on_processes(
     tasks: Sequence[Any],
     processes: int,
     name: Callable[[int], str],
+    most: int,
 ) -> Generator[tuple[int, Any], None, None]:
     """Run tasks and yield the index and the result of each in order of completion; the workers end with the generator.
 
@@ -54,6 +53,7 @@ def on_processes(
         tasks: the tasks; one whose worker dies is repeated.
         processes: number of workers.
         name: function that returns the name of a task by its index, for messages.
+        most: largest number of tasks in flight.
     """
     left = dict.fromkeys(range(len(tasks)))
     deaths: Counter[int] = Counter()
@@ -62,7 +62,7 @@ def on_processes(
         some = list(left) if suspect is None else [suspect]
         lost: list[int] = []
         with _pool(min(processes, len(some)), function, shared) as pool:
-            for index, future in _completed(pool, tasks, some, TASKS_PER_WORKER * processes):
+            for index, future in _completed(pool, tasks, some, most):
                 try:
                     result = future.result()
                 except BrokenProcessPool:

@@ -16,12 +16,11 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
-from typing import Any, TypeVar, final
+from typing import Any, Final, TypeVar, final
 
 from threadpoolctl import threadpool_limits
 
 from twin._common.errors import InputError, OutputError
-from twin.compute.parallel.processes import TASKS_PER_WORKER, on_processes
 from twin.compute.parallel.tls import Tls
 from twin.compute.parallel.versions import version_differences, versions
 
@@ -29,6 +28,9 @@ Shared = TypeVar("Shared")
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 Refusal = InputError | OutputError
+
+TASKS_PER_WORKER: Final = 2
+"""Tasks in flight per worker: one running and one waiting, which bounds memory without idle workers."""
 
 _task_lock = threading.Lock()
 
@@ -99,7 +101,9 @@ def map_as_completed(
     elif processes <= 1:
         found = _in_this_process(function, shared, tasks)
     else:
-        found = on_processes(function, shared, tasks, processes, task_name)
+        from twin.compute.parallel.processes import on_processes  # slow to import, and rarely needed
+
+        found = on_processes(function, shared, tasks, processes, task_name, TASKS_PER_WORKER * processes)
     with closing(found):
         for index, result in found:
             if isinstance(result, InputError | OutputError) and not return_errors:
