@@ -483,8 +483,8 @@ def test_a_compiler_that_fails_is_said_once(
     monkeypatch.setenv("CXX", script.command[0])
     real = Kinematics(dmu50, calibration)
     q = random_commands(dmu50, 200, np.random.default_rng(30))
-    target = real.forward(q)
     with pytest.warns(RuntimeWarning, match="no disc") as said:
+        target = real.forward(q)
         first = Inverse(real).solve(target, q)
         second = Inverse(real).solve(target, q)
     assert len(said) == 1
@@ -527,10 +527,10 @@ def test_a_compiler_that_miscompiles_is_not_believed(
         'sed "s/-1.66666666666666324348e-01/-1.66666666666666324348e-02/; s/- 1.66666666666666324348e-01/- 1.6e-01/" | exec c++ "$@"\n'
     )
     script.chmod(0o700)
-    monkeypatch.setenv("CXX", str(script))
     real = Kinematics(dmu50, calibration)
     q = random_commands(dmu50, 300, np.random.default_rng(32))
     target = real.forward(q)
+    monkeypatch.setenv("CXX", str(script))
     with pytest.warns(RuntimeWarning, match="wrong"):
         found = Inverse(real).solve(target, q)
     assert np.all(found.where(Status.CONVERGED))

@@ -72,11 +72,10 @@ extern "C" int64_t along(Along *given) {
     for (int c = 0; c < N - 1; ++c) {
       const double *in = job.in[c];
       const int64_t step = job.in_step[c];
-      if (step == 1 && some == W) __builtin_memcpy(&x[c], in + line, sizeof(V));
+      if (step == 1 && some == W) x[c] = loaded(in + line);
       else for (int l = 0; l < W; ++l) x[c][l] = in[at[l] * step];
     }
-    // Not in the loop above: a processor waits to read a register that was just written number by number.
-    for (int c = 0; c < N - 1; ++c) far |= vabs(x[c]) > job.far;
+    for (int c = 0; c < N - 1; ++c) far |= vabs(x[c]) > job.far;  // after all are filled: see `loaded`
     if (any(far)) return 1;
     const M there = number < (double)some;
     V worst = V{};

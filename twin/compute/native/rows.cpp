@@ -22,10 +22,10 @@ extern "C" int64_t run(const Rows *given) {
     for (int c = 0; c < N; ++c) {
       const double *in = job.in[c];
       const int64_t step = job.in_step[c];
-      if (step == 1 && some == W) __builtin_memcpy(&x[c], in + i, sizeof(V));
+      if (step == 1 && some == W) x[c] = loaded(in + i);
       else for (int l = 0; l < W; ++l) x[c][l] = in[(i + (l < some ? l : some - 1)) * step];  // the last row again to fill a register
-      far |= vabs(x[c]) > job.far;
     }
+    for (int c = 0; c < N; ++c) far |= vabs(x[c]) > job.far;  // after all are filled: see `loaded`
     if (any(far)) return 1;
     row(x, job.k, y);
     for (int l = 0; l < some; ++l)
