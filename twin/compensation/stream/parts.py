@@ -18,10 +18,10 @@ from twin.nc.lines.chunks import Chunk
 from twin.nc.lines.compiled import line_code
 from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
 
-STRETCH_BYTES: Final = 1 << 18
-"""Bytes read, written and read back at once: few enough for the data derived from them to stay in cache."""
-PART_LINES: Final = 16_384
-"""Lines solved together, few enough for their numbers to stay in cache. All parts of a long program are about equally long."""
+STRETCH_BYTES: Final = 3 << 17
+"""Bytes read, written and read back at once."""
+PART_LINES: Final = 24_576
+"""Lines solved together: more need fewer calls and more memory. All parts of a long program are about equally long."""
 
 
 @final

@@ -35,10 +35,10 @@ POSES: Final = 12 * PART_LINES
 """Poses solved and checked at once before any block is split: six for each short block of the longest part. Longer blocks need more
 poses, so fewer of them are solved at once.
 """
-AHEAD: Final = 2
+AHEAD: Final = 1
 """Parts read ahead while an earlier one is solved."""
-BEHIND: Final = 2
-"""Parts by which the report may lag. More parts ahead or behind keep both cores busy, and take some 15 MB each."""
+BEHIND: Final = 1
+"""Parts by which the report may lag. Larger parts use the memory of more of them, some 25 MB each, better."""
 
 
 Solved = tuple[NewPositions, Sequence[Corrected]]
