@@ -85,6 +85,11 @@ def pieces(points: int, size: int = PIECE) -> list[slice]:
     return [slice(start, min(start + size, points)) for start in range(0, points, size)]
 
 
+def count_of(rows: Rows, points: int) -> int:
+    """Return the number of points in a selection."""
+    return len(range(points)[rows]) if isinstance(rows, slice) else len(rows)
+
+
 def tabulated(values: np.ndarray) -> Functions:
     """Return functions given by a table of values (n, count)."""
     return Functions(len(values), values.shape[1], lambda rows: np.asarray(values[rows]))
@@ -147,8 +152,6 @@ def functions_of_state(
         The functions, and for each shape its components, each with the index of its function.
     """
     points = len(next(iter(state.values())))
-    everywhere = np.arange(points)
-
     first = shapes(state if whole else _StateSubset(state, slice(0, 1)))
     order = [(k, i) for k, shape in enumerate(first) for i in shape]
     own = [[(i, n) for n, (of, i) in enumerate(order) if of == k] for k in range(len(first))]
@@ -157,7 +160,7 @@ def functions_of_state(
 
     def values(rows: Rows) -> np.ndarray:
         shape_values = shapes(_StateSubset(state, rows))
-        found = np.empty((len(everywhere[rows]), len(order)))
+        found = np.empty((count_of(rows, points), len(order)))
         for column, (k, i) in enumerate(order):
             found[:, column] = shape_values[k][i]
         return found

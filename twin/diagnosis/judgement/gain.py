@@ -10,6 +10,7 @@ import numpy as np
 from twin.diagnosis.judgement.extend import EmpiricalExtension
 from twin.diagnosis.judgement.held_out import held_out
 from twin.diagnosis.judgement.sizes import SizedCauses
+from twin.diagnosis.problem.nuisance import setup_basis
 from twin.diagnosis.problem.problem import Problem, rms, unwhitened_um
 from twin.diagnosis.result import Gain, Unexplained
 from twin.identification.network import Network
@@ -94,8 +95,15 @@ def residuals_as_written(problem: Problem, extended: Calibration, instrument: np
         network.covariance,
         check=False,
     )
-    placed = Problem(as_written, solve(as_written, np.zeros(0), problem.setup, np.ones(len(network.data))).setup, None)
-    return unwhitened_um(placed, placed.project(placed.residual - instrument))
+    setup = solve(as_written, np.zeros(0), problem.setup, np.ones(len(network.data))).setup
+    columns = np.empty((len(setup) + 1, len(network.data), 3))
+    for chunk in as_written.chunks(np.zeros(0), setup):
+        columns[:, chunk.rows] = chunk.columns
+    columns[:-1] *= setup.plausible[:, None, None]
+    *_, residual = flat = columns.reshape(len(columns), -1)
+    residual -= instrument
+    basis, _ = setup_basis(flat[:-1].T)
+    return unwhitened_um(problem, residual - basis @ (basis.T @ residual))
 
 
 def tool_length_of(machine: Machine) -> float:

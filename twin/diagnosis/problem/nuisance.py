@@ -22,6 +22,7 @@ from twin._common.threads import map_chunks
 from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.point_block import PointBlock
 from twin.diagnosis.problem.signature_products import Signatures
+from twin.diagnosis.problem.signature_terms import side_by_side
 from twin.identification.network import LinearisedReadings
 from twin.numerics.functions import Functions, Rows, pieces, tabulated
 
@@ -83,16 +84,13 @@ class Nuisance:
 
         Args:
             view: linearisation at all points.
-            by_setup: (3n, set-up) derivatives by the set-up, in plausible sizes.
+            by_setup: (3n, set-up) derivatives by the set-up, in plausible sizes; overwritten, as in `setup_basis`.
             columns: columns of the p parameters.
             root: (p, k) square root of their covariance.
         """
         columns, root = _with_orthonormal_functions([_in_units(column) for column in columns], root)
         signatures = Signatures(view, _with_shared_functions(columns))
-        orthonormal, triangle = np.linalg.qr(by_setup)
-        left, values, right = np.linalg.svd(triangle, full_matrices=False)
-        kept = values > RANK_TOLERANCE * values.max(initial=0.0)
-        setup, triangle = orthonormal @ left[:, kept], values[kept, None] * right[kept]
+        setup, triangle = setup_basis(by_setup)
         on_setup = signatures.along(lambda block: _at(setup, block.rows))[0].T
         whole = _projected_gram(signatures, setup, on_setup, np.arange(len(view.rows)))
         count = len(triangle)
@@ -146,7 +144,7 @@ class Nuisance:
 
     def raw(self, block: PointBlock) -> np.ndarray:
         """Return (points, 3, raw) basis of the set-up and columns of the parameters at a block of points."""
-        return np.concatenate([self._setup_at(block.rows), self.signatures.at(block)], axis=2)
+        return side_by_side(self._setup_at(block.rows), self.signatures.at(block))
 
     def from_raw(self, products: np.ndarray, root: np.ndarray | None = None) -> np.ndarray:
         """Return inner products with the basis from those with `raw`.
@@ -221,6 +219,18 @@ class Nuisance:
         return _at(self._setup, points)
 
 
+def setup_basis(by_setup: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return an orthonormal basis (3n, s) of the derivatives by the set-up, and their coordinates (s, set-up) in it.
+
+    Args:
+        by_setup: (3n, set-up) derivatives; overwritten if its columns are contiguous in memory.
+    """
+    orthonormal, triangle = scipy.linalg.qr(by_setup, mode="economic", overwrite_a=True, check_finite=False)
+    left, values, right = np.linalg.svd(triangle, full_matrices=False)
+    kept = values > RANK_TOLERANCE * values.max(initial=0.0)
+    return orthonormal @ left[:, kept], values[kept, None] * right[kept]
+
+
 def _in_units(column: Column) -> Column:
     """Return a column in units of its parameter; the same object if it is already, so that its inner products are found again."""
     return column if column.scale == 1.0 else Column(column.terms, 1.0)
@@ -283,6 +293,7 @@ def _with_orthonormal_functions(columns: Sequence[Column], root: np.ndarray) -> 
         root: (p, k) square root of their covariance.
     """
     sets: dict[Functions, list[int]] = {}
+    factors: dict[bytes, tuple[Functions, np.ndarray]] = {}
     for i, column in enumerate(columns):
         for term in column.terms:
             sets.setdefault(term.functions, []).append(i)
@@ -292,8 +303,12 @@ def _with_orthonormal_functions(columns: Sequence[Column], root: np.ndarray) -> 
         alike = len({(term.freedom, term.weight) for term in terms}) == 1
         if len(terms) != len(own) or not alike or len(own) > functions.points:
             continue
-        basis, triangle = np.linalg.qr(functions.values(slice(None))[:, [term.index for term in terms]])
-        made = tabulated(basis)
+        values = functions.values(slice(None))[:, [term.index for term in terms]]
+        key = blake2b(values.tobytes()).digest()
+        if key not in factors:
+            basis, triangle = np.linalg.qr(values)
+            factors[key] = tabulated(basis), triangle
+        made, triangle = factors[key]
         for k, i in enumerate(own):
             found[i] = Column((replace(terms[k], functions=made, index=k),), columns[i].scale)
         root[own] = triangle @ root[own]

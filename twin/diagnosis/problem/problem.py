@@ -20,6 +20,7 @@ from twin.diagnosis.candidates.signatures import Column, effect_columns
 from twin.diagnosis.problem.nuisance import Nuisance
 from twin.diagnosis.problem.point_block import PointBlock
 from twin.diagnosis.problem.signature_products import Signatures
+from twin.diagnosis.problem.signature_terms import side_by_side
 from twin.identification.network import LinearisedReadings, Network
 from twin.identification.setup import SetUp
 from twin.machine.calibration import Calibration
@@ -72,10 +73,11 @@ class Problem:
         self.setup = setup
         self.view: LinearisedReadings = network.view(np.zeros(0), setup, np.arange(len(network.data)))
         self.residual = self.view.residual.reshape(-1)
-        by_setup = np.zeros((len(network.data), 3, len(setup)))
-        network.fill_setup_columns(self.view, setup, by_setup)
-        by_setup = by_setup.reshape(3 * len(network.data), len(setup)) * setup.plausible
-        self.nuisances = Nuisance.of(self.view, by_setup, *self._calibration_columns(calibration))
+        by_setup = np.zeros((len(setup), len(network.data), 3))
+        network.fill_setup_columns(self.view, setup, by_setup.transpose(1, 2, 0))
+        by_setup *= setup.plausible[:, None, None]
+        flat = by_setup.reshape(len(setup), -1).T
+        self.nuisances = Nuisance.of(self.view, flat, *self._calibration_columns(calibration))
         self._start()
 
     def _start(self) -> None:
@@ -130,7 +132,7 @@ class Problem:
         """Replace the whitened residual (3n,); the set-up stays."""
         self.residual = residual
         self.residual_on_basis = self.nuisances.along(self.zero_held_out(residual))
-        self.projected = self.project(residual)
+        self.projected = self.zero_held_out(residual - self._fitted(self.residual_on_basis))
         self.chi2 = float(self.residual @ self.projected)
 
     def project(self, residual: np.ndarray) -> np.ndarray:
@@ -139,8 +141,11 @@ class Problem:
 
     def refit_setup(self, residual: np.ndarray) -> np.ndarray:
         """Return a (3n,) whitened residual, all rows, after fitting the set-up to the rows that are not held out."""
-        within = self.nuisances.along(self.zero_held_out(residual))
-        return np.asarray(residual - self.nuisances.combined(self.root @ (self.root.T @ within)))
+        return np.asarray(residual - self._fitted(self.nuisances.along(self.zero_held_out(residual))))
+
+    def _fitted(self, within: np.ndarray) -> np.ndarray:
+        """Return what the nuisance parameters explain, (3n, …), from (directions, …) inner products of a residual with the basis."""
+        return self.nuisances.combined(self.root @ (self.root.T @ within))
 
     def setup_step(self, residual: np.ndarray) -> np.ndarray:
         """Return the change of the set-up's unknowns, in metres and radians, fitted to a (3n,) residual (minimum norm)."""
@@ -202,7 +207,7 @@ class Problem:
         residual = self.residual.reshape(-1, 3)
 
         def with_residual(block: PointBlock) -> np.ndarray:
-            return np.concatenate([own.at(block), residual[block.rows, :, None]], axis=2)
+            return side_by_side(own.at(block), residual[block.rows, :, None])
 
         points = None if keep.all() else np.flatnonzero(keep)
         whole, by_nuisance = own.along(with_residual, points)[0], self.nuisances.along_signatures(own, points)

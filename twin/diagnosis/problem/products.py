@@ -12,6 +12,7 @@ from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.point_block import PointBlock
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.signature_products import Signatures
+from twin.diagnosis.problem.signature_terms import side_by_side
 
 
 @final
@@ -221,7 +222,7 @@ class Products:
         own = Signatures(self._problem.view, columns, self._parts)
 
         def vectors(block: PointBlock) -> np.ndarray:
-            return np.concatenate([own.at(block), self._problem.nuisances.raw(block)], axis=2)
+            return side_by_side(own.at(block), self._problem.nuisances.raw(block))
 
         gram, by_nuisance = np.split(own.along(vectors, points), [len(columns)], axis=2)
         return gram, by_nuisance.transpose(0, 2, 1)
@@ -271,7 +272,7 @@ class Products:
 
         def vectors(block: PointBlock) -> np.ndarray:
             residual = self._residual.reshape(-1, 3)[block.rows, :, None]
-            return np.concatenate([self._problem.nuisances.raw(block), residual], axis=2)
+            return side_by_side(self._problem.nuisances.raw(block), residual)
 
         found = self.signatures.along(vectors, points)
         return found[:, :, :-1].transpose(0, 2, 1), found[:, :, -1].copy()

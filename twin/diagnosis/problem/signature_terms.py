@@ -63,6 +63,11 @@ def along_derivative(derivative: np.ndarray, vectors: np.ndarray, buffers: np.nd
     return np.asarray(found)
 
 
+def side_by_side(*vectors: np.ndarray) -> np.ndarray:
+    """Return (points, 3, r) vectors as one array; in memory the points of one vector are contiguous, as in `Signatures.at`."""
+    return np.concatenate([own.transpose(1, 2, 0) for own in vectors], axis=1).transpose(2, 0, 1)
+
+
 def few_of(functions: Functions, index: np.ndarray) -> bool:
     """Return whether an index selects so few of the functions that the others are not evaluated with them."""
     return 2 * len(index) < functions.count

@@ -19,6 +19,7 @@ from twin.diagnosis.problem.forms import Form
 from twin.diagnosis.problem.point_block import PointBlock
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.signature_products import Signatures
+from twin.diagnosis.problem.signature_terms import side_by_side
 from twin.diagnosis.selection.patterns import ChannelFunctions, Pattern
 from twin.numerics.functions import Rows, pieces
 
@@ -185,8 +186,7 @@ class PatternScores:
         causes = self._causes.reshape(len(self._kept), 3, -1)
 
         def vectors(block: PointBlock) -> np.ndarray:
-            here = [self._more_raw(block), causes[block.rows], self._left[block.rows, :, None]]
-            return np.concatenate(here, axis=2)
+            return side_by_side(self._more_raw(block), causes[block.rows], self._left[block.rows, :, None])
 
         keys = [("exact", column, problem.held_out.tobytes()) for column in columns]
         fresh = [column for key, column in zip(keys, columns, strict=True) if key not in base.known]
@@ -223,7 +223,8 @@ class PatternScores:
 
     def _more_raw(self, block: PointBlock) -> np.ndarray:
         """Return the nuisance derivatives (points, 3, r) of random effects at a block of points."""
-        return self._nuisance.raw(block)[:, :, self._nuisance.base.raw_count :]
+        own = self._nuisance.signatures
+        return own.at(block, range(len(self._nuisance.base.signatures.columns), len(own.columns)))
 
     @property
     def _raw_scale(self) -> np.ndarray:
