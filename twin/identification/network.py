@@ -121,6 +121,8 @@ class LinearisedReadings:
 
     def with_weights(self, factor: float) -> LinearisedReadings:
         """Return the same points with the whitening multiplied by a factor."""
+        if factor == 1.0:
+            return self
         whitened = "residual", "whitening", "by_seen", "by_ride", "by_error", "by_place"
         return replace(self, **{name: factor * getattr(self, name) for name in whitened})
 

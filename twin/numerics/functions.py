@@ -46,6 +46,7 @@ class Functions:
         where: (points,) whether any function is not zero there; anywhere if None.
         bound: upper bound of their magnitude; if None, the largest magnitude at the points is computed.
         interpolate: function that makes an interpolation with the values' rounding error; None if there is none.
+        tabulated: whether the values are looked up, not computed.
     """
 
     def __init__(
@@ -56,11 +57,14 @@ class Functions:
         where: np.ndarray | None = None,
         bound: float | None = None,
         interpolate: Callable[[], Interpolation] | None = None,
+        *,
+        tabulated: bool = False,
     ) -> None:
         self.points = points
         self.count = count
         self.values = values
         self.where = where
+        self.tabulated = tabulated
         self._bound = bound
         self._interpolate = interpolate
 
@@ -92,7 +96,7 @@ def count_of(rows: Rows, points: int) -> int:
 
 def tabulated(values: np.ndarray) -> Functions:
     """Return functions given by a table of values (n, count)."""
-    return Functions(len(values), values.shape[1], lambda rows: np.asarray(values[rows]))
+    return Functions(len(values), values.shape[1], lambda rows: np.asarray(values[rows]), tabulated=True)
 
 
 @final

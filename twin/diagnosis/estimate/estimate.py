@@ -325,8 +325,8 @@ def _parameters(effects: Sequence[Effect]) -> dict[str, float]:
 def _least_squares(
     problem: Problem, columns: np.ndarray, residual: np.ndarray, scale: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return covariance and least-squares step; both are zero along directions that are not identifiable."""
-    scaled = columns * scale
+    """Return covariance and least-squares step; both are zero along directions that are not identifiable; overwrites ``columns``."""
+    scaled = np.multiply(columns, scale, out=columns)
     inverse, _ = pseudo_inverse(problem.inner(scaled))
     slope = problem.along(scaled, problem.project(residual))
     return inverse * np.outer(scale, scale), (inverse @ slope) * scale

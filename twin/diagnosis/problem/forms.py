@@ -470,14 +470,15 @@ class Candidates:
         return np.concatenate([cross.T, own.T @ root], axis=1), left - (inverse @ left[columns]) @ own
 
     def _remaining(self, form: Form, others: Sequence[Form]) -> np.ndarray:
+        """Return the projected inner products (w, w) of a form given others; no pass over the data if one of all forms is new."""
         kind, place = self._place[form.index]
         block = self._inner[kind][place]
         if len(others) == 0:
             return np.asarray(block)
-        columns = columns_of(others)
-        rows = self._row_indices(columns)
-        inverse, _ = pseudo_inverse(self._cross[np.ix_(rows, columns)])
-        shared = self._cross[np.ix_(rows, form.columns)]
+        columns, gram = columns_of([*others, form]), self.gram([*others, form])
+        own, given = (np.searchsorted(columns, one) for one in (form.columns, columns_of(others)))
+        inverse, _ = pseudo_inverse(gram[np.ix_(given, given)])
+        shared = gram[np.ix_(given, own)]
         return np.asarray(block - shared.T @ inverse @ shared)
 
 

@@ -187,11 +187,12 @@ class Nuisance:
 
     def rows(self, points: Rows) -> np.ndarray:
         """Return the basis (points, 3, directions) at some points."""
-        here = self._projected(points)
-        by_setup, by_columns = np.split(here, [self._setup.shape[1]], axis=2)
-        flat = by_columns.reshape(-1, len(self._change)) if len(self._change) else by_columns
-        changed = flat @ self._change if len(self._change) else flat
-        return np.concatenate([by_setup, changed.reshape(*here.shape[:2], self._change.shape[1])], axis=2)
+        here, columns = self._setup_at(points), self.signatures.at(PointBlock(self.signatures.view, points))
+        found = np.empty((*here.shape[:2], len(self.coordinates)))
+        found[:, :, : self.setup_count] = here
+        for i in range(3):
+            found[:, i, self.setup_count :] = (columns[:, i] - here[:, i] @ self._on_setup) @ self._change
+        return found
 
     @property
     def change(self) -> np.ndarray:
@@ -211,9 +212,6 @@ class Nuisance:
             inner = _projected_gram(self.signatures, self._setup, self._on_setup, points)
             self._grams[key] = change.T @ inner @ change
         return self._grams[key]
-
-    def _projected(self, points: Rows) -> np.ndarray:
-        return _projected(self.signatures, self._setup, self._on_setup, points)
 
     def _setup_at(self, points: Rows) -> np.ndarray:
         return _at(self._setup, points)
@@ -241,14 +239,8 @@ def _at(columns: np.ndarray, points: Rows) -> np.ndarray:
     return np.asarray(columns.reshape(len(columns) // 3, 3, columns.shape[1])[points])
 
 
-def _projected(signatures: Signatures, setup: np.ndarray, on_setup: np.ndarray, points: Rows) -> np.ndarray:
-    """Return (points, 3, raw) basis of the set-up, and signatures with the set-up projected out."""
-    here = _at(setup, points)
-    return np.concatenate([here, signatures.at(PointBlock(signatures.view, points)) - here @ on_setup], axis=2)
-
-
 def _projected_gram(signatures: Signatures, setup: np.ndarray, on_setup: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the Gram matrix of the columns of `_projected`, over some points.
+    """Return the Gram matrix of the basis of the set-up and of signatures with the set-up projected out, over some points.
 
     It follows from that of the signatures before projection, of which those of one side are zero at points of the other.
     """
@@ -256,11 +248,9 @@ def _projected_gram(signatures: Signatures, setup: np.ndarray, on_setup: np.ndar
     def partial(own: Sequence[np.ndarray]) -> np.ndarray:
         found = np.zeros((sum(on_setup.shape), sum(on_setup.shape)))
         for run in own:
-            here = [_at(setup, run), signatures.at(PointBlock(signatures.view, run))]
-            rows = np.concatenate(here, axis=2).reshape(3 * len(run), -1)
-            used = np.flatnonzero(rows.any(axis=0))
-            rows = np.ascontiguousarray(rows[:, used])
-            found[np.ix_(used, used)] += rows.T @ rows
+            here = side_by_side(_at(setup, run), signatures.at(PointBlock(signatures.view, run)))
+            used = np.flatnonzero(here.any(axis=(0, 1)))
+            found[np.ix_(used, used)] += sum(own.T @ own for own in (here[:, i, used] for i in range(3)))
         return found
 
     raw = reduce(np.ndarray.__iadd__, map_chunks(signatures.ordered_runs(points), partial))

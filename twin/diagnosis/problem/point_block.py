@@ -46,7 +46,8 @@ class PointBlock:
 
     def values(self, functions: Functions) -> np.ndarray | None:
         """Return the functions' values (points, count), or None if all are zero."""
-        values = self._kept if functions in self._keep else self._values
+        # The values of a table are no faster to look up in a copy.
+        values = self._kept if functions in self._keep and not functions.tabulated else self._values
         if functions not in values:
             values[functions] = None if self.is_zero(functions) else functions.values(self._points)
         return values[functions]

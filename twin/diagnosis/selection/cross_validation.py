@@ -18,6 +18,7 @@ from twin._common.distributions import student_isf
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, log_p_value
 from twin.diagnosis.problem.problem import Problem, rms, unwhiten, unwhitened_um
+from twin.diagnosis.problem.signature_products import Signatures
 from twin.diagnosis.selection.likelihood import Likelihood
 from twin.machine.effects.names import axis_of
 from twin.machine.machine import Machine
@@ -49,8 +50,8 @@ def predicted_shift(problem: Problem, part: Candidates, forms: Sequence[Form]) -
     Directions that the part does not determine are set to zero; they would only amplify noise.
     """
     columns, values, _ = part.fitted(forms)
-    signature = problem.signature([part.products.columns[i] for i in columns])
-    return np.asarray(signature @ values)
+    signatures = Signatures(problem.view, [part.products.columns[i] for i in columns])
+    return signatures.combined(values[:, None]).reshape(-1)
 
 
 def jackknife_interval(table: np.ndarray) -> tuple[float, float] | None:
@@ -140,12 +141,10 @@ def held_out_squares(
         if part is None:
             return None
         small = candidates.on_part(part)
-        squares = []
-        for made in predict(small):
-            left = part.refit_setup(problem.residual - made).reshape(-1, 3, 1)[rows]
-            squares.append(np.sum((unwhiten(problem, left, rows)[:, :, 0] * 1e6) ** 2, axis=1))
+        left = part.refit_setup(problem.residual[:, None] - np.stack(predict(small), axis=1))
+        squares = np.sum((unwhiten(problem, left.reshape(len(rows), 3, -1)[rows], rows) * 1e6) ** 2, axis=1)
         read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
-        counted = np.stack([*squares, read], axis=1)
+        counted = np.column_stack([squares, read])
         table = np.zeros((int(split.group.max()) + 1, counted.shape[1])) if table is None else table
         np.add.at(table, split.group[rows], counted)
     return table
