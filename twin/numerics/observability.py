@@ -318,7 +318,7 @@ class Determinability:
         null_space = self.spectrum.null_space
         if float(np.linalg.norm(null_space[index])) < LEAST_SHARE_NAMED:
             return None
-        if null_space.size > LARGE_PROBLEM:
+        if null_space.shape[1] == 1 or null_space.size > LARGE_PROBLEM:
             return self._direction(null_space @ null_space[index], first=index)
         effect = self.spectrum.effect
         # A small positive weight for unknowns without effect on the readings makes the solution unique.

@@ -181,16 +181,17 @@ class ChannelFunctions:
     def at(self, rows: np.ndarray) -> np.ndarray:
         """Return (rows, m) values of all functions at readings of the side."""
         factors = self._factors(rows)
-        return np.asarray(factors[:, self._first] * factors[:, self._second])
+        return np.asarray((factors[self._first] * factors[self._second]).T)
 
     def with_vectors(self, rows: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Return inner products (r, m) of all functions with (r, rows) vectors at readings of the side."""
         factors = self._factors(rows)
-        every = factors.T @ (vectors[:, :, None] * factors)
+        every = (vectors[:, None] * factors) @ factors.T
         return np.asarray(every[:, self._first, self._second])
 
     def _factors(self, rows: np.ndarray) -> np.ndarray:
-        return np.concatenate([np.ones((len(rows), 1)), *(channel.values[rows] for channel in self._channels)], axis=1)
+        """Return (factors, rows) values of the functions that the others are products of."""
+        return np.concatenate([np.ones((1, len(rows))), *(channel.values[rows].T for channel in self._channels)])
 
 
 def patterns(machine: Machine, data: Measurements) -> list[Pattern]:
