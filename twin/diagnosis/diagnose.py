@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 from threadpoolctl import threadpool_limits
 
 from twin._common.errors import require_type
@@ -50,6 +52,8 @@ def diagnose(
     require_type("machine", machine, Machine)
     errors = Calibration.default(machine) if calibration is None else calibration
     require_type("calibration", errors, Calibration)
+    # Only libraries that are loaded are limited, and scipy loads its BLAS at the first use of this package.
+    import_module("scipy.linalg")
     with threadpool_limits(limits=1, user_api="blas"):
         progress("placing the stations", 0.0)
         placed = readings(data, machine, errors, instrument)
