@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
-from threadpoolctl import threadpool_limits
-
 from twin._common.errors import require_type
 from twin._common.progress import Progress, silent
+from twin._common.threads import one_blas_thread
 from twin.diagnosis.diagnosis import Diagnosis
 from twin.diagnosis.judgement.answer import conclude
 from twin.diagnosis.judgement.causes import report_causes
@@ -52,9 +49,7 @@ def diagnose(
     require_type("machine", machine, Machine)
     errors = Calibration.default(machine) if calibration is None else calibration
     require_type("calibration", errors, Calibration)
-    # Only libraries that are loaded are limited, and scipy loads its BLAS at the first use of this package.
-    import_module("scipy.linalg")
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         progress("placing the stations", 0.0)
         placed = readings(data, machine, errors, instrument)
         progress("searching for causes", 0.2)

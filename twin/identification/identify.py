@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import read_only
 from twin._common.errors import require_type
 from twin._common.progress import Progress, silent
+from twin._common.threads import one_blas_thread
 from twin._common.units import MM
 from twin.identification.constant_errors import constant_errors
 from twin.identification.determined import DeterminedModel, Wanted, determined_models
@@ -69,7 +69,7 @@ def identify(
     require_type("data", data, Measurements)
     require_type("machine", machine, Machine)
     # On a shared computer the threads of a linear algebra library wait for each other longer than they work.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         progress("placing the stations", 0.0)
         placed = prepare(machine, data, instrument)
         from_repeats = (

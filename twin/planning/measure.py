@@ -9,10 +9,10 @@ from types import MappingProxyType
 from typing import Any, Final, final
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
+from twin._common.threads import one_blas_thread
 from twin.display import card, note, pairs, table
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, instrument_named
@@ -180,7 +180,7 @@ def measuring_sequence(
     chosen = sequence_named(sequence, reader.name)
     task = _task(machine, reader, kit, places_mm, minutes, sizes or InstrumentSizes())
     task = replace(task, seed=seed)
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         reached = reach(task, chosen.make(task))
         if not len(reached.points):
             why = ", ".join(f"{name}: {count}" for name, count in reached.dropped.items())

@@ -6,11 +6,11 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.progress import Progress, silent
+from twin._common.threads import one_blas_thread
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument
@@ -55,7 +55,7 @@ def plan(
         InputError: the time budget is too short, too few poses have clearance, a reflector is visible from no station, or the machine
             has no error of a given name.
     """
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         task = Task.of(machine, kit, minutes, expected, seed, progress, reduce)
         task.progress("drawing candidates", 0.0)
         every = candidates(machine, task.kit, task.rng, task.levels)

@@ -16,12 +16,12 @@ from types import MappingProxyType
 from typing import Final, final
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, closest_name
 from twin._common.progress import Progress, silent
 from twin._common.records import TIME, is_temperature, sensor_of
+from twin._common.threads import one_blas_thread
 from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
 from twin.diagnosis.problem.nuisance import RANK_TOLERANCE
@@ -124,7 +124,7 @@ def separate(
         InputError: a cause does not exist on this machine or cannot be planned for, the two causes are the same, or the time budget is
             too short.
     """
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         causes = (NamedCause.parse(first), NamedCause.parse(second))
         if causes[0].text == causes[1].text:
             raise InputError(

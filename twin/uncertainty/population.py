@@ -16,7 +16,6 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final, final
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import read_only
 from twin._common.counts import count_with_noun
@@ -25,6 +24,7 @@ from twin._common.errors import InputError
 from twin._common.json_form import json_form
 from twin._common.progress import Progress, silent
 from twin._common.provenance import SourceWarning, warnings_to_json
+from twin._common.threads import one_blas_thread
 from twin.compute.parallel import Workers, map_in_order
 from twin.display import card, histogram, note, pairs, table
 from twin.display.numbers import COVERAGE, COVERAGE_FACTOR
@@ -210,7 +210,7 @@ def draw_machines(
     if seed < 0:
         raise InputError("seed must not be negative", expected="0 or more", value=seed)
     # The last digits of matrix products depend on the number of threads.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread(scipy=False):
         return _drawn(kinematics, trials, poses, seed, digits, workers, progress)
 
 

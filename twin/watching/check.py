@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from twin._common.arrays import read_only
 from twin._common.csv_tables import read_table
 from twin._common.errors import InputError, closest_name
 from twin._common.files import folder_entries, read_bytes
+from twin._common.threads import one_blas_thread
 from twin._common.units import MM
 from twin.identification.constant_errors import NEGLIGIBLE, constant_errors, constant_unknowns, scale_unit
 from twin.identification.inputs import prepare
@@ -179,7 +179,7 @@ def read_check(
         InputError: the file is not a measurement of this machine, or no axis with a constant error moves.
     """
     data = Measurements.load(file.path, machine)
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         placed = prepare(machine, data, None)
         data = placed.data
         moved = [axis.name for axis, q in zip(machine.axes, data.positions.T, strict=True) if np.ptp(q) > 0.0]

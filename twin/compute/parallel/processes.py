@@ -23,9 +23,8 @@ from itertools import islice
 from multiprocessing import get_context
 from typing import Any, Final
 
-from threadpoolctl import threadpool_limits
-
 from twin._common.errors import InputError, OutputError
+from twin._common.threads import one_blas_thread
 from twin.compute.native import only_idle_threads
 
 SUSPECT_DEATHS: Final = 2
@@ -136,7 +135,7 @@ def _begin(parent: int, given: tuple[Callable[[Any, Any], Any], Any]) -> None:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_DFL)
     threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
-    threadpool_limits(limits=1, user_api="blas")
+    one_blas_thread(scipy=False)
     _given[:] = given
 
 

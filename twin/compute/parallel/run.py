@@ -18,9 +18,8 @@ from functools import lru_cache
 from importlib.util import find_spec
 from typing import Any, Final, TypeVar, final
 
-from threadpoolctl import threadpool_limits
-
 from twin._common.errors import InputError, OutputError
+from twin._common.threads import one_blas_thread
 from twin.compute.parallel.tls import Tls
 from twin.compute.parallel.versions import version_differences, versions
 
@@ -137,7 +136,7 @@ def _in_this_process(
     function: Callable[[Shared, Task], Result], shared: Shared, tasks: Sequence[Task]
 ) -> Generator[tuple[int, Result], None, None]:
     for index, task in enumerate(tasks):
-        with threadpool_limits(limits=1, user_api="blas"):
+        with one_blas_thread(scipy=False):
             result = function(shared, task)
         yield index, result
 
@@ -206,7 +205,7 @@ def work(index: int, common: bytes, packed: bytes, expected: dict[str, str]) -> 
                 expected="the same versions on all computers",
                 value=_host(),
             )
-        threadpool_limits(limits=1, user_api="blas")
+        one_blas_thread(scipy=False)
         try:
             function, shared = _unpacked(common)
             task = pickle.loads(packed)
