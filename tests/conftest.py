@@ -11,10 +11,9 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-import scipy.linalg  # noqa: F401  # its own library, to be limited with NumPy's
 from hypothesis import HealthCheck, settings
-from threadpoolctl import threadpool_limits
 
+from twin._common.threads import one_blas_thread
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.planning import Kit, Plan, duration, plan
@@ -24,7 +23,7 @@ from twin.samples import thesis_plan
 
 # Two workers share two cores (pyproject.toml): threads of a linear algebra library would only stand in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-threadpool_limits(limits=1, user_api="blas")
+one_blas_thread()
 
 # No deadline: two shared cores make time no measure of right or wrong. By default the same few examples every time; a slow run
 # draws new ones, and more, from a seed (`pytest_configure`), and keeps no database, so that the seed alone brings a failure back.

@@ -14,12 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from threadpoolctl import threadpool_limits
-
 from tests.diagnosis import rivals
 from tests.diagnosis.battery import UNHIDDEN, Key
 from twin._common.errors import InputError
 from twin._common.files import write_json
+from twin._common.threads import one_blas_thread
 from twin.diagnosis import diagnose
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.problem.problem import Problem
@@ -143,7 +142,7 @@ BUILT_IN: Final[dict[str, Method]] = {
 
 def run_method(method: Method, table: Path, machine: str) -> dict[str, Any]:
     """Return ``seconds`` of wall time, ``error`` (empty if none), ``diagnosis`` and the text of ``calibration`` (None if none)."""
-    with tempfile.TemporaryDirectory() as folder, threadpool_limits(limits=1, user_api="blas"):
+    with tempfile.TemporaryDirectory() as folder, one_blas_thread():
         answer = Path(folder) / "diagnosis.json"
         began = time.perf_counter()
         written = Path(folder) / "calibration.yaml"

@@ -111,16 +111,7 @@ def test_workers_end_with_the_results(others: Workers, tmp_path: Path) -> None:
     found.close()
     assert time.monotonic() - began < 20.0
     if others.scheduler is None:
-        assert not [int(file.read_text()) for file in tmp_path.iterdir() if exists(int(file.read_text()))]
-
-
-def exists(process: int) -> bool:
-    """Return whether a process exists."""
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    return True
+        assert not any(alive(int(file.read_text())) for file in tmp_path.iterdir())
 
 
 def test_a_copy_needs_a_process_without_other_threads() -> None:
@@ -421,13 +412,13 @@ def test_interrupt_ends_the_workers_and_keeps_what_is_written(tmp_path: Path) ->
     assert errors.decode().splitlines()[-2:] == said
     assert b"1 done" in printed
     assert sorted(path.name for path in out.iterdir()) == ["a.nc", "a.nc.report.json", "a.nc.report.txt"]
-    until(lambda: not alive(process.pid))
+    until(lambda: not alive(-process.pid))
 
 
-def alive(group: int) -> bool:
-    """Return whether any process of a group exists."""
+def alive(process: int) -> bool:
+    """Return whether a process exists; with a negative number, any of that group."""
     try:
-        os.killpg(group, 0)
+        os.kill(process, 0)
     except ProcessLookupError:
         return False
     return True

@@ -72,5 +72,5 @@ def row_lengths(vectors: np.ndarray) -> np.ndarray:
 
 
 def distinct(numbers: np.ndarray) -> list[int]:
-    """Return the different ones of (n,) whole numbers in ascending order; few of them, for which `numpy.unique` would import more."""
+    """Return the different ones of (n,) whole numbers in ascending order, without the import of `numpy.ma` by `numpy.unique`."""
     return sorted(set(numbers.tolist()))

@@ -68,7 +68,6 @@ def identify(
     """
     require_type("data", data, Measurements)
     require_type("machine", machine, Machine)
-    # On a shared computer the threads of a linear algebra library wait for each other longer than they work.
     with one_blas_thread():
         progress("placing the stations", 0.0)
         placed = prepare(machine, data, instrument)

@@ -103,49 +103,45 @@ class Branches:
         before = np.ascontiguousarray(previous.T)
         best, least = np.full(before.shape, np.nan), np.full(len(previous), np.inf)
         for solution in (np.ascontiguousarray(solutions[:, k].T) for k in (0, 1)):
-            free = np.isnan(solution)
-            angles = np.where(free, before, solution) if free.any() else solution
-            found = angles + 360.0 * np.round((before - angles) / 360.0)
-            found[free] = before[free]
-            inside = self._inside(found)
-            found, travel = self._clipped(found, before)
-            possible = ~(free[0] & free[1])
-            better = inside & possible & (travel < least)
-            # Only where the nearest turn is out of range can another one be nearer.
-            rows = np.flatnonzero(~inside & possible)
-            if rows.size:
-                found[:, rows], travel[rows], better[rows] = self._other_turns(
-                    angles[:, rows], free[:, rows], before[:, rows], least[rows]
-                )
+            found, travel, rows = self._turned(solution, before, 0.0)
+            better = travel < least
             best[:, better], least[better] = found[:, better], travel[better]
+            # Elsewhere no other turn is nearer.
+            for shift in (-1.0, 1.0) if rows.size else ():
+                found, travel, _ = self._turned(solution[:, rows], before[:, rows], shift)
+                better = travel < least[rows]
+                best[:, rows[better]], least[rows[better]] = found[:, better], travel[better]
         return best.T
 
-    def _inside(self, angles: np.ndarray) -> np.ndarray:
-        """Return (n,) whether (2, n) degrees are within the axes' ranges."""
-        lower, upper = self._limits[:, 0, None] - SLACK_DEG, self._limits[:, 1, None] + SLACK_DEG
-        within = (angles >= lower) & (angles <= upper)
-        return np.asarray(within[0] & within[1])
-
-    def _clipped(self, angles: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return (2, n) degrees without their `SLACK_DEG` beyond a limit, and the (n,) larger travel of the two axes to them."""
-        clipped = np.clip(angles, self._limits[:, 0, None], self._limits[:, 1, None])
-        return clipped, np.maximum(*np.abs(clipped - before))
-
-    def _other_turns(
-        self, angles: np.ndarray, free: np.ndarray, before: np.ndarray, least: np.ndarray
+    def _turned(
+        self, solution: np.ndarray, before: np.ndarray, shift: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the nearest of the turns of (2, n) degrees that are within range, its travel, and whether that is below ``least``."""
-        lower, upper = self._limits[:, 0, None] - SLACK_DEG, self._limits[:, 1, None] + SLACK_DEG
-        best, least = np.full(angles.shape, np.nan), np.array(least)
-        found = np.zeros(len(least), dtype=bool)
-        for shift in (0.0, -1.0, 1.0):
-            candidate = angles + 360.0 * (np.round((before - angles) / 360.0) + shift)
-            candidate[free] = before[free]
-            candidate += 360.0 * ((candidate < lower) * 1.0 - (candidate > upper) * 1.0)
-            clipped, travel = self._clipped(candidate, before)
-            better = self._inside(candidate) & (travel < least)
-            best[:, better], least[better], found[better] = clipped[:, better], travel[better], True
-        return best, least, found
+        """Return solutions at the nearest turn, or ``shift`` turns from it, and one turn back where that is out of range.
+
+        Args:
+            solution: (2, n) degrees, as by `all`.
+            before: (2, n) degrees.
+            shift: number of turns.
+
+        Returns:
+            (2, n) degrees; (n,) the larger travel of the two axes, infinite for a position out of range or without solution; and the
+            indices of those turned back.
+        """
+        free = np.isnan(solution)
+        angles = np.where(free, before, solution) if free.any() else solution
+        found = angles + 360.0 * (np.round((before - angles) / 360.0) + shift)
+        found[free] = before[free]
+        low, high = self._limits[:, :1], self._limits[:, 1:]
+        lower, upper = low - SLACK_DEG, high + SLACK_DEG
+        back = np.flatnonzero(((found < lower) | (found > upper)).any(axis=0))
+        turned = found[:, back]
+        turned += 360.0 * ((turned < lower) * 1.0 - (turned > upper) * 1.0)
+        found[:, back] = turned
+        found = np.clip(found, low, high)
+        travel = np.maximum(*np.abs(found - before))
+        travel[back[((turned < lower) | (turned > upper)).any(axis=0)]] = np.inf
+        travel[free.all(axis=0)] = np.inf
+        return found, travel, back
 
     def along(self, solutions: np.ndarray, before: np.ndarray, offset: np.ndarray) -> np.ndarray:
         """Return the solution for each vector nearest to that of the vector before it, up to the first without a solution.

@@ -55,7 +55,7 @@ struct Number {
 };
 
 // Read a number of digits and points; return where it ends.
-inline int64_t read_number(const uint8_t* text, int64_t at, Number& number) {
+static int64_t read_number(const uint8_t* text, int64_t at, Number& number) {
     int64_t digits = 0;
     int count = 0, whole = -1, points = 0;
     for (;; ++at) {
