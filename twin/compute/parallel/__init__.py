@@ -10,10 +10,10 @@ before 3 before 0). Each program is written as soon as it is done, and is kept o
 `twin volume` draws machines from the covariance of the calibration (correlations included) and evaluates each at the same poses. It
 reports the expanded uncertainty U at the tool by Monte Carlo and by first-order propagation, where U is largest, whether first order
 is adequate (JCGM 101, clause 8), and the distribution over the machines of the error in the volume (RMS and maximum over the poses),
-uncompensated and compensated with this calibration. A million machines at 200 poses, 200 million poses, took 16 to 17 s on two shared
-cores (12 million a second); memory does not grow with their number.
+uncompensated and compensated with this calibration. A million machines at 200 poses, 200 million poses, took 16 to 18 s on two shared
+cores (11 to 12 million a second); memory does not grow with their number.
 
-200 programs of 5,000 to 20,000 blocks took 11 to 13 s in one process and 6.7 to 7.5 s in two.
+200 programs of 5,000 to 20,000 blocks took 10 to 13 s in one process and 6.7 to 7.5 s in two.
 
 Work goes to processes of this computer (`--workers`, by default one per core; on Linux copies of the running one, which start at once)
 or to a Dask cluster by the address of its scheduler (`pip install 'twin[cluster]'`, then there `dask scheduler` and `dask worker
