@@ -19,6 +19,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from twin.nc.encoded import encoded
 from twin.nc.planes import Plane
 
 
@@ -81,7 +82,7 @@ class Program:
 
     source: str
     dialect: str
-    texts: tuple[str, ...]
+    texts: Sequence[str]
     origins: tuple[Origin, ...] = ()
 
     @cached_property
@@ -94,7 +95,7 @@ class Program:
     @property
     def text(self) -> str:
         """The whole text."""
-        return "".join(self.texts)
+        return encoded(self.texts, 0, len(self.texts)).decode("latin-1")
 
 
 @final

@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterable, Sequence
 from textwrap import wrap
 from typing import Final
 
-from twin.nc.text import BOM, ending, lines_in
+from twin.nc.encoded import lines_in
+from twin.nc.text import BOM, ending
 
 HEAD_LINES: Final = 50
 """Number of lines within which the header ends and the comment syntax of the program shows."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.nc.blocks import Program
+from twin.nc.encoded import Lines
 
 MM_PER_INCH = 25.4
 LARGEST = 1e9
@@ -35,13 +36,7 @@ def read_lines(data: bytes, source: str, dialect: str) -> Program:
     check = TextCheck(source)
     check.add(data)
     check.finish()
-    return Program(source=source, dialect=dialect, texts=tuple(lines_in(data)))
-
-
-def lines_in(data: bytes) -> Iterator[str]:
-    """Return the lines of some bytes, each with its own ending."""
-    # Not `str.splitlines`, which ends a line at other characters too.
-    return (line.decode("latin-1") for line in data.splitlines(keepends=True))
+    return Program(source=source, dialect=dialect, texts=Lines(data))
 
 
 def count_of(data: bytes, character: int) -> int:

@@ -13,10 +13,11 @@ from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.toolpath import Follower, MotionColumns
 from twin.nc.blocks import Notice
 from twin.nc.columns import MoveColumns
+from twin.nc.encoded import lines_in
 from twin.nc.iso.stream import iso_reader
 from twin.nc.lines.chunks import Chunk
 from twin.nc.lines.compiled import line_code
-from twin.nc.text import Style, TextCheck, ending, lines_in, style_in
+from twin.nc.text import Style, TextCheck, ending, style_in
 
 STRETCH_BYTES: Final = 3 << 17
 """Bytes read, written and read back at once."""

@@ -13,9 +13,10 @@ from typing import Final
 
 import numpy as np
 
+from twin.nc.encoded import line_ends
 from twin.nc.lines.chunks import DELETED_LINE
 from twin.nc.lines.compiled import LineCode
-from twin.nc.lines.scan import Scan, line_ends
+from twin.nc.lines.scan import Scan
 
 _NAMES: Final = ("X", "Y", "Z", "A", "B", "C")
 NOTED: Final = 1e-3

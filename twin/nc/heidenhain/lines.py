@@ -13,8 +13,9 @@ from typing import Final
 
 import numpy as np
 
+from twin.nc.encoded import line_ends
 from twin.nc.lines.compiled import LineCode
-from twin.nc.lines.scan import Scan, line_ends
+from twin.nc.lines.scan import Scan
 
 _IMAGE: Final = bytes(
     ord(".") if c == ord(",") else ord("?") if chr(c).islower() or c in b"GN" else c for c in range(256)

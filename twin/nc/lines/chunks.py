@@ -14,6 +14,7 @@ import numpy as np
 
 from twin.nc.blocks import AxisWords, FrameChange, Interpretation, LostPositions, Notice, Program
 from twin.nc.columns import NO_VECTOR, MoveBuilder, MoveColumns, NewPositions, fill_forward
+from twin.nc.encoded import encoded
 from twin.nc.lines.bulk import LARGEST_STEPS, Formatting, Grids
 from twin.nc.lines.compiled import ARRAYS, LineCode, line_code
 from twin.nc.lines.scan import MOST_DIGITS, Scan
@@ -93,9 +94,8 @@ def chunks(program: Program, names: tuple[str, ...], scanner: Scanner | None = N
     """Yield a program in memory in chunks, with `DELETED_LINE` in place of empty texts."""
     code = line_code(len(program.texts))
     for first in range(0, len(program.texts), CHUNK_LINES):
-        texts = program.texts[first : first + CHUNK_LINES]
-        text = "".join(texts if all(texts) else [one or DELETED_LINE for one in texts])
-        yield Chunk(text.encode("latin-1"), first, names, code, scanner)
+        data = encoded(program.texts, first, first + CHUNK_LINES, DELETED_LINE)
+        yield Chunk(data, first, names, code, scanner)
 
 
 @final

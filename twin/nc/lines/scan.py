@@ -14,6 +14,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin.nc.encoded import line_ends
 from twin.nc.simple_blocks import simple_axis_letters
 
 MOST_DIGITS: Final = 15
@@ -206,13 +207,3 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
     )
     first = np.concatenate([[0], np.cumsum(np.where(simple, named, 0))])
     return Scan(data, text, start, end, simple, blank, motion, wide, words, first)
-
-
-def line_ends(text: np.ndarray, data: bytes) -> np.ndarray:
-    """Return the index of the last character of every terminated line; CR at the very end counts as an ending."""
-    ends = text == 10
-    if b"\r" in data:
-        returns = text == 13
-        returns[:-1] &= ~ends[1:]
-        ends |= returns
-    return np.flatnonzero(ends)
