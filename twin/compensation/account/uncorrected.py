@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from twin._common.arrays import distinct
 from twin.compensation.account.shortfalls import FoundShortfalls
 from twin.compensation.prepared import PreparedMachine
 from twin.compensation.solving import Corrected
@@ -117,7 +118,7 @@ def _off_between(corrected: Corrected) -> Iterator[FoundShortfalls]:
     error_um[rows.motion[rows.clamped | rows.untouched]] = 0.0
     error_um[: corrected.context] = 0.0
     over = np.flatnonzero(error_um > 1e3 * pieces.prepared.options.tolerance_mm)
-    for pieces_each in np.unique(count[over]).tolist():
+    for pieces_each in distinct(count[over]):
         which = over[count[over] == pieces_each]
         reason = f"error between end points above the tolerance, with {pieces_each} pieces per block"
         yield FoundShortfalls(
