@@ -262,13 +262,16 @@ class CommandFiles:
         self.read.add(file)
         self._identities |= _identity(file)
 
-    def add_output(self, path: Path) -> None:
+    def add_output(self, path: Path, file: Path) -> None:
         """Register an output file.
+
+        Args:
+            path: its path as given, for the message.
+            file: its resolved path.
 
         Raises:
             InputError: the command has read it, under this name or another one.
         """
-        file = _resolved(path)
         if file in self.written:
             return
         if file in self.read or _identity(file) & self._identities:
@@ -366,7 +369,7 @@ def _target(path: Path) -> Path:
     file = _resolved(path)
     tracker = _COMMAND.get()
     if tracker is not None:
-        tracker.add_output(path)
+        tracker.add_output(path, file)
     try:
         mode = path.stat().st_mode if path.exists() else None
     except OSError as error:
@@ -426,7 +429,7 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
-            move_into_place(temporary, path)
+            _replace(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
@@ -440,7 +443,10 @@ def move_into_place(made: Path, path: Path) -> None:
         InputError: the output cannot be written.
         OSError: the operating system refuses.
     """
-    target = _target(path)
+    _replace(made, _target(path))
+
+
+def _replace(made: Path, target: Path) -> None:
     if target.exists():
         old = target.stat()
         with suppress(PermissionError):

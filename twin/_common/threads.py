@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from importlib import import_module
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 THREADS: Final = 2
 """Number of threads; fixed, so that no result depends on the computer."""
@@ -30,7 +32,7 @@ def map_chunks(pieces: Sequence[Piece], work: Callable[[Sequence[Piece]], Part])
         return list(pool.map(work, shares))
 
 
-def one_blas_thread(*, scipy: bool = True) -> threadpool_limits:
+def one_blas_thread(*, scipy: bool = True) -> Any:
     """Limit linear algebra to one thread from now on, or inside the context if the result is used as a context manager.
 
     Results then do not depend on the number of cores, and many small factorisations do not wait for threads.
@@ -40,4 +42,10 @@ def one_blas_thread(*, scipy: bool = True) -> threadpool_limits:
     """
     if scipy:
         import_module("scipy.linalg")  # Only libraries that are loaded are limited.
-    return threadpool_limits(limits=1, user_api="blas")
+    return _libraries("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas")
+
+
+@cache
+def _libraries(scipy: bool) -> ThreadpoolController:
+    """Return the loaded libraries; to find them takes a millisecond, as long as to compensate five hundred blocks."""
+    return ThreadpoolController()

@@ -20,6 +20,7 @@ from typing import Any, Final, TypeVar, final
 
 from twin._common.errors import InputError, OutputError
 from twin._common.threads import one_blas_thread
+from twin.compute.parallel.memory import keep_freed_memory
 from twin.compute.parallel.tls import Tls
 from twin.compute.parallel.versions import version_differences, versions
 
@@ -206,6 +207,7 @@ def work(index: int, common: bytes, packed: bytes, expected: dict[str, str]) -> 
                 value=_host(),
             )
         one_blas_thread(scipy=False)
+        keep_freed_memory()
         try:
             function, shared = _unpacked(common)
             task = pickle.loads(packed)
