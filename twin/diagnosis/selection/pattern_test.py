@@ -23,6 +23,8 @@ ALARMS: Final = 0.01
 """Rate of false alarms: share of data sets without an error in which a pattern is found."""
 EXACT: Final = 24
 """Number of tests, the most significant ones by two moments, whose p-value is evaluated exactly by eigenvalues."""
+AT_ONCE: Final = 32
+"""Tests with equally many functions whose moments are computed at once."""
 DIRECTIONS: Final[tuple[tuple[int, ...], ...]] = ((0,), (1,), (2,), (0, 1, 2))
 """Directions of the frame that are tested: each alone, and all together."""
 
@@ -71,17 +73,10 @@ def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Fo
     if not tried:
         return []
     scores = PatternScores(problem, forms, tried)
-    kinds: list[tuple[Pattern, int, tuple[int, ...]]] = []
-    moments: list[np.ndarray] = []
-    for pattern in tried:
-        slope, gram = scores.of(pattern)
-        for level in pattern.levels:
-            chosen = np.flatnonzero(pattern.order <= level)
-            own = _moments(slope[:, chosen], gram[:, chosen[:, None], chosen])
-            for directions in DIRECTIONS:
-                kinds.append((pattern, level, directions))
-                moments.append(own[:, list(directions)].sum(axis=1))
-    found, mean, variance = np.array(moments).T
+    kinds = [(pattern, level, where) for pattern in tried for level in pattern.levels for where in DIRECTIONS]
+    along = _moments_along(scores, tried)
+    moments = np.stack([along[:, :, list(where)].sum(axis=2) for where in DIRECTIONS], axis=1)
+    found, mean, variance = moments.reshape(-1, 3).T
     varying = np.flatnonzero(variance > 0.0)
     log_p = np.zeros(len(kinds))
     log_p[varying] = _two_moments(found[varying], mean[varying], variance[varying])
@@ -96,6 +91,32 @@ def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Fo
         if pattern not in best or pattern_test.log_p < best[pattern].log_p:
             best[pattern] = pattern_test
     return sorted(best.values(), key=lambda one: one.log_p)
+
+
+def _moments_along(scores: PatternScores, tried: Sequence[Pattern]) -> np.ndarray:
+    """Return (n, 3, 3): of each pattern and level the score, and its mean and variance for noise alone, along each direction."""
+    found: list[np.ndarray] = []
+    alike: dict[int, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}
+    for pattern in tried:
+        slope, gram = scores.of(pattern)
+        for level in pattern.levels:
+            chosen = np.flatnonzero(pattern.order <= level)
+            found.append(np.zeros((3, 3)))
+            waiting = alike.setdefault(len(chosen), [])
+            waiting.append((slope[:, chosen], gram[:, chosen[:, None], chosen], found[-1]))
+            if len(waiting) == AT_ONCE:
+                _fill(alike.pop(len(chosen)))
+    for waiting in alike.values():
+        _fill(waiting)
+    return np.stack(found)
+
+
+def _fill(waiting: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
+    """Compute the moments (3, 3) of (3, m) scores and (3, m, m) Gram matrices with as many functions, and put them in place."""
+    slopes, grams, places = zip(*waiting, strict=True)
+    own = _moments(np.concatenate(slopes), np.concatenate(grams))
+    for place, part in zip(places, np.split(own, len(places), axis=1), strict=True):
+        place[...] = part
 
 
 def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:
