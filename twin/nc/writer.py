@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 from twin._common.errors import InputError
 from twin.nc.block import AxisWord, Block, Span
 from twin.nc.blocks import AxisWords, Kind, Rewrite
 from twin.nc.emit import OutputState
 from twin.nc.text import Style, apply_edits, ending, number, style_of
+from twin.nc.word_texts import Formatting, Grids, lines_of_words
 
 Segments = tuple[Rewrite, list[list[float]]]
 """A rewrite, and its positions as lists."""
 Edit = tuple[int, int, str]
 
+
+MANY: Final = 24
+"""Number of segments of a block from which they are written together."""
 
 B = TypeVar("B", bound=Block)
 
@@ -31,6 +35,7 @@ class WordWriter(ABC, Generic[B]):
 
     Attributes:
         said: the last value written for every axis.
+        grids: steps of the axis words.
         lower: whether the program uses small letters.
     """
 
@@ -46,6 +51,7 @@ class WordWriter(ABC, Generic[B]):
         self.newline = newline
         self.style = style
         self.said = OutputState(axes)
+        self.grids = Grids(axes.names, [axes.increment[name] for name in axes.names])
         self.lower = False
         self._line = 0
         self._vector_text: tuple[str, str, str] | None = None
@@ -100,7 +106,10 @@ class WordWriter(ABC, Generic[B]):
             return lines
         end = ending(block.text)
         lines[0] += "" if end else self.newline
-        for place in range(1, len(rows)):
+        written = None if tails or vectors is not None else self._together(block, rewrite, begin, end or self.newline)
+        if written:
+            lines.append(written)
+        for place in range(1 if written is None else len(rows) - 1, len(rows)):
             words = self._later(block, rows[place], None if vectors is None else vectors[place])
             if words and tails:
                 words.append(tails[place])
@@ -135,6 +144,20 @@ class WordWriter(ABC, Generic[B]):
     def _later(self, block: B, row: list[float], vector: list[float] | None) -> list[str]:
         """Return the words of a segment after the first."""
         return self._missing(block, row, 0) + ([] if vector is None else self._vector(block, vector, None))
+
+    def _together(self, block: B, rewrite: Rewrite, begin: str, end: str) -> str | None:
+        """Return the lines of the segments between the first and the last; None if they must be written one by one."""
+        several = any(len(name) > 1 for name in self.names)
+        if (
+            len(rewrite.positions) < MANY
+            or several
+            or block.inch
+            or block.incremental
+            or any(w.form for w in block.words)
+        ):
+            return None
+        formatting = Formatting(self.style, self.separator == " ", self.lower)
+        return lines_of_words(rewrite.positions[:-1], self.said, formatting, self.grids, begin, end)
 
     # ------------------------------------------------------------------ words
 

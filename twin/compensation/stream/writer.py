@@ -35,6 +35,7 @@ class PartWriter:
 
     def __init__(self, prepared: PreparedMachine, source: ProgramFile, out: BinaryIO) -> None:
         self._prepared, self._axes, self._name = prepared, prepared.space.axes, str(source.path)
+        self._source_lines = source.lines
         self._code = line_code(source.lines)
         self._begins = source.begins()
         self._out = out
@@ -73,7 +74,8 @@ class PartWriter:
                 stretch = Chunk(b"".join(self._pending) + stretch.scan.data, 0, self._axes.names, self._code)
                 self._pending = []
         data = stretch.scan.data if idle else self._rewriter.write(stretch, moves, new)
-        written = Chunk(data, self._lines, self._axes.names, self._code)
+        # Arcs and splitting may make a short program long.
+        written = Chunk(data, self._lines, self._axes.names, line_code(max(self._source_lines, self._lines)))
         try:
             read_back = self._checker.read(written)
         except InputError as error:

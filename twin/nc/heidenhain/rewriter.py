@@ -12,10 +12,10 @@ from twin.nc.columns import MoveColumns, NewPositions
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
 from twin.nc.heidenhain.vocabulary import UNNUMBERED, renumbered
 from twin.nc.heidenhain.writer import HeidenhainWriter
-from twin.nc.lines.bulk import Formatting
 from twin.nc.lines.chunks import Chunk, ChunkRewriter, SimpleRun
 from twin.nc.lines.compiled import LineCode
 from twin.nc.text import Style
+from twin.nc.word_texts import Formatting
 from twin.nc.writer import Segments
 
 _SPLIT: Final = re.compile(

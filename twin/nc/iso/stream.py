@@ -11,10 +11,10 @@ import numpy as np
 from twin.nc.blocks import AxisWords
 from twin.nc.iso.interpreter import IsoInterpreter
 from twin.nc.iso.writer import CODE, IsoWriter
-from twin.nc.lines.bulk import Formatting
 from twin.nc.lines.chunks import ChunkReader, ChunkRewriter, SimpleRun, only_places
 from twin.nc.lines.compiled import ARRAYS, LineCode
 from twin.nc.text import Style
+from twin.nc.word_texts import Formatting
 from twin.nc.writer import Segments
 
 _LINE: Final = re.compile(rb"[^\r\n]*+(?:\r\n|\n|\r)")

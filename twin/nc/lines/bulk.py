@@ -6,55 +6,17 @@ others. Each attribute at a word is therefore the last value set, which is compu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
 
 from twin.nc.emit import SAME_NUMBER, OutputState
 from twin.nc.lines.scan import Scan, Words
-from twin.nc.text import Style, grid
+from twin.nc.text import Style
+from twin.nc.word_texts import Formatting, Grids, formatted_words
 
-LARGEST_STEPS: Final = 1e11
-"""Larger values, in least increments, are written one by one: a double no longer holds all their decimals exactly."""
 _UNKNOWN: Final = np.iinfo(np.int64).min
-_MINUS, _PLUS, _ZERO, _POINT, _SPACE = b"-+0. "
-
-
-@final
-@dataclass(frozen=True)
-class Formatting:
-    """Formatting of a program at some place.
-
-    Attributes:
-        style: number format.
-        spaced: whether words are separated by spaces.
-        lower: whether letters are small.
-    """
-
-    style: Style
-    spaced: bool
-    lower: bool
-
-
-@final
-class Grids:
-    """The steps of the axis words, for writing many together.
-
-    Args:
-        names: axis names.
-        increment: (axes,) least increments, mm and degrees.
-    """
-
-    def __init__(self, names: tuple[str, ...], increment: list[float]) -> None:
-        grids = [grid(one, False) for one in increment]
-        self.step = np.array([one.step for one in grids])
-        self.decimals = np.array([one.decimals for one in grids])
-        whole = self.step * 10.0**self.decimals
-        self.scale = np.round(whole).astype(np.int64)
-        self.exact = bool(np.all(np.abs(whole - self.scale) <= 1e-9 * whole))
-        self.letters = np.array([ord(name[0].upper()) for name in names], dtype=np.uint8)
-        self.own = np.array([ord(name[0]) for name in names], dtype=np.uint8)
+_MINUS, _PLUS, _SPACE = b"-+ "
 
 
 def _with_replacements(
@@ -134,7 +96,7 @@ def rewritten_lines(
     closes = extra & np.append(row[1:] != row[:-1], True)[-len(row) :] if len(row) else extra
     word = np.concatenate([new, last_word])
     letters = np.where(lower[line], grids.letters[axis] + 32, grids.own[axis]).astype(np.uint8)
-    text, length = _formatted_words(
+    text, length = formatted_words(
         np.concatenate([steps[new], segments.steps[row, axis]]),
         np.concatenate([words.axis[new], axis]),
         styles.at(word),
@@ -247,61 +209,3 @@ def _ending(scan: Scan, lines: np.ndarray) -> np.ndarray:
     end = scan.end[lines]
     two = (scan.text[end - 1] == 10) & (scan.text[np.maximum(end - 2, 0)] == 13)
     return np.stack([np.where(two, 13, 0), scan.text[end - 1]], axis=1).astype(np.uint8)
-
-
-def _formatted_words(
-    steps: np.ndarray,
-    axis: np.ndarray,
-    styles: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    grids: Grids,
-    spaced: np.ndarray,
-    letter: np.ndarray,
-    ending: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return words with numbers formatted as by `twin.nc.text.format_number`, concatenated, and the length of each.
-
-    Args:
-        steps: (n,) values in least increments.
-        axis: (n,) axis of each word.
-        styles: style of the numbers (`_Look.at`).
-        grids: of the axes.
-        spaced: (n,) whether a space comes first.
-        letter: (n,) the following letter, 0 for none.
-        ending: (n, 2) characters after the number, 0 for none.
-    """
-    point, min_decimals, leading_zero, plus = styles
-    places = int(max(grids.decimals.max(initial=0), min_decimals.max(initial=0)))
-    size = np.abs(steps) * grids.scale[axis]
-    power = (10**grids.decimals)[axis]
-    whole = size // power
-    fraction = (size - whole * power) * (10 ** (places - grids.decimals))[axis]
-    digits = len(str(int(whole.max(initial=0))))
-    # One row per character position, for contiguous writes; characters not shown are zero and removed below.
-    text = np.empty((digits + places + 6, len(steps)), dtype=np.uint8)
-    text[0] = spaced * np.uint8(_SPACE)
-    text[1] = letter
-    text[2] = np.where(steps < 0, _MINUS, plus * np.uint8(_PLUS))
-    _digits(whole, text[3 : 3 + digits])
-    text[2 + digits] *= leading_zero | (whole > 0) | (fraction == 0)
-    for i in range(1, digits):
-        text[2 + digits - i] *= whole >= 10**i
-    _digits(fraction, text[4 + digits : -2])
-    wanted = np.array(min_decimals)
-    for i in range(places):
-        wanted[(text[4 + digits + i] != _ZERO) & (wanted <= i)] = i + 1
-        # Digits are visited in order, so the last nonzero one decides.
-    for i in range(places):
-        text[4 + digits + i] *= wanted > i
-    text[3 + digits] = ((wanted > 0) | point) * np.uint8(_POINT)
-    text[-2:] = ending.T
-    shown = np.ascontiguousarray(text.T).tobytes().translate(None, b"\0")
-    return np.frombuffer(shown, dtype=np.uint8), np.sum(text != 0, axis=0, dtype=np.uint8).astype(int)
-
-
-def _digits(number: np.ndarray, out: np.ndarray) -> None:
-    """Write the decimal digits of whole numbers, as characters, into the rows of an array."""
-    left = number
-    for row in range(len(out) - 1, -1, -1):
-        rest = left // 10
-        out[row] = left - rest * 10 + _ZERO
-        left = rest

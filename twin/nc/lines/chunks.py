@@ -15,11 +15,11 @@ import numpy as np
 from twin.nc.blocks import AxisWords, FrameChange, Interpretation, LostPositions, Notice, Program
 from twin.nc.columns import NO_VECTOR, MoveBuilder, MoveColumns, NewPositions, fill_forward
 from twin.nc.encoded import encoded
-from twin.nc.lines.bulk import LARGEST_STEPS, Formatting, Grids
 from twin.nc.lines.compiled import ARRAYS, LineCode, line_code
 from twin.nc.lines.scan import MOST_DIGITS, Scan
 from twin.nc.modal import Interpreter
 from twin.nc.text import MM_PER_INCH
+from twin.nc.word_texts import LARGEST_STEPS, Formatting
 from twin.nc.writer import Segments, WordWriter
 
 SHORTEST_RUN: Final = 12
@@ -274,7 +274,7 @@ class ChunkRewriter(ABC):
         self, axes: AxisWords, interpreter: Interpreter, writer: WordWriter[Any], code: LineCode = ARRAYS
     ) -> None:
         self._state, self._words, self._code = interpreter, writer, code
-        self._grids = Grids(axes.names, [axes.increment[name] for name in axes.names])
+        self._grids = writer.grids
 
     @abstractmethod
     def line(self, line: int, text: str, segments: Mapping[int, Segments]) -> str:

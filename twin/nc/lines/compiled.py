@@ -13,9 +13,10 @@ import numpy as np
 from twin.compute.native import loading
 from twin.nc.blocks import AxisWords
 from twin.nc.emit import SAME_NUMBER, OutputState
-from twin.nc.lines.bulk import Formatting, Grids, rewritten_lines
+from twin.nc.lines.bulk import rewritten_lines
 from twin.nc.lines.scan import NOTE, Scan, Words, scan, tables
 from twin.nc.text import Style, count_of
+from twin.nc.word_texts import Formatting, Grids
 
 _POINTERS: Final = ctypes.c_void_p
 _TABLES: Final = ("text", "kind", "rank", "axis")
