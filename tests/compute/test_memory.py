@@ -46,6 +46,6 @@ def test_the_limit_of_dask_is_lifted() -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="counts page faults of the GNU C library")
 def test_another_limit_stays() -> None:
-    """It is the user's."""
+    """A limit other than that of Dask is the choice of the user."""
     before, after = counted("65537")
     assert after > before // 2

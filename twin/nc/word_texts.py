@@ -57,7 +57,7 @@ def lines_of_words(
     """Return a line for each position after the first, with words for the axes that move; none for one at which no axis moves.
 
     Args:
-        rows: (n, axes) positions, mm and degrees, of which the first is said already; NaN for axes without a target.
+        rows: (n, axes) positions, mm and degrees, of which the first has been written; NaN for axes without a target.
         said: last values in the output; updated.
         formatting: number format, separation of words and size of letters.
         grids: of the axes.
