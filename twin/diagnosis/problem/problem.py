@@ -132,7 +132,7 @@ class Problem:
         """Replace the whitened residual (3n,); the set-up stays."""
         self.residual = residual
         self.residual_on_basis = self.nuisances.along(self.zero_held_out(residual))
-        self.projected = self.zero_held_out(residual - self._fitted(self.residual_on_basis))
+        self.projected = self.zero_held_out(residual - self.fitted(self.residual_on_basis))
         self.chi2 = float(self.residual @ self.projected)
 
     def project(self, residual: np.ndarray) -> np.ndarray:
@@ -141,9 +141,9 @@ class Problem:
 
     def refit_setup(self, residual: np.ndarray) -> np.ndarray:
         """Return a (3n,) whitened residual, all rows, after fitting the set-up to the rows that are not held out."""
-        return np.asarray(residual - self._fitted(self.nuisances.along(self.zero_held_out(residual))))
+        return np.asarray(residual - self.fitted(self.nuisances.along(self.zero_held_out(residual))))
 
-    def _fitted(self, within: np.ndarray) -> np.ndarray:
+    def fitted(self, within: np.ndarray) -> np.ndarray:
         """Return what the nuisance parameters explain, (3n, …), from (directions, …) inner products of a residual with the basis."""
         return self.nuisances.combined(self.root @ (self.root.T @ within))
 
