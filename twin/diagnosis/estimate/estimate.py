@@ -327,8 +327,8 @@ def _least_squares(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return covariance and least-squares step; both are zero along directions that are not identifiable; overwrites ``columns``."""
     scaled = np.multiply(columns, scale, out=columns)
-    inverse = pseudo_inverse(problem.inner(scaled))
-    slope = problem.along(scaled, problem.project(residual))
+    gram, slope = problem.normal_equations(scaled, residual)
+    inverse = pseudo_inverse(gram)
     return inverse * np.outer(scale, scale), (inverse @ slope) * scale
 
 
