@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateInputs, CandidateSource, Catalogue, Variant
 from twin.diagnosis.candidates.flaws import mistakes
-from twin.diagnosis.candidates.signatures import component_column, first_component
+from twin.diagnosis.candidates.signatures import Column, component_column, first_component
 from twin.machine.effects import Effect, ErrorMotion, unit_of
 from twin.machine.effects.error_motion import (
     ANGULAR_ERROR_MOTION,
@@ -32,13 +32,37 @@ DEGREES: Final = 8
 
 def curves(inputs: CandidateInputs) -> Catalogue:
     """Return corrections of the curves of linear axes, and of rotary axes with polynomial curves, in orthonormal polynomials."""
-    every = [(axis, component) for axis in inputs.machine.axes for component in range(len(DIRECTIONS))]
-    found = [_candidate(inputs, axis, component) for axis, component in every]
-    return Catalogue(tuple(one for one in found if one is not None))
+    return Catalogue(tuple(one for axis in inputs.machine.axes for one in _of_axis(inputs, axis)))
 
 
-def _candidate(inputs: CandidateInputs, axis: Axis, component: int) -> Candidate | None:
-    """Return the candidate of one error motion; None if its curve cannot be corrected or has too few positions."""
+def _of_axis(inputs: CandidateInputs, axis: Axis) -> list[Candidate]:
+    """Return the candidates of the error motions of an axis; those of one domain and degree share their functions."""
+    alike: dict[tuple[tuple[float, float], int], dict[int, tuple[CurveSpace, dict[float, np.ndarray]]]] = {}
+    for component in range(len(DIRECTIONS)):
+        found = _space_and_mistakes(inputs, axis, component)
+        if found is not None:
+            alike.setdefault((found[0].domain, found[0].count), {})[component] = found
+    candidates: dict[int, Candidate] = {}
+    for (domain, count), own in alike.items():
+        shapes = [shape for _, patterns in own.values() for shape in patterns.values()]
+        functions = _functions_with_sums(next(iter(own.values()))[0], _positions(inputs, axis, domain), shapes)
+        start = count
+        for component, (space, patterns) in own.items():
+            index = [*range(count), *range(start, start + len(patterns))]
+            at = first_component(inputs.machine, axis.name) + component
+            columns = tuple(component_column([(at, functions, k, 1.0)]) for k in index)
+            candidates[component] = _candidate(axis, component, space, patterns, columns)
+            start += len(patterns)
+    return [candidates[component] for component in sorted(candidates)]
+
+
+def _space_and_mistakes(
+    inputs: CandidateInputs, axis: Axis, component: int
+) -> tuple[CurveSpace, dict[float, np.ndarray]] | None:
+    """Return the functions of the correction of one error motion, and the coefficients of mistakes in its curve.
+
+    None if its curve cannot be corrected or has too few positions.
+    """
     name, curve = f"E_{DIRECTIONS[component]}{axis.name}", None
     if (known := inputs.calibration.curves.get(name)) is not None:
         curve = known.in_powers()
@@ -46,29 +70,47 @@ def _candidate(inputs: CandidateInputs, axis: Axis, component: int) -> Candidate
     if limits is None:
         return None
     domain, degrees = limits
-    q = inputs.state[axis.name]
-    at = np.clip(q if axis.lower is not None else domain[0] + np.mod(q - domain[0], 360.0), *domain)
-    count = min(degrees, len(np.unique(np.round(at, 3))) - 1) + 1
-    space = CurveSpace(name, POWER, domain, 0, max(count, 1))
-    specification = specification_of(axis, component)
-    # The datum fixes the constant of a curve, and the slope of a straightness (`twin.identification.unknowns`).
-    fixed_by_datum = 2 if specification is STRAIGHTNESS else 1
-    if count <= fixed_by_datum:
+    count = min(degrees, len(np.unique(np.round(_positions(inputs, axis, domain), 3))) - 1) + 1
+    if count <= _fixed_by_datum(axis, component):
         return None
-    patterns = mistakes(space, curve)
-    functions = _functions_with_sums(space, at, tuple(patterns.values()))
-    component_index = first_component(inputs.machine, axis.name) + component
-    columns = tuple(component_column([(component_index, functions, k, 1.0)]) for k in range(functions.count))
+    space = CurveSpace(name, POWER, domain, 0, count)
+    return space, mistakes(space, curve)
+
+
+def _positions(inputs: CandidateInputs, axis: Axis, domain: tuple[float, float]) -> np.ndarray:
+    """Return the (n,) positions of an axis inside a domain."""
+    q = inputs.state[axis.name]
+    return np.clip(q if axis.lower is not None else domain[0] + np.mod(q - domain[0], 360.0), *domain)
+
+
+def _fixed_by_datum(axis: Axis, component: int) -> int:
+    """Return the number of coefficients that the datum fixes: the constant, and the slope of a straightness.
+
+    See `twin.identification.unknowns`.
+    """
+    return 2 if specification_of(axis, component) is STRAIGHTNESS else 1
+
+
+def _candidate(
+    axis: Axis,
+    component: int,
+    space: CurveSpace,
+    patterns: Mapping[float, np.ndarray],
+    columns: tuple[Column, ...],
+) -> Candidate:
+    """Return the candidate of one error motion, from the columns of its functions and of the mistakes in its curve."""
+    first_free = _fixed_by_datum(axis, component)
     variants = [
         Variant(columns[first : degree + 1], {"first": float(first)})
-        for degree in range(fixed_by_datum, count)
-        for first in (0, fixed_by_datum)
+        for degree in range(first_free, space.count)
+        for first in (0, first_free)
     ]
     single_mistakes = [Variant((columns[space.count + k],), {"stops": stops}) for k, stops in enumerate(patterns)]
-    tests = float(count - fixed_by_datum + min(len(single_mistakes), 2))
-    names = tuple((f"g{k}", unit_of(name)) for k in range(count))
+    tests = float(space.count - first_free + min(len(single_mistakes), 2))
+    names = tuple((f"g{k}", unit_of(space.name)) for k in range(space.count))
     build = _builder(space, patterns, wrapped=axis.lower is None)
-    return Candidate(specification, name, names, (*variants, *single_mistakes), tests, build, space=space)
+    specification = specification_of(axis, component)
+    return Candidate(specification, space.name, names, (*variants, *single_mistakes), tests, build, space=space)
 
 
 def _domain_and_degree(axis: Axis, known: Curve | None, curve: Curve | None) -> tuple[tuple[float, float], int] | None:

@@ -116,7 +116,7 @@ def _profile(
     count = width * len(forms)
     products = problem.products([*(column for own in columns for column in own), *others])
     given = slice(count, None)
-    inverse = pseudo_inverse(products.gram[given, given])[0] if others else np.zeros((0, 0))
+    inverse = pseudo_inverse(products.gram[given, given]) if others else np.zeros((0, 0))
     gain, values, covariance = np.zeros(len(forms)), np.zeros((len(forms), width)), np.zeros((len(forms), width, width))
     for k in range(len(forms)):
         own = slice(k * width, (k + 1) * width)

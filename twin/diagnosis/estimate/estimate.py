@@ -276,7 +276,7 @@ def _with_patterns(
 ) -> np.ndarray:
     """Return the covariance of the least-squares values when noise and random effects both act on the readings."""
     scaled = columns * sizes
-    own, _ = pseudo_inverse(problem.inner(scaled))
+    own = pseudo_inverse(problem.inner(scaled))
     gain = np.zeros((len(sizes), len(random_effects.random)))
     for start in range(0, len(random_effects.random), BLOCK_COLUMNS):
         some = random_effects.random[start : start + BLOCK_COLUMNS]
@@ -297,7 +297,7 @@ def _by_compliances(problem: Problem, parts: Sequence[_Part], state: Mapping[str
         return np.zeros((len(scales), len(scales)))
     scaled = np.concatenate([part.columns for part in parts], axis=1) * scales
     moved = np.stack([one.relative_u * _signature_of(problem, state, (one,)) for one in loads], axis=1)
-    own, _ = pseudo_inverse(problem.inner(scaled))
+    own = pseudo_inverse(problem.inner(scaled))
     gain = own @ problem.along(scaled, problem.project(moved))
     return np.asarray((gain @ gain.T) * np.outer(scales, scales))
 
@@ -327,8 +327,8 @@ def _least_squares(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return covariance and least-squares step; both are zero along directions that are not identifiable; overwrites ``columns``."""
     scaled = np.multiply(columns, scale, out=columns)
-    inverse, _ = pseudo_inverse(problem.inner(scaled))
-    slope = problem.along(scaled, problem.project(residual))
+    gram, slope = problem.normal_equations(scaled, residual)
+    inverse = pseudo_inverse(gram)
     return inverse * np.outer(scale, scale), (inverse @ slope) * scale
 
 

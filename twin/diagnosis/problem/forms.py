@@ -114,6 +114,8 @@ class Candidates:
         self._refined: dict[int, Form] = {}
         self._initial_critical = np.zeros((0, 0))
         self._scans: dict[frozenset[int], tuple[np.ndarray, np.ndarray]] = {}
+        # The latest result of `fitted`, which is needed for each cause of a set in turn.
+        self._fit: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         at: dict[Column, int] = {}
         self.forms: list[Form] = []
         for index, (candidate, variant, log_tests) in enumerate(forms):
@@ -222,7 +224,7 @@ class Candidates:
         # One row of inner products with all columns for each requested column; `_row` maps columns to rows, -1 where missing.
         self._cross = np.zeros((0, self._on_basis.shape[1]))
         self._row = np.full(self._on_basis.shape[1], -1)
-        self._scans = {}
+        self._scans, self._fit = {}, None
 
     def _projected_blocks(self, products: Products, on_basis: np.ndarray) -> list[np.ndarray]:
         """Return the projected inner products within each form: (forms, w, w) for each width w."""
@@ -243,7 +245,7 @@ class Candidates:
         self._refined = {}
         self._update_slope()
         self._critical = self._initial_critical
-        self._scans = {}
+        self._scans, self._fit = {}, None
 
     def _update_slope(self) -> None:
         """Compute the projected inner product of the residual with every column."""
@@ -276,10 +278,10 @@ class Candidates:
     def fitted(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the columns of some forms, their least-squares coefficients (in plausible sizes) and the covariance of these."""
         columns = columns_of(forms)
-        if len(columns) == 0:
-            return columns, np.zeros(0), np.zeros((0, 0))
-        inverse, _ = pseudo_inverse(self.gram(forms))
-        return columns, inverse @ self.slope[columns], inverse
+        if self._fit is None or not np.array_equal(self._fit[0], columns):
+            inverse = pseudo_inverse(self.gram(forms))
+            self._fit = columns, inverse @ self.slope[columns], inverse
+        return self._fit
 
     def explained_by(self, forms: Sequence[Form]) -> float:
         """Return the reduction of chi² by some forms fitted together."""
@@ -382,14 +384,14 @@ class Candidates:
         if not forms:
             return 0.0
         columns, gram = columns_of(forms), self.gram(forms)
-        inverse, _ = pseudo_inverse(gram)
-        slope = self.slope[columns]
-        total = float(slope @ (inverse @ slope)) - ADDITIONAL_CAUSE_PENALTY * (len(forms) - 1)
+        explained = float(np.sum((self.slope[columns] @ inverse_root(gram)) ** 2))
+        total = explained - ADDITIONAL_CAUSE_PENALTY * (len(forms) - 1)
         # Adding 1 to the diagonal makes the matrix invertible; it is far below `LEAST_NONCENTRALITY`.
-        regular = np.linalg.inv(gram + np.eye(len(columns)))
+        regular = _inverse_factor(gram + np.eye(len(columns)))
         for width, alike in _by_width(forms).items():
             at = np.searchsorted(columns, np.stack([form.columns for form in alike]))
-            left = np.linalg.inv(regular[at[:, :, None], at[:, None, :]]) - np.eye(width)
+            own = regular[:, at].transpose(1, 2, 0)
+            left = np.linalg.inv(own @ own.transpose(0, 2, 1)) - np.eye(width)
             seen = _identifiable(np.linalg.eigvalsh(left), np.diag(gram)[at].max(axis=1))
             for form, dof in zip(alike, seen.sum(axis=1).tolist(), strict=True):
                 total -= float(self._critical[form.index, dof]) if dof else self.critical_value(form, 1.0)
@@ -461,13 +463,13 @@ class Candidates:
         columns = columns_of(forms)
         own = self._cross_rows(columns)
         if beside is None:
-            inverse, root = pseudo_inverse(own[:, columns])
-            return own.T @ root, self.slope - (inverse @ self.slope[columns]) @ own
+            root = inverse_root(own[:, columns])
+            return own.T @ root, self.slope - (root @ (root.T @ self.slope[columns])) @ own
         cross, slope = beside
         left = self.slope - cross.T @ slope
         own = own - cross[:, columns].T @ cross
-        inverse, root = pseudo_inverse(own[:, columns])
-        return np.concatenate([cross.T, own.T @ root], axis=1), left - (inverse @ left[columns]) @ own
+        root = inverse_root(own[:, columns])
+        return np.concatenate([cross.T, own.T @ root], axis=1), left - (root @ (root.T @ left[columns])) @ own
 
     def _remaining(self, form: Form, others: Sequence[Form]) -> np.ndarray:
         """Return the projected inner products (w, w) of a form given others; no pass over the data if one of all forms is new."""
@@ -477,7 +479,7 @@ class Candidates:
             return np.asarray(block)
         columns, gram = columns_of([*others, form]), self.gram([*others, form])
         own, given = (np.searchsorted(columns, one) for one in (form.columns, columns_of(others)))
-        inverse, _ = pseudo_inverse(gram[np.ix_(given, given)])
+        inverse = pseudo_inverse(gram[np.ix_(given, given)])
         shared = gram[np.ix_(given, own)]
         return np.asarray(block - shared.T @ inverse @ shared)
 
@@ -556,15 +558,31 @@ def columns_of(forms: Sequence[Form]) -> np.ndarray:
     return np.unique(np.concatenate(found)) if found else np.zeros(0, dtype=int)
 
 
-def pseudo_inverse(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pseudo-inverse over the identifiable directions, and a square root of it."""
+def pseudo_inverse(gram: np.ndarray) -> np.ndarray:
+    """Return the pseudo-inverse of inner products over the identifiable directions."""
+    root = inverse_root(gram)
+    return np.asarray(root @ root.T)
+
+
+def inverse_root(gram: np.ndarray) -> np.ndarray:
+    """Return a root R (n, n) with RRᵀ the pseudo-inverse of inner products (n, n) over the identifiable directions."""
+    if len(gram) == 0:
+        return gram
     # If the matrix less the limit has a Cholesky factor, all eigenvalues are above the limit.
-    limit = max(LEAST_NONCENTRALITY, 1e-9 * float(np.trace(gram)))
-    if len(gram) and scipy.linalg.lapack.dpotrf(gram - limit * np.eye(len(gram)), lower=1)[1] == 0:
-        lower = scipy.linalg.lapack.dpotrf(gram, lower=1)[0]
-        root = np.asarray(scipy.linalg.lapack.dtrtri(lower, lower=1)[0].T)
-        return root @ root.T, root
-    values, vectors = np.linalg.eigh(gram)
-    seen = (values > LEAST_NONCENTRALITY) & (values > 1e-9 * values.max(initial=0.0))
-    root = vectors[:, seen] / np.sqrt(values[seen])
-    return np.asarray(root @ root.T), np.asarray(root)
+    trace = float(np.trace(gram))
+    limit = max(LEAST_NONCENTRALITY, 1e-9 * trace)
+    if scipy.linalg.lapack.dpotrf(gram - limit * np.eye(len(gram)), lower=1)[1] == 0:
+        return _inverse_factor(gram).T
+    # Usually a few eigenvalues are below it: their vectors alone take half the time of all.
+    values, vectors = scipy.linalg.eigh(gram, subset_by_value=(-np.inf, limit), driver="evx", check_finite=False)
+    if np.any(values > LEAST_NONCENTRALITY):
+        limit = max(LEAST_NONCENTRALITY, 1e-9 * float(np.linalg.norm(gram, 2)))
+    hidden = vectors[:, values <= limit]
+    root = _inverse_factor(gram + ((limit + trace / len(gram)) * hidden) @ hidden.T).T
+    return root - hidden @ (hidden.T @ root)
+
+
+def _inverse_factor(matrix: np.ndarray) -> np.ndarray:
+    """Return the inverse (n, n) of the lower Cholesky factor of a positive definite matrix."""
+    lower, _ = scipy.linalg.lapack.dpotrf(matrix, lower=1)
+    return np.asarray(scipy.linalg.lapack.dtrtri(lower, lower=1)[0])

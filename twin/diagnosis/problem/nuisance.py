@@ -9,7 +9,7 @@ part add up to the identity, to a rounding error of 10⁻¹⁶ times the largest
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from functools import reduce
 from hashlib import blake2b
@@ -24,7 +24,7 @@ from twin.diagnosis.problem.point_block import PointBlock
 from twin.diagnosis.problem.signature_products import Signatures
 from twin.diagnosis.problem.signature_terms import side_by_side
 from twin.identification.network import LinearisedReadings
-from twin.numerics.functions import Functions, Rows, pieces, tabulated
+from twin.numerics.functions import Functions, Rows, tabulated
 
 RANK_TOLERANCE: Final = 1e-9
 """Relative tolerance of the numerical rank: smaller singular values of the set-up's derivatives count as zero."""
@@ -102,12 +102,37 @@ class Nuisance:
     def _make_orthonormal(self) -> None:
         """Remove the rounding errors of strongly correlated parameters by a second Cholesky factor, that of the basis itself."""
         count = self.setup_count
-        whole = _gram(self.rows, len(self.coordinates), np.arange(len(self.signatures.view.rows)))
-        lower = np.linalg.cholesky((self.prior.T @ self.prior + whole)[count:, count:])
+        lower = np.linalg.cholesky((self.prior.T @ self.prior + self._gram_of_rows())[count:, count:])
         inverse = scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True)
         self._change = self._change @ inverse.T
         self.prior[:, count:] = self.prior[:, count:] @ inverse.T
         self.coordinates[count:] = lower.T @ self.coordinates[count:]
+
+    def _gram_of_rows(self) -> np.ndarray:
+        """Return the Gram matrix (directions, directions) of the basis over all points, evaluated row by row.
+
+        The basis at the points of one side is a combination of the derivatives that are not zero there, in as many dimensions.
+        """
+        runs, change = self.signatures.ordered_runs(np.arange(len(self.signatures.view.rows))), self.change
+
+        def partial(own: Sequence[np.ndarray]) -> np.ndarray:
+            sides: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+            for run in own:
+                here = self.raw(PointBlock(self.signatures.view, run))
+                used = np.flatnonzero(here.any(axis=(0, 1)))
+                if used.tobytes() not in sides:
+                    orthonormal, triangle = np.linalg.qr(change[used].T)
+                    sides[used.tobytes()] = orthonormal, triangle.T.copy(), np.zeros((len(triangle), len(triangle)))
+                _, root, gram = sides[used.tobytes()]
+                for i in range(3):
+                    rows = here[:, i, used] @ root
+                    gram += rows.T @ rows
+            found = np.zeros((change.shape[1], change.shape[1]))
+            for orthonormal, _, gram in sides.values():
+                found += orthonormal @ gram @ orthonormal.T
+            return found
+
+        return reduce(np.ndarray.__iadd__, map_chunks(runs, partial))
 
     def extended(
         self, view: LinearisedReadings, scale: float, columns: Sequence[Column], deviations: np.ndarray
@@ -176,13 +201,14 @@ class Nuisance:
         by_setup = signatures.along(lambda block: self._setup_at(block.rows), points)[0].T
         return np.concatenate([by_setup, self.signatures.along(signatures.at, points)[0]])
 
-    def combined(self, coordinates: np.ndarray) -> np.ndarray:
-        """Return (3n, …) vectors at all points from (directions, …) coordinates in the basis."""
+    def combined(self, coordinates: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
+        """Return (3n, …) vectors at some points, in ascending order, or all, from (directions, …) coordinates in the basis."""
         by_setup, rest = np.split(coordinates.reshape(len(coordinates), -1), [self._setup.shape[1]])
         by_columns = self._change @ rest
-        found = self._setup @ (by_setup - self._on_setup @ by_columns)
+        setup = self._setup if points is None else self._setup_at(points).reshape(-1, self.setup_count)
+        found = setup @ (by_setup - self._on_setup @ by_columns)
         if len(by_columns):
-            found += self.signatures.combined(by_columns).reshape(found.shape)
+            found += self.signatures.combined(by_columns, points).reshape(found.shape)
         return found.reshape(len(found), *coordinates.shape[1:])
 
     def rows(self, points: Rows) -> np.ndarray:
@@ -257,19 +283,6 @@ def _projected_gram(signatures: Signatures, setup: np.ndarray, on_setup: np.ndar
     change = np.eye(len(raw))
     change[: len(on_setup), len(on_setup) :] = -on_setup
     return np.asarray(change.T @ raw @ change)
-
-
-def _gram(rows_at: Callable[[Rows], np.ndarray], size: int, points: np.ndarray) -> np.ndarray:
-    """Return the Gram matrix (size, size) over some points of vectors (points, 3, size) made block by block."""
-
-    def partial(own: Sequence[slice]) -> np.ndarray:
-        found = np.zeros((size, size))
-        for run in own:
-            rows = rows_at(points[run]).reshape(3 * len(points[run]), size)
-            found += rows.T @ rows
-        return found
-
-    return reduce(np.ndarray.__iadd__, map_chunks(pieces(len(points)), partial))
 
 
 def _with_orthonormal_functions(columns: Sequence[Column], root: np.ndarray) -> tuple[Sequence[Column], np.ndarray]:

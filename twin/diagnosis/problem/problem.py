@@ -132,8 +132,16 @@ class Problem:
         """Replace the whitened residual (3n,); the set-up stays."""
         self.residual = residual
         self.residual_on_basis = self.nuisances.along(self.zero_held_out(residual))
-        self.projected = self.zero_held_out(residual - self._fitted(self.residual_on_basis))
-        self.chi2 = float(self.residual @ self.projected)
+        kept, within = self.zero_held_out(residual), self.root.T @ self.residual_on_basis
+        self.chi2 = float(kept @ kept - within @ within)
+        self._projected: np.ndarray | None = None
+
+    @property
+    def projected(self) -> np.ndarray:
+        """(3n,) the residual with the set-up and the calibration's uncertainty projected out; held-out rows are zero."""
+        if self._projected is None:
+            self._projected = self.zero_held_out(self.residual - self.fitted(self.residual_on_basis))
+        return self._projected
 
     def project(self, residual: np.ndarray) -> np.ndarray:
         """Return a (3n,) residual with the set-up and the calibration's uncertainty projected out; held-out rows are zero."""
@@ -141,11 +149,22 @@ class Problem:
 
     def refit_setup(self, residual: np.ndarray) -> np.ndarray:
         """Return a (3n,) whitened residual, all rows, after fitting the set-up to the rows that are not held out."""
-        return np.asarray(residual - self._fitted(self.nuisances.along(self.zero_held_out(residual))))
+        return np.asarray(residual - self.fitted(self.nuisances.along(self.zero_held_out(residual))))
 
-    def _fitted(self, within: np.ndarray) -> np.ndarray:
-        """Return what the nuisance parameters explain, (3n, …), from (directions, …) inner products of a residual with the basis."""
-        return self.nuisances.combined(self.root @ (self.root.T @ within))
+    def refitted_at_held_out(self, residual: np.ndarray) -> np.ndarray:
+        """Return the held-out rows of `refit_setup` of (3n, k) residuals: (held out, 3, k)."""
+        explained = self.fitted(self.nuisances.along(self.zero_held_out(residual)), self.held_out)
+        at_points = residual.reshape(len(self.view.rows), 3, -1)[self.held_out]
+        return np.asarray(at_points - explained.reshape(at_points.shape))
+
+    def fitted(self, within: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
+        """Return what the nuisance parameters explain at some points or all, (3n, …).
+
+        Args:
+            within: (directions, …) inner products of a residual with the basis.
+            points: numbers of the points, in ascending order; all if None.
+        """
+        return self.nuisances.combined(self.root @ (self.root.T @ within), points)
 
     def setup_step(self, residual: np.ndarray) -> np.ndarray:
         """Return the change of the set-up's unknowns, in metres and radians, fitted to a (3n,) residual (minimum norm)."""
@@ -223,9 +242,13 @@ class Problem:
 
     def inner(self, a: np.ndarray) -> np.ndarray:
         """Return the projected inner products aᵀMa of signatures."""
-        a = self.zero_held_out(a)
-        within = self.root.T @ self.nuisances.along(a)
-        return np.asarray(a.T @ a - within.T @ within)
+        return self.normal_equations(a, self.residual)[0]
+
+    def normal_equations(self, a: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the projected inner products aᵀMa of signatures (3n, k), and aᵀMr with a residual (3n,)."""
+        a, residual = self.zero_held_out(a), self.zero_held_out(residual)
+        within, of_residual = (self.root.T @ self.nuisances.along(own) for own in (a, residual))
+        return np.asarray(a.T @ a - within.T @ within), np.asarray(a.T @ residual - within.T @ of_residual)
 
     def along(self, a: np.ndarray, residual: np.ndarray | None = None) -> np.ndarray:
         """Return aᵀMr with the data's residual, or with another that is already projected."""

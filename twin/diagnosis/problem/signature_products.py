@@ -321,14 +321,19 @@ class Signatures:
             return np.asarray(block.weights(functions, interpolation) @ interpolation.table[:, index])
         return block.values(functions)[:, index]  # type: ignore[index]
 
-    def combined(self, coefficients: np.ndarray) -> np.ndarray:
-        """Return linear combinations (n, 3, r) of the signatures at all points, from coefficients (columns, r)."""
-        width = coefficients.shape[1]
-        found = np.empty((len(self.view.rows), 3, width))
+    def combined(self, coefficients: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
+        """Return linear combinations (n, 3, r) of the signatures, from coefficients (columns, r).
+
+        Args:
+            coefficients: the coefficients.
+            points: numbers of the points, in ascending order; all if None.
+        """
+        width, runs = coefficients.shape[1], self._runs_of(points)[0]
+        found = np.empty((len(self.view.rows) if points is None else len(points), 3, width))
 
         def fill(own: Sequence[int]) -> None:
             for run in own:
-                block, rows = self._block(run, self._runs), self._runs[run]
+                block, rows = self._block(run, runs), runs[run]
                 total = np.zeros((3, len(rows), width))
                 for freedom, lookups in self._by_freedom.items():
                     if not block.acts(freedom):
@@ -341,9 +346,9 @@ class Signatures:
                     derivative = block.derivatives[freedom]
                     for i in range(3):
                         total[i] += derivative[:, i, None] * sums
-                found[rows] = total.transpose(1, 0, 2)
+                found[rows if points is None else np.searchsorted(points, rows)] = total.transpose(1, 0, 2)
 
-        map_chunks(range(len(self._runs)), fill)
+        map_chunks(range(len(runs)), fill)
         return found
 
     def _block(self, run: int, runs: Sequence[np.ndarray]) -> PointBlock:

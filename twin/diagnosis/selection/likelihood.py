@@ -155,7 +155,7 @@ class Likelihood:
         cross, slope_left = inverse @ cross, inverse @ slope
         values, back = np.zeros(len(columns)), np.zeros((0, 0))
         if len(columns):
-            back, _ = pseudo_inverse(fixed - cross.T @ cross)
+            back = pseudo_inverse(fixed - cross.T @ cross)
             values = back @ (self.candidates.slope[columns] - cross.T @ slope_left)
         found = inverse.T @ (slope_left - cross @ values)
         explained = float(self.candidates.slope[columns] @ values + slope @ found)
@@ -285,7 +285,7 @@ class Likelihood:
         found = self.effect_on_readings(np.arange(len(self.columns)), self._rotation @ model.random)
         columns = columns_of(forms)
         if len(columns):
-            back, _ = pseudo_inverse(self.candidates.gram(forms))
+            back = pseudo_inverse(self.candidates.gram(forms))
             signature = problem.signature([self.candidates.products.columns[i] for i in columns])
             found -= signature @ (back @ (self._cross[:, columns].T @ model.random))
         return problem.project(found)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
-import scipy
 
 from twin._common.units import UM
 from twin.diagnosis.candidates.signatures import Column, ReadingDerivatives
@@ -36,8 +35,8 @@ TOGETHER: Final = 512
 """Readings at which the functions of all patterns of a side are evaluated at once."""
 
 
-def _orthonormal(columns: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis of projected columns.
+def _orthonormal_root(columns: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Return the coefficients (k, r) of an orthonormal basis in projected columns.
 
     Args:
         columns: (3n, k) columns.
@@ -46,7 +45,7 @@ def _orthonormal(columns: np.ndarray, own: np.ndarray) -> np.ndarray:
     gram = columns.T @ own
     values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
     seen = values > SEEN * values.max(initial=0.0)
-    return np.asarray(own @ (vectors[:, seen] / np.sqrt(values[seen])))
+    return np.asarray(vectors[:, seen] / np.sqrt(values[seen]))
 
 
 @final
@@ -84,8 +83,15 @@ class PatternScores:
         self._problem, self._view = problem, problem.view
         self._kept = np.ones(n, dtype=bool)
         self._kept[problem.held_out] = False
-        columns = problem.signature([column for form in forms for column in form.variant.columns])
-        self._causes = _orthonormal(problem.zero_held_out(columns), problem.project(columns))
+        self._columns = [column for form in forms for column in form.variant.columns]
+        columns = problem.zero_held_out(problem.signature(self._columns))
+        on_basis = problem.nuisances.along(columns)
+        projected = problem.zero_held_out(columns - problem.fitted(on_basis))
+        root = _orthonormal_root(columns, projected)
+        self._causes = projected @ root
+        # Coefficients of the orthonormal basis of nuisance and causes in the nuisance derivatives and the columns of the causes.
+        change, absorbed = problem.nuisances.change @ problem.root, problem.root.T @ on_basis @ root
+        self._change = np.block([[change, -change @ absorbed], [np.zeros((len(root), change.shape[1])), root]])
         # With the calibration's uncertainty the projection is not idempotent: the causes are fitted to the residual itself.
         left = problem.projected - self._causes @ (self._causes.T @ problem.residual)
         self._left = left.reshape(n, 3)
@@ -115,50 +121,52 @@ class PatternScores:
         for some in pieces(len(own)):
             along = np.einsum("nki,nk->in", self._fields(alike[0], own[some]), self._left[own[some]])
             slope += functions.with_vectors(own[some], along)
-        fields = self._fields(alike[0], rows)
-        raw = self._nuisance.raw(PointBlock(self._view, rows))
-        causes = self._causes.reshape(len(self._kept), 3, -1)[rows]
-        whole = np.concatenate([raw, causes], axis=2)
-        acting, by_raw, grams = self._sampled(functions, alike, rows, fields)
-        beside = _along_each(fields, whole[:, :, self._nuisance.base.raw_count :])
-        by_beside = np.zeros((3, functions.count, beside.shape[2]))
-        for some in pieces(len(rows) if beside.size else 0, TOGETHER):
-            by_beside += functions.at(rows[some]).T @ beside[:, some]
-        change, count = self._change(whole, len(own)), self._nuisance.base.raw_count
-        lost = by_raw @ (self._raw_scale[acting, None] * change[acting]) + by_beside @ change[count:]
-        factor = self._nuisance.scale**2
-        scaled = {pattern: gram * factor for pattern, gram in grams.items()}
+        by_vectors, grams, whole, used = self._sampled(functions, alike, rows)
+        scale = self._nuisance.scale
+        in_setup = np.arange(len(self._change)) < self._nuisance.setup_count
+        root = self._sample_root(whole, (np.where(in_setup, 1.0, scale)[:, None] * self._change)[used], len(own))
+        lost = by_vectors.transpose(0, 2, 1) @ (scale * root)
+        scaled = {pattern: gram * scale**2 for pattern, gram in grams.items()}
         return _Side(functions.own, slope, lost, scaled, len(rows) / max(len(own), 1))
 
     def _sampled(
-        self, functions: ChannelFunctions, alike: Sequence[Pattern], rows: np.ndarray, fields: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, dict[Pattern, np.ndarray]]:
-        """Return over the sample the inner products with the nuisance derivatives of the base, and the Gram matrices.
+        self, functions: ChannelFunctions, alike: Sequence[Pattern], rows: np.ndarray
+    ) -> tuple[np.ndarray, dict[Pattern, np.ndarray], np.ndarray, np.ndarray]:
+        """Return the inner products of functions over the sample, with the weights of the base.
 
-        The numbers of the derivatives that are not zero on this side, the (3, m, acting) inner products with these, and (3, own, own).
+        Those with nuisance derivatives and causes are the same in every test of these patterns on these readings and are kept.
 
-        They are the same in every test of these patterns on these readings and are kept.
+        Returns:
+            (3, used, m) with the nuisance derivatives and columns of causes that are not zero; Gram matrices (3, own, own), or one if
+            they are equal; (rows, 3, used) these derivatives and columns; and their numbers.
         """
         base = self._nuisance.base
+        view, block = base.signatures.view, PointBlock(base.signatures.view, rows)
+        fields = ReadingDerivatives(view, rows).of(alike[0].derivative) * UM
+        raw = base.raw(block)
+        acting = np.flatnonzero(raw.any(axis=(0, 1)))
         key: Hashable = ("sample", tuple(alike), rows.tobytes())
         if key not in base.known:
-            fields = fields / self._nuisance.scale
             weight = np.einsum("nki,nki->ni", fields, fields)
-            equal = np.ptp(weight) <= 1e-9 * weight.max()
-            along = _along_each(fields, base.raw(PointBlock(base.signatures.view, rows)))
-            acting = np.flatnonzero(along.any(axis=(0, 1)))
-            along = np.ascontiguousarray(along[:, :, acting])
-            by_raw = np.zeros((3, functions.count, len(acting)))
-            directions = 1 if equal else 3
+            directions = 1 if np.ptp(weight) <= 1e-9 * weight.max() else 3
             grams = {pattern: np.zeros((directions, len(pattern.order), len(pattern.order))) for pattern in alike}
             for some in pieces(len(rows), TOGETHER):
                 made = functions.at(rows[some])
-                by_raw += made.T @ along[:, some]
                 for pattern, own in functions.own.items():
                     for i in range(directions):
                         grams[pattern][i] += made[:, own].T @ (made[:, own] * weight[some, i, None])
-            base.known[key] = acting, by_raw, grams
-        return base.known[key]
+            base.known[key] = _along_functions(functions, rows, fields, raw[:, :, acting]), grams, {}
+        by_raw, grams, known = base.known[key]
+        columns = [*self._nuisance.signatures.columns[len(base.signatures.columns) :], *self._columns]
+        beside = Signatures(view, columns).at(block)
+        fresh = [i for i, column in enumerate(columns) if column not in known]
+        for i, own in zip(
+            fresh, _along_functions(functions, rows, fields, beside[:, :, fresh]).transpose(1, 0, 2), strict=True
+        ):
+            known[columns[i]] = own.copy()
+        by_beside = np.stack([known[column] for column in columns], axis=1) if columns else by_raw[:, :0]
+        used = np.concatenate([acting, base.raw_count + np.arange(len(columns))])
+        return np.concatenate([by_raw, by_beside], axis=1), grams, side_by_side(raw[:, :, acting], beside), used
 
     def distributions(self, tests: Sequence[tuple[Pattern, int, tuple[int, ...]]]) -> list[tuple[np.ndarray, float]]:
         """Return of each test (pattern, level, directions) the weights of χ² whose sum its score is for noise alone, and the score."""
@@ -197,7 +205,9 @@ class PatternScores:
         beside = Signatures(self._view, columns).along(vectors, rows)[0]
         more, own, slope = np.split(beside, [nuisance.raw_count - base.raw_count, beside.shape[1] - 1], axis=1)
         by_raw = np.concatenate([np.stack([base.known[key] for key in keys]) * self._raw_scale, more], axis=1)
-        return np.concatenate([by_raw @ nuisance.change @ problem.root, own], axis=1), slope[:, 0]
+        return np.concatenate(
+            [by_raw @ self._change[: nuisance.raw_count, : problem.root.shape[1]], own], axis=1
+        ), slope[:, 0]
 
     def _gram(self, pattern: Pattern, level: int, directions: tuple[int, ...]) -> np.ndarray:
         """Return φᵀφ of the functions up to an order along some directions, without projection; kept."""
@@ -232,25 +242,33 @@ class PatternScores:
         nuisance, base = self._nuisance, self._nuisance.base
         return np.where(np.arange(base.raw_count) < base.setup_count, nuisance.scale, nuisance.scale**2)
 
-    def _change(self, whole: np.ndarray, count: int) -> np.ndarray:
-        """Return the coefficients (raw, k) of an orthonormal basis of nuisance and causes, scaled so that a sample stands for all rows.
+    def _sample_root(self, whole: np.ndarray, change: np.ndarray, count: int) -> np.ndarray:
+        """Return a root R (used, k) of the projection on nuisance and causes, VRRᵀVᵀ, such that a sample stands for all rows.
 
         Args:
-            whole: (r, 3, raw) nuisance derivatives and causes at the sample.
+            whole: (r, 3, used) vectors V at the sample.
+            change: (used, directions) coefficients in these of an orthonormal basis over all rows.
             count: number of all rows.
         """
-        change = scipy.linalg.block_diag(self._nuisance.change @ self._problem.root, np.eye(self._causes.shape[1]))
+        root = np.asarray(np.linalg.qr(change.T, mode="r")).T
         if len(whole) == count:
-            return change
-        flat = whole.reshape(3 * len(whole), -1) @ change * np.sqrt(count / len(whole))
+            return root
+        root = root * np.sqrt(count / len(whole))
+        flat = whole.reshape(3 * len(whole), -1) @ root
         # Over all rows no direction is longer than one; over a sample it may seem to be.
         values, vectors = np.linalg.eigh(flat.T @ flat)
-        return change @ (vectors / np.sqrt(np.maximum(values, 1.0))) * np.sqrt(count / len(whole))
+        return np.asarray(root @ (vectors / np.sqrt(np.maximum(values, 1.0))))
 
     def _fields(self, pattern: Pattern, rows: Rows) -> np.ndarray:
         return ReadingDerivatives(self._view, rows).of(pattern.derivative) * UM
 
 
-def _along_each(fields: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Return products (3, n, q) of (n, 3, q) vectors with each direction of (n, 3, 3) fields."""
-    return np.stack([sum(fields[:, k, i, None] * vectors[:, k] for k in range(3)) for i in range(3)])
+def _along_functions(
+    functions: ChannelFunctions, rows: np.ndarray, fields: np.ndarray, vectors: np.ndarray
+) -> np.ndarray:
+    """Return inner products (3, q, m) over some rows of functions along each direction of (n, 3, 3) fields with (n, 3, q) vectors."""
+    found = np.zeros((3, vectors.shape[2], functions.count))
+    for some in pieces(len(rows) if vectors.size else 0, TOGETHER):
+        along = np.stack([sum(fields[some, k, i, None] * vectors[some, k] for k in range(3)) for i in range(3)])
+        found += along.transpose(0, 2, 1) @ functions.at(rows[some])
+    return found

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Final, final
 
 import numpy as np
@@ -45,12 +45,12 @@ class Channel:
 
     Attributes:
         waves: functions of the column.
-        values: (n, k) their values at the readings.
+        column: (n,) its values; those of the functions are computed where they are needed, as they would take much memory.
         paired: highest order in a pair.
     """
 
     waves: Waves
-    values: np.ndarray
+    column: np.ndarray
     paired: int
 
     @property
@@ -125,7 +125,7 @@ class Pattern:
         """Return (rows, m) values of its functions, zero on the other side."""
         own = self.own[rows, None]
         first, *others = (
-            channel.values[rows][:, : len(waves.half_waves)]
+            np.stack(waves.values(channel.column[rows]), axis=1)
             for channel, waves in zip(self.channels, self.waves(self.highest), strict=True)
         )
         if not others:
@@ -163,7 +163,7 @@ class ChannelFunctions:
 
     def __init__(self, patterns: Sequence[Pattern]) -> None:
         self._channels = list(dict.fromkeys(channel for pattern in patterns for channel in pattern.channels))
-        starts = np.cumsum([0, *(channel.values.shape[1] for channel in self._channels)]).tolist()
+        starts = np.cumsum([0, *(len(channel.waves.half_waves) for channel in self._channels)]).tolist()
         start = dict(zip(self._channels, starts[:-1], strict=True))
         factors: list[np.ndarray] = []
         self.own: dict[Pattern, slice] = {}
@@ -191,7 +191,8 @@ class ChannelFunctions:
 
     def _factors(self, rows: np.ndarray) -> np.ndarray:
         """Return (factors, rows) values of the functions that the others are products of."""
-        return np.concatenate([np.ones((1, len(rows))), *(channel.values[rows].T for channel in self._channels)])
+        of_channels = (channel.waves.values(channel.column[rows]) for channel in self._channels)
+        return np.stack([np.ones(len(rows)), *chain.from_iterable(of_channels)])
 
 
 def patterns(machine: Machine, data: Measurements) -> list[Pattern]:
@@ -237,7 +238,7 @@ def _channels(machine: Machine, data: Measurements) -> list[Channel]:
             continue
         waves = _waves(name, axis, values, distinct)
         paired = 1 if waves.kind == "direction" else PAIRED if axis is not None else SLOW
-        found.append(Channel(waves, np.stack(waves.values(values), axis=1), paired))
+        found.append(Channel(waves, values, paired))
     return found
 
 

@@ -283,7 +283,7 @@ def loaded_joints(candidates: Candidates, forms: Sequence[Form], side: Side) -> 
     at = np.concatenate([np.searchsorted(columns, form.columns) for form in own])
     rest = np.setdiff1d(np.arange(len(columns)), at)
     slope = candidates.slope[columns]
-    inverse, _ = pseudo_inverse(gram[np.ix_(rest, rest)])
+    inverse = pseudo_inverse(gram[np.ix_(rest, rest)])
     along = gram[np.ix_(at, rest)] @ inverse
     size = np.concatenate([[column.scale for column in form.variant.columns] for form in own])
     left = (gram[np.ix_(at, at)] - along @ gram[np.ix_(rest, at)]) / np.outer(size, size)

@@ -383,12 +383,14 @@ def _partial_cause(likelihood: Likelihood, forms: Sequence[Form], model: Model) 
     whole = likelihood.candidates.explained_by(forms)
     worst: tuple[float, Form] | None = None
     for form in forms:
+        beside = float(likelihood.can_imitate(form) @ left)
+        if beside <= 0.0:
+            continue
         # A machine has all its constants: they are assessed together.
         constant = form.candidate.specification.constant
         alike = [one for one in forms if constant and one.candidate.specification.constant]
         others = [one for one in forms if one is not form and one not in alike]
         carried = whole - likelihood.candidates.explained_by(others)
-        beside = float(likelihood.can_imitate(form) @ left)
         ratio = carried / max(beside, 1e-9)
         if carried < PART * beside and (worst is None or ratio < worst[0]):
             worst = ratio, form
