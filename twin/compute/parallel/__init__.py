@@ -13,7 +13,8 @@ is adequate (JCGM 101, clause 8), and the distribution over the machines of the 
 uncompensated and compensated with this calibration. A million machines at 200 poses, 200 million poses, took 16 to 18 s on two shared
 cores (11 to 12 million a second); memory does not grow with their number.
 
-200 programs of 5,000 to 20,000 blocks took 10 to 13 s in one process and 6.7 to 7.5 s in two.
+200 programs of 5,000 to 20,000 blocks took 9 to 11 s in one process, which uses a second core for a sixth of its work, 6 to 6.5 s in
+two, and 8 to 9 s on two Dask workers with scheduler and client on the same two cores.
 
 Work goes to processes of this computer (`--workers`, by default one per core; on Linux copies of the running one, which start at once)
 or to a Dask cluster by the address of its scheduler (`pip install 'twin[cluster]'`, then there `dask scheduler` and `dask worker
