@@ -26,7 +26,7 @@ If the calibration has a covariance, U of a long program is computed at some blo
 (`twin/compensation/account/interpolation.py`).
 
 **Measurements.** 100,000 points: `identify` 46 s and 1.2 GB (an earlier run), `diagnose` 41 s and 1.4 GB, with a calibration
-that is uncertain in some 400 parameters 57 s and 1.9 GB (2026-11-26). Both grow in proportion to the points. Stepwise BIC with
+that is uncertain in some 400 parameters 57 to 71 s and 1.9 GB (2026-11-26). Both grow in proportion to the points. Stepwise BIC with
 statsmodels on the same candidates takes, from readings to named causes, 1.3 times as long (1.2 to 1.7) at 1,000 points and 3.7 times
 (3.3 to 4.4) at 3,000. In 25 draws each (± 10 %) it finds exactly the true effects in 56, 64 and 68 % (one effect at λ = 30, one at 60,
 two at 60), `twin` in 80, 100 and 92 %. Without any effect it raises a false alarm in 12 %, `twin` in none.
