@@ -5,9 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from functools import cache
 from importlib import import_module
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
@@ -32,7 +33,7 @@ def map_chunks(pieces: Sequence[Piece], work: Callable[[Sequence[Piece]], Part])
         return list(pool.map(work, shares))
 
 
-def one_blas_thread(*, scipy: bool = True) -> Any:
+def one_blas_thread(*, scipy: bool = True) -> AbstractContextManager[object]:
     """Limit linear algebra to one thread from now on, or inside the context if the result is used as a context manager.
 
     Results then do not depend on the number of cores, and many small factorisations do not wait for threads.
@@ -42,10 +43,14 @@ def one_blas_thread(*, scipy: bool = True) -> Any:
     """
     if scipy:
         import_module("scipy.linalg")  # Only libraries that are loaded are limited.
-    return _libraries("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas")
+    limiter: AbstractContextManager[object] = _libraries("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas")
+    return limiter
 
 
 @cache
 def _libraries(scipy: bool) -> ThreadpoolController:
-    """Return the loaded libraries; to find them takes a millisecond, as long as to compensate five hundred blocks."""
+    """Return the loaded libraries, with that of scipy or before it is loaded.
+
+    They are found once: that takes a millisecond, as long as to compensate five hundred blocks.
+    """
     return ThreadpoolController()

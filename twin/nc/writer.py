@@ -147,14 +147,9 @@ class WordWriter(ABC, Generic[B]):
 
     def _together(self, block: B, rewrite: Rewrite, begin: str, end: str) -> str | None:
         """Return the lines of the segments between the first and the last; None if they must be written one by one."""
-        several = any(len(name) > 1 for name in self.names)
-        if (
-            len(rewrite.positions) < MANY
-            or several
-            or block.inch
-            or block.incremental
-            or any(w.form for w in block.words)
-        ):
+        if len(rewrite.positions) < MANY or block.inch or block.incremental:
+            return None
+        if any(len(name) > 1 for name in self.names) or any(word.form for word in block.words):
             return None
         formatting = Formatting(self.style, self.separator == " ", self.lower)
         return lines_of_words(rewrite.positions[:-1], self.said, formatting, self.grids, begin, end)

@@ -131,8 +131,9 @@ class Problem:
     def set_residual(self, residual: np.ndarray) -> None:
         """Replace the whitened residual (3n,); the set-up stays."""
         self.residual = residual
-        self.residual_on_basis = self.nuisances.along(self.zero_held_out(residual))
-        kept, within = self.zero_held_out(residual), self.root.T @ self.residual_on_basis
+        kept = self.zero_held_out(residual)
+        self.residual_on_basis = self.nuisances.along(kept)
+        within = self.root.T @ self.residual_on_basis
         self.chi2 = float(kept @ kept - within @ within)
         self._projected: np.ndarray | None = None
 
@@ -242,13 +243,18 @@ class Problem:
 
     def inner(self, a: np.ndarray) -> np.ndarray:
         """Return the projected inner products aᵀMa of signatures."""
-        return self.normal_equations(a, self.residual)[0]
+        a, within = self._kept_and_absorbed(a)
+        return np.asarray(a.T @ a - within.T @ within)
 
     def normal_equations(self, a: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the projected inner products aᵀMa of signatures (3n, k), and aᵀMr with a residual (3n,)."""
-        a, residual = self.zero_held_out(a), self.zero_held_out(residual)
-        within, of_residual = (self.root.T @ self.nuisances.along(own) for own in (a, residual))
+        (a, within), (residual, of_residual) = self._kept_and_absorbed(a), self._kept_and_absorbed(residual)
         return np.asarray(a.T @ a - within.T @ within), np.asarray(a.T @ residual - within.T @ of_residual)
+
+    def _kept_and_absorbed(self, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (3n, …) vectors without the held-out rows, and the coordinates of the share that the nuisance parameters absorb."""
+        a = self.zero_held_out(a)
+        return a, self.root.T @ self.nuisances.along(a)
 
     def along(self, a: np.ndarray, residual: np.ndarray | None = None) -> np.ndarray:
         """Return aᵀMr with the data's residual, or with another that is already projected."""
