@@ -509,6 +509,21 @@ def test_a_real_program(programs: Path) -> None:
     assert others == [row for row, number in zip(result.text.splitlines(), after, strict=True) if number not in runs]
 
 
+@pytest.mark.parametrize("cycle", ["G81", "G84"])
+@pytest.mark.parametrize("compensated", [False, True])
+def test_holes_between_runs(dmu50: Machine, cycle: str, compensated: bool, tmp_path: Path) -> None:
+    """Cycles stay as they are unless their holes are compensated."""
+    holes = f"G99 {cycle} X310. Y210. Z-230. R-215. F120.\nX320.\n/X330.\nX340.\nG80\n"
+    source = tmp_path / "c.nc"
+    source.write_text(program_of(circle()).replace("M30", f"G0 Z-190.\n{holes}G0 Z-190.\nM30"))
+    result = twin.refit(
+        source, dmu50, options=Options(tolerance_mm=0.02, tool_length_mm=120.0), compensated=compensated
+    )
+    assert result.report.complete
+    assert result.report.blocks_out < 0.5 * result.report.blocks
+    assert (holes in result.text) is not compensated
+
+
 # -------------------------------------------------------------------- tool vectors, reversals, and a check that can fail
 
 

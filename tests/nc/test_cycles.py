@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +19,10 @@ from twin.machine.machine import Machine
 from twin.nc import DIALECTS
 from twin.nc.arithmetic import evaluate
 from twin.nc.blocks import AxisWords, Interpretation, Kind
+from twin.nc.columns import NewPositions
 
 ISO, HEIDENHAIN = DIALECTS[0], DIALECTS[1]
+AXES = AxisWords(("X", "Y", "Z"), ("B", "C"), dict.fromkeys("XYZBC", 0.001))
 START = "G90 G21 G17\nG0 X300. Y200. Z-300. B0. C0.\n"
 HOLE = (310.0, 210.0)
 CYCLES = {
@@ -131,6 +134,42 @@ def test_a_program_without_errors_keeps_its_cycles(dmu50: Machine) -> None:
         assert compensated(START + text, dmu50, Calibration.zero(dmu50)).text == START + text
 
 
+IN_PLACE = {name: text for name, (text, _, _) in CYCLES.items()} | {
+    "no place with the cycle": "G98 G81 Z-330. R-310. F120.\nX310. Y210.\nX320.\nG80\n",
+    "a hole the operator may skip": "G98 G81 X310. Y210. Z-330. R-310. F120.\n/X320.\nX330.\nG80\n",
+    "a thread the operator may skip": "G98 G84 X310. Y210. Z-330. R-310. F1.\n/X320.\nX330.\nG80\n",
+    "many holes": "G98 G81 X310. Y210. Z-330. R-310. F120.\n" + "".join(f"X{310 + i}.\n" for i in range(20)) + "G80\n",
+}
+
+
+@pytest.mark.parametrize("name", IN_PLACE)
+def test_a_cycle_stays_as_it_is_if_only_other_moves_are_replaced(name: str) -> None:
+    """Every line but those replaced is the same, and an interpreter finds the same strokes in between."""
+    text = f"{START}G1 X301. F500.\nX302.\n{IN_PLACE[name]}G1 Z-290.\nX300. Y200.\n"
+    program = ISO.read(text.encode(), "part")
+    reading = read(text)
+    count, others = len(reading.moves), {1: 0.25, len(reading.moves) - 1: 0.5}
+    shifts = {i: np.array([shift, 0.0, 0.0, math.nan, math.nan]) for i, shift in others.items()}
+    rows = {i: (np.array([reading.moves[i].position]) + shift, None) for i, shift in shifts.items()}
+    written = ISO.rewrite(program, AXES, reading, NewPositions.of(count, 5, rows))
+    lines = text.splitlines()
+    lines[2], lines[-1] = "G1 X301.25 F500.", "X300.5 Y200."
+    assert written.splitlines() == lines
+    found = [move.position for move in read(written).moves]
+    wanted = [move.position for move in reading.moves]
+    wanted[1], wanted[-1] = (301.25, *wanted[1][1:]), (300.5, *wanted[-1][1:])
+    assert np.array(found) == pytest.approx(np.array(wanted))
+
+
+@pytest.mark.parametrize("name", IN_PLACE)
+def test_cycles_are_the_same_from_file_to_file(dmu50: Machine, errors: Calibration, tmp_path: Path, name: str) -> None:
+    """A program from file to file is processed in stretches, except for one with cycles, threads included."""
+    source, output = tmp_path / "part.mpf", tmp_path / "out.mpf"
+    source.write_text(START + IN_PLACE[name] + "G0 Z-290.\nX300.\n")
+    Compensator(dmu50, errors).compensate_file(source, output)
+    assert output.read_text() == compensated(source.read_text(), dmu50, errors).text
+
+
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_is_not_expanded_is_refused(dmu50: Machine, name: str) -> None:
     text, words = REFUSED[name]
@@ -198,9 +237,8 @@ def test_arithmetic_is_that_of_python(text: str) -> None:
 
 
 def read(text: str, dialect_of: int = 0) -> Interpretation:
-    axes = AxisWords(("X", "Y", "Z"), ("B", "C"), dict.fromkeys("XYZBC", 0.001))
     dialect = DIALECTS[dialect_of]
-    return dialect.moves(dialect.read(text.encode(), "part"), axes, tcp=False)
+    return dialect.moves(dialect.read(text.encode(), "part"), AXES, tcp=False)
 
 
 def test_words_with_arithmetic() -> None:

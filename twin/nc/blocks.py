@@ -214,12 +214,14 @@ class Interpretation:
         notices: remarks for the report.
         lost_positions: the lines after which axis positions are unknown.
         frames: the lines that change the frame; none if the values of offsets and tools are unknown (`AxisWords`).
+        drilled: ranges of lines that execute a drilling cycle; all their moves belong to it.
     """
 
     moves: Sequence[Move]
     notices: tuple[Notice, ...] = ()
     lost_positions: tuple[LostPositions, ...] = ()
     frames: tuple[FrameChange, ...] = ()
+    drilled: tuple[range, ...] = ()
 
 
 @final

@@ -35,6 +35,7 @@ class Interpreter(ABC):
         lost_positions: lines after which axis positions are unknown.
         frame: the coordinates in force.
         frames: lines that change them.
+        drilled: see `twin.nc.blocks.Interpretation`.
         tcp: whether tool centre point control is on.
         tcp_word: the word that switched it last; empty: none yet.
         motion: motion code in force, None before the first and in languages without.
@@ -60,6 +61,7 @@ class Interpreter(ABC):
         self.lost_positions: list[LostPositions] = []
         self.frame = WordFrame()
         self.frames: list[FrameChange] = []
+        self.drilled: list[range] = []
         self.offsets_known, self.tools_known = axes.offsets_known, axes.tools_known
         self.tcp = tcp
         self.tcp_word = ""

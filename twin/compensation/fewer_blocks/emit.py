@@ -8,7 +8,7 @@ remaining text is thus correct for absolute and incremental words, and comments 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
 import numpy as np
@@ -116,7 +116,7 @@ def shortened(
     )
     found = dialect.moves(left, space.axes, tcp=prepared.options.tcp)
     moves = tuple(_exactly(move, exact, space, posted=posted) if move.line in exact else move for move in found.moves)
-    return Shortened(left, Interpretation(moves, found.notices, found.lost_positions))
+    return Shortened(left, replace(found, moves=moves))
 
 
 def rounded(words: np.ndarray, tcp: np.ndarray, space: WordSpace, increment: np.ndarray) -> np.ndarray:

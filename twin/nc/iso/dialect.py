@@ -11,7 +11,7 @@ import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
 from twin.nc.blocks import AxisWords, Interpretation, Program
-from twin.nc.columns import NewPositions, as_columns
+from twin.nc.columns import MoveColumns, NewPositions, as_columns
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
 from twin.nc.header import first_lines, insert_comments
 from twin.nc.iso import vocabulary
@@ -63,7 +63,7 @@ class Iso(Dialect):
             style_in(program.texts, Style(point=True)),
             # If TCP control is switched before the first move, its initial state does not matter; else the first move has it.
             tcp=bool(moves.tcp[0]),
-            expand_cycles=True,
+            expand_cycles=_replaces_some(reading.drilled, moves, new),
             code=line_code(len(program.texts)),
         )
         return rewriter.whole(chunks(program, axes.names), moves, new)
@@ -133,6 +133,12 @@ class _NewIso(NewProgram):
         head = [f"G{code}"] if code != self._code else []
         self._code = code
         self.out.append(" ".join([*head, *words, *([f"F{feed}"] if feed else [])]) + "\n")
+
+
+def _replaces_some(lines: Sequence[range], moves: MoveColumns, new: NewPositions) -> bool:
+    """Return whether a move of these ranges of lines is replaced."""
+    at = np.searchsorted(moves.line, [(part.start, part.stop) for part in lines])
+    return any(bool(new.count[first:last].any()) for first, last in at.tolist())
 
 
 def _is_tape(line: str) -> bool:

@@ -204,3 +204,4 @@ class IsoDrilling(IsoTilt):
         if cycle.level == cycle.level:
             self.position[2] = cycle.level
         block.drilling = Drilling(tuple(strokes), cycle.level)
+        self.drilled.append(range(self._line, self._line + 1))

@@ -28,7 +28,7 @@ class IsoWriter(WordWriter[IsoBlock]):
 
     Args:
         source, axes, newline, style: as for `WordWriter`.
-        expand_cycles: whether drilling cycles are expanded into blocks.
+        expand_cycles: whether drilling cycles are expanded into blocks; if not, none of their moves may be replaced.
 
     Attributes:
         motion: motion code in force in the output (None: before the first, or uncertain).
@@ -66,6 +66,8 @@ class IsoWriter(WordWriter[IsoBlock]):
         moves = block.moves
         if any(span.name == "80" for span in block.codes):
             self.motion = None  # LinuxCNC has no motion code in force after it
+        if block.cycle_words and not self.expand_cycles:
+            self.motion = block.motion  # a cycle of Fanuc is in force
         if block.positions and segments and 0 in segments:
             self._observe_format(block)
             text = "".join(self.rewritten(block, segments[0]))
@@ -105,7 +107,8 @@ class IsoWriter(WordWriter[IsoBlock]):
         self.record(block)
         if self.expand_cycles:
             drop(block, block.cycle_words, edits)
-        if block.motion_word is None and block.motion is not None and self.motion != block.motion:
+        stale = self.motion is None and block.drilling is not None and not self.expand_cycles
+        if block.motion_word is None and block.motion is not None and self.motion != block.motion and not stale:
             starts = [word.start for word in block.words] + [word.start for word in block.arc_words]
             at = min(starts, default=block.head_end)
             separator = " " if self.spaced or not text[at - 1 : at].isspace() else ""

@@ -104,15 +104,11 @@ class ChunkReader:
 
     Args:
         interpreter: interpreter of its blocks.
-
-    Attributes:
-        drills: whether some block so far makes several moves because of a drilling cycle.
     """
 
     def __init__(self, interpreter: Interpreter) -> None:
         self._interpreter = interpreter
         self._notices = self._left = 0
-        self.drills = False
 
     def read(self, chunk: Chunk) -> MoveColumns:
         """Return the moves of the next chunk.
@@ -130,9 +126,7 @@ class ChunkReader:
         for begin, end, together in runs(scan.simple, scan.blank):
             at = begin
             while at < end and not (together and self._run(chunk, at, end, found)):
-                moves = self._interpreter.moves(first + at, scan.line(at))
-                self.drills = self.drills or len(moves) > 1
-                for move in moves:
+                for move in self._interpreter.moves(first + at, scan.line(at)):
                     found.add(move)
                 at += 1
 
@@ -145,7 +139,8 @@ class ChunkReader:
         found = MoveBuilder(self._interpreter.names)
         for chunk in parts:
             self.read_into(found, chunk)
-        return Interpretation(found.moves(), tuple(self.notices()), tuple(self.lost_positions()), self.frames)
+        notices, lost = tuple(self.notices()), tuple(self.lost_positions())
+        return Interpretation(found.moves(), notices, lost, self.frames, tuple(self._interpreter.drilled))
 
     def notices(self) -> list[Notice]:
         """Return the notices since the last call."""
@@ -163,6 +158,11 @@ class ChunkReader:
     def frames(self) -> tuple[FrameChange, ...]:
         """Changes of the frame so far."""
         return tuple(self._interpreter.frames)
+
+    @property
+    def drills(self) -> bool:
+        """Whether a block so far executes a drilling cycle."""
+        return bool(self._interpreter.drilled)
 
     def _run(self, chunk: Chunk, begin: int, end: int, found: MoveBuilder) -> bool:
         """Read simple lines together; return False if the modal state does not allow it."""
@@ -198,7 +198,7 @@ class ChunkReader:
         fill_forward(position, said, state.position)
         rapid, of = motion == 0, chunk.first + lines
         if repeated:
-            self.drills = True
+            state.drilled.append(range(int(of[0]), int(of[-1]) + 1))
             of, position, named, rapid = _with_repeated(repeated, state.linear - 1, of, position, named, rapid)
         vector, tcp = np.broadcast_to(NO_VECTOR, (len(of), 3)), np.full(len(of), state.tcp)
         found.extend(MoveColumns(state.names, of, rapid, tcp, named, position, vector, {}))
