@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.machine.errors import random_calibration
@@ -42,7 +43,7 @@ CYCLES = {
     ),
     "G85": ("G98 G85 X310. Y210. Z-330. R-310. F120.\nG80\n", [-300, -310, -330, -310, -300], "RRFFR"),
     "G89": ("G98 G89 X310. Y210. Z-330. R-310. P1 F120.\nG80\n", [-300, -310, -330, -310, -300], "RRFFR"),
-    "G84": ("G98 G84 X310. Y210. Z-330. R-310. F1.\nG80\n", [-300], "R"),
+    "G84": ("G98 G84 X310. Y210. Z-330. R-310. F1.\nG80\n", [-300, -310, -300], "RRR"),
     "CYCLE81": ("MCALL CYCLE81(-300,-312,2,-330)\nG0 X310. Y210.\nMCALL\n", [-300, -310, -330, -300], "RRFR"),
     "CYCLE82 relative": (
         "MCALL CYCLE82(-300,-312,2,,18,0.5)\nG0 X310. Y210.\nMCALL\n",
@@ -100,7 +101,7 @@ def test_a_cycle_is_expanded_into_its_strokes(dmu50: Machine, errors: Calibratio
     assert {move.position[:2] for move in moves} == {HOLE}
     assert "".join("R" if move.kind is Kind.RAPID else "F" for move in moves) == kinds
     # An interpreter that does not know cycles finds the same strokes in the output, and the compensated commands at their end points.
-    plain = "\n".join(line for line in result.text.splitlines() if not line.startswith(("G84", "CYCLE84")))
+    plain = "\n".join(line for line in result.text.splitlines() if not line.startswith(("G99 G84", "CYCLE84")))
     ran = run_iso(plain)
     assert [code for code, _ in ran[1:-2]] == [{"R": "G0", "F": "G1"}[kind] for kind in kinds]
     assert np.array([q for _, q in ran]) == pytest.approx(result.commands, abs=1e-6)
@@ -124,9 +125,93 @@ def test_words_between_the_strokes(dmu50: Machine, errors: Calibration) -> None:
     assert [line.split()[-1] for line in lines if "F" in line.split()[-1]] == ["F80", "F200"]
     text = START + "G99 G84 X310. Y210. Z-330. R-310. F1.\nX320.\nG80\nG0 Z-290.\n"
     lines = compensated(text, dmu50, errors).text.splitlines()
-    threads = [i for i, line in enumerate(lines) if line == "G84 Z-330. R-310. F1."]
+    threads = [i for i, line in enumerate(lines) if line.startswith("G99 G84 ")]
     assert len(threads) == 2
     assert all(lines[i + 1].startswith(("G0 ", "G80")) for i in threads)
+
+
+def test_the_depth_of_a_thread_is_corrected(dmu50: Machine, errors: Calibration) -> None:
+    """As much as the height above it, which the control has reached when it begins; its other words are kept."""
+    text = (
+        START + "G98 G84 X310. Y210. Z-330. R-310. P500 F1.\n/X320.\nG99\nG0 X330.\nG74 Z-330. R-310. F2.\nX340. M8\n"
+    )
+    result = compensated(text, dmu50, errors)
+    lines = result.text.splitlines()
+    found = [
+        re.fullmatch(r"(/?)G99 (G\d+) Z(\S+) R(\S+) (.*)", line) for line in lines if " Z" in line and " R" in line
+    ]
+    threads = [one.groups() for one in found if one is not None]
+    heads, tails = ("", "/", "", ""), ("P500 F1.", "P500 F1.", "F2.", "F2.")
+    assert [(skip, code, words) for skip, code, _, _, words in threads] == list(
+        zip(heads, ("G84", "G84", "G74", "G74"), tails, strict=True)
+    )
+    above = [q[2] for move, q in zip(result.reading.moves, result.commands, strict=True) if move.position[2] == -310.0]
+    assert [float(top) for _, _, _, top, _ in threads] == pytest.approx(above, abs=1e-6)
+    assert all(float(top) - float(depth) == pytest.approx(20.0) for _, _, depth, top, _ in threads)
+    assert abs(above[0] + 310.0) > 0.001  # there is something to correct
+
+
+PLACE = st.tuples(st.integers(260, 340), st.integers(160, 240)).map(lambda at: f"X{at[0]}. Y{at[1]}.")
+FANUC_LINES = st.one_of(
+    PLACE,
+    PLACE,
+    st.sampled_from(
+        ["G80", "M8", "(a note)", "", "G0 Z-250.", "G1 Z-300. F500.", "G98", "G99", "G4 P1", "G17 G0", "G90"]
+    ),
+    st.tuples(st.sampled_from(["G0 ", "G1 ", "G0", "G01 ", "N7 G00 "]), PLACE).map("".join),
+    st.tuples(st.sampled_from(["G81 ", "G99 G85 ", "G98 G81 "]), PLACE).map(
+        lambda one: "".join(one) + " Z-330. R-310. F100."
+    ),
+    st.lists(PLACE, min_size=14, max_size=18).map("\n".join),
+)
+
+
+def holes(text: str) -> list[tuple[float, float]]:
+    """Return where a program of `FANUC_LINES` drills: at every place after a cycle until G80 or a motion word."""
+    found, drills = [], False
+    for line in text.splitlines():
+        if re.search(r"G8[15]", line):
+            drills = True
+        elif re.search(r"G80|G0?[01]\b|G0?[01](?=X)", line):
+            drills = False
+        place = re.search(r"X(\S+) Y(\S+)", line)
+        if drills and place:
+            found.append((float(place[1]), float(place[2])))
+    return found
+
+
+@given(st.lists(FANUC_LINES, min_size=1, max_size=12).map("\n".join))
+def test_holes_are_drilled_where_a_cycle_is_in_force(text: str) -> None:
+    moves = read(f"{START}{text}\n").moves
+    assert [move.position[:2] for move in moves if move.position[2] == -330.0] == holes(text)
+
+
+THREADS = st.sampled_from(
+    [
+        "G84 X301. Y201. Z-330. R-310. F1.",
+        "G99 G84 X320. Z-330. R-310. F1.",
+        "MCALL CYCLE84(-240,-312,2,-330,,0,3,5,,1.5)",
+        "MCALL CYCLE81(-240,-312,2,-330)",
+        "MCALL",
+        "CYCLE81(-240,-312,2,-330)",
+        "G2 X300. Y200. R40.",
+        "/X300.",
+        "B30. C5.",
+        "G0 Z-310.",
+    ]
+)
+
+
+@settings(max_examples=25)
+@given(text=st.lists(st.one_of(FANUC_LINES, THREADS), min_size=1, max_size=10).map("\n".join))
+def test_any_program_with_cycles(dmu50: Machine, errors: Calibration, text: str) -> None:
+    """It is compensated, or refused for a reason; what is written, read back, moves as intended (checked by `Compensator` itself)."""
+    try:
+        result = compensated(START + text, dmu50, errors)
+    except InputError as error:
+        assert error.expected
+        return
+    assert len(result.commands) == len(result.nominal)
 
 
 def test_a_program_without_errors_keeps_its_cycles(dmu50: Machine) -> None:

@@ -2,7 +2,8 @@
 
 Sources: Fanuc Series 30i operator's manual and LinuxCNC G-code reference, "Canned cycles" (G73, G81 to G89); SINUMERIK 840D sl,
 Programming Manual Cycles (CYCLE81 to CYCLE85, CYCLE89). Cycles that turn or stop the spindle in between (G76, G86 to G88, CYCLE86 to
-CYCLE88) are not expanded. A thread is tapped by the control's own cycle, at a corrected position.
+CYCLE88) are not expanded. A thread is tapped by the control's own cycle, at a corrected position; the heights in the cycle are those of
+the program with CYCLE84 and CYCLE840, and corrected, too, with G74 and G84.
 """
 
 from __future__ import annotations
@@ -20,6 +21,22 @@ has a parameter for it; the drilled hole does not depend on it.
 MOST_STROKES: Final = 400
 
 
+class Thread(NamedTuple):
+    """A thread that the control taps by a cycle of Fanuc, from a height and back to it.
+
+    Attributes:
+        code: its G code without G, one of `FANUC_TAPPING`.
+        depth: height of the bottom, mm.
+        top: height at which feeding begins, mm.
+        words: the other words of the cycle.
+    """
+
+    code: str
+    depth: float
+    top: float
+    words: str
+
+
 class Stroke(NamedTuple):
     """One stroke of a cycle.
 
@@ -27,13 +44,15 @@ class Stroke(NamedTuple):
         height: where it ends, mm; NaN if the axis does not move.
         kind: rapid or feed.
         feed: its feed word, if it differs from that of the block.
-        after: a block to write after it (dwell, the cycle of a thread).
+        after: a block to write after it (dwell, the cycle of a thread of SINUMERIK).
+        thread: the thread to tap instead of a move.
     """
 
     height: float
     kind: Kind
     feed: str = ""
     after: str = ""
+    thread: Thread | None = None
 
 
 class Drilling(NamedTuple):
@@ -41,7 +60,7 @@ class Drilling(NamedTuple):
 
     Attributes:
         strokes: what the drilling axis does, heights in mm in program coordinates.
-        level: height at which a cycle ends that is left to the control (a thread); NaN: that of the last stroke.
+        level: height at which a cycle ends that is left to the control (CYCLE84); NaN: that of the last stroke.
     """
 
     strokes: tuple[Stroke, ...]
@@ -77,14 +96,15 @@ def pecked(top: float, depth: float, step: float, *, full: bool) -> list[Stroke]
         strokes += [Stroke(top, Kind.RAPID), Stroke(above, Kind.RAPID)] if full else [Stroke(above, Kind.RAPID)]
 
 
-def of_fanuc(code: str, height: Mapping[str, float], dwell: str, retract: float) -> Drilling:
+def of_fanuc(code: str, height: Mapping[str, float], dwell: str, retract: float, words: str) -> Drilling:
     """Return a cycle of Fanuc or LinuxCNC.
 
     Args:
-        code: its G code without G, one of `FANUC`.
+        code: its G code without G, one of `FANUC` or `FANUC_TAPPING`.
         height: ``R`` and ``Z`` in mm, and ``Q``, the step of G73 and G83.
         dwell: value of ``P`` as written; empty if there is none.
         retract: height at which it ends (G98: initial level, G99: R).
+        words: the words of a thread other than Z and R.
 
     Raises:
         ValueError: a value is missing or contradicts another, in words.
@@ -99,6 +119,8 @@ def of_fanuc(code: str, height: Mapping[str, float], dwell: str, retract: float)
         if not step > 0.0:
             raise ValueError("Q, the depth of a step")
         down = pecked(top, depth, step, full=code == "83")
+    elif code in FANUC_TAPPING:
+        down = [Stroke(math.nan, Kind.LINEAR, thread=Thread(code, depth, top, words))]
     else:
         down = [Stroke(depth, Kind.LINEAR)]
     if code in ("82", "89"):

@@ -37,6 +37,7 @@ class IsoDrilling(IsoTilt):
     _to_initial = True
     _level_stated = False
     _initial = math.nan
+    _words = ""
 
     def cycle_code(self, block: IsoBlock, span: Span, group: str) -> bool:
         """Apply a G word to the Fanuc cycle in force; return whether it begins one.
@@ -88,17 +89,27 @@ class IsoDrilling(IsoTilt):
         block.items = [item for item in kept if item.name in self.index]
         block.others = [item for item in kept if item.name not in self.index]
         if stated:
-            self.cycle = self._cycle(block)
+            if self.code in cycles.FANUC_TAPPING:
+                self._thread_words(block)
+            self.cycle = self._cycle()
         elif level_stated and self.cycle is not None:
-            tapping = self.code in cycles.FANUC_TAPPING
-            self.cycle = self.cycle._replace(level=self._retract) if tapping else self._cycle(block)
+            self.cycle = self._cycle()
         return stated or bool(block.items)
 
     @property
     def _retract(self) -> float:
         return self._initial if self._to_initial else self._height.get("R", math.nan)
 
-    def _cycle(self, block: IsoBlock) -> Drilling:
+    def _thread_words(self, block: IsoBlock) -> None:
+        """Take over the words of a thread other than Z and R, which are written again with it."""
+        if not {"Z", "R"} <= {span.name for span in block.cycle_words}:
+            raise self._refused("thread", "Z and R in the block of the cycle")
+        others = [span for span in block.cycle_words if span.name not in (self.code, "Z", "R")]
+        words = [block.text[span.start : span.end].strip() for span in others]
+        feed = [] if block.feed is None else [f"F{block.text[block.feed.start : block.feed.end]}"]
+        self._words = " ".join([*words, *feed])
+
+    def _cycle(self) -> Drilling:
         if self.plane != 17 or self.incremental or self.tcp or self.vector is not None:
             raise self._refused("cycle", "drilling along Z in G17, G90, without tool centre point control")
         top = self._height.get("R", math.nan)
@@ -106,17 +117,8 @@ class IsoDrilling(IsoTilt):
             raise self._refused("position of Z unknown", "a position of Z before the cycle")
         if self._initial < top - 1e-9:
             raise self._refused("Z is below R", "Z at R or above before the cycle")
-        retract = self._retract
-        if self.code in cycles.FANUC_TAPPING:
-            words = [block.text[span.start : span.end] for span in block.cycle_words]
-            feed = "" if block.feed is None else f" F{block.text[block.feed.start : block.feed.end]}"
-            if not {"Z", "R"} <= {span.name for span in block.cycle_words}:
-                raise self._refused("thread", "Z and R in the block of the cycle")
-            text = " ".join(word.strip() for word in words if not word.strip().upper().startswith("G"))
-            after = f"G{self.code} {text}{feed}"
-            return Drilling((Stroke(math.nan, Kind.RAPID, after=after),), retract)
         try:
-            return cycles.of_fanuc(self.code, self._height, self._dwell, retract)
+            return cycles.of_fanuc(self.code, self._height, self._dwell, self._retract, self._words)
         except ValueError as error:
             raise self._refused("cycle", str(error)) from None
 
@@ -182,7 +184,7 @@ class IsoDrilling(IsoTilt):
             if stroke.height == stroke.height and (abs(stroke.height - height) > 1e-9 or height != height):
                 height = stroke.height
                 found.append(stroke)
-            elif stroke.after:
+            elif stroke.after or stroke.thread is not None:
                 found.append(stroke._replace(height=math.nan))
         return found
 

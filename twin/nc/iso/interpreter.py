@@ -79,9 +79,9 @@ class IsoInterpreter(IsoMotion):
         return () if block is None else block.moves
 
     def _changes_cycle(self, match: re.Match[str]) -> bool:
-        """Return whether a simple block without a motion word has a word that belongs to the cycle of Fanuc in force."""
+        """Return whether a simple block ends the cycle of Fanuc in force by a motion word, or has a word that belongs to it."""
         groups = [group for group, axis in self._simple.axes if self.names[axis].upper() == "Z"]
-        return match[2] is None and any(match[i] is not None for i in (*groups, *dict(self._simple.others)))
+        return any(match[i] is not None for i in (2, *groups, *dict(self._simple.others)))
 
     def _simple_block(self, match: re.Match[str]) -> IsoBlock:
         """Interpret a simple block from the groups of its pattern."""

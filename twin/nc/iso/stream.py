@@ -85,6 +85,8 @@ class IsoRewriter(ChunkRewriter):
         spaced = writer.spaced and np.all(text[scan.words.start[second] - 2] <= ord(" "))
         small = text[first] >= ord("a")
         alike = spaced and np.all(small == small[0])
+        if any(stroke.thread is not None for stroke in self._interpreter.strokes()):
+            return False
         strokes = self._interpreter.repeated
         ends = bool(strokes) and strokes[-1][1] == (run.motion[0] == 0)
         consecutive = (

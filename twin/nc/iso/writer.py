@@ -12,7 +12,7 @@ from twin.nc.blocks import AxisWords, Kind, Rewrite
 from twin.nc.dialect import as_comment
 from twin.nc.emit import vector_texts
 from twin.nc.iso.block import IsoBlock
-from twin.nc.iso.cycles import Drilling
+from twin.nc.iso.cycles import Drilling, Thread
 from twin.nc.iso.vocabulary import DIRECTION_FORMS
 from twin.nc.text import Style, apply_edits, ending, format_number, number, style_of
 from twin.nc.writer import Edit, Segments, WordWriter, drop
@@ -144,12 +144,22 @@ class IsoWriter(WordWriter[IsoBlock]):
                     if words:
                         out.append(block.skip + " ".join([*words, *([stroke.feed] if stroke.feed else [])]) + end)
                 place += 1
+            if stroke.thread is not None:
+                out.append(block.skip + self._tapped(block, stroke.thread) + end)
             if stroke.after:
                 out.append(block.skip + stroke.after + end)
         if drilling.level == drilling.level:
             self.motion = None  # the control's own cycle is in force
         self._mark_stale(block)
         return "".join(out)
+
+    def _tapped(self, block: IsoBlock, thread: Thread) -> str:
+        """Return the block that taps a thread from the height reached and back to it, with its depth corrected alike."""
+        reached = self.said.value[2]
+        depth = self.said.number_for(2, thread.depth + reached - thread.top, block.inch, False, self.style)
+        top = self.said.number_for(2, reached, block.inch, False, self.style)
+        self.motion = None  # the control's own cycle is in force
+        return " ".join(["G99", f"G{thread.code}", f"Z{depth}", f"R{top}", *([thread.words] if thread.words else [])])
 
     # ------------------------------------------------------------------ one block
 
