@@ -263,6 +263,14 @@ def test_what_is_not_expanded_is_refused(dmu50: Machine, name: str) -> None:
     assert caught.value.line == 3
 
 
+@pytest.mark.parametrize("mode", ["G18", "G91"])
+@pytest.mark.parametrize("places", [1, 20])
+def test_a_mode_that_changes_under_a_cycle_is_refused(mode: str, places: int) -> None:
+    with pytest.raises(InputError, match="canned cycle") as caught:
+        read(f"{START}G99 G81 X310. Y210. Z-330. R-310.\nX311.\n{mode}\n" + "X320.\n" * places)
+    assert caught.value.line == 6
+
+
 VALUES = {"#1": 3.0, "#<X>": 5.0, "R1": 2.0, "_D": -4.0}
 FORMULAS = [
     ("#1+2*R1", 7.0),

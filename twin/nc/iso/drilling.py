@@ -175,7 +175,8 @@ class IsoDrilling(IsoTilt):
         if self.cycle is None:
             return True
         ends = [stroke.height for stroke in self.cycle.strokes if stroke.height == stroke.height]
-        return bool(ends) and ends[-1] == self.position[2] and self.cycle.level != self.cycle.level and not self.tcp
+        same = bool(ends) and ends[-1] == self.position[2] and self.cycle.level != self.cycle.level
+        return same and self.plane == 17 and not self.tcp
 
     def strokes(self) -> list[Stroke]:
         """Return the strokes of the cycle from the present height, without those that do not move; only their blocks behind stay."""
@@ -195,7 +196,7 @@ class IsoDrilling(IsoTilt):
 
     def drill(self, block: IsoBlock, cycle: Drilling) -> None:
         """Add the strokes of a cycle to the moves of a block, except those that do not move."""
-        if self.incremental or self.tcp or self.vector is not None or block.end_m_words:
+        if self.plane != 17 or self.incremental or self.tcp or self.vector is not None or block.end_m_words:
             raise self.error("canned cycle", vocabulary.EXPANDED_CYCLE)
         named = frozenset(self.names[2:3])
         strokes = self.strokes()
