@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.machine.errors import random_calibration
@@ -202,6 +202,9 @@ THREADS = st.sampled_from(
 )
 
 
+@example(
+    text="G84 X301. Y201. Z-330. R-310. F1.\nG1 Y202.\n" + "".join(f"X{302 + i}.\n" for i in range(14)) + "B33. C168."
+)
 @settings(max_examples=25)
 @given(text=st.lists(st.one_of(FANUC_LINES, THREADS), min_size=1, max_size=10).map("\n".join))
 def test_any_program_with_cycles(dmu50: Machine, errors: Calibration, text: str) -> None:

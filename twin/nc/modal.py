@@ -39,13 +39,14 @@ class Interpreter(ABC):
         tcp: whether tool centre point control is on.
         tcp_word: the word that switched it last; empty: none yet.
         motion: motion code in force, None before the first and in languages without.
-        repeated: moves of the third linear axis that follow each simple line, of a drilling cycle: height and whether it is a rapid.
+        repeated: moves of the third linear axis that follow each simple line, of a drilling cycle: height and whether it is a rapid;
+            None if no cycle is in force.
     """
 
     heidenhain = False
     """Whether arithmetic is that of plain language."""
     motion: int | None = None
-    repeated: tuple[tuple[float, bool], ...] = ()
+    repeated: tuple[tuple[float, bool], ...] | None = None
 
     def __init__(
         self, source: str, axes: AxisWords, *, tcp: bool, tcp_on: Iterable[str], tcp_off: Iterable[str]

@@ -190,8 +190,10 @@ class IsoDrilling(IsoTilt):
         return found
 
     @property
-    def repeated(self) -> tuple[tuple[float, bool], ...]:  # type: ignore[override]
+    def repeated(self) -> tuple[tuple[float, bool], ...] | None:  # type: ignore[override]
         """See `Interpreter`."""
+        if self.cycle is None:
+            return None
         return tuple((one.height, one.kind is Kind.RAPID) for one in self.strokes() if one.height == one.height)
 
     def drill(self, block: IsoBlock, cycle: Drilling) -> None:

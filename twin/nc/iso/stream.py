@@ -87,7 +87,7 @@ class IsoRewriter(ChunkRewriter):
         alike = spaced and np.all(small == small[0])
         if any(stroke.thread is not None for stroke in self._interpreter.strokes()):
             return False
-        strokes = self._interpreter.repeated
+        strokes = self._interpreter.repeated or ()
         ends = bool(strokes) and strokes[-1][1] == (run.motion[0] == 0)
         consecutive = (
             run.whole == slice(int(scan.start[lines[0]]), int(scan.end[lines[-1]]))

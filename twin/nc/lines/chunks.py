@@ -179,7 +179,7 @@ class ChunkReader:
         words = slice(scan.first[lines[0]], scan.first[lines[-1] + 1])
         axis, value = scan.words.axis[words], scan.words.value[words]
         repeated = state.repeated
-        if repeated and not only_places(scan, lines, state.linear - 1):
+        if repeated is not None and not only_places(scan, lines, state.linear - 1):
             return False
         if state.inch:
             value = np.where(axis < state.linear, value * MM_PER_INCH, value)
@@ -197,7 +197,7 @@ class ChunkReader:
         named = np.full(len(said), bits.sum()) if said.all() else said @ bits
         fill_forward(position, said, state.position)
         rapid, of = motion == 0, chunk.first + lines
-        if repeated:
+        if repeated is not None:
             state.drilled.append(range(int(of[0]), int(of[-1]) + 1))
             of, position, named, rapid = _with_repeated(repeated, state.linear - 1, of, position, named, rapid)
         vector, tcp = np.broadcast_to(NO_VECTOR, (len(of), 3)), np.full(len(of), state.tcp)
