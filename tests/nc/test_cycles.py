@@ -208,7 +208,7 @@ THREADS = st.sampled_from(
 @settings(max_examples=25)
 @given(text=st.lists(st.one_of(FANUC_LINES, THREADS), min_size=1, max_size=10).map("\n".join))
 def test_any_program_with_cycles(dmu50: Machine, errors: Calibration, text: str) -> None:
-    """It is compensated, or refused for a reason; what is written, read back, moves as intended (checked by `Compensator` itself)."""
+    """Each is compensated, or refused for a reason; `Compensator` itself checks what it has written."""
     try:
         result = compensated(START + text, dmu50, errors)
     except InputError as error:
