@@ -50,12 +50,14 @@ class RowAssessment:
 
     Attributes:
         bad: (n,) outliers.
+        beyond: (n,) rows beyond the limit: outliers, and rows that no gap separates from the others of a misfitting model.
         weight: (n,) robust weights: one for a good point.
         noise: size of the whitened residuals of most rows, root of the mean over the groups of their squares; one if the model fits.
         misfit_um: by target and station, standard deviation of the model's misfit per coordinate; only if it is not zero.
     """
 
     bad: np.ndarray
+    beyond: np.ndarray
     weight: np.ndarray
     noise: float
     misfit_um: dict[tuple[str, str], float]
@@ -96,9 +98,10 @@ def assess_rows(network: Network, whitened: np.ndarray) -> RowAssessment:
     each = distance / np.maximum(count, 1)
     redescending, convex = (1.0 + each / 9.0) ** -2, np.minimum(1.0, HUBER / np.sqrt(np.maximum(each, 1e-12)))
     overall = float(np.sqrt(np.mean(noise)))
-    bad = distance > limit * (1.0 + (TAIL**2 - 1.0) * share)
+    beyond = distance > limit * (1.0 + (TAIL**2 - 1.0) * share)
     return RowAssessment(
-        bad=read_only(bad & (_separated(distance, bad) | (share < MISFIT_SHARE))),
+        bad=read_only(beyond & (_separated(distance, beyond) | (share < MISFIT_SHARE))),
+        beyond=read_only(beyond),
         weight=read_only((1.0 - share) * redescending + share * convex),
         noise=overall if overall > NOISE_OF_FIT else 1.0,
         misfit_um=misfit,

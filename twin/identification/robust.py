@@ -20,10 +20,19 @@ TRIAL_STEPS: Final = 8
 
 
 class RobustStart(NamedTuple):
-    """A robust estimate, and (n,) the final weights of the points: zero for an outlier."""
+    """A robust estimate.
+
+    Attributes:
+        solution: the estimate.
+        weight: (n,) the final weights of the points: zero for an outlier.
+        noise: size of the residuals of most rows, as in `RowAssessment`; one if the model fits.
+        gaps: whether the gaps between outliers and other rows made a difference.
+    """
 
     solution: FitSolution
     weight: np.ndarray
+    noise: float
+    gaps: bool
 
 
 class FinalEstimate(NamedTuple):
@@ -36,13 +45,25 @@ class FinalEstimate(NamedTuple):
 def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> RobustStart:
     """Return an estimate that is not affected by a few wrong points.
 
-    If the model does not fit, the first noise is the misfit of the nominal machine, so that well-determined unknowns are fitted first;
-    each further step uses the misfit of the estimate before.
+    A misfit may be the effect of the outliers on the estimate. If the model fits without all rows beyond the limit, they are outliers; if
+    it does not, only those that a gap separates from the other rows.
 
     Args:
         network: data and model.
         setup: initial set-up with the nominal machine.
         triangle: factor of [J | r] there.
+    """
+    start = _robust(network, setup, triangle, separated=False)
+    if start.noise > 1.0 and start.gaps:
+        return _robust(network, setup, triangle, separated=True)
+    return start
+
+
+def _robust(network: Network, setup: SetUp, triangle: np.ndarray, *, separated: bool) -> RobustStart:
+    """Return a robust estimate; ``separated``: whether a gap separates every outlier from the other rows of a misfitting model.
+
+    If the model does not fit, the first noise is the misfit of the nominal machine, so that well-determined unknowns are fitted first;
+    each further step uses the misfit of the estimate before.
     """
     weight = np.ones(len(network.data))
     zero = np.zeros(len(network.unknowns))
@@ -53,11 +74,14 @@ def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> Robust
     if nominal.noise > HOPELESS_MISFIT or found.noise > 1.0:
         solution = solve(network, zero, setup, weight, noise=nominal.noise, triangle=triangle)
         found = _assessed(network, solution)
+    gaps = False
     for _ in range(ROUNDS):
+        bad = found.bad if separated else found.beyond
+        gaps = gaps or not np.array_equal(found.bad, found.beyond)
         fits = found.noise >= 0.9 * solution.noise
-        if not np.any(found.bad) and np.all(weight == 1.0) and fits and solution.converged:
-            return RobustStart(solution, weight)
-        new_weight = found.weight if np.any(found.bad) or np.any(weight < 1.0) else weight
+        if not np.any(bad) and np.all(weight == 1.0) and fits and solution.converged:
+            return RobustStart(solution, weight, found.noise, gaps)
+        new_weight = found.weight if np.any(bad) or np.any(weight < 1.0) else weight
         settled = float(np.abs(new_weight - weight).max()) < 0.01 and fits
         weight = new_weight
         if settled:
@@ -68,8 +92,8 @@ def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> Robust
             # One step more after a prior was active, so that noise-free readings give the errors to the last digits.
             solution = solve(network, solution.theta, solution.setup, weight, steps=1)
         found = _assessed(network, solution)
-    weight = (~found.bad).astype(float)
-    return RobustStart(_continued(network, solution, weight, found.noise), weight)
+    weight = (~(found.bad if separated else found.beyond)).astype(float)
+    return RobustStart(_continued(network, solution, weight, found.noise), weight, found.noise, gaps)
 
 
 def _assessed(network: Network, solution: FitSolution) -> RowAssessment:
