@@ -45,8 +45,8 @@ class FinalEstimate(NamedTuple):
 def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> RobustStart:
     """Return an estimate that is not affected by a few wrong points.
 
-    A misfit may be the effect of the outliers on the estimate. If the model fits without all rows beyond the limit, they are outliers; if
-    it does not, only those that a gap separates from the other rows.
+    A misfit may be the effect of the outliers on the estimate. If the model fits without any row beyond the limit, these are the
+    outliers; if it does not, only those that a gap separates from the other rows.
 
     Args:
         network: data and model.
