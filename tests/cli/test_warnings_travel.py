@@ -99,6 +99,8 @@ def named(path: Path) -> set[str]:
 
 
 Files = dict[str, set[str]]
+KINEMATICS: Final = ("kinematics.json", "kinchain.mpf", "README.txt")
+"""Files made in the datum mean lines."""
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +178,9 @@ def test_every_file_has_the_warnings_of_its_calibration(kind: str, made: Callabl
     wanted = {one.name for one in KINDS[kind][3]}
     found = made(kind)
     assert len(found) >= (6 if kind == "unsettled" else 35)
-    assert {name: one for name, one in found.items() if one != wanted} == {}
+    # In mean lines there are errors that the calibration does not state, and whose uncertainty it therefore does not give.
+    unstated = {name: wanted | {UNKNOWN_UNCERTAINTY.name} for name in KINEMATICS}
+    assert {name: one for name, one in found.items() if one != unstated.get(name, wanted)} == {}
 
 
 def test_unconverged_estimate_gives_no_program_and_no_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
