@@ -46,8 +46,9 @@ def deadly(shared: int, task: int) -> int:
 
 
 def patient(shared: Path, task: int) -> int:
-    """Leave the number of the process and sleep, except in the first task."""
+    """Leave the number of the process and sleep for a minute, or until the folder is gone, except in the first task."""
     (shared / str(task)).write_text(str(os.getpid()))
-    if task:
-        time.sleep(60.0)
+    end = time.monotonic() + 60.0
+    while task and shared.exists() and time.monotonic() < end:
+        time.sleep(0.1)
     return task

@@ -112,6 +112,7 @@ def test_workers_end_with_the_results(others: Workers, tmp_path: Path) -> None:
     assert time.monotonic() - began < 20.0
     if others.scheduler is None:
         assert not any(alive(int(file.read_text())) for file in tmp_path.iterdir())
+    shutil.rmtree(tmp_path)  # what runs on a cluster ends, too
 
 
 def test_a_copy_needs_a_process_without_other_threads() -> None:
