@@ -44,6 +44,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         self.motion: int | None = None
         self.spaced = True
         self.wide = False
+        self._rigid, self._rigid_used = "", False
 
     @property
     def separator(self) -> str:  # type: ignore[override]
@@ -64,6 +65,8 @@ class IsoWriter(WordWriter[IsoBlock]):
             if block.tcp_switched:
                 self._vector_text = None
         moves = block.moves
+        if self.expand_cycles and self._is_rigid(block):
+            return f"({as_comment(block.text, '()')}){ending(block.text) or self.newline}"
         if any(span.name == "80" for span in block.codes):
             self.motion = None  # LinuxCNC has no motion code in force after it
         if block.cycle_words and not self.expand_cycles:
@@ -82,6 +85,35 @@ class IsoWriter(WordWriter[IsoBlock]):
                 text = f"{text[:at]};{text[at:]}"
         self._mark_stale(block)
         return text if block.drilling is None else self._drilled(block, block.drilling, segments or {}, text)
+
+    def _is_rigid(self, block: IsoBlock) -> bool:
+        """Return whether a block only makes the threads after it rigid (``M29 S500`` of Fanuc).
+
+        The control refuses a move between it and the thread, and a motion word ends its effect. So it is written again before every
+        thread, not where it stood.
+
+        Raises:
+            InputError: it has other words, or a block that moves the axes without tapping follows.
+        """
+        taps = block.drilling is not None and any(stroke.thread is not None for stroke in block.drilling.strokes)
+        rigid = "M29" in block.m_words
+        others = [item for item in block.others if item.name != "S"]
+        more = (block.skip, block.m_words[1:], others, block.items, block.codes, block.names)
+        mixed = rigid and any(more)
+        if mixed or (self._rigid and not self._rigid_used and block.moves and not taps):
+            raise InputError(
+                "rigid tapping M29",
+                expected="a block of its own (M29 S…), directly before G84 or G74",
+                file=self.source,
+                line=self._line + 1,
+                value=block.text.strip(),
+            )
+        if rigid:
+            speed = [block.text[item.start : item.end].strip() for item in block.others]
+            self._rigid, self._rigid_used = " ".join(["M29", *speed]), False
+        elif not taps and (block.moves or any(span.name == "80" for span in block.codes)):
+            self._rigid = ""
+        return rigid
 
     def _drilled(self, block: IsoBlock, drilling: Drilling, segments: Mapping[int, Segments], text: str) -> str:
         """Return the output of a block that drills; ``text``: that of its positioning."""
@@ -145,7 +177,10 @@ class IsoWriter(WordWriter[IsoBlock]):
                         out.append(block.skip + " ".join([*words, *([stroke.feed] if stroke.feed else [])]) + end)
                 place += 1
             if stroke.thread is not None:
-                out.append(block.skip + self._tapped(block, stroke.thread) + end)
+                out += [
+                    f"{block.skip}{text}{end}" for text in (self._rigid, self._tapped(block, stroke.thread)) if text
+                ]
+                self._rigid_used = True
             if stroke.after:
                 out.append(block.skip + stroke.after + end)
         if drilling.level == drilling.level:
