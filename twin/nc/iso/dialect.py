@@ -38,6 +38,10 @@ _REMARK: Final = re.compile(
     r"[ \t]*+(?:N\d++[ \t]*+)?+(?:\([^()\r\n]*+\)[ \t]*+)*+(?:;[^\r\n]*+)?+[\r\n]*+", re.ASCII | re.I
 )
 
+_NOTE: Final = re.compile(r"\([^()]*\)|;.*")
+_TAPS: Final = re.compile(r"G0*(?:74|84)(?![\d.])", re.IGNORECASE)
+_RIGID: Final = re.compile(r"M0*29(?!\d)", re.IGNORECASE)
+
 
 @final
 class Iso(Dialect):
@@ -56,6 +60,7 @@ class Iso(Dialect):
         moves = as_columns(axes.names, reading.moves)
         if not np.any(new.count):
             return program.text
+        expand = _replaces_some(reading.drilled, moves, new)
         rewriter = IsoRewriter(
             program.source,
             axes,
@@ -63,7 +68,8 @@ class Iso(Dialect):
             style_in(program.texts, Style(point=True)),
             # If TCP control is switched before the first move, its initial state does not matter; else the first move has it.
             tcp=bool(moves.tcp[0]),
-            expand_cycles=_replaces_some(reading.drilled, moves, new),
+            expand_cycles=expand,
+            rigid_lines=_rigid_lines(program, reading.drilled, moves) if expand else frozenset(),
             code=line_code(len(program.texts)),
         )
         return rewriter.whole(chunks(program, axes.names), moves, new)
@@ -139,6 +145,19 @@ def _replaces_some(lines: Sequence[range], moves: MoveColumns, new: NewPositions
     """Return whether a move of these ranges of lines is replaced."""
     at = np.searchsorted(moves.line, [(part.start, part.stop) for part in lines])
     return any(bool(new.count[first:last].any()) for first, last in at.tolist())
+
+
+def _rigid_lines(program: Program, drilled: Sequence[range], moves: MoveColumns) -> frozenset[int]:
+    """Return the lines with M29 that belong to a thread of Fanuc: between the last move before it and its cycle."""
+    found = []
+    for part in drilled:
+        if _TAPS.search(_NOTE.sub(" ", program.texts[part.start])):
+            before = int(np.searchsorted(moves.line, part.start))
+            first = int(moves.line[before - 1]) + 1 if before else 0
+            found += [
+                line for line in range(first, part.start + 1) if _RIGID.search(_NOTE.sub(" ", program.texts[line]))
+            ]
+    return frozenset(found)
 
 
 def _is_tape(line: str) -> bool:

@@ -42,6 +42,7 @@ class IsoRewriter(ChunkRewriter):
         style: its number format (`twin.nc.text.style_in`).
         tcp: whether tool centre point control is on at the first move.
         expand_cycles: whether drilling cycles are expanded into blocks.
+        rigid_lines: as for `IsoWriter`.
         code: how simple lines are written.
     """
 
@@ -54,10 +55,11 @@ class IsoRewriter(ChunkRewriter):
         *,
         tcp: bool,
         expand_cycles: bool = False,
+        rigid_lines: frozenset[int] = frozenset(),
         code: LineCode = ARRAYS,
     ) -> None:
         self._interpreter = IsoInterpreter(source, axes, tcp=tcp)
-        self._writer = IsoWriter(source, axes, newline, style, expand_cycles=expand_cycles)
+        self._writer = IsoWriter(source, axes, newline, style, expand_cycles=expand_cycles, rigid_lines=rigid_lines)
         super().__init__(axes, self._interpreter, self._writer, code)
 
     def line(self, line: int, text: str, segments: Mapping[int, Segments]) -> str:

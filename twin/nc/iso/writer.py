@@ -29,6 +29,7 @@ class IsoWriter(WordWriter[IsoBlock]):
     Args:
         source, axes, newline, style: as for `WordWriter`.
         expand_cycles: whether drilling cycles are expanded into blocks; if not, none of their moves may be replaced.
+        rigid_lines: 0-based indices of the lines that make threads rigid (M29 of Fanuc) which are expanded.
 
     Attributes:
         motion: motion code in force in the output (None: before the first, or uncertain).
@@ -37,14 +38,21 @@ class IsoWriter(WordWriter[IsoBlock]):
     """
 
     def __init__(
-        self, source: str, axes: AxisWords, newline: str, style: Style, *, expand_cycles: bool = False
+        self,
+        source: str,
+        axes: AxisWords,
+        newline: str,
+        style: Style,
+        *,
+        expand_cycles: bool = False,
+        rigid_lines: frozenset[int] = frozenset(),
     ) -> None:
         super().__init__(source, axes, newline, style)
-        self.expand_cycles = expand_cycles
+        self.expand_cycles, self.rigid_lines = expand_cycles, rigid_lines
         self.motion: int | None = None
         self.spaced = True
         self.wide = False
-        self._rigid, self._rigid_used = "", False
+        self._rigid = ""
 
     @property
     def separator(self) -> str:  # type: ignore[override]
@@ -65,12 +73,9 @@ class IsoWriter(WordWriter[IsoBlock]):
             if block.tcp_switched:
                 self._vector_text = None
         moves = block.moves
-        if self.expand_cycles and self._is_rigid(block):
-            return f"({as_comment(block.text, '()')}){ending(block.text) or self.newline}"
-        if any(span.name == "80" for span in block.codes):
-            self.motion = None  # LinuxCNC has no motion code in force after it
-        if block.cycle_words and not self.expand_cycles:
-            self.motion = block.motion  # a cycle of Fanuc is in force
+        if line in self.rigid_lines:
+            return self._take_rigid(block)
+        self._follow_codes(block)
         if block.positions and segments and 0 in segments:
             self._observe_format(block)
             text = "".join(self.rewritten(block, segments[0]))
@@ -86,34 +91,36 @@ class IsoWriter(WordWriter[IsoBlock]):
         self._mark_stale(block)
         return text if block.drilling is None else self._drilled(block, block.drilling, segments or {}, text)
 
-    def _is_rigid(self, block: IsoBlock) -> bool:
-        """Return whether a block only makes the threads after it rigid (``M29 S500`` of Fanuc).
+    def _follow_codes(self, block: IsoBlock) -> None:
+        """Take over the effect of G words on the motion code in force and on rigid tapping."""
+        ends = any(span.name == "80" for span in block.codes)
+        if ends or block.motion_word is not None:
+            self._rigid = ""
+        if ends:
+            self.motion = None  # LinuxCNC has no motion code in force after it
+        if block.cycle_words and not self.expand_cycles:
+            self.motion = block.motion  # a cycle of Fanuc is in force
+
+    def _take_rigid(self, block: IsoBlock) -> str:
+        """Take over rigid tapping for the threads after a block, and return the block as a comment.
 
         The control refuses a move between it and the thread, and a motion word ends its effect. So it is written again before every
         thread, not where it stood.
 
         Raises:
-            InputError: it has other words, or a block that moves the axes without tapping follows.
+            InputError: the block has other words.
         """
-        taps = block.drilling is not None and any(stroke.thread is not None for stroke in block.drilling.strokes)
-        rigid = "M29" in block.m_words
         others = [item for item in block.others if item.name != "S"]
-        more = (block.skip, block.m_words[1:], others, block.items, block.codes, block.names)
-        mixed = rigid and any(more)
-        if mixed or (self._rigid and not self._rigid_used and block.moves and not taps):
+        if any((block.skip, block.m_words[1:], others, block.items, block.codes, block.names)):
             raise InputError(
                 "rigid tapping M29",
-                expected="a block of its own (M29 S…), directly before G84 or G74",
+                expected="a block of its own (M29 S…) before G84 or G74",
                 file=self.source,
                 line=self._line + 1,
                 value=block.text.strip(),
             )
-        if rigid:
-            speed = [block.text[item.start : item.end].strip() for item in block.others]
-            self._rigid, self._rigid_used = " ".join(["M29", *speed]), False
-        elif not taps and (block.moves or any(span.name == "80" for span in block.codes)):
-            self._rigid = ""
-        return rigid
+        self._rigid = " ".join(["M29", *(block.text[item.start : item.end].strip() for item in block.others)])
+        return f"({as_comment(block.text, '()')}){ending(block.text) or self.newline}"
 
     def _drilled(self, block: IsoBlock, drilling: Drilling, segments: Mapping[int, Segments], text: str) -> str:
         """Return the output of a block that drills; ``text``: that of its positioning."""
@@ -180,7 +187,6 @@ class IsoWriter(WordWriter[IsoBlock]):
                 out += [
                     f"{block.skip}{text}{end}" for text in (self._rigid, self._tapped(block, stroke.thread)) if text
                 ]
-                self._rigid_used = True
             if stroke.after:
                 out.append(block.skip + stroke.after + end)
         if drilling.level == drilling.level:
