@@ -46,8 +46,8 @@ def deadly(shared: int, task: int) -> int:
 
 
 def patient(shared: Path, task: int) -> int:
-    """Leave the number of the process and sleep for a minute, or until the folder is gone, except in the first task."""
-    (shared / str(task)).write_text(str(os.getpid()))
+    """Leave a file named by task and process and sleep for a minute, or until the folder is gone, except in the first task."""
+    (shared / f"{task} {os.getpid()}").touch()
     end = time.monotonic() + 60.0
     while task and shared.exists() and time.monotonic() < end:
         time.sleep(0.1)

@@ -111,7 +111,7 @@ def test_workers_end_with_the_results(others: Workers, tmp_path: Path) -> None:
     found.close()
     assert time.monotonic() - began < 20.0
     if others.scheduler is None:
-        assert not any(alive(int(file.read_text())) for file in tmp_path.iterdir())
+        assert not any(alive(int(file.name.split()[1])) for file in tmp_path.iterdir())
     shutil.rmtree(tmp_path)  # what runs on a cluster ends, too
 
 
