@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.nc.blocks import AxisWords
+from twin.nc.blocks import AxisWords, Kind
 from twin.nc.iso.interpreter import IsoInterpreter
 from twin.nc.iso.writer import CODE, IsoWriter
 from twin.nc.lines.chunks import ChunkReader, ChunkRewriter, SimpleRun, only_places
@@ -87,15 +87,16 @@ class IsoRewriter(ChunkRewriter):
         spaced = writer.spaced and np.all(text[scan.words.start[second] - 2] <= ord(" "))
         small = text[first] >= ord("a")
         alike = spaced and np.all(small == small[0])
-        if any(stroke.thread is not None for stroke in self._interpreter.strokes()):
+        strokes = self._interpreter.strokes()
+        moving = [stroke for stroke in strokes if stroke.height == stroke.height]
+        if any(stroke.thread is not None for stroke in strokes):
             return False
-        strokes = self._interpreter.repeated or ()
-        ends = bool(strokes) and strokes[-1][1] == (run.motion[0] == 0)
+        ends = bool(moving) and (moving[-1].kind is Kind.RAPID) == (run.motion[0] == 0)
         consecutive = (
             run.whole == slice(int(scan.start[lines[0]]), int(scan.end[lines[-1]]))
             and len(lines) == lines[-1] - lines[0] + 1
         )
-        if not (alike and ends and consecutive and len(run.segments) == len(lines) * (1 + len(strokes))):
+        if not (alike and ends and consecutive and len(run.segments) == len(lines) * (1 + len(moving))):
             return False
         steps = np.rint(np.nan_to_num(run.targets) / self._grids.step)
         moved = (steps[1:] != steps[:-1]).any(axis=1)

@@ -184,9 +184,8 @@ class IsoWriter(WordWriter[IsoBlock]):
                         out.append(block.skip + " ".join([*words, *([stroke.feed] if stroke.feed else [])]) + end)
                 place += 1
             if stroke.thread is not None:
-                out += [
-                    f"{block.skip}{text}{end}" for text in (self._rigid, self._tapped(block, stroke.thread)) if text
-                ]
+                rigid = [self._rigid] if self._rigid else []
+                out += [f"{block.skip}{text}{end}" for text in (*rigid, self._tapped(block, stroke.thread))]
             if stroke.after:
                 out.append(block.skip + stroke.after + end)
         if drilling.level == drilling.level:
