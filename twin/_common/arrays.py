@@ -28,6 +28,9 @@ class MadeOnAccess(Sequence[Item]):
         return self.item(which) if isinstance(which, int) else [self.item(i) for i in which]
 
 
+EQUAL: Final = 1e-9
+"""Relative difference up to which two computed values count as equal where the larger one is chosen: rounding, which differs from one
+processor to another, is a thousandth of it."""
 WIDE: Final = 64
 """Rows of a narrow array that NumPy's operations take as one: fifteen times as fast for (n, 5) values as `min(axis=0)`."""
 
@@ -36,6 +39,15 @@ def read_only(array: np.ndarray) -> np.ndarray:
     """Make an array read-only and return it."""
     array.flags.writeable = False
     return array
+
+
+def first_largest(values: np.ndarray) -> int:
+    """Return the index of the first of (n,) values that equals the largest up to rounding.
+
+    `numpy.argmax` returns any of the values that would be equal in exact arithmetic, depending on the processor.
+    """
+    largest = float(np.max(values))
+    return int(np.argmax(values >= largest - EQUAL * abs(largest))) if np.isfinite(largest) else int(np.argmax(values))
 
 
 def rows_all_true(good: np.ndarray) -> np.ndarray:

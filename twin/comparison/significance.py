@@ -24,6 +24,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_log_sf, chi2_sf, normal_isf
 from twin.comparison.pairs import Pair
+from twin.numerics.covariance import symmetric_root
 
 FALSE_ALARMS: Final = 0.05
 TESTS: Final = 4
@@ -127,13 +128,12 @@ def simultaneous_factor(shape: np.ndarray, covariance: np.ndarray) -> float:
         shape: (g, m) value of a unit of each coordinate.
         covariance: (m, m) of the coordinates.
     """
-    white = whiten(np.zeros(len(covariance)), covariance)
-    if not white.rank:
-        return 1.959964
-    factor = shape @ np.linalg.pinv(white.transform)
+    factor = shape @ symmetric_root(covariance)
     size = np.linalg.norm(factor, axis=1)
+    if not np.any(size):
+        return 1.959964
     seen = size > 1e-9 * size.max()
-    drawn = np.random.default_rng(SEED).standard_normal((white.rank, DRAWS))
+    drawn = np.random.default_rng(SEED).standard_normal((len(covariance), DRAWS))
     return float(np.quantile(np.abs(factor[seen] @ drawn / size[seen, None]).max(axis=0), 0.95))
 
 

@@ -17,6 +17,18 @@ ROUNDING = 1e-9
 """Tolerance for a negative eigenvalue due to the rounding of printed digits, relative to the largest."""
 
 
+def symmetric_root(covariance: np.ndarray) -> np.ndarray:
+    """Return the symmetric roots S of covariances Σ = S S, (..., p, p), without eigenvalues that are negative by rounding.
+
+    Random draws use this root. It is unique and a continuous function of the covariance (N. J. Higham: Functions of Matrices, SIAM 2008,
+    chapter 6). The eigenvectors of a repeated eigenvalue are neither: a draw along them changes altogether where the last place of the
+    covariance changes, and with it from one processor to another.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    scaled = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    return np.asarray(scaled @ vectors.swapaxes(-1, -2))
+
+
 @final
 @dataclass(frozen=True)
 class Covariance:

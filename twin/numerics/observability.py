@@ -21,7 +21,7 @@ from typing import Final, final
 import numpy as np
 import scipy
 
-from twin._common.arrays import read_only
+from twin._common.arrays import first_largest, read_only
 from twin._common.errors import InputError
 
 SINGULAR_VALUE_TOLERANCE: Final = 1.0
@@ -32,6 +32,9 @@ LEAST_SHARE_NAMED: Final = 0.01
 """The text of a direction omits unknowns that alone would change the readings by less than this share of the largest change."""
 MOST_NAMED: Final = 6
 """Unknowns named in one sentence, at most; the others are counted."""
+EARLIER: Final = 1e-3
+"""Of two directions that change the readings equally, the one of the unknowns that come first is named: the last unknown counts this much
+more than the first. A solver of linear programmes compares to 1e-7."""
 LARGE_PROBLEM: Final = 20_000
 """Entries of a null-space basis above which the sparse direction, a linear programme of seconds, is replaced by a projection."""
 
@@ -298,7 +301,7 @@ class Determinability:
     def null_directions(self) -> tuple[NullDirection, ...]:
         """A readable basis of the null space: each vector has one unknown that no other vector contains.
 
-        Computed by elimination with complete pivoting; not orthogonal. The largest change in each is one plausible size.
+        Computed by elimination; not orthogonal. The largest change in each is one plausible size.
         """
         return tuple(self._direction(column) for column in _reduced_basis(self.spectrum.null_space).T)
 
@@ -327,7 +330,7 @@ class Determinability:
         p, s = basis.shape
         above = np.concatenate([np.concatenate([basis, -basis]), -np.tile(np.eye(p), (2, 1))], axis=1)
         solution = scipy.optimize.linprog(
-            np.concatenate([np.zeros(s), np.ones(p)]),
+            np.concatenate([np.zeros(s), np.linspace(1.0, 1.0 + EARLIER, p)]),
             A_ub=above,
             b_ub=np.zeros(2 * p),
             A_eq=np.concatenate([basis[index], np.zeros(p)])[None],
@@ -414,16 +417,16 @@ def determinability(
 
 
 def _reduced_basis(basis: np.ndarray) -> np.ndarray:
-    """Return another basis (p, s) of the same space: each vector is one in a row where all others are zero."""
-    solution = np.array(basis)
-    count = solution.shape[1]
-    rows = np.zeros(len(solution), dtype=bool)
-    for k in range(count):
-        size = np.where(rows[:, None], 0.0, np.abs(solution[:, k:]))
-        row, column = np.unravel_index(int(np.argmax(size)), size.shape)
-        solution[:, [k, k + int(column)]] = solution[:, [k + int(column), k]]
-        solution[:, k] /= solution[row, k]
-        others = np.arange(count) != k
-        solution[:, others] -= np.outer(solution[:, k], solution[row, others])
-        rows[row] = True
-    return solution
+    """Return another basis (p, s) of the same space: each vector is one in a row where all others are zero.
+
+    Each row is the one with the largest remainder off those chosen before, the first among equals: a pivoted Cholesky factorisation of
+    the projector, which unlike the orthonormal basis does not depend on rounding.
+    """
+    remainder, rows = np.array(basis), list[int]()
+    for _ in range(basis.shape[1]):
+        rows.append(first_largest(np.linalg.norm(remainder, axis=1)))
+        along = remainder[rows[-1]] / np.linalg.norm(remainder[rows[-1]])
+        remainder = remainder - np.outer(remainder @ along, along)
+    found = np.linalg.solve(basis[rows].T, basis.T).T
+    found[rows] = np.eye(len(rows))
+    return np.asarray(found)

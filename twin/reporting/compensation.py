@@ -12,6 +12,7 @@ from twin._common.json_form import json_form
 from twin.compute.parallel import Workers
 from twin.kinematics.forward import rms_and_max
 from twin.kinematics.inverse import Inverse, Status
+from twin.numerics.covariance import symmetric_root
 from twin.reporting.contributions import Budget, without
 from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.population import Spread, draw_machines
@@ -209,7 +210,5 @@ def _with_uncertainty(
 ) -> np.ndarray:
     """Return (n·draws, 3) remaining errors plus normal draws from the covariance of the tool point at each pose, µm."""
     covariance = uncertainty.at(q, sides).covariance[:, :3, :3]
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    nominal_poses = np.random.default_rng(seed).standard_normal((len(q), 3, DRAWS_A_POSE))
-    return np.asarray((remaining[:, :, None] + root @ nominal_poses).transpose(0, 2, 1).reshape(-1, 3))
+    drawn = symmetric_root(covariance) @ np.random.default_rng(seed).standard_normal((len(q), 3, DRAWS_A_POSE))
+    return np.asarray((remaining[:, :, None] + drawn).transpose(0, 2, 1).reshape(-1, 3))

@@ -33,7 +33,7 @@ class Circle:
     Attributes:
         radius_mm: its radius.
         radial_mm: (n,) distance from the axis.
-        axial_mm: (n,) distance from the plane of the circle.
+        axial_mm: (n,) distance from the plane of the circle, positive on the side from which the angle rises anticlockwise.
         angle_deg: (n,) angle about the axis, rising with the commanded angle.
     """
 
@@ -113,11 +113,11 @@ def _circle(points: np.ndarray, theta: np.ndarray) -> Circle:
     plane = centred @ directions[:2].T
     centre, radius = fit_circle(plane)
     x, y = (plane - centre).T
-    angle = np.arctan2(y, x) / DEG
+    angle, normal = np.arctan2(y, x) / DEG, np.cross(directions[0], directions[1])
     step = np.exp(1j * (angle - theta) * DEG), np.exp(1j * (-angle - theta) * DEG)
     if abs(step[1].mean()) > abs(step[0].mean()):  # the plane is seen from behind
-        angle = -angle
-    return Circle(radius, np.hypot(x, y), centred @ directions[2], angle)
+        angle, normal = -angle, -normal
+    return Circle(radius, np.hypot(x, y), centred @ normal, angle)
 
 
 def _motion(theta: np.ndarray, values: np.ndarray, kind: Literal["radial", "axial"], name: str) -> RotaryMotion | None:

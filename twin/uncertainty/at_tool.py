@@ -29,7 +29,7 @@ from twin._common.errors import InputError, closest_name
 from twin.display import UNKNOWN, Html, card, histogram, note, pairs
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.numerics.covariance import Covariance
+from twin.numerics.covariance import Covariance, symmetric_root
 from twin.uncertainty.budget import POSES, inside_domains, random_approach, state_at, volume
 
 DEFINITION: Final = "U: radius within which the point lies with 95 % probability (normal distribution assumed)"
@@ -379,15 +379,10 @@ def _without(calibration: Calibration, known: set[str]) -> tuple[str, ...]:
 
 
 def _factor(covariance: Covariance) -> np.ndarray:
-    """Return F (p, r) with Σ = F Fᵀ, without eigenvalues that are negative by rounding.
+    """Return F (p, p) with Σ = F Fᵀ, a continuous function of Σ.
 
     It is computed from the correlation matrix, so that different units do not cost precision.
     """
-    if not covariance.names:
-        return np.zeros((0, 0))
     scale = np.sqrt(np.diag(covariance.matrix))
     safe = np.where(scale > 0.0, scale, 1.0)
-    values, vectors = np.linalg.eigh(covariance.matrix / np.outer(safe, safe))
-    # An eigenvalue below the rounding error is zero.
-    keep = values > len(values) * np.finfo(float).eps * values[-1]
-    return np.asarray(scale[:, None] * vectors[:, keep] * np.sqrt(values[keep]))
+    return np.asarray(scale[:, None] * symmetric_root(covariance.matrix / np.outer(safe, safe)))

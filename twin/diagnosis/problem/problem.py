@@ -25,6 +25,7 @@ from twin.identification.network import LinearisedReadings, Network
 from twin.identification.setup import SetUp
 from twin.machine.calibration import Calibration
 from twin.measurement.state import machine_state
+from twin.numerics.covariance import symmetric_root
 from twin.numerics.functions import Rows, pieces
 
 LOST: Final = 1e-12
@@ -198,12 +199,12 @@ class Problem:
 
     @property
     def nuisance(self) -> np.ndarray:
-        """(3n, k) derivatives by the nuisance parameters: set-up (plausible sizes), calibration (principal directions)."""
+        """(3n, k) derivatives by the nuisance parameters: set-up (plausible sizes), calibration (columns of a root of its covariance)."""
         return np.asarray(self.basis @ self.nuisance_coordinates)
 
     @property
     def calibration_directions(self) -> np.ndarray:
-        """(directions, k) coordinates in the basis of one standard deviation of each principal direction of the calibration."""
+        """(directions, k) coordinates in the basis of the columns of the symmetric root of the calibration's covariance."""
         return np.asarray(self.nuisance_coordinates[:, len(self.setup) :])
 
     @property
@@ -261,7 +262,7 @@ class Problem:
         return np.asarray(a.T @ (self.projected if residual is None else residual))
 
     def _calibration_columns(self, calibration: Calibration | None) -> tuple[list[Column], np.ndarray]:
-        """Return the columns of the calibration's parameters, and a square root (parameters, directions) of their covariance."""
+        """Return the columns of the calibration's parameters, and the symmetric root of their covariance."""
         if calibration is None or not calibration.covariance.names:
             return [], np.zeros((0, 0))
         covariance = calibration.covariance
@@ -273,9 +274,7 @@ class Problem:
             names = [parameter.name for parameter in effect.parameters]
             if known.intersection(names):
                 found |= dict(zip(names, effect_columns(effect, machine, state), strict=True))
-        values, vectors = np.linalg.eigh(covariance.matrix)
-        strong = values > 1e-12 * max(float(values[-1]), 1e-300)
-        return [found[name] for name in covariance.names], vectors[:, strong] * np.sqrt(values[strong])
+        return [found[name] for name in covariance.names], symmetric_root(covariance.matrix)
 
 
 def _flat(found: np.ndarray) -> np.ndarray:

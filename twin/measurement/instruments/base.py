@@ -15,6 +15,7 @@ from typing import ClassVar, Final, Literal, final
 import numpy as np
 
 from twin._common.units import UM
+from twin.numerics.covariance import symmetric_root
 
 SIDES: Final = ("base", "tool", "work")
 """Sides on which a station can ride (column ``station_carrier``): base frame, frame of the spindle nose, or work frame."""
@@ -120,10 +121,8 @@ class Instrument(ABC):
         return self.specification.name
 
     def noise(self, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return (n, 3) a random draw of the readings' noise, metres."""
-        values, vectors = np.linalg.eigh(self.covariance(points))
-        scale = np.sqrt(np.maximum(values, 0.0))
-        return np.einsum("nij,nj->ni", vectors, scale * rng.standard_normal((len(points), 3)))
+        """Return (n, 3) a random draw of the readings' noise, metres; from one seed the same on every processor, up to rounding."""
+        return np.einsum("nij,nj->ni", symmetric_root(self.covariance(points)), rng.standard_normal((len(points), 3)))
 
 
 class LengthReading(Instrument):
