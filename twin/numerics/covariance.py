@@ -20,9 +20,9 @@ ROUNDING = 1e-9
 def symmetric_root(covariance: np.ndarray) -> np.ndarray:
     """Return the symmetric roots S of covariances Σ = S S, (..., p, p), without eigenvalues that are negative by rounding.
 
-    Random draws use this root. It is unique and a continuous function of the covariance (N. J. Higham: Functions of Matrices, SIAM 2008,
-    chapter 6). The eigenvectors of a repeated eigenvalue are neither: a draw along them changes altogether where the last place of the
-    covariance changes, and with it from one processor to another.
+    Random draws use this root. It is unique and a continuous function of the covariance (N. J. Higham: Functions of Matrices, SIAM
+    2008, chapter 6). The eigenvectors of a repeated eigenvalue are neither: a draw along them changes altogether where the last place
+    of the covariance changes, and with it from one processor to another.
     """
     values, vectors = np.linalg.eigh(covariance)
     scaled = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]

@@ -199,7 +199,7 @@ class Problem:
 
     @property
     def nuisance(self) -> np.ndarray:
-        """(3n, k) derivatives by the nuisance parameters: set-up (plausible sizes), calibration (columns of a root of its covariance)."""
+        """(3n, k) derivatives by the nuisance parameters: set-up (plausible sizes), calibration (root of its covariance)."""
         return np.asarray(self.basis @ self.nuisance_coordinates)
 
     @property
