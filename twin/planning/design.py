@@ -13,6 +13,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.arrays import EQUAL, first_largest
 from twin._common.progress import Progress, silent
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
@@ -120,7 +121,7 @@ class Exchange:
             )
             self._add_readings(chosen, count, number / len(self.exchanged))
             reached = self._value(chosen)
-            if reached < value:
+            if reached < value * (1.0 - EQUAL):
                 best, value = chosen, reached
         return np.array(best)
 
@@ -147,7 +148,7 @@ class Exchange:
             if not len(available):
                 return
             drawn = rng.choice(available, min(self.among, len(available)), replace=False)
-            best = int(drawn[np.argmax(gains(self.rows[drawn], covariance, weight) / self.cost[drawn])])
+            best = int(drawn[first_largest(gains(self.rows[drawn], covariance, weight) / self.cost[drawn])])
             chosen.append(best)
             taken[best] += 1
             covariance = _updated(covariance, self.rows[best])
@@ -164,7 +165,8 @@ class Exchange:
         safe = np.linalg.eigvalsh(own)[:, 0] > 1e-6
         loss = np.full(len(chosen), np.inf)
         loss[safe] = np.einsum("nii->n", np.linalg.solve(own[safe], moved[safe]))
-        gone = set(np.argsort(loss, kind="stable")[:fewer].tolist())
+        # In single precision, rounding does not decide between mirrored readings that are equally informative.
+        gone = set(np.argsort(loss.astype(np.float32), kind="stable")[:fewer].tolist())
         return [index for k, index in enumerate(chosen) if k not in gone]
 
 
