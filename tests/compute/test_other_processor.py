@@ -200,13 +200,12 @@ for words in open(sys.argv[1]).read().splitlines():
 """
 COMMANDS = """simulate plan.csv -o tracker.csv --seed 7
 simulate plan.csv -o lengths.csv --seed 7 --instrument interferometer
-simulate thesis_plan.csv -o thesis.csv --seed 7
-simulate-run nine_beams_x.yaml -o run.csv --positions 0,500,6 --rounds 1 --seed 7
-compensate cone_frustum.nc -o cone_frustum.nc --tool-length 120
-plan -o planned.csv --minutes 10
+simulate-run --layout nine_beams_x.yaml -o run.csv --positions 0,500,6 --rounds 1 --seed 7
+compensate cone_frustum.nc -o frustum.nc --tool-length 120
+plan -o planned.csv --minutes 22
 identify tracker.csv -o mine.yaml --only E_X* --json identified.json
 """
-TO_THE_LAST_DIGIT = ("tracker.csv", "lengths.csv", "thesis.csv", "run.csv", "cone_frustum.nc", "planned.csv")
+TO_THE_LAST_DIGIT = ("tracker.csv", "lengths.csv", "run.csv", "frustum.nc", "planned.csv")
 WITHIN_ROUNDING = ("identified.json",)
 """Written in full precision, from an iteration that ends when its steps are small."""
 NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")

@@ -24,6 +24,9 @@ STATION_COLUMNS: Final = (*(f"station_{name}" for name in POINT_COLUMNS), *(f"st
 ANGLE_COLUMNS: Final = ("a_urad", "b_urad")
 CONTACT_COLUMNS: Final = tuple(f"contact_{name}" for name in POINT_COLUMNS)
 ANGULAR: Final = "level"
+DECIMALS: Final = 6
+"""Decimals of a simulated reading in mm. Rounding in double precision, which differs from one processor to another, is a millionth of
+this nanometre: from one seed, the readings in a file are the same to the last digit."""
 """Instrument of the rows that give angles and name none."""
 PLANNED: Final = "planned_"
 """Prefix of a place column that gives where a target or station is meant to be. Only plans have it; no evaluation uses it."""
@@ -120,6 +123,11 @@ def csv_text(columns: Mapping[str, Sequence[str]], comments: str) -> str:
 def number_cells(values: np.ndarray) -> list[str]:
     """Return numbers as cells, in the shortest form that reads back the same; empty for NaN."""
     return ["" if np.isnan(value) else repr(float(value)) for value in values]
+
+
+def printed(values_mm: np.ndarray, *, simulated: bool) -> np.ndarray:
+    """Return readings, mm, as a table prints them: those of instruments as they are, simulated ones with `DECIMALS`."""
+    return np.round(values_mm, DECIMALS) + 0.0 if simulated else values_mm
 
 
 def simulated_comments(comments: Sequence[str]) -> list[str]:

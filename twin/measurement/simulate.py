@@ -21,9 +21,6 @@ from twin.measurement.table import Measurements
 from twin.numerics.spatial import rotation_exp
 
 SECONDS_PER_HOUR: Final = 3600.0
-DECIMALS: Final = 6
-"""Decimals of a simulated reading in mm. Rounding in double precision, which differs from one processor to another, is a millionth of
-this nanometre, so that from one seed the readings are the same to the last digit."""
 STATION_DISTANCE_MM: Final = 1800.0
 """Distance of a station from the base frame where the plan gives no pose."""
 
@@ -193,7 +190,7 @@ def simulate(
         surroundings: air and drift; none if None.
 
     Returns:
-        The measurements, rounded to `DECIMALS`, without standard uncertainties, places and station poses, and the stations and places.
+        The measurements, without standard uncertainties, places and station poses, and the stations and places.
 
     Raises:
         InputError: a position outside the domain of a curve; a drift of an unknown station, or without ``time_s``; a sphere that the
@@ -218,7 +215,7 @@ def simulate(
         readings[rows] = 0.0 if reader.specification.reads == "null" else found / MM
     measured = replace(
         plan,
-        point_mm=read_only(np.round(readings, DECIMALS) + 0.0),
+        point_mm=read_only(readings),
         place_mm=read_only(np.full((len(plan), 3), np.nan)),
         station_pose=read_only(np.full((len(plan), 6), np.nan)),
         source="simulated",
@@ -246,10 +243,7 @@ def _probed(
         for name in dict.fromkeys(plan.station[probed].astype(str)):
             of = plan.station == name
             off[of] = named[name].noise(np.zeros((int(np.count_nonzero(of)), 3)), rng) / MM
-    found = at_centres(machine, calibration, plan, setting, off, probed)
-    positions, linear = np.array(found.positions), np.ix_(np.flatnonzero(probed), machine.linear)
-    positions[linear] = np.round(positions[linear], DECIMALS) + 0.0
-    return replace(found, positions=read_only(positions))
+    return at_centres(machine, calibration, plan, setting, off, probed)
 
 
 def at_centres(

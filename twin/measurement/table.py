@@ -46,6 +46,7 @@ from twin.measurement.columns import (
     comment_lines,
     csv_text,
     number_cells,
+    printed,
     refuse_contacts,
     simulated_comments,
     table_columns,
@@ -311,6 +312,8 @@ class Measurements:
     def to_csv(self, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> str:
         """Return the table as text, which reads back as the same measurements. Without any coordinate it is a plan.
 
+        Simulated readings are rounded, and with them the positions of the linear axes, which are the readings of a probe (`printed`).
+
         Args:
             machine: the machine.
             comment: comment lines that precede the table.
@@ -318,6 +321,9 @@ class Measurements:
         """
         angles = self.instrument == ANGULAR
         columns: dict[str, Sequence[str]] = {}
+        read = {"point_mm": printed(self.point_mm, simulated=self.simulated), "positions": np.array(self.positions)}
+        linear = list(machine.linear)
+        read["positions"][:, linear] = printed(self.positions[:, linear], simulated=self.simulated)
         for part in table_columns(machine):
             if part.field == "temperature_degC":
                 columns |= {f"T_{name}_degC": number_cells(values) for name, values in self.temperature_degC.items()}
@@ -325,10 +331,10 @@ class Measurements:
             elif part.field in ("point_mm", "u_mm"):
                 # A plan has none of the three columns; a table of lengths has all three, with y and z empty.
                 if np.isfinite(self.point_mm).any():
-                    columns |= part.written(np.where(angles[:, None], np.nan, getattr(self, part.field)))
+                    columns |= part.written(np.where(angles[:, None], np.nan, read.get(part.field, self.u_mm)))
             else:
-                columns |= part.written(getattr(self, part.field))
-        columns |= angle_columns(self.point_mm, self.u_mm, angles)
+                columns |= part.written(read[part.field] if part.field in read else getattr(self, part.field))
+        columns |= angle_columns(read["point_mm"], self.u_mm, angles)
         for names, whose, values in (
             (PLACE_COLUMNS, self.target, self.place_mm),
             (STATION_COLUMNS, self.station, self.station_pose),

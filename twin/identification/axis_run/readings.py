@@ -21,7 +21,7 @@ from twin._common.files import write_atomic
 from twin._common.units import MM
 from twin.identification.axis_run.layout import AxisLayout
 from twin.measurement.checks import LARGEST_MM, RowNote, outside_axis_range
-from twin.measurement.columns import comment_lines, csv_text, number_cells, refuse_contacts, simulated_comments
+from twin.measurement.columns import comment_lines, csv_text, number_cells, printed, refuse_contacts, simulated_comments
 
 FEWEST_BEAMS: Final = 6
 """Least number of beams that determine six motions."""
@@ -64,9 +64,10 @@ class BeamReadings:
         return np.asarray(self.change_mm * MM * (2.0 if layout.halved else 1.0))
 
     def to_csv(self, layout: AxisLayout, *, comment: str = "") -> str:
-        """Return the table as text, which reads back as the same readings."""
+        """Return the table as text, which reads back as the same readings; simulated ones are rounded (`printed`)."""
         columns: dict[str, Sequence[str]] = {f"{layout.axis.name}_mm": number_cells(self.position_mm)}
-        columns |= {name: number_cells(values) for name, values in zip(layout.columns, self.change_mm.T, strict=True)}
+        change_mm = printed(self.change_mm, simulated=self.simulated)
+        columns |= {name: number_cells(values) for name, values in zip(layout.columns, change_mm.T, strict=True)}
         columns["round"] = list(self.round)
         if np.any(self.approach):
             columns["approach"] = [str(int(value)) for value in self.approach]

@@ -11,7 +11,6 @@ from twin.identification.axis_run.readings import BeamReadings
 from twin.machine.calibration import Calibration
 from twin.machine.effects import assemble
 from twin.machine.machine import Machine
-from twin.measurement.simulate import DECIMALS
 from twin.numerics.spatial import rotation_exp, rotation_log
 
 
@@ -100,7 +99,7 @@ def simulate_run(
         source="simulated",
         lines=read_only(np.arange(1, n + 1)),
         position_mm=read_only(positions),
-        change_mm=read_only(np.round(change / MM / (2.0 if layout.halved else 1.0), DECIMALS) + 0.0),
+        change_mm=read_only(change / MM / (2.0 if layout.halved else 1.0)),
         round=read_only(np.full(n, "1", dtype=object) if rounds is None else np.array(rounds, dtype=object)),
         approach=read_only(np.zeros(n) if approach is None else np.array(approach, dtype=float)),
         time_s=read_only(np.full(n, np.nan)),
