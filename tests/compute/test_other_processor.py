@@ -202,7 +202,7 @@ COMMANDS = """simulate plan.csv -o tracker.csv --seed 7
 simulate plan.csv -o lengths.csv --seed 7 --instrument interferometer
 simulate-run --layout nine_beams_x.yaml -o run.csv --positions 0,500,6 --rounds 1 --seed 7
 compensate cone_frustum.nc -o frustum.nc --tool-length 120
-plan -o planned.csv --minutes 22
+plan -o planned.csv --minutes 30
 identify tracker.csv -o mine.yaml --only E_X* --json identified.json
 """
 TO_THE_LAST_DIGIT = ("tracker.csv", "lengths.csv", "run.csv", "frustum.nc", "planned.csv")
