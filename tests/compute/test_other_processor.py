@@ -207,7 +207,7 @@ identify tracker.csv -o mine.yaml --only E_X* --json identified.json
 """
 TO_THE_LAST_DIGIT = ("tracker.csv", "lengths.csv", "run.csv", "frustum.nc", "planned.csv")
 WITHIN_ROUNDING = ("identified.json",)
-"""Written in full precision, from an iteration that ends when its steps are small."""
+"""Written in full precision, from an iteration that ends when its steps are small: one in 10,000 is far below the uncertainty."""
 NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
 
 
@@ -234,7 +234,7 @@ def numbers_of(path: Path) -> tuple[str, np.ndarray]:
 
 
 def test_another_processor_writes_the_same_files(dmu50: Machine, tmp_path: Path) -> None:
-    """Simulated readings, programs and plans to the last digit; what is identified from them to 1e-5 of each number."""
+    """Simulated readings, programs and plans to the last digit; what is identified from them to 1e-4 of each number."""
     both = {"this": {}, "other": other_processor()}
     marks, plan = [], volumetric(dmu50, np.random.default_rng(13), 90, stations=2)
     for name, changed in both.items():
@@ -256,4 +256,4 @@ def test_another_processor_writes_the_same_files(dmu50: Machine, tmp_path: Path)
     for name in WITHIN_ROUNDING:
         (words, first), (same, second) = (numbers_of(tmp_path / one / name) for one in both)
         assert words == same, name
-        assert second == pytest.approx(first, rel=1e-5, abs=1e-7), name
+        assert second == pytest.approx(first, rel=1e-4, abs=1e-6), name

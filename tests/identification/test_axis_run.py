@@ -281,7 +281,7 @@ def test_readings_are_written_and_read_back(machine: Machine, layout: AxisLayout
         rounds=rounds,
         approach=side,
     )
-    change = np.array(readings.change_mm)
+    change = np.round(readings.change_mm, 6) + 0.0  # simulated readings are written in nanometres
     change[3, 2] = np.nan
     readings = dataclasses.replace(readings, change_mm=change, time_s=np.arange(len(positions)) * 20.0)
     readings.save(tmp_path / "run.csv", layout, comment="a test")
