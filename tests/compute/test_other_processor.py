@@ -29,12 +29,14 @@ from twin.comparison.significance import simultaneous_factor
 from twin.kinematics.forward import Kinematics
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument
+from twin.measurement.sphere_fit import _direction
 from twin.numerics.covariance import Covariance, symmetric_root
 from twin.numerics.observability import Unknown, determinability
 from twin.planning.aims import LinearAim
 from twin.planning.design import Exchange
 from twin.reporting.compensation import _with_uncertainty
 from twin.standards.rotary import _circle
+from twin.thermal.fit import _directions
 from twin.uncertainty.at_tool import ToolUncertainty
 
 POINTS = np.concatenate(
@@ -146,6 +148,15 @@ def test_null_directions_in_any_basis() -> None:
         assert [str(one) for one in other.null_directions] == expected[0]
         assert [str(other.null_direction_of(f"p{i}")) for i in range(9)] == expected[1]
     assert expected[1][:3] == ["p0 +1 with p1 -1", "p1 +1 with p0 -1", "p2 +1 with p0 -1"]
+
+
+def test_the_sign_of_a_direction() -> None:
+    """Of an eigenvector in a file and of a direction in a message: the largest component is positive."""
+    covariance = repeated(np.random.default_rng(14), [5.0, 3.0, 2.0, 1.0])
+    rows = _directions(covariance, np.ones(4))
+    assert np.all(np.take_along_axis(rows, np.abs(rows).argmax(axis=1)[:, None], axis=1) > 0.0)
+    assert np.abs(rows.T @ rows - covariance).max() < 0.05
+    assert _direction(np.array([0.6, -0.8, 0.0])) == _direction(np.array([-0.6, 0.8, 0.0])) == "-0.60, 0.80, 0.00"
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])

@@ -14,7 +14,7 @@ from typing import Final, final
 import numpy as np
 import scipy
 
-from twin._common.arrays import read_only
+from twin._common.arrays import first_largest, read_only
 from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 
@@ -176,4 +176,6 @@ def _undetermined(why: str, file: str | Path | None, line: int | None) -> InputE
 
 
 def _direction(vector: np.ndarray) -> str:
+    """Return a direction of either sign in words, the first of its largest components positive."""
+    vector = vector * np.sign(vector[first_largest(np.abs(vector))])
     return ", ".join(f"{component:.2f}" for component in vector + 0.0)

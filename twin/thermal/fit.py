@@ -256,9 +256,13 @@ def _displacement(problem: AveragedRecord, one: Fitted, k: int, held_out: HeldOu
 
 
 def _directions(covariance: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Return the fewest rows whose products sum to nearly the covariance, for candidates that vary by ``scale``."""
+    """Return the fewest rows whose products sum to nearly the covariance, for candidates that vary by ``scale``.
+
+    The largest component of each is positive, so that the sign in a file does not depend on the processor.
+    """
     safe = np.maximum(scale, 1e-6)
     value, vector = np.linalg.eigh(covariance * np.outer(safe, safe))
     value, vector = np.maximum(value[::-1], 0.0), vector[:, ::-1]
+    vector = vector * np.sign(np.take_along_axis(vector, np.abs(vector).argmax(axis=0)[None], axis=0))
     count = int(np.searchsorted(np.cumsum(value), KEPT_VARIANCE * value.sum())) + 1
     return (vector[:, :count] * np.sqrt(value[:count] / KEPT_VARIANCE)).T / safe
