@@ -128,12 +128,13 @@ def simultaneous_factor(shape: np.ndarray, covariance: np.ndarray) -> float:
         shape: (g, m) value of a unit of each coordinate.
         covariance: (m, m) of the coordinates.
     """
-    factor = shape @ symmetric_root(covariance)
+    # Drawn at the positions: the coordinates are those of an arbitrary basis of the curve's functions.
+    factor = symmetric_root(shape @ covariance @ shape.T)
     size = np.linalg.norm(factor, axis=1)
     if not np.any(size):
         return 1.959964
     seen = size > 1e-9 * size.max()
-    drawn = np.random.default_rng(SEED).standard_normal((len(covariance), DRAWS))
+    drawn = np.random.default_rng(SEED).standard_normal((len(shape), DRAWS))
     return float(np.quantile(np.abs(factor[seen] @ drawn / size[seen, None]).max(axis=0), 0.95))
 
 
