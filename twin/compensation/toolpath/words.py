@@ -110,6 +110,7 @@ def axis_words(machine: Machine) -> AxisWords:
         increment={axis.name: axis.increment for axis in machine.axes},
         tcp_on=machine.tcp_on,
         tcp_off=machine.tcp_off,
+        harmless=machine.harmless,
     )
 
 

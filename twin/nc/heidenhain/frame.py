@@ -32,7 +32,7 @@ class HeidenhainFrame(Interpreter):
         if not self.offsets_known:
             self.note("CYCL DEF 247 selects a preset: its offset must be given as work_offset")
         self.assign(_PRESET, math.nan)
-        self._selects_preset = self.offsets_known
+        self._selects_preset = True
 
     def end_preset(self, block: PathBlock) -> None:
         """Select the preset of a cycle 247 that is complete.
@@ -43,21 +43,29 @@ class HeidenhainFrame(Interpreter):
         if self._selects_preset and not self.continued:
             self._selects_preset = False
             row = self.value_of(_PRESET)
+            if not self.offsets_known and row != row:
+                self.select_offset(block, f"preset of line {self._line + 1}")
+                return
             if row != row or row != int(row):
                 raise self.error("preset without a number", "Q339=+1 with the row of the preset table")
-            self.select(block, offset=str(int(row)))
+            self.select_offset(block, str(int(row)))
 
     def select_tool(self, block: PathBlock, body: str) -> None:
-        """Put the tool of a ``TOOL CALL`` into the spindle, if the lengths of the tools are known.
+        """Put the tool of a ``TOOL CALL`` into the spindle.
 
         Raises:
             InputError: its number or ``DL`` is unknown.
         """
         found = vocabulary.TOOL.match(body)
-        if found is None or not self.tools_known:
+        if found is None:
             return
         delta = vocabulary.TOOL_LENGTH.search(body.split(";")[0])
         tool = found.group(1) if found.group(2) is None else found.group(2)
+        if not self.tools_known:
+            row = self.value_of(tool)
+            held = "" if row == 0.0 else f"{row:g}" if row == row else tool
+            self.hold_tool(held, held and f"{held}{'' if delta is None else f' DL{delta.group(1)}'}")
+            return
         if tool[:1] in "qQ":
             tool = f"{self.known('TOOL CALL', tool):g}"
         length = 0.0 if delta is None else self.known("DL", delta.group(1))
