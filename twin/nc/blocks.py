@@ -36,6 +36,7 @@ class AxisWords:
             ``M428``, for example), in addition to those of the dialect.
         offsets_known: whether the values of the machine's work offsets are known, so that a program may use several.
         tools_known: whether the lengths of the machine's tools are known.
+        one_tool: whether all moves must use a tool of one length, where the lengths are unknown.
         harmless: words in capitals that leave positions, frames, offsets and modes alone on this machine, in addition to those of the
             dialect: auxiliary functions of its builder, for example.
     """
@@ -47,6 +48,7 @@ class AxisWords:
     tcp_off: tuple[str, ...] = ()
     offsets_known: bool = False
     tools_known: bool = False
+    one_tool: bool = True
     harmless: tuple[str, ...] = ()
 
     @property

@@ -16,7 +16,7 @@ from twin.nc.block import AxisWord, Block
 from twin.nc.blocks import Arc, AxisWords, FrameChange, Kind, LostPositions, Move, Notice, WordFrame
 from twin.nc.text import LARGEST, number, unit_vector
 
-UNKNOWN_AFTER: Final = "is not known: positions, frame, offsets and modes are unknown afterwards, until a position of every axis in machine coordinates"
+UNKNOWN_AFTER: Final = "is not known: positions, frame, offsets and modes are unknown afterwards, until every axis has a position in machine coordinates"
 """End of the notice on a statement after which nothing is known."""
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
 
@@ -73,6 +73,7 @@ class Interpreter(ABC):
         self.frames: list[FrameChange] = []
         self.drilled: list[range] = []
         self.offsets_known, self.tools_known = axes.offsets_known, axes.tools_known
+        self._one_tool = axes.one_tool and not axes.tools_known
         self.tcp = tcp
         self.tcp_word = ""
         self.tcp_on = frozenset(tcp_on)
@@ -253,7 +254,7 @@ class Interpreter(ABC):
         Raises:
             InputError: it is the program's second one, and the lengths of the tools are unknown.
         """
-        if self.tools_known:
+        if not self._one_tool:
             return
         for what, now, before in (
             ("second tool", self._held_tool, self._used_tool),
@@ -273,7 +274,7 @@ class Interpreter(ABC):
     @property
     def set_up(self) -> bool:
         """Whether work offset, tool and length are those of the moves before, and everything is known."""
-        same_tool = self.tools_known or not (
+        same_tool = not self._one_tool or not (
             self._tool_chosen or (self._fed_length != self._held_length and not self.tcp)
         )
         return same_tool and not self.unknown and self.offset == self.used_offset

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -17,11 +17,12 @@ from twin.compensation.account.sample import Sample, SimulatedPoints
 from twin.compensation.account.shortfalls import ShortfallTally
 from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections, CorrectionTally
-from twin.compensation.account.uncorrected import uncorrected
+from twin.compensation.account.uncorrected import hinted, of_unknown, uncorrected
 from twin.compensation.comparison import Commands
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving import Corrected, Pieces
 from twin.compensation.solving.rows import Rows
+from twin.compensation.toolpath import UnknownMove
 from twin.kinematics.forward import Poses, angle_between_rad
 from twin.nc.blocks import Notice
 from twin.uncertainty.at_tool import ToolUncertainty
@@ -98,13 +99,24 @@ class CompensationAccount:
         self._approach_notes += approach_notes(corrected)
         self._motions += len(pieces.start) - context
 
-    def report(self, *, lines: int, moves: int, notices: Sequence[Notice], frames: tuple[FrameUse, ...] = ()) -> Report:
+    def report(
+        self,
+        *,
+        lines: int,
+        moves: int,
+        notices: Sequence[Notice],
+        unknown: Sequence[UnknownMove] = (),
+        frames: tuple[FrameUse, ...] = (),
+        text_of: Callable[[int], str],
+    ) -> Report:
         """Return the report of everything added so far.
 
         Args:
             lines: number of lines of the program.
             moves: number of its moves.
             notices: notices of the program reader.
+            unknown: blocks that go to places of which nothing is known.
+            text_of: function that returns the text of a line by its number.
             frames: work offsets and tools of the program, if their tables are known.
         """
         prepared, options = self._prepared, self._prepared.options
@@ -114,7 +126,10 @@ class CompensationAccount:
             *self._approach_notes,
             *(LineNote(notice.line + 1, notice.text) for notice in notices),
         )
-        not_corrected = self._shortfalls.shortfalls()
+        if not self._idle:
+            for found in of_unknown(unknown):
+                self._shortfalls.add(found)
+        not_corrected = tuple(hinted(one, text_of) for one in self._shortfalls.shortfalls())
         return Report(
             program=self._source,
             machine=prepared.machine.name,
@@ -143,7 +158,7 @@ class CompensationAccount:
             not_corrected=not_corrected,
             notes=notes,
             uncertainty=Corrections(self._point.correction(), self._axis.correction()),
-            cutting=self._cutting,
+            cutting=self._cutting + sum(one.cutting for one in unknown),
             idle=self._idle,
             conditions=prepared.constant,
             reversals=tuple(reversal_notes(prepared, self._aim, self._reversals)),

@@ -2,7 +2,7 @@
 
 from twin.compensation.toolpath.follow import Follower, follow
 from twin.compensation.toolpath.frames import FrameSpaces
-from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ToolPath
+from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ToolPath, UnknownMove, by_reason
 from twin.compensation.toolpath.samples import SAMPLES_A_PIECE, spacings
 from twin.compensation.toolpath.sections import Section, SectionMotions, motions_of, sections, spaces
 from twin.compensation.toolpath.words import Setup, WordSpace, axis_words, check_domains, outside_range, turns_tool
@@ -18,8 +18,10 @@ __all__ = [
     "SectionMotions",
     "Setup",
     "ToolPath",
+    "UnknownMove",
     "WordSpace",
     "axis_words",
+    "by_reason",
     "check_domains",
     "follow",
     "motions_of",

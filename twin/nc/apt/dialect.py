@@ -8,6 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.errors import InputError
 from twin._common.families import PROGRAM_SUFFIXES
 from twin.nc.apt.locations import VECTOR_DECIMALS
 from twin.nc.apt.program import read, rewritten
@@ -88,6 +89,14 @@ class Apt(Dialect):
             if statement.line in move_of:
                 index, move = move_of[statement.line]
                 rewrite = new.of_move(index, move)
+                if move.unknown:
+                    raise InputError(
+                        f"a location that cannot be posted: {move.unknown}",
+                        expected="statements whose effect on the locations is known",
+                        file=program.source,
+                        line=move.line + 1,
+                        value=statement.raw.strip(),
+                    )
                 if rewrite is None:
                     raise ValueError(f"the move of line {statement.line + 1} has no position")
                 if not np.all(np.isfinite(rewrite.positions)):
