@@ -16,7 +16,9 @@ from twin.nc.block import AxisWord, Block
 from twin.nc.blocks import Arc, AxisWords, FrameChange, Kind, LostPositions, Move, Notice, WordFrame
 from twin.nc.text import LARGEST, number, unit_vector
 
-UNKNOWN_AFTER: Final = "is not known: positions, frame, offsets and modes are unknown afterwards, until every axis has a position in machine coordinates"
+UNKNOWN_AFTER: Final = (
+    "is not known: positions, frame, offsets and modes are unknown until machine coordinates of every axis"
+)
 """End of the notice on a statement after which nothing is known."""
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
 
@@ -87,7 +89,8 @@ class Interpreter(ABC):
         self.harmless = frozenset(axes.harmless)
         self._held_tool = self._held_length = self._used_tool = self._used_length = ""
         self._fed_length: str | None = None
-        self._tool_line, self._tool_chosen = 0, False
+        self._tool_line = self._length_line = 0
+        self._tool_chosen = False
 
     @abstractmethod
     def moves(self, line: int, text: str) -> Sequence[Move]:
@@ -242,8 +245,19 @@ class Interpreter(ABC):
 
     def hold_tool(self, tool: str, length: str) -> None:
         """Record the tool in the spindle and the one whose length is in force, empty for none, where lengths are not known."""
-        if (tool, length) != (self._held_tool, self._held_length):
-            self._held_tool, self._held_length, self._tool_line, self._tool_chosen = tool, length, self._line, True
+        if tool != self._held_tool:
+            self._held_tool, self._tool_line, self._tool_chosen = tool, self._line, True
+        if length != self._held_length:
+            self._held_length, self._length_line, self._tool_chosen = length, self._line, True
+
+    def use_set_up(self, kind: Kind) -> None:
+        """Record that a move uses the work offset, the tool and the length in force.
+
+        Raises:
+            InputError: one of them is the program's second one, and its values are unknown.
+        """
+        self.use_offset()
+        self.use_tool(cutting=kind is not Kind.RAPID)
 
     def use_tool(self, *, cutting: bool) -> None:
         """Record that a move uses the tool and the length in force.
@@ -256,13 +270,13 @@ class Interpreter(ABC):
         """
         if not self._one_tool:
             return
-        for what, now, before in (
-            ("second tool", self._held_tool, self._used_tool),
-            ("second tool length", self._held_length, self._used_length),
+        for what, now, before, line in (
+            ("second tool", self._held_tool, self._used_tool, self._tool_line),
+            ("second tool length", self._held_length, self._used_length, self._length_line),
         ):
             if now and before and now != before:
                 expected = f"one tool of one length per program (moves before use {before}), or the table of tools"
-                raise self.error(what, expected, now, self._tool_line + 1)
+                raise self.error(what, expected, now, line + 1)
         self._used_tool, self._used_length = self._held_tool or self._used_tool, self._held_length or self._used_length
         self._tool_chosen = False
         if cutting and not self.tcp:

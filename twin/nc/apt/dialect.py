@@ -81,6 +81,7 @@ class Apt(Dialect):
         self, program: Program, reading: Interpretation, new: NewPositions, axes: AxisWords, into: Dialect
     ) -> str:
         """See `Dialect.posted`."""
+        _check_known(program, reading)
         writer = into.new_program(axes)
         writer.start(program.source)
         unit = 1.0
@@ -89,14 +90,6 @@ class Apt(Dialect):
             if statement.line in move_of:
                 index, move = move_of[statement.line]
                 rewrite = new.of_move(index, move)
-                if move.unknown:
-                    raise InputError(
-                        f"a location that cannot be posted: {move.unknown}",
-                        expected="statements whose effect on the locations is known",
-                        file=program.source,
-                        line=move.line + 1,
-                        value=statement.raw.strip(),
-                    )
                 if rewrite is None:
                     raise ValueError(f"the move of line {statement.line + 1} has no position")
                 if not np.all(np.isfinite(rewrite.positions)):
@@ -114,6 +107,19 @@ class Apt(Dialect):
                 writer.comment(" ".join(statement.raw.split()))
         writer.finish()
         return "".join(writer.out)
+
+
+def _check_known(program: Program, reading: Interpretation) -> None:
+    """Raise `InputError` for a location of which nothing is known."""
+    for lost in reading.moves:
+        if lost.unknown:
+            raise InputError(
+                f"a location that cannot be posted: {lost.unknown}",
+                expected="statements whose effect on the locations is known",
+                file=program.source,
+                line=lost.line + 1,
+                value=program.texts[lost.line].strip(),
+            )
 
 
 def _feed(words: LineWords, unit: float, last: float) -> float:

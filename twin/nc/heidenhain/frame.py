@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from typing import Final
 
+from twin.nc.block import Block
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.block import PathBlock
 from twin.nc.modal import Interpreter
@@ -20,12 +22,21 @@ class HeidenhainFrame(Interpreter):
     """Preset by cycle 247, tool by ``TOOL CALL``, tilted plane by ``PLANE SPATIAL``.
 
     Attributes:
+        centre: the pole in force (``CC``), by axis.
         continued: whether the next line continues the current block (parameters of a cycle).
     """
 
     heidenhain = True
     continued = False
     _selects_preset = False
+    centre: Mapping[int, float] = {}
+
+    def lose(self, block: Block, statement: str) -> None:
+        """As `Interpreter.lose`; the pole is unknown too, and a statement that the machine file names as harmless has no effect."""
+        upper = " ".join(statement.split(";")[0].upper().split())
+        if not any(f"{upper} ".startswith(f"{words} ") for words in self.harmless):
+            super().lose(block, statement)
+            self.centre = {}
 
     def begin_preset(self) -> None:
         """Begin cycle 247, whose parameter may follow on the next line."""

@@ -8,7 +8,7 @@ from typing import Final, final
 
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit, arc_by_centre, arc_by_radius
-from twin.nc.block import AxisWord, Block, Span
+from twin.nc.block import AxisWord, Span
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.emit import Vector
 from twin.nc.heidenhain import vocabulary
@@ -29,7 +29,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
         off = {"M129", *(word.upper() for word in axes.tcp_off)}
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self.plane = _PLANES["Z"]
-        self.centre: dict[int, float] = {}
         self._simple = vocabulary.simple_pattern(self.names)
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
@@ -88,7 +87,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         start, end = spans[2]
         move = self._simple_move(match, self._simple_words(match)) if known is None else known
         if known is not None:
-            self._use(move.kind)
+            self.use_set_up(move.kind)
         self.position, self.vector = list(move.position), move.vector
         block = PathBlock(text, start, self.inch, moves=(move,), numbered=spans[1][1] >= 0)
         if move.unknown:
@@ -132,18 +131,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if self.unknown:
             return self.unknown_move(kind, axis_bits)
         unit_normal = self._directed(axis_bits, tool, normal)
-        self._use(kind)
+        self.use_set_up(kind)
         position = tuple(self.position)
         return Move(self._line, kind, self.tcp, position, self.named(axis_bits), False, self.vector, unit_normal)
-
-    def _use(self, kind: Kind) -> None:
-        self.use_offset()
-        self.use_tool(cutting=kind is not Kind.RAPID)
-
-    def lose(self, block: Block, statement: str) -> None:
-        """As `Interpreter.lose`; the pole is unknown too."""
-        super().lose(block, statement)
-        self.centre = {}
 
     def _directed(self, axis_bits: int, tool: list[float] | None, normal: list[float] | None) -> Vector | None:
         """Set the tool vector from a block that names some axes (bits) and return its surface normal at unit length."""
@@ -188,12 +178,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self._assignments(body)
         elif keyword in self.index or (keyword[:1] == "I" and keyword[1:] in self.index):
             raise self.error("word without a number", f"a number after {keyword}")
-        elif keyword not in vocabulary.PASSED and not self._named_harmless(upper):
+        elif keyword not in vocabulary.PASSED:
             self.lose(block, body)
-
-    def _named_harmless(self, upper: str) -> bool:
-        """Return whether the machine file names the beginning of a statement as harmless."""
-        return any(f"{upper} ".startswith(f"{words} ") for words in self.harmless)
 
     def _begin(self, block: PathBlock, body: str, upper: str) -> None:
         unit = vocabulary.UNIT.match(body)
@@ -236,7 +222,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.begin_preset()
         elif cycle not in vocabulary.HARMLESS_CYCLES and cycle not in vocabulary.TRANSFORM_CYCLES:
             self.lose(block, body)
-        elif cycle in vocabulary.TRANSFORM_CYCLES and (part is None or (part != "0" and not _cancels(cycle, rest))):
+        elif cycle in vocabulary.TRANSFORM_CYCLES and (
+            part is None or (part != "0" and not vocabulary.cancels(cycle, rest))
+        ):
             what = f"coordinate transformation CYCL DEF {cycle} ({vocabulary.TRANSFORM_CYCLES[cycle]})"
             raise self.error(what, vocabulary.NO_TRANSFORMATION)
         self._assignments(body)
@@ -262,7 +250,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.switch(block, True, "FUNCTION TCPM")
         elif upper.startswith(("FUNCTION TURNDATA", "FUNCTION MODE TURN", "FUNCTION CORRDATA", "FUNCTION PARAXMODE")):
             raise self.error("function that changes the meaning of axis words", vocabulary.NO_TRANSFORMATION)
-        elif not upper.startswith(vocabulary.HARMLESS_FUNCTIONS) and not self._named_harmless(upper):
+        elif not upper.startswith(vocabulary.HARMLESS_FUNCTIONS):
             self.lose(block, body)
 
     def _table(self, block: PathBlock, body: str, upper: str) -> None:
@@ -318,7 +306,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if code in vocabulary.LAST_M:
             block.end_m_words.append(Span(match.start("misc"), match.end()))
         self.switch_by(block, word)
-        if not (code in vocabulary.HARMLESS_M or word in self.harmless | self.tcp_on | self.tcp_off):
+        if not (code in vocabulary.HARMLESS_M or word in self.tcp_on | self.tcp_off):
             turned = [position for position in self.position[self.linear :] if not 0.0 <= position < 360.0]
             if code != 94 or turned:
                 self.lose(block, match["misc"])
@@ -380,7 +368,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             word = self._axis_word(match)
             found[word.axis] = word.value + (self.position[word.axis] if word.incremental else 0.0)
         if found:
-            self.centre.update(found)
+            self.centre = {**self.centre, **found}
         else:
             self.centre = dict(enumerate(self.position[: self.linear]))
 
@@ -408,7 +396,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             arc = self._arc(block, start)
         elif block.arc_words:
             raise self.error("DR outside a circular block", "C or CR")
-        self._use(kind)
+        self.use_set_up(kind)
         position = tuple(self.position)
         block.moves += (Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc),)
 
@@ -460,13 +448,3 @@ def _rapid(match: re.Match[str]) -> str:
     """Return ``FMAX`` of a simple block as written, or an empty text."""
     feed = match[match.re.groups]
     return feed if feed is not None and feed[-1] in "xX" else ""
-
-
-def _cancels(cycle: int, rest: str) -> bool:
-    """Return whether the values of a transformation cycle cancel it."""
-    values = [number(text) for text in vocabulary.NUMBERS.findall(rest)]
-    if cycle in (11, 26):
-        return bool(values) and all(value == 1.0 for value in values)
-    if cycle in (8, 19) and not rest:
-        return True
-    return cycle != 8 and bool(values) and "Q" not in rest.upper() and all(value == 0.0 for value in values)

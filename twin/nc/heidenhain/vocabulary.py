@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import Final
 
 from twin.nc.simple_blocks import SimpleBlocks, simple_blocks
+from twin.nc.text import number
 
 _VALUE = r"[+-]?+[ \t]*+(?:[\d.,]++|Q[LR]?\d++)"
 
@@ -130,6 +131,16 @@ EXPANDED_CYCLE = "a cycle expanded into L blocks by the postprocessor"
 LINEAR = "a path of L, LN, CC/C and CR blocks from the postprocessor"
 NO_TRANSFORMATION = "a program without coordinate transformations"
 NO_CALLS = "one program without jumps or calls"
+
+
+def cancels(cycle: int, rest: str) -> bool:
+    """Return whether the values of a transformation cycle cancel it."""
+    values = [number(text) for text in NUMBERS.findall(rest)]
+    if cycle in (11, 26):
+        return bool(values) and all(value == 1.0 for value in values)
+    if cycle in (8, 19) and not rest:
+        return True
+    return cycle != 8 and bool(values) and "Q" not in rest.upper() and all(value == 0.0 for value in values)
 
 
 @lru_cache(maxsize=16)

@@ -274,6 +274,8 @@ class IsoInterpreter(IsoMotion):
         word = vocabulary.canonical(f"M{value}")
         if word in vocabulary.REFUSED_M:
             raise self.error("subprogram call", vocabulary.NO_CALLS, word)
+        if word in vocabulary.RESTORING_M:
+            raise self.error("modal words restored", "modal words written out (G20, G91, ...)", word)
         if len(word) < 2:
             raise self.missing_number("M", value)
         block.m_words.append(word)

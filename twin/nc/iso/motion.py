@@ -74,8 +74,7 @@ class IsoMotion(IsoDrilling):
             first = centre[0]
             shown = block.text[first.start : first.end]
             raise self.error(f"{first.name} outside a circular block", "arcs with G2 or G3", shown)
-        self.use_offset()
-        self.use_tool(cutting=kind is not Kind.RAPID)
+        self.use_set_up(kind)
         if vector is not None:
             self.set_tool_vector(block.axis_bits, vector)
         elif block.axis_bits >> self.linear:

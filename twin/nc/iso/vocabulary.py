@@ -127,6 +127,8 @@ OKUMA_OFFSET = (
     "work offsets G54 to G59; other words of Okuma, too, have meanings of their own",
 )
 REFUSED_M: frozenset[str] = frozenset({"M97", "M98", "M198", "M96"})
+RESTORING_M: frozenset[str] = frozenset({"M72", "M73"})
+"""M codes of LinuxCNC that restore modal words saved before."""
 HARMLESS_M: frozenset[str] = frozenset(
     f"M{code}"
     for code in (
