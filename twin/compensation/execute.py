@@ -57,7 +57,7 @@ class Execution:
         ends: (n,) whether the point is the end point of a block.
         lines: (n,) program line of each point.
         left_out: number of points outside an axis's range, for which no errors are known.
-        unknown: blocks left out because nothing is known of where they go.
+        unknown: blocks left out because their places are unknown.
     """
 
     positions: np.ndarray
@@ -78,7 +78,7 @@ class Execution:
 
     @property
     def omitted(self) -> str:
-        """What is left out, in words; empty if nothing is."""
+        """Parts left out, in words; empty if there are none."""
         points = f"{count_with_noun(self.left_out, 'point')} outside the axis ranges" if self.left_out else ""
         blocks = [
             f"{count_with_noun(len(moves), 'block')} from line {moves[0].line + 1} on ({reason})"
@@ -211,7 +211,7 @@ def _joined(runs: Sequence[Execution]) -> Execution:
         for one in fields(Execution)
         if one.name not in ("left_out", "unknown")
     }
-    return Execution(**arrays, left_out=sum(run.left_out for run in runs))
+    return Execution(**arrays, left_out=sum(run.left_out for run in runs), unknown=())
 
 
 def _fractions(motion: PathMotion) -> np.ndarray:

@@ -115,7 +115,7 @@ class CompensationAccount:
             lines: number of lines of the program.
             moves: number of its moves.
             notices: notices of the program reader.
-            unknown: blocks that go to places of which nothing is known.
+            unknown: blocks that go to unknown places.
             text_of: function that returns the text of a line by its number.
             frames: work offsets and tools of the program, if their tables are known.
         """

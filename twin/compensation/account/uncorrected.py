@@ -41,7 +41,7 @@ def uncorrected(corrected: Corrected, residual_um: Mapping[str, np.ndarray]) -> 
 
 
 def of_unknown(moves: Sequence[UnknownMove]) -> Iterator[FoundShortfalls]:
-    """Yield blocks that go to places of which nothing is known, by reason; the lines of ``moves`` are numbers from 0."""
+    """Yield blocks that go to unknown places, by reason; the lines of ``moves`` are numbers from 0."""
     for reason, group in by_reason(moves).items():
         lines, cutting = np.array([(move.line + 1, move.cutting) for move in group]).T
         yield FoundShortfalls("unknown", f"{reason}: left as written", "", lines, np.zeros(len(lines)), cutting > 0)

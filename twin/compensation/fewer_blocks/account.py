@@ -83,7 +83,7 @@ def account(refitter: RunRefitter, job: RefitJob) -> PathReport:
 
 
 def _not_met(job: RefitJob, runs: Sequence[RunReport], tolerance_mm: float) -> Iterator[LineNote]:
-    """Yield runs off the input path by more than the tolerance, and blocks that go to places of which nothing is known."""
+    """Yield runs off the input path by more than the tolerance, and blocks that go to unknown places."""
     for run in runs:
         if run.total_um > tolerance_mm * 1e3 * (1.0 + 1e-9):
             text = f"executed path up to {run.total_um:.2f} µm from the input path, to line {run.last_line}"

@@ -148,7 +148,7 @@ class PartReader:
 
     @property
     def unknown(self) -> list[UnknownMove]:
-        """Blocks read so far that go to places of which nothing is known."""
+        """Blocks read so far that go to unknown places."""
         return self._follower.unknown
 
     def parts(self) -> Iterator[ProgramPart]:

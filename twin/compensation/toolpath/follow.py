@@ -50,7 +50,7 @@ class Follower:
     Attributes:
         notices: notices on lines that move axes but are passed through unchanged, and on assumptions, so far.
         passages: axis positions after lines between motions, so far.
-        unknown: blocks that go to places of which nothing is known, so far.
+        unknown: blocks that go to unknown places, so far.
     """
 
     def __init__(self, source: str, space: WordSpace, later: Sequence[tuple[int, WordSpace]] = ()) -> None:
@@ -190,7 +190,7 @@ class Follower:
         return PathMotion(move, start, end)
 
     def _lose(self, move: Move) -> None:
-        """Pass a block through of which nothing is known."""
+        """Pass a block to an unknown place through."""
         self.unknown.append(UnknownMove(move.line, move.kind is not Kind.RAPID, move.unknown))
         everywhere = np.full(len(self._words), np.nan)
         known = not self.passages or np.isfinite(self.passages[-1].commands).any() or not self.passages[-1].moved.all()

@@ -205,7 +205,7 @@ class ToolPath:
         columns: the same in columns.
         notices: notices on lines that move axes but are passed through unchanged, and on assumptions.
         passages: axis positions after those lines, and after lines that leave an axis at an unknown position.
-        unknown: blocks that go to places of which nothing is known.
+        unknown: blocks that go to unknown places.
     """
 
     motions: Sequence[PathMotion]

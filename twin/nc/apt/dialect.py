@@ -110,7 +110,7 @@ class Apt(Dialect):
 
 
 def _check_known(program: Program, reading: Interpretation) -> None:
-    """Raise `InputError` for a location of which nothing is known."""
+    """Raise `InputError` for an unknown location."""
     for lost in reading.moves:
         if lost.unknown:
             raise InputError(
