@@ -240,6 +240,19 @@ def test_a_rapid_and_a_statement_at_the_end_do_no_harm(dmu50: Machine, errors: C
     assert report.complete and not report.strictly_complete
 
 
+def test_a_program_in_which_nothing_is_known_is_refused(dmu50: Machine, errors: Calibration, tmp_path: Path) -> None:
+    source = tmp_path / "a.nc"
+    source.write_text("M428\nG0 X1 Y2 Z3 B4 C5\nG1 X6 F500\n")
+    compensator = Compensator(dmu50, errors, OPTIONS)
+    for compensate in (
+        lambda: compensator.compensate_file(source, tmp_path / "o.nc"),
+        lambda: compensator.compensate(*read_program(source)),
+    ):
+        with pytest.raises(InputError, match="known position: the effect of M428 is not known") as caught:
+            compensate()
+        assert caught.value.line == 2
+
+
 TABLE = {
     "dynamic work offset": (
         "G54\nG0 X0 Y0 Z100 B30 C0\nG254\nG0 X0 Y0 Z50\nG1 X10 F500\nG255\nM30\n",

@@ -135,7 +135,7 @@ class Compensator:
         first, later = spaces(parts)
         path = follow(program, reading, first, later)
         if not path.motions:
-            raise motionless(program.source)
+            raise motionless(program.source, path.unknown)
         written = dialect if into is None else into
         posted = written.name != dialect.name
         progress("solving", 0.1)

@@ -112,7 +112,7 @@ class Refitter:
             )
         path = follow(program, reading, space)
         if not path.motions:
-            raise motionless(program.source)
+            raise motionless(program.source, path.unknown)
         runs = find_runs(program, dialect, path, space)
         fitted = []
         for i, run in enumerate(runs):

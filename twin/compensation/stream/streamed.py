@@ -98,7 +98,7 @@ class Streamed:
             if not reader.turns_later:
                 break
         if self._account is None:
-            raise motionless(str(self._source.path))
+            raise motionless(str(self._source.path), reader.unknown)
         writer.finish()
         report = self._account.report(
             lines=reader.lines,
