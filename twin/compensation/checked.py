@@ -9,7 +9,7 @@ import numpy as np
 
 from twin._common.errors import InputError, OutputError
 from twin.compensation.solving.rows import repeat_with_index
-from twin.compensation.toolpath import UnknownMove
+from twin.compensation.toolpath import LostBlock
 from twin.nc.columns import NewPositions
 
 PRINTED_MM: Final = 2e-4
@@ -49,7 +49,7 @@ def unreadable(source: str, error: InputError) -> OutputError:
     return OutputError(f"{source}: line {error.line} of the output cannot be read back: {error.what}")
 
 
-def motionless(source: str, unknown: Sequence[UnknownMove] = ()) -> InputError:
+def motionless(source: str, unknown: Sequence[LostBlock] = ()) -> InputError:
     """Return the error for a program without a motion between known positions; ``unknown``: its blocks that go to unknown places."""
     what = "no block moves an axis to a known position"
     if not unknown:

@@ -15,10 +15,10 @@ from twin.compensation.block_conditions import CONSTANT, BlockConditions, block_
 from twin.compensation.one_mode import check_one_mode
 from twin.compensation.toolpath import (
     SAMPLES_A_PIECE,
+    LostBlock,
     PathMotion,
     Setup,
     ToolPath,
-    UnknownMove,
     WordSpace,
     by_reason,
     check_domains,
@@ -69,7 +69,7 @@ class Execution:
     ends: np.ndarray
     lines: np.ndarray
     left_out: int
-    unknown: tuple[UnknownMove, ...] = ()
+    unknown: tuple[LostBlock, ...] = ()
 
     @property
     def complete(self) -> bool:

@@ -13,7 +13,7 @@ from twin._common.arrays import distinct
 from twin.compensation.account.shortfalls import FoundShortfalls, Shortfall
 from twin.compensation.prepared import PreparedMachine
 from twin.compensation.solving import Corrected
-from twin.compensation.toolpath import UnknownMove, by_reason
+from twin.compensation.toolpath import LostBlock, by_reason
 from twin.kinematics.inverse import SLACK
 
 _INCREMENTS: Final = re.compile(r"[XYZABCUVW][ \t]*=?[ \t]*[+-]?[ \t]*(\d+)(?![\d.,])", re.ASCII | re.IGNORECASE)
@@ -40,7 +40,7 @@ def uncorrected(corrected: Corrected, residual_um: Mapping[str, np.ndarray]) -> 
         yield from _beginning_off(corrected)
 
 
-def of_unknown(moves: Sequence[UnknownMove]) -> Iterator[FoundShortfalls]:
+def of_unknown(moves: Sequence[LostBlock]) -> Iterator[FoundShortfalls]:
     """Yield blocks that go to unknown places, by reason; the lines of ``moves`` are numbers from 0."""
     for reason, group in by_reason(moves).items():
         lines, cutting = np.array([(move.line + 1, move.cutting) for move in group]).T

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, final
 
 from twin._common.errors import InputError
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
-from twin.compensation.toolpath import Follower, MotionColumns, UnknownMove
+from twin.compensation.toolpath import Follower, LostBlock, MotionColumns
 from twin.nc.blocks import Notice
 from twin.nc.columns import MoveColumns
 from twin.nc.encoded import lines_in
@@ -147,7 +147,7 @@ class PartReader:
         return [*self._notices, *self._follower.notices]
 
     @property
-    def unknown(self) -> list[UnknownMove]:
+    def unknown(self) -> list[LostBlock]:
         """Blocks read so far that go to unknown places."""
         return self._follower.unknown
 

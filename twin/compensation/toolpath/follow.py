@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ProgramMotions, ToolPath, UnknownMove
+from twin.compensation.toolpath.motions import LostBlock, MotionColumns, Passage, PathMotion, ProgramMotions, ToolPath
 from twin.compensation.toolpath.words import WordSpace
 from twin.nc.blocks import Interpretation, Kind, LostPositions, Move, Notice, Program
 from twin.nc.columns import MoveColumns, as_columns
@@ -56,7 +56,7 @@ class Follower:
     def __init__(self, source: str, space: WordSpace, later: Sequence[tuple[int, WordSpace]] = ()) -> None:
         self.notices: list[Notice] = []
         self.passages: list[Passage] = []
-        self.unknown: list[UnknownMove] = []
+        self.unknown: list[LostBlock] = []
         self._count = 0
         self._source = source
         self._space = space
@@ -191,7 +191,7 @@ class Follower:
 
     def _lose(self, move: Move) -> None:
         """Pass a block to an unknown place through."""
-        self.unknown.append(UnknownMove(move.line, move.kind is not Kind.RAPID, move.unknown))
+        self.unknown.append(LostBlock(move.line, move.kind is not Kind.RAPID, move.unknown))
         everywhere = np.full(len(self._words), np.nan)
         known = not self.passages or np.isfinite(self.passages[-1].commands).any() or not self.passages[-1].moved.all()
         if known or self.passages[-1].before != self._count:

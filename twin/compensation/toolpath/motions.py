@@ -173,7 +173,7 @@ class Passage:
     moved: np.ndarray
 
 
-class UnknownMove(NamedTuple):
+class LostBlock(NamedTuple):
     """A block that is passed through unchanged because nothing is known of where it goes.
 
     Attributes:
@@ -187,9 +187,9 @@ class UnknownMove(NamedTuple):
     reason: str
 
 
-def by_reason(moves: Iterable[UnknownMove]) -> dict[str, list[UnknownMove]]:
+def by_reason(moves: Iterable[LostBlock]) -> dict[str, list[LostBlock]]:
     """Return blocks by the reason why nothing is known of them, in order."""
-    found: dict[str, list[UnknownMove]] = {}
+    found: dict[str, list[LostBlock]] = {}
     for move in moves:
         found.setdefault(move.reason, []).append(move)
     return found
@@ -212,7 +212,7 @@ class ToolPath:
     columns: MotionColumns
     notices: tuple[Notice, ...] = ()
     passages: tuple[Passage, ...] = ()
-    unknown: tuple[UnknownMove, ...] = ()
+    unknown: tuple[LostBlock, ...] = ()
 
     def part(self, begin: int, end: int) -> ToolPath:
         """Return the motions from index ``begin`` up to ``end``, with the passages between them."""
