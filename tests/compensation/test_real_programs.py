@@ -12,7 +12,7 @@ from tests.machine.errors import random_calibration
 from tests.truth.machine import run_iso
 from twin.compensation import Compensation, Compensator, Options
 from twin.compensation.execute import execute
-from twin.compensation.toolpath import follow
+from twin.compensation.toolpath import Setup, follow
 from twin.kinematics.forward import Kinematics, Poses
 from twin.kinematics.inverse import Inverse
 from twin.machine.calibration import Calibration
@@ -21,6 +21,7 @@ from twin.nc import read_program
 
 LENGTH = 50.0
 ROUNDING_UM = 0.9
+OPTIONS = Options(tool_length_mm=LENGTH, setup=Setup(one_tool=False))  # all tools of one length
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,7 @@ def errors(trunnion: Machine) -> Calibration:
 
 def compensated(program: Path, machine: Machine, errors: Calibration) -> Compensation:
     read, dialect = read_program(program)
-    return Compensator(machine, errors, Options(tool_length_mm=LENGTH)).compensate(read, dialect)
+    return Compensator(machine, errors, OPTIONS).compensate(read, dialect)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +50,7 @@ def compensated(program: Path, machine: Machine, errors: Calibration) -> Compens
 def test_read_and_written_back_unchanged(programs: Path, trunnion: Machine, name: str) -> None:
     read, dialect = read_program(programs / name)
     assert read.text.encode("latin-1") == (programs / name).read_bytes()
-    nothing = Compensator(trunnion, Calibration.zero(trunnion), Options(tool_length_mm=LENGTH))
+    nothing = Compensator(trunnion, Calibration.zero(trunnion), OPTIONS)
     result = nothing.compensate(read, dialect)
     assert result.text.encode("latin-1") == (programs / name).read_bytes()
     assert result.report.rewritten == 0
@@ -68,7 +69,7 @@ def test_compensated_on_a_machine_of_the_same_kind(
     # Every move is rewritten or listed in a note.
     noted = {note.line for note in report.notes} | {line for one in report.not_corrected for line in one.lines}
     read, dialect = read_program(programs / name)
-    reading = dialect.moves(read, Compensator(trunnion, errors).prepared.space.axes, tcp=False)
+    reading = dialect.moves(read, Compensator(trunnion, errors, OPTIONS).prepared.space.axes, tcp=False)
     for move, count in zip(reading.moves, result.new.count, strict=True):
         assert count or move.line + 1 in noted
 

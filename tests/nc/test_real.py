@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.conftest import beside
-from tests.nc.nc_support import AXES, iso_positions, new_positions
+from tests.nc.nc_support import AXES as ONE_TOOL
+from tests.nc.nc_support import iso_positions, new_positions
 from twin.nc import dialect_for
 from twin.nc.blocks import Kind
 from twin.nc.text import printed
 
+AXES = replace(ONE_TOOL, one_tool=False)  # some of the programs use several tools
 PROGRAMS = {
     "linuxcnc_boat-xyzbc.ngc": (1821, 1819),
     "spinnerU5_Bottle_opener_Flaschenoeffner.txt": (2692, 2678),

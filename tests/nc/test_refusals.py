@@ -183,6 +183,7 @@ def test_iso_passes(block):
 def test_iso_notes_what_it_cannot_follow(block):
     reading = read_moves(ISO, f"{ISO_START}{block}\nX1\n")
     assert reading.notices[0].line == 2
+    assert bool(reading.moves[-1].unknown) is not block.startswith(("G28", "G30", "G38"))
     assert math.isnan(reading.moves[-1].position[2])
 
 

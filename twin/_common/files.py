@@ -3,7 +3,8 @@
 **Machine** (`schema: twin.machine/1`): see `urdf/dmu50.yaml`. Axes in command order with joint, kind, range (mm, degrees, or
 `unlimited`), least increment and, where the error frame is turned against the joint's own frame, `error_frame_rpy_deg`. `frames`
 names the tool and work links and the axis coordinates at which the URDF's linear joints are zero. `programs` gives the words that
-switch tool centre point control on and off (`tcp_on`, `tcp_off`) and a default tool length. `plausible` (optional) gives the prior
+switch tool centre point control on and off (`tcp_on`, `tcp_off`), words of the machine's builder that leave positions, frames,
+offsets and modes alone (`harmless: [M51, M88, AIRBLAST]`), and a default tool length. `plausible` (optional) gives the prior
 standard deviation of errors before anything is measured: `{motion: {um: 200, urad: 200}, location: {um: 5000, urad: 5000}}`; the
 default is 1000 µm and 1000 µrad.
 

@@ -71,11 +71,11 @@ def scene(
     run = drawn.execution
     drawn.save(output)
     length = loaded.tool_length_mm if tool_length is None else tool_length
-    omitted = f" ({run.left_out} points outside the axis ranges omitted)" if run.left_out else ""
+    omitted = f" (omitted: {run.omitted})" if run.omitted else ""
     return CommandResult(
         "".join(f"{text}\n" for text in warning_texts(errors.warnings)),
         lambda: _report(output, source, errors, length, run),
-        met=not run.left_out,
+        met=run.complete,
         written=f"written: {{}}{omitted}",
         after=options.unused(at, errors),
     )
@@ -96,6 +96,7 @@ def _report(output: Path, source: Path, errors: Calibration, tool_length_mm: flo
         "tool_length_mm": tool_length_mm,
         "points": len(run.positions),
         "left_out": run.left_out,
+        "unknown": [one._asdict() | {"line": one.line + 1} for one in run.unknown],
         "deviation_um": {"rms": float(np.sqrt(np.mean(distance**2))), "max": float(distance.max())},
         "largest_at_line": int(run.lines[int(np.argmax(distance))]),
     }

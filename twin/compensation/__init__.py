@@ -29,8 +29,14 @@ stay in the plane: linear axes are corrected, the rotary axes stay where the nom
 
 **Coordinates.** In `--mode axis` (default) the words are axis positions to which `--work-offset` is added; without the tables
 above, offsets that the control adds (`G54`, `G43 H`) belong in `--work-offset`. In `--mode tcp`, or where the program switches it
-on (`G43.4`, `G43.5`, `TRAORI`, `M128`, `FUNCTION TCPM`, words named in the machine file), the words are tool-tip coordinates in
-the work frame (origin at the table centre, moved by `--work-origin`), with B and C or a tool vector.
+on (`G43.4`, `G43.5`, `G234` of Haas, `TRAORI`, `M128`, `FUNCTION TCPM`, words named in the machine file), the words are tool-tip
+coordinates in the work frame (origin at the table centre, moved by `--work-origin`), with B and C or a tool vector.
+
+**What is not known.** A statement of unknown effect (`TRAOOF`, a G or M code of the machine's builder, a call of an unknown name)
+makes positions, frame, offsets and modes unknown until every axis has an absolute position in machine coordinates (`G53`, `SUPA`,
+`M91`). Blocks in between are left as written and listed; a feed among them is exit status 3. Harmless words of the builder belong
+in the machine file (`programs: {harmless: [M51, AIRBLAST]}`). Without `--offsets` and `--tools` a second work offset, tool or
+tool length is refused.
 
 **Scope.** `--scope` takes classes of ISO/TR 16907: `L-POS L-STR L-SQU L-ANG L-VOL L-VOL+ R-POS R-RAX R-POR R-ANG R-VOL R-VOL+ FOR`.
 The linear axes correct the functional point, the rotary axes the functional orientation (`FOR`), and each rotary axis its own
@@ -50,7 +56,8 @@ it cannot be left as written between compensated neighbours.
 
 **Report and exit status.** The report lists what was not corrected, one line per reason, with the number of blocks and the worst
 case. Exit status 3: the point of a cutting block remains out of `--tolerance` (plus rounding), an orientation requested by
-`--scope FOR` is not reached, or nothing could be corrected at all; with `--strict`, if anything is listed.
+`--scope FOR` is not reached, a feed goes to an unknown place, or nothing could be corrected at all; with
+`--strict`, if anything is listed.
 
 **Accuracy.** Error at the tool in µm, RMS / max, dense points between blocks included, compared with `--method thesis`
 (Ellingsdalen 2021, listings 3.1–3.4 as they run) on the same machine (`python -m tests.benchmarks.figures`):

@@ -39,6 +39,7 @@ from twin.nc.blocks import Interpretation, Notice, Program
 from twin.nc.columns import NewPositions, as_columns
 from twin.nc.dialect import Dialect
 from twin.nc.inline import errors_in_files
+from twin.nc.modal import UNKNOWN_AFTER
 
 
 @final
@@ -134,7 +135,7 @@ class Compensator:
         first, later = spaces(parts)
         path = follow(program, reading, first, later)
         if not path.motions:
-            raise motionless(program.source)
+            raise motionless(program.source, path.unknown)
         written = dialect if into is None else into
         posted = written.name != dialect.name
         progress("solving", 0.1)
@@ -161,7 +162,12 @@ class Compensator:
                 Notice(0, "subprograms are written out in place of their calls: the output needs none of them")
             )
         report = account.report(
-            lines=len(program.texts), moves=len(reading.moves), notices=notices, frames=frame_uses(parts, numbers)
+            lines=len(program.texts),
+            moves=len(reading.moves),
+            notices=notices,
+            unknown=[one._replace(line=int(numbers[one.line]) - 1) for one in path.unknown],
+            frames=frame_uses(parts, numbers),
+            text_of=lambda number: program.texts[int(np.flatnonzero(numbers == number)[0])],
         )
         progress("done", 1.0)
         columns = [np.concatenate(column) for column in zip(*map(_columns, found), strict=True)]
@@ -269,7 +275,7 @@ class Compensator:
             if read_program(program)[0].origins:
                 return None
             raise
-        unknown = report is not None and any("unknown word" in note.text for note in report.notes)
+        unknown = report is not None and any(UNKNOWN_AFTER in note.text for note in report.notes)
         return None if unknown and read_program(program)[0].origins else report
 
     def _inputs(self, program: Path) -> Iterator[Path]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Final, final
 
@@ -15,10 +15,12 @@ from twin.compensation.block_conditions import CONSTANT, BlockConditions, block_
 from twin.compensation.one_mode import check_one_mode
 from twin.compensation.toolpath import (
     SAMPLES_A_PIECE,
+    LostBlock,
     PathMotion,
     Setup,
     ToolPath,
     WordSpace,
+    by_reason,
     check_domains,
     follow,
     motions_of,
@@ -55,6 +57,7 @@ class Execution:
         ends: (n,) whether the point is the end point of a block.
         lines: (n,) program line of each point.
         left_out: number of points outside an axis's range, for which no errors are known.
+        unknown: blocks left out because their places are unknown.
     """
 
     positions: np.ndarray
@@ -66,6 +69,22 @@ class Execution:
     ends: np.ndarray
     lines: np.ndarray
     left_out: int
+    unknown: tuple[LostBlock, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether every point and every cutting block is executed."""
+        return not self.left_out and not any(one.cutting for one in self.unknown)
+
+    @property
+    def omitted(self) -> str:
+        """Parts left out, in words; empty if there are none."""
+        points = f"{count_with_noun(self.left_out, 'point')} outside the axis ranges" if self.left_out else ""
+        blocks = [
+            f"{count_with_noun(len(moves), 'block')} from line {moves[0].line + 1} on ({reason})"
+            for reason, moves in by_reason(self.unknown).items()
+        ]
+        return "; ".join([*([points] if points else []), *blocks])
 
     def _repr_html_(self) -> str:
         off = np.linalg.norm(self.reached_mm - self.meant_mm, axis=1) * 1e3
@@ -78,11 +97,11 @@ class Execution:
                 f"{np.sqrt(np.mean(off**2)):.2f} µm RMS, {off[worst]:.2f} µm largest (line {self.lines[worst]})",
             ),
             ("tilt of the tool axis", f"{np.sqrt(np.mean(np.sum(self.tilt_urad**2, axis=1))):.1f} µrad RMS"),
-            ("left out", f"{count_with_noun(self.left_out, 'point')} outside the axis ranges" if self.left_out else ""),
+            ("left out", self.omitted),
         ]
         small = f"{count_with_noun(len(off), 'point')}, {self.ends.sum():,} of them block end points"
         return card(
-            "Executed", pairs(rows), histogram(off, "error (µm)", "points"), small=small, wrong=self.left_out > 0
+            "Executed", pairs(rows), histogram(off, "error (µm)", "points"), small=small, wrong=not self.complete
         ).text
 
 
@@ -133,7 +152,9 @@ def execute_file(
                 )
             conditions_of = by_block.part(part.begin - part.context, part.end)
             runs.append(execute(read, part.path, part.space, of_length[length], conditions_of, context=part.context))
-    return runs[0] if len(runs) == 1 else _joined(runs)
+    whole = runs[0] if len(runs) == 1 else _joined(runs)
+    numbered = tuple(one._replace(line=int(read.numbers[one.line]) - 1) for one in path.unknown)
+    return replace(whole, unknown=numbered)
 
 
 def execute(
@@ -188,9 +209,9 @@ def _joined(runs: Sequence[Execution]) -> Execution:
     arrays = {
         one.name: np.concatenate([getattr(run, one.name) for run in runs])
         for one in fields(Execution)
-        if one.name != "left_out"
+        if one.name not in ("left_out", "unknown")
     }
-    return Execution(**arrays, left_out=sum(run.left_out for run in runs))
+    return Execution(**arrays, left_out=sum(run.left_out for run in runs), unknown=())
 
 
 def _fractions(motion: PathMotion) -> np.ndarray:

@@ -58,6 +58,7 @@ class Programs(BaseModel):
     tool_length: Annotated[float, Field(ge=0, le=LONGEST_TOOL_MM)] = 0.0
     tcp_on: tuple[str, ...] = ()
     tcp_off: tuple[str, ...] = ()
+    harmless: tuple[str, ...] = ()
 
 
 @final

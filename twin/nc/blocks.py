@@ -36,6 +36,9 @@ class AxisWords:
             ``M428``, for example), in addition to those of the dialect.
         offsets_known: whether the values of the machine's work offsets are known, so that a program may use several.
         tools_known: whether the lengths of the machine's tools are known.
+        one_tool: whether all moves must use a tool of one length, where the lengths are unknown.
+        harmless: words in capitals that leave positions, frames, offsets and modes alone on this machine, in addition to those of the
+            dialect: auxiliary functions of its builder, for example.
     """
 
     linear: tuple[str, ...]
@@ -45,6 +48,8 @@ class AxisWords:
     tcp_off: tuple[str, ...] = ()
     offsets_known: bool = False
     tools_known: bool = False
+    one_tool: bool = True
+    harmless: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -140,6 +145,8 @@ class Move(NamedTuple):
         vector: tool vector (i, j, k), unit length, from tip to spindle in the work frame, or None.
         normal: surface normal of an ``LN`` block, unit length, or None (kept as written).
         arc: for ``Kind.ARC``.
+        unknown: why nothing is known of where the block goes (`twin.nc.modal.Interpreter.unknown`); empty if that is known. Such a
+            block passes through unchanged; ``position`` is NaN and ``arc`` None.
     """
 
     line: int
@@ -151,6 +158,12 @@ class Move(NamedTuple):
     vector: tuple[float, float, float] | None = None
     normal: tuple[float, float, float] | None = None
     arc: Arc | None = None
+    unknown: str = ""
+
+    @property
+    def passes(self) -> bool:
+        """Whether the block is not in program coordinates that are known, and so passes through unchanged."""
+        return self.machine or bool(self.unknown)
 
 
 @final

@@ -28,7 +28,7 @@ class MoveColumns(MadeOnAccess[Move]):
         named: (n,) the axes written in the block, as bits.
         position: (n, axes) mm and degrees, NaN where unknown.
         vector: (n, 3) tool vectors, NaN where there is none.
-        special: moves that do not fit the columns, by index: arcs, surface normals, machine coordinates.
+        special: moves that do not fit the columns, by index: arcs, surface normals, moves that pass through unchanged.
     """
 
     names: tuple[str, ...]
@@ -53,7 +53,7 @@ class MoveColumns(MadeOnAccess[Move]):
             np.array([bits[move.named] for move in moves], dtype=int),
             np.array([move.position for move in moves], dtype=float).reshape(-1, len(names)),
             np.array([move.vector or NO_VECTOR for move in moves], dtype=float).reshape(-1, 3),
-            {i: move for i, move in enumerate(moves) if move.kind is Kind.ARC or move.machine or move.normal},
+            {i: move for i, move in enumerate(moves) if move.kind is Kind.ARC or move.passes or move.normal},
         )
 
     def __len__(self) -> int:
@@ -97,10 +97,10 @@ class MoveColumns(MadeOnAccess[Move]):
         return frozenset(name for i, name in enumerate(self.names) if bits >> i & 1)
 
     @property
-    def machine(self) -> np.ndarray:
-        """(n,) whether the words are machine coordinates."""
+    def passes(self) -> np.ndarray:
+        """(n,) whether the move passes through unchanged: machine coordinates, or words of unknown meaning."""
         found = np.zeros(len(self), dtype=bool)
-        found[[index for index, move in self.special.items() if move.machine]] = True
+        found[[index for index, move in self.special.items() if move.passes]] = True
         return found
 
     def part(self, first: int, last: int) -> MoveColumns:

@@ -7,15 +7,19 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
 from twin.nc.arithmetic import evaluate
 from twin.nc.block import AxisWord, Block
-from twin.nc.blocks import Arc, AxisWords, FrameChange, LostPositions, Move, Notice, WordFrame
+from twin.nc.blocks import Arc, AxisWords, FrameChange, Kind, LostPositions, Move, Notice, WordFrame
 from twin.nc.text import LARGEST, number, unit_vector
 
+UNKNOWN_AFTER: Final = (
+    "is not known: positions, frame, offsets and modes are unknown until machine coordinates of every axis"
+)
+"""End of the notice on a statement after which nothing is known."""
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
 
 
@@ -39,6 +43,9 @@ class Interpreter(ABC):
         tcp: whether tool centre point control is on.
         tcp_word: the word that switched it last; empty: none yet.
         motion: motion code in force, None before the first and in languages without.
+        unknown: why positions, frame, offsets and modes are unknown here; empty if they are known.
+        offset: the work offset that the program has selected; None before the first, or if offsets do not change what is read.
+        used_offset: the offset of the moves so far, None before the first.
         repeated: moves of the third linear axis that follow each simple line, of a drilling cycle: height and whether it is a rapid;
             None if no cycle is in force.
     """
@@ -47,6 +54,10 @@ class Interpreter(ABC):
     """Whether arithmetic is that of plain language."""
     motion: int | None = None
     repeated: tuple[tuple[float, bool], ...] | None = None
+    unknown = ""
+    offset: str | None = None
+    used_offset: str | None = None
+    _offset_line = 0
 
     def __init__(
         self, source: str, axes: AxisWords, *, tcp: bool, tcp_on: Iterable[str], tcp_off: Iterable[str]
@@ -64,6 +75,7 @@ class Interpreter(ABC):
         self.frames: list[FrameChange] = []
         self.drilled: list[range] = []
         self.offsets_known, self.tools_known = axes.offsets_known, axes.tools_known
+        self._one_tool = axes.one_tool and not axes.tools_known
         self.tcp = tcp
         self.tcp_word = ""
         self.tcp_on = frozenset(tcp_on)
@@ -73,6 +85,12 @@ class Interpreter(ABC):
         self._variables: dict[str, float] = {}
         self._named: dict[int, frozenset[str]] = {}
         self._noted: set[str] = set()
+        self._placed: set[int] = set()
+        self.harmless = frozenset(axes.harmless)
+        self._held_tool = self._held_length = self._used_tool = self._used_length = ""
+        self._fed_length: str | None = None
+        self._tool_line = self._length_line = 0
+        self._tool_chosen = False
 
     @abstractmethod
     def moves(self, line: int, text: str) -> Sequence[Move]:
@@ -177,6 +195,104 @@ class Interpreter(ABC):
         for axis in axes:
             self.position[axis] = math.nan
 
+    def lose(self, block: Block, statement: str) -> None:
+        """Make positions, frame, offsets and modes unknown from a block on, because the effect of a statement is not known.
+
+        They are known again when every axis has been given an absolute position in machine coordinates.
+        """
+        shown = " ".join(statement.split())[:60]
+        self.note(f"the effect of {shown} {UNKNOWN_AFTER}")
+        self.unknown = self.unknown or f"the effect of {shown} is not known"
+        self._placed.clear()
+        self.vector = None
+        self.mark_unknown(block, range(len(self.names)), moved=True)
+
+    def unknown_move(self, kind: Kind, axis_bits: int) -> Move:
+        """Return the move of a block that names some axes (bits) where nothing is known."""
+        self.position = [math.nan] * len(self.names)
+        return Move(self._line, kind, self.tcp, tuple(self.position), self.named(axis_bits), unknown=self.unknown)
+
+    def _place(self, position: Sequence[float]) -> None:
+        """Take machine coordinates into account where nothing is known; NaN for axes without any."""
+        self._placed |= {axis for axis, value in enumerate(position) if value == value}
+        if len(self._placed) == len(self.names):
+            self.unknown = ""
+            self.note(
+                "positions are known again; work offset, units and modes are taken as the program has selected them"
+            )
+
+    def select_offset(self, block: Block, name: str) -> None:
+        """Select a work offset by its name; positions in the new coordinates are unknown where the offsets are known."""
+        self.offset, self._offset_line = name, self._line
+        if self.offsets_known:
+            self.used_offset = name
+            self.select(block, offset=name)
+
+    def use_offset(self) -> None:
+        """Record that a move uses the work offset in force.
+
+        Raises:
+            InputError: it is the program's second one, and the values of the offsets are unknown.
+        """
+        if self.offset is None or self.offset == self.used_offset:
+            return
+        if self.used_offset is not None:
+            expected = (
+                f"one work offset per program (moves before use {self.used_offset}), or the table of work offsets"
+            )
+            raise self.error("second work offset", expected, self.offset, self._offset_line + 1)
+        self.used_offset = self.offset
+
+    def hold_tool(self, tool: str, length: str) -> None:
+        """Record the tool in the spindle and the one whose length is in force, empty for none, where lengths are not known."""
+        if tool != self._held_tool:
+            self._held_tool, self._tool_line, self._tool_chosen = tool, self._line, True
+        if length != self._held_length:
+            self._held_length, self._length_line, self._tool_chosen = length, self._line, True
+
+    def use_set_up(self, kind: Kind) -> None:
+        """Record that a move uses the work offset, the tool and the length in force.
+
+        Raises:
+            InputError: one of them is the program's second one, and its values are unknown.
+        """
+        self.use_offset()
+        self.use_tool(cutting=kind is not Kind.RAPID)
+
+    def use_tool(self, *, cutting: bool) -> None:
+        """Record that a move uses the tool and the length in force.
+
+        Args:
+            cutting: whether it is a feed.
+
+        Raises:
+            InputError: it is the program's second one, and the lengths of the tools are unknown.
+        """
+        if not self._one_tool:
+            return
+        for what, now, before, line in (
+            ("second tool", self._held_tool, self._used_tool, self._tool_line),
+            ("second tool length", self._held_length, self._used_length, self._length_line),
+        ):
+            if now and before and now != before:
+                expected = f"one tool of one length per program (moves before use {before}), or the table of tools"
+                raise self.error(what, expected, now, line + 1)
+        self._used_tool, self._used_length = self._held_tool or self._used_tool, self._held_length or self._used_length
+        self._tool_chosen = False
+        if cutting and not self.tcp:
+            if self._fed_length not in (None, self._held_length):
+                expected = "one tool length in force at all feed moves, or the table of tools"
+                raise self.error("feed moves with and without a tool length", expected)
+            self._fed_length = self._held_length
+
+    @property
+    def set_up(self) -> bool:
+        """Whether work offset, tool and length are those of the moves before, and everything is known."""
+        same_tool = not self._one_tool or not (
+            self._tool_chosen or (self._fed_length != self._held_length and not self.tcp)
+        )
+        return same_tool and not self.unknown and self.offset == self.used_offset
+
     def check_plane(self, rotary: bool) -> None:
         """Raise `InputError` for a move that the tilted plane does not allow; ``rotary``: whether it names rotary axes."""
         if self.frame.plane is not None and (rotary or self.tcp):
@@ -266,15 +382,22 @@ class Interpreter(ABC):
             raise self.error(found.what, found.expected)
         return found
 
-    def machine_position(self, block: Block) -> tuple[float, ...]:
-        """Return the machine coordinates a block names; their place in program coordinates is unknown."""
+    def machine_position(self, block: Block, *, elsewhere: bool = False) -> tuple[float, ...]:
+        """Return the machine coordinates a block names; their place in program coordinates is unknown.
+
+        Args:
+            block: the block.
+            elsewhere: whether they count from a point of the machine's builder, which is not known.
+        """
         position = [math.nan] * len(self.names)
         for word in block.words:
-            position[word.axis] = word.value
+            position[word.axis] = math.nan if word.incremental or elsewhere else word.value
         which = {word.axis for word in block.words}
         if self.tcp:
             which.update(range(self.linear))
         if any(axis >= self.linear for axis in which):
             self.vector = None
         self.mark_unknown(block, which, moved=None)
+        if self.unknown:
+            self._place(position)
         return tuple(position)

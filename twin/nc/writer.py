@@ -60,7 +60,7 @@ class WordWriter(ABC, Generic[B]):
         """Record the words of a block whose move is unchanged."""
         move = block.moves[0]
         for word in block.words:
-            if move.machine:
+            if move.passes:
                 self.said.mark_unknown((word.axis,))
             elif word.form in ("DC", "ACP", "ACN"):
                 self.said.record(word.axis, move.position[word.axis], False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -14,14 +14,15 @@ from twin.compensation.account.interpolation import interpolated
 from twin.compensation.account.notes import approach_notes, condition_notes, reversal_notes, setup_notes
 from twin.compensation.account.report import ClassShare, ControlNote, Deviation, LineNote, Report
 from twin.compensation.account.sample import Sample, SimulatedPoints
-from twin.compensation.account.shortfalls import ShortfallTally
+from twin.compensation.account.shortfalls import Shortfall, ShortfallTally
 from twin.compensation.account.tally import CompensationTally
 from twin.compensation.account.uncertainty import Corrections, CorrectionTally
-from twin.compensation.account.uncorrected import uncorrected
+from twin.compensation.account.uncorrected import hinted, of_unknown, uncorrected
 from twin.compensation.comparison import Commands
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving import Corrected, Pieces
 from twin.compensation.solving.rows import Rows
+from twin.compensation.toolpath import LostBlock
 from twin.kinematics.forward import Poses, angle_between_rad
 from twin.nc.blocks import Notice
 from twin.uncertainty.at_tool import ToolUncertainty
@@ -98,23 +99,29 @@ class CompensationAccount:
         self._approach_notes += approach_notes(corrected)
         self._motions += len(pieces.start) - context
 
-    def report(self, *, lines: int, moves: int, notices: Sequence[Notice], frames: tuple[FrameUse, ...] = ()) -> Report:
+    def report(
+        self,
+        *,
+        lines: int,
+        moves: int,
+        notices: Sequence[Notice],
+        unknown: Sequence[LostBlock] = (),
+        frames: tuple[FrameUse, ...] = (),
+        text_of: Callable[[int], str],
+    ) -> Report:
         """Return the report of everything added so far.
 
         Args:
             lines: number of lines of the program.
             moves: number of its moves.
             notices: notices of the program reader.
+            unknown: blocks that go to unknown places.
+            text_of: function that returns the text of a line by its number.
             frames: work offsets and tools of the program, if their tables are known.
         """
         prepared, options = self._prepared, self._prepared.options
-        notes = (
-            *setup_notes(prepared, all_tcp=self._all_tcp, any_tcp=self._any_tcp),
-            *condition_notes(prepared, self._by_block),
-            *self._approach_notes,
-            *(LineNote(notice.line + 1, notice.text) for notice in notices),
-        )
-        not_corrected = self._shortfalls.shortfalls()
+        notes = tuple(self._notes(notices))
+        not_corrected = self._not_corrected(unknown, text_of)
         return Report(
             program=self._source,
             machine=prepared.machine.name,
@@ -143,7 +150,7 @@ class CompensationAccount:
             not_corrected=not_corrected,
             notes=notes,
             uncertainty=Corrections(self._point.correction(), self._axis.correction()),
-            cutting=self._cutting,
+            cutting=self._cutting + sum(one.cutting for one in unknown),
             idle=self._idle,
             conditions=prepared.constant,
             reversals=tuple(reversal_notes(prepared, self._aim, self._reversals)),
@@ -244,6 +251,18 @@ class CompensationAccount:
             )
             size = moved.angle_rad[keep][turned] * 1e6
             self._axis.add(line_of[turned], rows.motion[turned], size, uncertainty[turned, 1], aim.at_axis)
+
+    def _notes(self, notices: Sequence[Notice]) -> Iterator[LineNote]:
+        yield from setup_notes(self._prepared, all_tcp=self._all_tcp, any_tcp=self._any_tcp)
+        yield from condition_notes(self._prepared, self._by_block)
+        yield from self._approach_notes
+        yield from (LineNote(notice.line + 1, notice.text) for notice in notices)
+
+    def _not_corrected(self, unknown: Sequence[LostBlock], text_of: Callable[[int], str]) -> tuple[Shortfall, ...]:
+        if not self._idle:
+            for found in of_unknown(unknown):
+                self._shortfalls.add(found)
+        return tuple(hinted(one, text_of) for one in self._shortfalls.shortfalls())
 
     # --- results -----------------------------------------------------------------------------------------------------
 

@@ -233,7 +233,9 @@ class Report:
             return f"NOTHING CORRECTED: {outside:,} of {count_with_noun(self.moves, 'block')} would leave the range of an axis{hint}"
         missed = self._lines_of(lambda shortfall: shortfall.missed)
         if missed:
-            return f"NOT ALL CORRECTED: {missed:,} of {self.cutting:,} cutting blocks remain out of tolerance{hint}"
+            unknown = any(one.missed for one in self.not_corrected if one.kind == "unknown")
+            how = "are left as written or remain" if unknown else "remain"
+            return f"NOT ALL CORRECTED: {missed:,} of {self.cutting:,} cutting blocks {how} out of tolerance{hint}"
         left = self._lines_of(lambda shortfall: shortfall.lines)
         return (
             f"corrected, except {left:,} of {count_with_noun(self.moves, 'block')} (see the list in the report)"

@@ -14,7 +14,7 @@ from twin.display import readable
 SHOWN: Final = 8
 """Line numbers printed before the rest is counted; the JSON report has all."""
 
-Kind = Literal["range", "orientation", "tolerance"]
+Kind = Literal["range", "orientation", "tolerance", "unknown"]
 
 
 @final
@@ -23,14 +23,15 @@ class Shortfall:
     """Blocks that could not be corrected, or not within the tolerance, for one reason.
 
     Attributes:
-            kind: ``range``: an axis would leave its range; ``orientation``, ``tolerance``: the tool axis or the point keeps an error.
+            kind: ``range``: an axis would leave its range; ``orientation``, ``tolerance``: the tool axis or the point keeps an error;
+                ``unknown``: nothing is known of where the block goes.
         reason: why they were not corrected.
         lines: line numbers of all of them in the input.
         missed: line numbers that affect the exit status: the point of a cutting block is out of tolerance, or an orientation that was
             requested is not reached.
         worst_line: line of the worst case.
         worst: its size, in ``unit``.
-        unit: ``um`` or ``urad`` at the tool; ``mm`` or ``deg`` beyond an axis's range.
+        unit: ``um`` or ``urad`` at the tool; ``mm`` or ``deg`` beyond an axis's range; empty if the size is unknown.
     """
 
     kind: Kind
@@ -44,8 +45,10 @@ class Shortfall:
     @property
     def text(self) -> str:
         """Summary in one line."""
-        size = f"{self.worst:{'.2f' if self.unit in ('um', 'urad') else '.4g'}} {readable(self.unit)}"
         blocks = f"{count_with_noun(len(self.lines), 'block')} ({line_numbers(self.lines)})"
+        if not self.unit:
+            return f"{blocks}: {self.reason}"
+        size = f"{self.worst:{'.2f' if self.unit in ('um', 'urad') else '.4g'}} {readable(self.unit)}"
         return f"{blocks}: {self.reason}; worst {size} (line {self.worst_line})"
 
     def to_dict(self) -> dict[str, Any]:
@@ -56,7 +59,7 @@ class Shortfall:
             "blocks": len(self.lines),
             "lines": list(self.lines),
             "missed": list(self.missed),
-            "worst": {"value": self.worst, "unit": self.unit, "line": self.worst_line},
+            "worst": {"value": self.worst if self.unit else None, "unit": self.unit, "line": self.worst_line},
         }
 
 

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from twin._common.arrays import distinct
-from twin.compensation.account.shortfalls import FoundShortfalls
+from twin.compensation.account.shortfalls import FoundShortfalls, Shortfall
 from twin.compensation.prepared import PreparedMachine
 from twin.compensation.solving import Corrected
+from twin.compensation.toolpath import LostBlock, by_reason
 from twin.kinematics.inverse import SLACK
 
+_INCREMENTS: Final = re.compile(r"[XYZABCUVW][ \t]*=?[ \t]*[+-]?[ \t]*(\d+)(?![\d.,])", re.ASCII | re.IGNORECASE)
+"""A word of an axis whose number has no decimal point."""
+FEWEST_INCREMENTS: Final = 1000.0
+"""Least number without a decimal point outside the range of an axis that is taken for increments: 1 mm in micrometres."""
 UNSOLVED_UM: Final = 0.01
 """Largest residual (µm) accepted as a solution; the solver usually leaves a thousandth of it."""
 
@@ -31,6 +38,28 @@ def uncorrected(corrected: Corrected, residual_um: Mapping[str, np.ndarray]) -> 
         yield from _not_solved(corrected, residual_um["solver"])
         yield from _off_between(corrected)
         yield from _beginning_off(corrected)
+
+
+def of_unknown(moves: Sequence[LostBlock]) -> Iterator[FoundShortfalls]:
+    """Yield blocks that go to unknown places, by reason; the lines of ``moves`` are numbers from 0."""
+    for reason, group in by_reason(moves).items():
+        lines, cutting = np.array([(move.line + 1, move.cutting) for move in group]).T
+        yield FoundShortfalls("unknown", f"{reason}: left as written", "", lines, np.zeros(len(lines)), cutting > 0)
+
+
+def hinted(shortfall: Shortfall, text_of: Callable[[int], str]) -> Shortfall:
+    """Return blocks outside the range of an axis with a hint if the worst one has a whole number that may count increments.
+
+    Args:
+        shortfall: the blocks.
+        text_of: function that returns the text of a line by its number.
+    """
+    if shortfall.kind != "range" or shortfall.unit not in ("mm", "deg"):
+        return shortfall
+    words = _INCREMENTS.findall(text_of(shortfall.worst_line).split(";")[0])
+    if not any(float(digits) >= max(shortfall.worst, FEWEST_INCREMENTS) for digits in words):
+        return shortfall
+    return replace(shortfall, reason=f"{shortfall.reason}; increments? (no decimal point, outside the axis's range)")
 
 
 def _allowed_um(prepared: PreparedMachine) -> float:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
+from twin._common.counts import count_with_noun
 from twin.compensation.account import LineNote, Report
+from twin.compensation.account.uncorrected import of_unknown
 from twin.compensation.compensator import Compensation
 from twin.compensation.fewer_blocks.emit import Shortened
 from twin.compensation.fewer_blocks.report import PathReport, RunReport, ToleranceShares, UncertaintyContribution
@@ -72,19 +74,24 @@ def account(refitter: RunRefitter, job: RefitJob) -> PathReport:
         lever_mm=refitter.lever,
         angle_deg=float(np.degrees(tolerance / refitter.lever)),
         runs=runs,
-        not_met=tuple(
-            LineNote(
-                run.first_line,
-                f"executed path up to {run.total_um:.2f} µm from the input path, to line {run.last_line}",
-            )
-            for run in runs
-            if run.total_um > tolerance * 1e3 * (1.0 + 1e-9)
-        ),
+        not_met=tuple(_not_met(job, runs, tolerance)),
         notes=tuple(notes),
         contributions=tuple(_contributions(runs, compensation)),
         compensation=compensation,
         compensation_requested=job.compensation_requested,
     )
+
+
+def _not_met(job: RefitJob, runs: Sequence[RunReport], tolerance_mm: float) -> Iterator[LineNote]:
+    """Yield runs off the input path by more than the tolerance, and blocks that go to unknown places."""
+    for run in runs:
+        if run.total_um > tolerance_mm * 1e3 * (1.0 + 1e-9):
+            text = f"executed path up to {run.total_um:.2f} µm from the input path, to line {run.last_line}"
+            yield LineNote(run.first_line, text)
+    for found in of_unknown(job.path.unknown):
+        if found.missed.any():
+            cutting = found.lines[found.missed]
+            yield LineNote(int(cutting[0]), f"{count_with_noun(len(cutting), 'cutting block')}: {found.reason}")
 
 
 def _runs(refitter: RunRefitter, job: RefitJob) -> Iterator[RunReport]:

@@ -69,6 +69,8 @@ class Refitter:
         self, machine: Machine, calibration: Calibration, options: Options | None = None, *, compensated: bool = True
     ) -> None:
         chosen = Options(tolerance_mm=DEFAULT_TOLERANCE_MM) if options is None else options
+        if not compensated:
+            chosen = replace(chosen, setup=replace(chosen.setup, one_tool=False))
         self.prepared = PreparedMachine(machine, calibration if compensated else Calibration.zero(machine), chosen)
         self.compensation_requested = compensated
         self.compensated = compensated and not self.prepared.calibration.empty
@@ -110,7 +112,7 @@ class Refitter:
             )
         path = follow(program, reading, space)
         if not path.motions:
-            raise motionless(program.source)
+            raise motionless(program.source, path.unknown)
         runs = find_runs(program, dialect, path, space)
         fitted = []
         for i, run in enumerate(runs):

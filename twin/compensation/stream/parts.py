@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Final, NamedTuple, final
 
 from twin._common.errors import InputError
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
-from twin.compensation.toolpath import Follower, MotionColumns
+from twin.compensation.toolpath import Follower, LostBlock, MotionColumns
 from twin.nc.blocks import Notice
 from twin.nc.columns import MoveColumns
 from twin.nc.encoded import lines_in
@@ -55,6 +55,11 @@ class ProgramFile:
         lines = (line for data in self.stretches() for line in lines_in(data))
         first = next(lines)
         return ending(first) or "\n", style_in(chain((first,), lines), Style(point=True))
+
+    def line(self, number: int) -> str:
+        """Return the text of a line by its number."""
+        lines = (line for data in self.stretches() for line in lines_in(data))
+        return next(islice(lines, number - 1, None))
 
     def stretches(self) -> Iterator[bytes]:
         """Yield the file in stretches of whole lines."""
@@ -140,6 +145,11 @@ class PartReader:
     def notices(self) -> list[Notice]:
         """Notices on the lines read so far."""
         return [*self._notices, *self._follower.notices]
+
+    @property
+    def unknown(self) -> list[LostBlock]:
+        """Blocks read so far that go to unknown places."""
+        return self._follower.unknown
 
     def parts(self) -> Iterator[ProgramPart]:
         """Yield the program as read; if reading `failed`, everything before."""

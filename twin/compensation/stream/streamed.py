@@ -98,9 +98,15 @@ class Streamed:
             if not reader.turns_later:
                 break
         if self._account is None:
-            raise motionless(str(self._source.path))
+            raise motionless(str(self._source.path), reader.unknown)
         writer.finish()
-        report = self._account.report(lines=reader.lines, moves=writer.moves, notices=reader.notices)
+        report = self._account.report(
+            lines=reader.lines,
+            moves=writer.moves,
+            notices=reader.notices,
+            unknown=reader.unknown,
+            text_of=self._source.line,
+        )
         if not report.rewritten:
             _empty(out)
             for data in self._source.stretches():

@@ -2,7 +2,7 @@
 
 from twin.compensation.toolpath.follow import Follower, follow
 from twin.compensation.toolpath.frames import FrameSpaces
-from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ToolPath
+from twin.compensation.toolpath.motions import LostBlock, MotionColumns, Passage, PathMotion, ToolPath, by_reason
 from twin.compensation.toolpath.samples import SAMPLES_A_PIECE, spacings
 from twin.compensation.toolpath.sections import Section, SectionMotions, motions_of, sections, spaces
 from twin.compensation.toolpath.words import Setup, WordSpace, axis_words, check_domains, outside_range, turns_tool
@@ -11,6 +11,7 @@ __all__ = [
     "SAMPLES_A_PIECE",
     "Follower",
     "FrameSpaces",
+    "LostBlock",
     "MotionColumns",
     "Passage",
     "PathMotion",
@@ -20,6 +21,7 @@ __all__ = [
     "ToolPath",
     "WordSpace",
     "axis_words",
+    "by_reason",
     "check_domains",
     "follow",
     "motions_of",

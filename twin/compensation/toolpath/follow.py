@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ProgramMotions, ToolPath
+from twin.compensation.toolpath.motions import LostBlock, MotionColumns, Passage, PathMotion, ProgramMotions, ToolPath
 from twin.compensation.toolpath.words import WordSpace
 from twin.nc.blocks import Interpretation, Kind, LostPositions, Move, Notice, Program
 from twin.nc.columns import MoveColumns, as_columns
@@ -34,7 +34,8 @@ def follow(
     follower = Follower(program.source, space, later)
     moves = as_columns(space.axes.names, reading.moves)
     columns = follower.columns(moves, reading.lost_positions, lambda line: program.texts[line])
-    return ToolPath(ProgramMotions(columns, moves), columns, tuple(follower.notices), tuple(follower.passages))
+    passed = tuple(follower.notices), tuple(follower.passages), tuple(follower.unknown)
+    return ToolPath(ProgramMotions(columns, moves), columns, *passed)
 
 
 @final
@@ -49,11 +50,13 @@ class Follower:
     Attributes:
         notices: notices on lines that move axes but are passed through unchanged, and on assumptions, so far.
         passages: axis positions after lines between motions, so far.
+        unknown: blocks that go to unknown places, so far.
     """
 
     def __init__(self, source: str, space: WordSpace, later: Sequence[tuple[int, WordSpace]] = ()) -> None:
         self.notices: list[Notice] = []
         self.passages: list[Passage] = []
+        self.unknown: list[LostBlock] = []
         self._count = 0
         self._source = source
         self._space = space
@@ -77,7 +80,7 @@ class Follower:
         self._left = [*left[::-1], *self._left]
         if np.any(moves.by_vector):
             self._space.branches  # noqa: B018  # refuses a machine that cannot follow tool vectors
-        single = {i for i, move in moves.special.items() if move.arc is not None or move.machine}
+        single = {i for i, move in moves.special.items() if move.arc is not None or move.passes}
         changes = np.searchsorted(moves.line, [one.line for one in left], side="right")
         later = np.searchsorted(moves.line, [line for line, _ in self._later])
         modes = (np.diff(moves.tcp) | np.diff(moves.by_vector)).nonzero()[0] + 1
@@ -161,6 +164,9 @@ class Follower:
             if self._tcp is not None:
                 self._words = self._switched(move.tcp)
             self._tcp = move.tcp
+        if move.unknown:
+            self._lose(move)
+            return None
         words, end = self._words, np.array(move.position)
         if move.machine:
             self._pass(end, np.isfinite(end))
@@ -182,6 +188,15 @@ class Follower:
             return None
         self._count += 1
         return PathMotion(move, start, end)
+
+    def _lose(self, move: Move) -> None:
+        """Pass a block to an unknown place through."""
+        self.unknown.append(LostBlock(move.line, move.kind is not Kind.RAPID, move.unknown))
+        everywhere = np.full(len(self._words), np.nan)
+        known = not self.passages or np.isfinite(self.passages[-1].commands).any() or not self.passages[-1].moved.all()
+        if known or self.passages[-1].before != self._count:
+            self._pass(everywhere, np.ones(len(everywhere), dtype=bool))
+        self._words, self._assumed = everywhere, False
 
     def _named(self, move: Move) -> np.ndarray:
         """Return (axes,) which words a move has."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -173,6 +173,28 @@ class Passage:
     moved: np.ndarray
 
 
+class LostBlock(NamedTuple):
+    """A block that is passed through unchanged because nothing is known of where it goes.
+
+    Attributes:
+        line: 0-based index of its line.
+        cutting: whether it is a feed.
+        reason: why, in words.
+    """
+
+    line: int
+    cutting: bool
+    reason: str
+
+
+def by_reason(moves: Iterable[LostBlock]) -> dict[str, list[LostBlock]]:
+    """Return blocks by the reason why nothing is known of them, in order."""
+    found: dict[str, list[LostBlock]] = {}
+    for move in moves:
+        found.setdefault(move.reason, []).append(move)
+    return found
+
+
 @final
 @dataclass(frozen=True)
 class ToolPath:
@@ -183,12 +205,14 @@ class ToolPath:
         columns: the same in columns.
         notices: notices on lines that move axes but are passed through unchanged, and on assumptions.
         passages: axis positions after those lines, and after lines that leave an axis at an unknown position.
+        unknown: blocks that go to unknown places.
     """
 
     motions: Sequence[PathMotion]
     columns: MotionColumns
     notices: tuple[Notice, ...] = ()
     passages: tuple[Passage, ...] = ()
+    unknown: tuple[LostBlock, ...] = ()
 
     def part(self, begin: int, end: int) -> ToolPath:
         """Return the motions from index ``begin`` up to ``end``, with the passages between them."""

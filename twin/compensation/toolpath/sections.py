@@ -72,7 +72,7 @@ def sections(base: WordSpace, source: str, reading: Interpretation) -> list[Sect
     standing = base.start + base.offset[3:]
     assumed = "" if setup.offsets is None else setup.offsets.assumed
     moves = as_columns(base.axes.names, reading.moves)
-    lines, positions = moves.line[~moves.machine], moves.position[~moves.machine]
+    lines, positions = moves.line[~moves.passes], moves.position[~moves.passes]
     starts = [(0, WordFrame()), *reading.frames]
     found: list[Section] = []
     for place, (line, frame) in enumerate(starts):

@@ -43,6 +43,7 @@ class Setup:
         start_deg: positions of rotary axes before the program names them, by axis name; 0 if missing.
         offsets: the machine's work offsets, from which the program selects; they replace the two above.
         tools: lengths of the tools that the program calls.
+        one_tool: whether a program without that table must keep to one tool. Its length is of no effect on a machine without errors.
     """
 
     work_offset: Mapping[str, float] = field(default_factory=dict)
@@ -50,6 +51,7 @@ class Setup:
     start_deg: Mapping[str, float] = field(default_factory=dict)
     offsets: OffsetTable | None = None
     tools: ToolTable | None = None
+    one_tool: bool = True
 
     def __post_init__(self) -> None:
         """Raise `InputError` if offsets are given twice."""
@@ -110,6 +112,7 @@ def axis_words(machine: Machine) -> AxisWords:
         increment={axis.name: axis.increment for axis in machine.axes},
         tcp_on=machine.tcp_on,
         tcp_off=machine.tcp_off,
+        harmless=machine.harmless,
     )
 
 
@@ -157,7 +160,10 @@ class WordSpace:
     def __init__(self, machine: Machine, setup: Setup, tool_length_mm: float | None, tilt: Tilt | None = None) -> None:
         self.machine, self.setup, self.tool_length_mm = machine, setup, tool_length_mm
         self.axes = replace(
-            axis_words(machine), offsets_known=setup.offsets is not None, tools_known=setup.tools is not None
+            axis_words(machine),
+            offsets_known=setup.offsets is not None,
+            tools_known=setup.tools is not None,
+            one_tool=setup.one_tool,
         )
         self.nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm)
         self.inverse = Inverse(self.nominal)

@@ -8,6 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.errors import InputError
 from twin._common.families import PROGRAM_SUFFIXES
 from twin.nc.apt.locations import VECTOR_DECIMALS
 from twin.nc.apt.program import read, rewritten
@@ -80,6 +81,7 @@ class Apt(Dialect):
         self, program: Program, reading: Interpretation, new: NewPositions, axes: AxisWords, into: Dialect
     ) -> str:
         """See `Dialect.posted`."""
+        _check_known(program, reading)
         writer = into.new_program(axes)
         writer.start(program.source)
         unit = 1.0
@@ -105,6 +107,19 @@ class Apt(Dialect):
                 writer.comment(" ".join(statement.raw.split()))
         writer.finish()
         return "".join(writer.out)
+
+
+def _check_known(program: Program, reading: Interpretation) -> None:
+    """Raise `InputError` for an unknown location."""
+    for lost in reading.moves:
+        if lost.unknown:
+            raise InputError(
+                f"a location that cannot be posted: {lost.unknown}",
+                expected="statements whose effect on the locations is known",
+                file=program.source,
+                line=lost.line + 1,
+                value=program.texts[lost.line].strip(),
+            )
 
 
 def _feed(words: LineWords, unit: float, last: float) -> float:

@@ -43,7 +43,7 @@ def read(program: Program, axes: AxisWords) -> Interpretation:
         InputError: as `twin.nc.dialect.Dialect.moves`.
     """
     reader, found = AptReader(program.source, axes), MoveBuilder(axes.names)
-    for part in _parts(program, lambda chunk: chunk.scan.simple, lambda: reader.rapid):
+    for part in _parts(program, lambda chunk: chunk.scan.simple, lambda: reader.rapid or bool(reader.unknown)):
         if isinstance(part, _Run):
             found.extend(reader.run(part.chunk.first + part.lines, locations(part.chunk.scan, part.lines)))
         elif (move := reader.step(part)) is not None:

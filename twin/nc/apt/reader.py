@@ -17,10 +17,10 @@ from twin.nc.emit import Vector
 from twin.nc.text import MM_PER_INCH, UNIT_LENGTH, number, unit_vector
 
 _PASSED = frozenset(
-    """SPINDL COOLNT LOADTL TOOLNO PAINT MSYS MULTAX PARTNO MACHIN CUTTER END FINI STOP OPSTOP DELAY HEAD
-    SELECTL SELECT TPRINT TMARK LEADER INTOL OUTTOL TOLER PPRINT DISPLY TLDATA TURRET CLAMP AUXFUN PREFUN SEQNO OPTION
-    PREGO RETRCT CLEARP LINTOL MCHTOL REWIND INSERT MODE UNITS CUTCOM CYCLE ORIGIN PITCH CLRSRF TOOL SET CHKSUM LOAD
-    UNLOAD AIR MCHFIN NOPOST ARCSLP RESET PROGRAM TOOLPATH ENDOFPATH CATPROCESS TLAXIS REMARK BREAK PLABEL ISTOP
+    """SPINDL COOLNT TOOLNO PAINT MSYS MULTAX PARTNO MACHIN CUTTER END FINI STOP OPSTOP DELAY HEAD
+    SELECTL SELECT TPRINT TMARK LEADER INTOL OUTTOL TOLER PPRINT DISPLY TLDATA CLAMP SEQNO OPTION
+    PREGO RETRCT CLEARP LINTOL MCHTOL REWIND MODE UNITS CUTCOM CYCLE ORIGIN PITCH CLRSRF TOOL SET CHKSUM LOAD
+    UNLOAD AIR MCHFIN NOPOST ARCSLP RESET PROGRAM TOOLPATH ENDOFPATH CATPROCESS REMARK BREAK PLABEL ISTOP
     CONTRL DATE TIME VERSION OPERATION PROCESS""".split()
 )
 _REFUSED: dict[str, tuple[str, str]] = {
@@ -42,6 +42,9 @@ _REFUSED: dict[str, tuple[str, str]] = {
         for word in ("CALL", "MACRO", "TERMAC", "LOOPST", "LOOPND", "JUMPTO", "IF", "DO", "TRANTO")
     },
 }
+UNKNOWN_FROM_HERE = "is not known: nothing is known of the locations after it"
+_AUXILIARY = frozenset({*range(15), 19, 30})
+"""Auxiliary functions of DIN 66025: stops, spindle, tool change, coolant, clamps."""
 _IDENTITY = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 
 
@@ -57,6 +60,9 @@ class AptReader:
         self.notices: list[Notice] = []
         self.unit = 1.0
         self.rapid = False
+        self.unknown = ""
+        self._tool = self._used_tool = ""
+        self._tool_line = 0
         self.vector: Vector = (0.0, 0.0, 1.0)
         self._noted: set[str] = set()
         self._line = 0
@@ -86,9 +92,15 @@ class AptReader:
         if word in _REFUSED:
             what, expected = _REFUSED[word]
             raise self.error(what, statement.raw.strip(), expected)
-        elif word not in _PASSED and not word.startswith(("PARTNO", "PPRINT", "INSERT", "TOOLPATH", "REMARK")):
-            self.note(f"unknown statement passed through: {statement.raw.strip()[:60]}")
+        if word not in _PASSED and not word.startswith(("PARTNO", "PPRINT", "TOOLPATH", "REMARK")):
+            self._lose(statement)
         return None
+
+    def _lose(self, statement: Statement) -> None:
+        """Make all that follows unknown: locations have no absolute form that does not depend on the statements before."""
+        shown = " ".join(statement.raw.split())[:60]
+        self.note(f"the effect of {shown} {UNKNOWN_FROM_HERE}")
+        self.unknown = self.unknown or f"the effect of {shown} is not known"
 
     def run(self, lines: np.ndarray, numbers: np.ndarray) -> MoveColumns:
         """Interpret simple ``GOTO`` statements together, none of them a rapid.
@@ -97,6 +109,7 @@ class AptReader:
             lines: (n,) 0-based indices of their lines.
             numbers: (n, 6) their numbers; NaN where a statement has no tool vector.
         """
+        self.use_tool()
         vector, width = numbers[:, 3:].copy(), len(self.axes.names)
         said = np.isfinite(vector)
         length = np.sqrt(vector[:, 0] ** 2 + vector[:, 1] ** 2 + vector[:, 2] ** 2)[:, None]
@@ -120,8 +133,13 @@ class AptReader:
     def _home(self, statement: Statement) -> None:
         self.note("GOHOME passed through uncompensated")
 
-    def _insert(self, statement: Statement) -> None:
-        self.note("INSERT passed through; its text is not interpreted")
+    def _auxiliary(self, statement: Statement) -> None:
+        if not (statement.arguments and number(statement.texts[0]) in _AUXILIARY):
+            self._lose(statement)
+
+    def _load(self, statement: Statement) -> None:
+        texts = [text for text in statement.texts if text.upper() != "TOOL"]
+        self._tool, self._tool_line = (texts[0] if texts else ""), statement.line
 
     def _frame(self, statement: Statement) -> None:
         if [number(text) for text in statement.texts] != _IDENTITY[: len(statement.texts)]:
@@ -165,26 +183,42 @@ class AptReader:
             self.vector = vector
         unit = self.unit
         position = (values[0] * unit, values[1] * unit, values[2] * unit, *self.rotary)
-        kind = Kind.LINEAR
-        if statement.word == "FROM":
-            kind = Kind.RAPID
-        elif self.rapid:
-            kind, self.rapid = Kind.RAPID, False
+        kind = Kind.RAPID if statement.word == "FROM" or self.rapid else Kind.LINEAR
+        self.rapid = self.rapid and statement.word == "FROM"
+        if self.unknown:
+            nowhere = (math.nan,) * len(self.axes.names)
+            return Move(self._line, kind, True, nowhere, self.names, unknown=self.unknown)
+        self.use_tool()
         return Move(self._line, kind, True, position, self.names, vector=self.vector)
+
+    def use_tool(self) -> None:
+        """Record that a location uses the tool that is loaded.
+
+        Raises:
+            InputError: it is the second tool, whose length is not known.
+        """
+        if self.axes.one_tool and self._tool and self._used_tool and self._tool != self._used_tool:
+            self._line = self._tool_line
+            raise self.error(
+                "second tool", self._tool, f"one tool per program (locations before use {self._used_tool})"
+            )
+        self._used_tool = self._tool or self._used_tool
 
 
 _MEANINGS: Final[Mapping[str, Callable[[AptReader, Statement], Move | None]]] = {
+    "AUXFUN": AptReader._auxiliary,
     "CUTCOM": AptReader._cutcom,
     "CYCLE": AptReader._cycle,
     "FEDRAT": AptReader._rapid,
     "FROM": AptReader._goto,
     "GOHOME": AptReader._home,
     "GOTO": AptReader._goto,
-    "INSERT": AptReader._insert,
+    "LOADTL": AptReader._load,
     "MODE": AptReader._mode,
     "MSYS": AptReader._frame,
     "ORIGIN": AptReader._origin,
     "RAPID": AptReader._rapid,
+    "TURRET": AptReader._load,
     "UNITS": AptReader._units,
 }
 """Handlers of statements that may change the meaning of locations, by their major word."""

@@ -24,6 +24,7 @@ class PathBlock(Block):
         clockwise: the sense of an arc, or None.
         radius: mm, or None.
         machine: whether its words are machine coordinates.
+        elsewhere: whether these count from a point of the machine's builder (M92).
         retracts: whether it retracts along the tool axis.
     """
 
@@ -37,4 +38,5 @@ class PathBlock(Block):
     clockwise: bool | None = None
     radius: float | None = None
     machine: bool = False
+    elsewhere: bool = False
     retracts: bool = False

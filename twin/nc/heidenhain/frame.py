@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from typing import Final
 
+from twin.nc.block import Block
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.block import PathBlock
 from twin.nc.modal import Interpreter
@@ -20,19 +22,28 @@ class HeidenhainFrame(Interpreter):
     """Preset by cycle 247, tool by ``TOOL CALL``, tilted plane by ``PLANE SPATIAL``.
 
     Attributes:
+        centre: the pole in force (``CC``), by axis.
         continued: whether the next line continues the current block (parameters of a cycle).
     """
 
     heidenhain = True
     continued = False
     _selects_preset = False
+    centre: Mapping[int, float] = {}
+
+    def lose(self, block: Block, statement: str) -> None:
+        """As `Interpreter.lose`; the pole is unknown too, and a statement that the machine file names as harmless has no effect."""
+        upper = " ".join(statement.split(";")[0].upper().split())
+        if not any(f"{upper} ".startswith(f"{words} ") for words in self.harmless):
+            super().lose(block, statement)
+            self.centre = {}
 
     def begin_preset(self) -> None:
         """Begin cycle 247, whose parameter may follow on the next line."""
         if not self.offsets_known:
             self.note("CYCL DEF 247 selects a preset: its offset must be given as work_offset")
         self.assign(_PRESET, math.nan)
-        self._selects_preset = self.offsets_known
+        self._selects_preset = True
 
     def end_preset(self, block: PathBlock) -> None:
         """Select the preset of a cycle 247 that is complete.
@@ -43,21 +54,29 @@ class HeidenhainFrame(Interpreter):
         if self._selects_preset and not self.continued:
             self._selects_preset = False
             row = self.value_of(_PRESET)
+            if not self.offsets_known and row != row:
+                self.select_offset(block, f"preset of line {self._line + 1}")
+                return
             if row != row or row != int(row):
                 raise self.error("preset without a number", "Q339=+1 with the row of the preset table")
-            self.select(block, offset=str(int(row)))
+            self.select_offset(block, str(int(row)))
 
     def select_tool(self, block: PathBlock, body: str) -> None:
-        """Put the tool of a ``TOOL CALL`` into the spindle, if the lengths of the tools are known.
+        """Put the tool of a ``TOOL CALL`` into the spindle.
 
         Raises:
             InputError: its number or ``DL`` is unknown.
         """
         found = vocabulary.TOOL.match(body)
-        if found is None or not self.tools_known:
+        if found is None:
             return
         delta = vocabulary.TOOL_LENGTH.search(body.split(";")[0])
         tool = found.group(1) if found.group(2) is None else found.group(2)
+        if not self.tools_known:
+            row = self.value_of(tool)
+            held = "" if row == 0.0 else f"{row:g}" if row == row else tool
+            self.hold_tool(held, held and f"{held}{'' if delta is None else f' DL{delta.group(1)}'}")
+            return
         if tool[:1] in "qQ":
             tool = f"{self.known('TOOL CALL', tool):g}"
         length = 0.0 if delta is None else self.known("DL", delta.group(1))

@@ -29,7 +29,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
         off = {"M129", *(word.upper() for word in axes.tcp_off)}
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self.plane = _PLANES["Z"]
-        self.centre: dict[int, float] = {}
         self._simple = vocabulary.simple_pattern(self.names)
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
@@ -49,7 +48,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no tool vector, and no block that continues."""
-        return self.vector is None and not self.continued
+        return self.set_up and self.vector is None and not self.continued
 
     def moves(self, line: int, text: str) -> tuple[Move, ...]:
         """See `Interpreter.moves`; as `step` does, without the words that only a writer needs."""
@@ -87,8 +86,12 @@ class HeidenhainInterpreter(HeidenhainFrame):
         text, spans = match.string, match.regs
         start, end = spans[2]
         move = self._simple_move(match, self._simple_words(match)) if known is None else known
+        if known is not None:
+            self.use_set_up(move.kind)
         self.position, self.vector = list(move.position), move.vector
         block = PathBlock(text, start, self.inch, moves=(move,), numbered=spans[1][1] >= 0)
+        if move.unknown:
+            block.unknown_axes = tuple(range(len(self.names)))
         words, position = block.words, move.position
         for group, axis in self._simple.axes:
             at, to = spans[group]
@@ -124,8 +127,11 @@ class HeidenhainInterpreter(HeidenhainFrame):
             parts = values[:3], values[3:]
             normal, tool = ([number(text or "0") for text in part] if any(part) else None for part in parts)
         self.check_plane(axis_bits >> self.linear != 0)
-        unit_normal = self._directed(axis_bits, tool, normal)
         kind = Kind.RAPID if _rapid(match) else Kind.LINEAR
+        if self.unknown:
+            return self.unknown_move(kind, axis_bits)
+        unit_normal = self._directed(axis_bits, tool, normal)
+        self.use_set_up(kind)
         position = tuple(self.position)
         return Move(self._line, kind, self.tcp, position, self.named(axis_bits), False, self.vector, unit_normal)
 
@@ -144,6 +150,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _body(self, block: PathBlock, body: str) -> None:
         found = vocabulary.KEYWORD.match(body)
         keyword = "" if found is None else found.group().upper()
+        if vocabulary.NUMBER_OF_ISO.match(body):
+            raise self.error("block number with N", "block numbers of plain language, without N", body)
         if vocabulary.PARAXIAL.match(body) or (keyword[:1] == "M" and len(keyword) <= 2):
             self._path(block, "", block.head_end)
         elif found is None:
@@ -171,9 +179,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         elif keyword in self.index or (keyword[:1] == "I" and keyword[1:] in self.index):
             raise self.error("word without a number", f"a number after {keyword}")
         elif keyword not in vocabulary.PASSED:
-            what = "probing" if keyword == "TCH" else "unknown statement"
-            self.note(f"{what} passed through; all axis positions are unknown afterwards: {body[:60]}")
-            self.mark_unknown(block, range(len(self.names)), moved=keyword == "TCH")
+            self.lose(block, body)
 
     def _begin(self, block: PathBlock, body: str, upper: str) -> None:
         unit = vocabulary.UNIT.match(body)
@@ -183,6 +189,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
     def _tool(self, block: PathBlock, body: str, upper: str) -> None:
         if "CALL" not in upper:
+            if not upper.startswith("TOOL DEF"):
+                self.lose(block, body)
             return
         axis = vocabulary.TOOL_AXIS.match(body)
         if axis is not None:
@@ -212,7 +220,11 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
         if cycle == 247:
             self.begin_preset()
-        elif cycle in vocabulary.TRANSFORM_CYCLES and (part is None or (part != "0" and not _cancels(cycle, rest))):
+        elif cycle not in vocabulary.HARMLESS_CYCLES and cycle not in vocabulary.TRANSFORM_CYCLES:
+            self.lose(block, body)
+        elif cycle in vocabulary.TRANSFORM_CYCLES and (
+            part is None or (part != "0" and not vocabulary.cancels(cycle, rest))
+        ):
             what = f"coordinate transformation CYCL DEF {cycle} ({vocabulary.TRANSFORM_CYCLES[cycle]})"
             raise self.error(what, vocabulary.NO_TRANSFORMATION)
         self._assignments(body)
@@ -223,6 +235,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error("parameter function without a number", "FN 0: Q1 = +5")
         if 9 <= int(found.group(1)) <= 12:
             raise self.error("control flow", vocabulary.NO_CALLS)
+        if int(found.group(1)) not in vocabulary.HARMLESS_FN:
+            self.lose(block, body)
         self._assignments(found.group(2))
 
     def _assignments(self, body: str) -> None:
@@ -236,6 +250,12 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.switch(block, True, "FUNCTION TCPM")
         elif upper.startswith(("FUNCTION TURNDATA", "FUNCTION MODE TURN", "FUNCTION CORRDATA", "FUNCTION PARAXMODE")):
             raise self.error("function that changes the meaning of axis words", vocabulary.NO_TRANSFORMATION)
+        elif not upper.startswith(vocabulary.HARMLESS_FUNCTIONS):
+            self.lose(block, body)
+
+    def _table(self, block: PathBlock, body: str, upper: str) -> None:
+        if not upper.startswith("TABDATA READ"):
+            self.lose(block, body)
 
     # ------------------------------------------------------------------ words of paths
 
@@ -286,7 +306,12 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if code in vocabulary.LAST_M:
             block.end_m_words.append(Span(match.start("misc"), match.end()))
         self.switch_by(block, word)
+        if not (code in vocabulary.HARMLESS_M or word in self.tcp_on | self.tcp_off):
+            turned = [position for position in self.position[self.linear :] if not 0.0 <= position < 360.0]
+            if code != 94 or turned:
+                self.lose(block, match["misc"])
         block.machine |= code in (91, 92)
+        block.elsewhere |= code == 92
         block.retracts |= code == 140
 
     def _sense(self, block: PathBlock, match: re.Match[str]) -> None:
@@ -343,7 +368,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             word = self._axis_word(match)
             found[word.axis] = word.value + (self.position[word.axis] if word.incremental else 0.0)
         if found:
-            self.centre.update(found)
+            self.centre = {**self.centre, **found}
         else:
             self.centre = dict(enumerate(self.position[: self.linear]))
 
@@ -354,8 +379,13 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if block.machine:
             if block.keyword in ("C", "CR", "LN"):
                 raise self.error("machine coordinates in an arc", "an L block")
-            position = self.machine_position(block)
+            position = self.machine_position(block, elsewhere=block.elsewhere)
             block.moves += (Move(self._line, kind, self.tcp, position, names, machine=True),)
+            return
+        if self.unknown:
+            kind = Kind.ARC if block.keyword in ("C", "CR") else kind
+            block.moves += (self.unknown_move(kind, block.axis_bits),)
+            block.unknown_axes = tuple(range(len(self.names)))
             return
         start = self.position[: self.linear]
         self.apply_words(block)
@@ -366,6 +396,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             arc = self._arc(block, start)
         elif block.arc_words:
             raise self.error("DR outside a circular block", "C or CR")
+        self.use_set_up(kind)
         position = tuple(self.position)
         block.moves += (Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc),)
 
@@ -406,6 +437,7 @@ _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str,
     "PLANE": HeidenhainInterpreter._tilt,
     "POLARKIN": HeidenhainInterpreter._transform,
     "SEL": HeidenhainInterpreter._call,
+    "TABDATA": HeidenhainInterpreter._table,
     "TOOL": HeidenhainInterpreter._tool,
     "TRANS": HeidenhainInterpreter._transform,
 }
@@ -416,13 +448,3 @@ def _rapid(match: re.Match[str]) -> str:
     """Return ``FMAX`` of a simple block as written, or an empty text."""
     feed = match[match.re.groups]
     return feed if feed is not None and feed[-1] in "xX" else ""
-
-
-def _cancels(cycle: int, rest: str) -> bool:
-    """Return whether the values of a transformation cycle cancel it."""
-    values = [number(text) for text in vocabulary.NUMBERS.findall(rest)]
-    if cycle in (11, 26):
-        return bool(values) and all(value == 1.0 for value in values)
-    if cycle in (8, 19) and not rest:
-        return True
-    return cycle != 8 and bool(values) and "Q" not in rest.upper() and all(value == 0.0 for value in values)

@@ -8,12 +8,14 @@ from functools import lru_cache
 from typing import Final
 
 from twin.nc.simple_blocks import SimpleBlocks, simple_blocks
+from twin.nc.text import number
 
 _VALUE = r"[+-]?+[ \t]*+(?:[\d.,]++|Q[LR]?\d++)"
 
 HEAD = re.compile(r"(?:\xef\xbb\xbf)?+[ \t\f\x1a]*+(?:(\d++)(?![.,\d]))?+[ \t]*+", re.ASCII)
 """The text before a block: spaces and its number."""
 KEYWORD = re.compile(r"(?:L[NPT]?|C[CRTP]?|CTP)(?=[ \t\r\n;~]|$)|[A-Za-z]++", re.ASCII)
+NUMBER_OF_ISO = re.compile(r"N[ \t]*+\d", re.ASCII | re.IGNORECASE)
 PARAXIAL = re.compile(rf"I?[XYZABCUVW][ \t]*+{_VALUE}", re.ASCII | re.IGNORECASE)
 
 TOKEN = re.compile(
@@ -45,9 +47,73 @@ ASSIGNED = re.compile(r"(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re
 NUMBERS = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
 REFUSED_PATHS = frozenset("CT CP LP CTP LT RND CHF APPR DEP FL FLT FC FCT FPOL FSELECT".split())
-PASSED = frozenset(
-    "END BLK TOOL STOP LBL INCLUDE DECLARE PATTERN SECTION TABDATA QS GLOBAL OPEN WAIT STRUCTURE".split()
+PASSED = frozenset("END BLK STOP LBL DECLARE PATTERN QS GLOBAL OPEN WAIT".split())
+HARMLESS_FUNCTIONS = tuple(
+    f"FUNCTION {reset}{words}"
+    for reset in ("", "RESET ")
+    for words in (
+        "AFC",
+        "COUNT",
+        "DWELL",
+        "FEED",
+        "FILE",
+        "LIFTOFF",
+        "MODE MILL",
+        "S-PULSE",
+        "SPINDLE",
+        "TCPM",
+        "REPORT",
+    )
 )
+"""Beginnings of functions that act on feed, spindle, files and messages only."""
+HARMLESS_FN = frozenset({*range(9), 13, 14, 15, 16, 18, 20, 23, 24, 26, 27, 28, 37, 38})
+"""Parameter functions that compute, read, wait or write free tables; 17, 19, 25 and 29 write data of the control, a datum, the PLC."""
+HARMLESS_CYCLES = frozenset(
+    {
+        *(1, 2, 3, 4, 5, 9, 13, 14, 17, 18, 32, 247),
+        *range(20, 30),
+        *range(200, 216),
+        *(225, 230, 231, 232, 233, 240, 241, 262, 263, 264, 265, 267),
+        *range(251, 259),
+        *range(270, 278),
+    }
+    - {26}
+)
+"""Cycles that move nothing and shift nothing where they are defined: machining cycles, which a call executes; dwell, tolerance, spindle
+orientation, contour. Cycle 247 selects a preset.
+"""
+HARMLESS_M = frozenset(
+    {
+        *range(11),
+        *(
+            13,
+            14,
+            17,
+            19,
+            30,
+            90,
+            91,
+            92,
+            95,
+            97,
+            *range(101, 104),
+            *range(105, 112),
+            116,
+            117,
+            120,
+            122,
+            124,
+            126,
+            127,
+            134,
+            135,
+        ),
+        *(136, 137, 140, 141, 145, 148, 149, 150),
+    }
+)
+"""M functions that leave positions, frame and modes alone, and those that are modelled (91, 92, 140), by HEIDENHAIN's list. M94 does
+if the rotary axes are below 360°; M104 and M143 change the datum, M112, M114, M115 and M138 the path or its transformation.
+"""
 TRANSFORM_CYCLES = {
     7: "datum shift",
     8: "mirror image",
@@ -65,6 +131,16 @@ EXPANDED_CYCLE = "a cycle expanded into L blocks by the postprocessor"
 LINEAR = "a path of L, LN, CC/C and CR blocks from the postprocessor"
 NO_TRANSFORMATION = "a program without coordinate transformations"
 NO_CALLS = "one program without jumps or calls"
+
+
+def cancels(cycle: int, rest: str) -> bool:
+    """Return whether the values of a transformation cycle cancel it."""
+    values = [number(text) for text in NUMBERS.findall(rest)]
+    if cycle in (11, 26):
+        return bool(values) and all(value == 1.0 for value in values)
+    if cycle in (8, 19) and not rest:
+        return True
+    return cycle != 8 and bool(values) and "Q" not in rest.upper() and all(value == 0.0 for value in values)
 
 
 @lru_cache(maxsize=16)

@@ -198,7 +198,14 @@ class IsoDrilling(IsoTilt):
 
     def drill(self, block: IsoBlock, cycle: Drilling) -> None:
         """Add the strokes of a cycle to the moves of a block, except those that do not move."""
-        if self.plane != 17 or self.incremental or self.tcp or self.vector is not None or block.end_m_words:
+        if (
+            self.unknown
+            or self.plane != 17
+            or self.incremental
+            or self.tcp
+            or self.vector is not None
+            or block.end_m_words
+        ):
             raise self.error("canned cycle", vocabulary.EXPANDED_CYCLE)
         named = frozenset(self.names[2:3])
         strokes = self.strokes()

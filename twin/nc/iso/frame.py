@@ -8,7 +8,7 @@ from twin.nc.iso import vocabulary
 from twin.nc.iso.block import IsoBlock, Item
 from twin.nc.modal import Interpreter
 
-_LENGTH_ON: Final = frozenset({"43", "43.4", "43.5"})
+_LENGTH_ON: Final = frozenset({"43", "43.4", "43.5", "234"})
 _OF_TOOL: Final = frozenset("THD")
 TOOL_CHANGE: Final = "M6"
 
@@ -21,9 +21,6 @@ class IsoFrame(Interpreter):
     default).
     """
 
-    offset: str | None = None
-    offset_line = 0
-    used_offset: str | None = None
     _next_tool = ""
     _length_by_h = _by_name = False
 
@@ -35,56 +32,42 @@ class IsoFrame(Interpreter):
         """
         if code in ("58", "59") and block.items and not any(span.name in "0123" for span in block.codes):
             raise self.error(f"coordinate transformation G{code}", vocabulary.NO_TRANSFORMATION, f"G{code}")
-        if code == "54.1":
+        if code in ("54.1", "154"):
             code += "".join(f" P{item.value.strip()}" for item in block.others if item.name == "P")
-        self.offset, self.offset_line = code, self._line
-        if self.offsets_known:
-            self.used_offset = code
-            self.select(block, offset=f"G{code}")
-
-    def use_offset(self) -> None:
-        """Record that a move uses the work offset in force.
-
-        Raises:
-            InputError: it is the program's second one, and the values of the offsets are unknown.
-        """
-        if self.offset is None or self.offset == self.used_offset:
-            return
-        if self.used_offset is not None:
-            expected = (
-                f"one work offset per program (moves before use G{self.used_offset}), or the table of work offsets"
-            )
-            raise self.error("second work offset", expected, f"G{self.offset}", self.offset_line + 1)
-        self.used_offset = self.offset
+        self.select_offset(block, f"G{code}")
 
     def choose_tool(self, block: IsoBlock, words: frozenset[str]) -> None:
         """Apply the words for tool and length of a block; ``words``: its M words."""
         said = {item.name: item for item in block.others if item.name in _OF_TOOL}
         codes = {span.name for span in block.codes}
-        if not self.tools_known or not (said or codes or words):
+        if not (said or codes or words):
             return
         changes: dict[str, Any] = {}
-        tool = self.frame.tool
+        tool = self.frame.tool if self.tools_known else self._held_tool
         if "T" in said:
             self._next_tool, self._by_name = self._name_of(said["T"]), '"' in said["T"].value
         if TOOL_CHANGE in words:
-            if not self._next_tool:
+            if not self._next_tool and self.tools_known:
                 raise self.error("tool change without a tool", "T with a number or a name before M6")
-            tool = changes["tool"] = self._next_tool
+            tool = changes["tool"] = self._next_tool or f"of line {self._line + 1}"
             if self._by_name:
                 changes["length"] = tool
         changes |= self._length(said, codes, tool)
-        if changes:
+        if changes and self.tools_known:
             self.select(block, **changes)
+        elif changes:
+            length = changes.get("length", self._held_length)
+            self.hold_tool("" if tool == "0" else tool, "" if length == "0" else length)
 
     def _length(self, said: dict[str, Item], codes: set[str], tool: str) -> dict[str, str]:
         """Return the change of the length in force, empty if there is none."""
-        if codes & {"44", "43.1"}:
+        if codes & {"44", "43.1"} and self.tools_known:
             raise self.error("tool length by G44 or G43.1", "G43 with an H word, whose length is in the table of tools")
         height = self._name_of(said["H"]) if "H" in said else None
-        if codes & _LENGTH_ON:
+        in_force = self._length_by_h and (self.frame.length or self._held_length) and "49" not in codes
+        if codes & _LENGTH_ON or (in_force and height not in (None, "0")):
             self._length_by_h = True
-            if not (height or tool):
+            if not (height or tool) and self.tools_known:
                 raise self.error("tool length without a tool", "G43 with an H word, or a tool change before it")
             return {"length": height or tool}
         if "49" in codes or (self._length_by_h and height == "0"):
@@ -99,6 +82,8 @@ class IsoFrame(Interpreter):
         text = item.value.strip()
         if text.startswith('"'):
             return text.strip('"')
+        if not self.tools_known and self.value_of(text) != self.value_of(text):
+            return text
         value = self.known_value(item.name, text, "a whole number, or a name in quotes")
         if value < 0 or value != int(value):
             raise self.error(f"{item.name} names no tool", "a whole number, or a name in quotes", text)

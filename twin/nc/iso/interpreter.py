@@ -16,6 +16,7 @@ from twin.nc.iso.motion import CENTRE, SPINDLE_VECTOR, IsoMotion
 from twin.nc.text import BLANK, BOM, MM_PER_INCH, number
 
 _AXIS_LETTERS: Final = frozenset("XYZABCUVW")
+_LENGTH_WORDS: Final = frozenset({"", "G43.4", "G43.5", "G234"})
 _ARC_WORDS: Final = frozenset({*CENTRE, *SPINDLE_VECTOR, "R", "CR", "TURN"})
 _NO_MOTION: Final = frozenset("STDHFPQM")
 _new = tuple.__new__
@@ -166,7 +167,7 @@ class IsoInterpreter(IsoMotion):
             if block.items:
                 what = "unknown word in a block that moves axes"
                 raise self.error(what, "words whose effect on the motion is known", shown)
-            self.note(f"unknown word {shown.strip()} passed through")
+            self.lose(block, shown)
         return False
 
     # ------------------------------------------------------------------ tokens
@@ -199,7 +200,7 @@ class IsoInterpreter(IsoMotion):
         self._started = True
         key, value = match.group(6).upper(), match.group(8)
         item = Item(key, match.start(6), match.end(), match.start(8), match.end(8), value)
-        if key in self.index or not self._assigned(item, match.group(7) or ""):
+        if key in self.index or not self._assigned(block, item, match.group(7) or ""):
             self._sort(block, item)
 
     def _name(self, block: IsoBlock, match: re.Match[str]) -> bool:
@@ -226,6 +227,8 @@ class IsoInterpreter(IsoMotion):
         if name[1:].isdigit() and any(first <= int(name[1:]) <= last for first, last in vocabulary.OFFSET_VARIABLES):
             raise self.error("the program sets a work offset or a tool length", vocabulary.NO_TRANSFORMATION, name)
         self.assign(name, self.value_of(match.group(18)))
+        if name[1:].isdigit() and not any(first <= int(name[1:]) <= last for first, last in vocabulary.USER_VARIABLES):
+            self.lose(block, match.group().strip())
 
     def _skip(self, block: IsoBlock, match: re.Match[str]) -> None:
         if self._started:
@@ -271,9 +274,13 @@ class IsoInterpreter(IsoMotion):
         word = vocabulary.canonical(f"M{value}")
         if word in vocabulary.REFUSED_M:
             raise self.error("subprogram call", vocabulary.NO_CALLS, word)
+        if word in vocabulary.RESTORING_M:
+            raise self.error("modal words restored", "modal words written out (G20, G91, ...)", word)
         if len(word) < 2:
             raise self.missing_number("M", value)
         block.m_words.append(word)
+        if word not in vocabulary.HARMLESS_M | self.harmless | self.tcp_on | self.tcp_off:
+            self.lose(block, word)
         if word in vocabulary.LAST_M:
             block.end_m_words.append(Span(start, end, word))
         self.switch_by(block, word)
@@ -306,8 +313,12 @@ class IsoInterpreter(IsoMotion):
             block.motion_word = span
         elif group == "offset":
             self.choose_offset(block, code)
-        elif group == "length" and self.tcp_word in ("G43.4", "G43.5") and code in ("43", "44"):
+        elif group == "length" and self.tcp_word in _LENGTH_WORDS - {""} and code in ("43", "44"):
             self.switch(block, False, f"G{code}")
+        elif code in vocabulary.FLAGS and (block.items or any(item.name in CENTRE for item in block.others)):
+            raise self.error(f"G{code} with words of axes", f"G{code} without them, in a block of its own")
+        elif code == "15" and any(item.name == "H" for item in block.others):
+            raise self.error(*vocabulary.OKUMA_OFFSET)
         elif code == "5" and (block.items or not any(item.name == "P" for item in block.others)):
             raise self.error("curve G5", vocabulary.LINEAR)
 
@@ -318,17 +329,16 @@ class IsoInterpreter(IsoMotion):
             return group
         if code in vocabulary.REFUSED_CODES:
             raise self.error(*vocabulary.REFUSED_CODES[code])
-        if f"G{code}" in self.tcp_on | self.tcp_off:
+        if f"G{code}" in self.tcp_on | self.tcp_off | self.harmless:
             return ""
         if block.items:
             raise self.error("unknown G word in a block that moves axes", "G words whose effect is known", f"G{code}")
-        self.note(f"unknown G{code} passed through; all axis positions are unknown afterwards")
-        self.mark_unknown(block, range(len(self.names)))
+        self.lose(block, f"G{code}")
         return None
 
     def switch(self, block: Block, on: bool, word: str) -> None:
         """As `Interpreter.switch`; G49 ends a length offset only, not the effect of other words."""
-        if on or word != "G49" or self.tcp_word in ("", "G43.4", "G43.5"):
+        if on or word != "G49" or self.tcp_word in _LENGTH_WORDS:
             super().switch(block, on, word)
 
     def _names(self, block: IsoBlock) -> bool:
@@ -350,7 +360,7 @@ class IsoInterpreter(IsoMotion):
                 raise self.error(f"curve or rounding {name}", vocabulary.LINEAR)
             elif name in SINUMERIK and len(names) == 1 and not block.items and self.cycle is None:
                 self.call_once(block, names[place])
-            elif name not in vocabulary.PASSED:
+            elif name not in vocabulary.PASSED and name not in self.harmless:
                 self._unknown_name(block, names[place], shown)
         return any(item.name == "SUPA" for item in names)
 
@@ -363,10 +373,9 @@ class IsoInterpreter(IsoMotion):
             raise self.error("word without a number", f"a number after {name[0]}", shown)
         if block.items:
             raise self.error("unknown word in a block that moves axes", _SOME_WORDS, shown)
-        self.note(f"unknown word {shown.strip()} passed through; all axis positions are unknown afterwards")
-        self.mark_unknown(block, range(len(self.names)))
+        self.lose(block, shown)
 
-    def _assigned(self, item: Item, bracket: str) -> bool:
+    def _assigned(self, block: IsoBlock, item: Item, bracket: str) -> bool:
         """Apply an assignment that is not a word of the block; return whether it was one."""
         name, value = item.name, item.value
         shown = f"{name}={value}"
@@ -380,8 +389,13 @@ class IsoInterpreter(IsoMotion):
             raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, shown)
         if name[1:].isdigit() and name[0] in _AXIS_LETTERS:
             return False
-        if name.startswith("$"):
-            self.note(f"the program sets the system variable {name}; its effect is not modelled")
+        if name[0] == "M" and name[1:].isdigit():
+            self._m_word(block, item.start, item.end, value)
+        elif name in vocabulary.CHANGING_KEYWORDS or (name[0] == "T" and name[1:].isdigit()):
+            self.lose(block, shown)
+        elif name.startswith("$"):
+            if not name.startswith(vocabulary.HARMLESS_SYSTEM_VARIABLES):
+                self.lose(block, shown)
         else:
             self.assign(name + bracket, self.value_of(value))
         return True

@@ -31,7 +31,7 @@ class IsoMotion(IsoDrilling):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no pending work offset, incremental mode or tool vector, nor a cycle that changes."""
-        return self.steady and self.offset == self.used_offset and not self.incremental and self.vector is None
+        return self.steady and self.set_up and not self.incremental and self.vector is None
 
     def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:
         """Add the moves of a block whose axis words are known.
@@ -53,6 +53,13 @@ class IsoMotion(IsoDrilling):
             position = self.machine_position(block)
             block.moves += (Move(self._line, kind, self.tcp, position, self.named(block.axis_bits), machine=True),)
             return
+        kind = Kind.LINEAR if motion is None else _KINDS[motion]
+        if self.unknown:
+            if self.cycle is not None:
+                raise self.error(f"a cycle in force where {self.unknown}", "G80 or MCALL before")
+            block.moves += (self.unknown_move(kind, block.axis_bits),)
+            block.unknown_axes = tuple(range(len(self.names)))
+            return
         start = self.position[: self.linear]
         self.apply_words(block)
         vector = self._vector(block, centre) if centre else None
@@ -67,7 +74,7 @@ class IsoMotion(IsoDrilling):
             first = centre[0]
             shown = block.text[first.start : first.end]
             raise self.error(f"{first.name} outside a circular block", "arcs with G2 or G3", shown)
-        self.use_offset()
+        self.use_set_up(kind)
         if vector is not None:
             self.set_tool_vector(block.axis_bits, vector)
         elif block.axis_bits >> self.linear:
@@ -76,7 +83,6 @@ class IsoMotion(IsoDrilling):
             block.vector_names = ("I", "J", "K") if self.length_vector else ("A3=", "B3=", "C3=")
         if block.skip:
             self.note("block skip: assumed to be executed", once=True)
-        kind = Kind.LINEAR if motion is None else _KINDS[motion]
         named = self.named(block.axis_bits)
         block.moves += (Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc),)
         if self.cycle is not None:

@@ -53,10 +53,10 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "feed": ("93", "94", "95"),
     "spindle": ("96", "97", "961", "962", "971", "972"),
     "radius": ("40",),
-    "length": ("43", "43.1", "43.4", "43.5", "44", "49"),
+    "length": ("43", "43.1", "43.4", "43.5", "44", "49", "234"),
     "return": ("98", "99"),
     "offset": (
-        *("54", "55", "56", "57", "58", "59", "54.1", "59.1", "59.2", "59.3", "500"),
+        *("54", "55", "56", "57", "58", "59", "54.1", "59.1", "59.2", "59.3", "154", "500"),
         *(str(code) for code in range(505, 600)),
     ),
     "machine": ("53", "153"),
@@ -65,10 +65,15 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "reference": ("28", "30", "30.1", "75", "27", "31", "38", "38.2", "38.3", "38.4", "38.5"),
     "mode": ("61", "61.1", "62", "64", "60", "641", "642", "643", "644", "645"),
     "": (
-        *("5.1", "5", "8", "9", "13.1", "15", "50", "50.1", "67", "69.1", "80", "113", "601", "602", "603"),
-        *("450", "451", "460", "461", "462", "621", "340", "341"),
+        *("5.1", "5", "8", "9", "13.1", "15", "50", "50.1", "67", "69.1", "80", "601", "602", "603"),
+        *("103", "187", "450", "451", "460", "461", "462", "621", "340", "341"),
     ),
 }
+"""The G codes whose effect is known. Every other one is refused (`REFUSED_CODES`), or nothing is known after it.
+
+Haas alone has G103 (blocks read ahead), G154 P (further work offsets), G187 (smoothness) and G234; no other control gives them another
+meaning in public.
+"""
 GROUP_OF: dict[str, str] = {code: group for group, codes in GROUPS.items() for code in codes}
 
 EXPANDED_CYCLE = "a cycle expanded into G0 and G1 blocks by the postprocessor"
@@ -78,8 +83,13 @@ NO_TRANSFORMATION = "a program without coordinate transformations (at most one w
 NO_CALLS = "one program without jumps or calls"
 
 
+FLAGS: frozenset[str] = frozenset({"5.1", "8", "50", "50.1", "103", "187"})
+"""G codes with which words of axes are no positions: they name the axes to smooth, or whose scaling or mirroring ends."""
+
 OFFSET_VARIABLES = ((2001, 2999), (5161, 5400), (7001, 7960), (10001, 13999), (14001, 19988))
 """System variables that hold work offsets and tool lengths (LinuxCNC: 5161 to 5400)."""
+USER_VARIABLES = ((0, 999), (3000, 3012), (3901, 3902), (98000, 98499))
+"""Variables without an effect of their own: local and common ones, messages, timers, counters of parts (Fanuc 30i, Haas, LinuxCNC)."""
 
 REFUSED_CODES: dict[str, tuple[str, str]] = {
     **{code: (f"canned cycle G{code}", EXPANDED_CYCLE) for code in ("76", "84.2", "84.3", "86", "87", "88")},
@@ -103,10 +113,49 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
         code: (f"cutter radius compensation G{code}", "the tool centre path from the CAM system (G40)")
         for code in ("41", "41.1", "41.2", "42", "42.1", "42.2", "43.2", "43.3")
     },
+    **{
+        code: (f"tool centre point control of Okuma (G{code})", "G43.4 or G43.5, or axis positions without it")
+        for code in ("169", "170")
+    },
+    "254": ("dynamic work offset G254", "axis positions, or tool centre point control (G234)"),
+    "255": ("end of a dynamic work offset G255", "axis positions, or tool centre point control (G234)"),
     "29": ("return from the reference point G29", "a G0 block with the position"),
     **{code: (f"macro call G{code}", NO_CALLS) for code in ("65", "66", "66.1", "72.1", "72.2")},
 }
+OKUMA_OFFSET = (
+    "work offset of Okuma (G15 H)",
+    "work offsets G54 to G59; other words of Okuma, too, have meanings of their own",
+)
 REFUSED_M: frozenset[str] = frozenset({"M97", "M98", "M198", "M96"})
+RESTORING_M: frozenset[str] = frozenset({"M72", "M73"})
+"""M codes of LinuxCNC that restore modal words saved before."""
+HARMLESS_M: frozenset[str] = frozenset(
+    f"M{code}"
+    for code in (
+        *range(
+            15
+        ),  # stops and ends, spindle, tool change, coolant, clamps of axes (ISO 6983, DIN 66025; M12 to M14: Haas, Okuma)
+        *(17, 19, 29, 30),  # end of a subprogram, spindle orientation, rigid tapping, end of the program
+        *(31, 32, 33),  # chip conveyor (Haas)
+        *range(40, 46),  # gear of the spindle (DIN 66025)
+        *(
+            48,
+            49,
+            50,
+            51,
+            52,
+            53,
+            60,
+        ),  # overrides, adaptive feed, feed hold, stop for a pallet (LinuxCNC); coolant elsewhere
+        *(62, 63, 64, 65, 66, 67, 68),  # digital and analogue inputs and outputs (LinuxCNC)
+        *(70, 83, 84, 88, 89),  # a SINUMERIK spindle as an axis; air jet and coolant through the spindle (Haas)
+        99,  # return, or repetition from the start
+    )
+)
+"""M codes that leave positions, frames, offsets and modes alone. Others are the machine builder's, switch modes of a control (M21 to
+M23 mirror axes on some, M72 and M73 of LinuxCNC restore modal words), select tools or call programs. A machine file can name those
+that are harmless.
+"""
 LAST_M: frozenset[str] = frozenset(
     {"M0", "M1", "M2", "M5", "M9", "M30", "M60", "M17", "M99", "M00", "M01", "M02", "M05", "M09"}
 )
@@ -120,9 +169,9 @@ PASSED: frozenset[str] = frozenset(
     WAITS WAITM WAITE STARTFIFO STOPFIFO FIFOCTRL DISPLOF DISPLON EXTERN PROC RET SAVE SBLOF SBLON NORM KONT KONTT
     KONTC CFC CFTCP CFIN FGROUP FGREF FL FA FB FZ ACC VELOLIM JERKLIM RTLIOF RTLION ADIS ADISPOS WORKPIECE UPATH SPATH
     DIAMOF DYNNORM DYNFINISH DYNROUGH DYNSEMIFIN DYNPOS DYNPREC TRAFOOF TRAORI SUPA CYCLE832 CYCLE_HSC CTOL OTOL OVR
-    OVRRAP OVRA SVC FD FDA GROUP_BEGIN GROUP_END GROUP_ADDEND TOROTOF PAROTOF TOFRAMEOF ENDPROC DL MIRROROF EXTCLOSE
+    OVRRAP OVRA SVC FD FDA GROUP_BEGIN GROUP_END GROUP_ADDEND TOROTOF PAROTOF TOFRAMEOF ENDPROC MIRROROF EXTCLOSE
     SETPIECE GETT GETSELT SETAL STOLF CUTMOD CUTMODK TOWSTD CDOF CDON CDOF2 CPRECON CPRECOF BLSYNC FTOCOF TLIFT
-    DELDTG ASUBST REPOSL FENDNORM ORIRESET NURBSOF""".split()
+    FENDNORM NURBSOF""".split()
 )
 CONTROL_FLOW: frozenset[str] = frozenset(
     """IF ELSE ELSEIF ENDIF WHILE ENDWHILE FOR ENDFOR LOOP ENDLOOP REPEAT REPEATB UNTIL GOTO GOTOB GOTOF GOTOC GOTOS
@@ -143,7 +192,12 @@ CURVES: frozenset[str] = frozenset(
 )
 CYCLE = re.compile(r"CYCLE\d+|MCALL|HOLES\d|POCKET\d|SLOT\d|LONGHOLE|POLY_\w+|CONTPRON|CONTDCON", re.ASCII)
 
-TCP_ON: frozenset[str] = frozenset({"G43.4", "G43.5", "TRAORI"})
+HARMLESS_SYSTEM_VARIABLES: tuple[str, ...] = ("$AC_MARKER", "$AC_PARAM", "$AC_TIMER", "$A_OUT", "$A_DB")
+"""Beginnings of system variables of SINUMERIK that hold numbers of the program, or go to the machine's outputs."""
+CHANGING_KEYWORDS: frozenset[str] = frozenset({"DL"})
+"""Keywords of SINUMERIK, set with ``=``, that change the length of the tool in the spindle."""
+
+TCP_ON: frozenset[str] = frozenset({"G43.4", "G43.5", "G234", "TRAORI"})
 TCP_OFF: frozenset[str] = frozenset({"G49", "TRAFOOF"})
 """Words that switch tool centre point control on and off."""
 DIRECTION_FORMS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
