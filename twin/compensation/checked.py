@@ -45,8 +45,3 @@ def check(source: str, lines: np.ndarray, new: NewPositions, got: np.ndarray) ->
 def unreadable(source: str, error: InputError) -> OutputError:
     """Return the error for output that cannot be read back; the line number is that of the output, not of the program."""
     return OutputError(f"{source}: line {error.line} of the output cannot be read back: {error.what}")
-
-
-def motionless(source: str) -> InputError:
-    """Return the error for a program without a motion."""
-    return InputError("no block moves an axis to a known position", expected="a program with axis motion", file=source)

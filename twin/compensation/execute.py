@@ -21,6 +21,7 @@ from twin.compensation.toolpath import (
     WordSpace,
     check_domains,
     follow,
+    motionless,
     motions_of,
     outside_range,
     sections,
@@ -108,7 +109,7 @@ def execute_file(
         conditions: temperatures, time and speed, for the effects that need them.
 
     Raises:
-        InputError: as for `execute`; the program cannot be read; an effect needs a temperature or time that is not given.
+        InputError: as for `execute`; the program cannot be read, or moves no axis to a known position; an effect needs a temperature or time that is not given.
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     errors = errors.with_transformation() if tcp else errors
@@ -120,6 +121,8 @@ def execute_file(
         reading = dialect.moves(read, space.axes, tcp=tcp)
         found = sections(space, read.source, reading)
         path = follow(read, reading, *spaces(found))
+        if not path.motions:
+            raise motionless(read.source)
         check_one_mode(errors, path.columns.tcp, read.source, tcp=tcp)
         parts = motions_of(found, path)
         by_block = block_conditions(read, dialect, path, [(part.begin, part.space) for part in parts], errors, at)

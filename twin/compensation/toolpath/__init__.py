@@ -1,6 +1,6 @@
 """Tool path of a program: conversion between words and axis commands, and the motions between blocks."""
 
-from twin.compensation.toolpath.follow import Follower, follow
+from twin.compensation.toolpath.follow import Follower, follow, motionless
 from twin.compensation.toolpath.frames import FrameSpaces
 from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ToolPath
 from twin.compensation.toolpath.samples import SAMPLES_A_PIECE, spacings
@@ -22,6 +22,7 @@ __all__ = [
     "axis_words",
     "check_domains",
     "follow",
+    "motionless",
     "motions_of",
     "outside_range",
     "sections",

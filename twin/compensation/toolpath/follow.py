@@ -37,6 +37,11 @@ def follow(
     return ToolPath(ProgramMotions(columns, moves), columns, tuple(follower.notices), tuple(follower.passages))
 
 
+def motionless(source: str) -> InputError:
+    """Return the error for a program without a motion."""
+    return InputError("no block moves an axis to a known position", expected="a program with axis motion", file=source)
+
+
 @final
 class Follower:
     """Converts a program's moves to motions, in one stretch or several, tracking the position of every axis.
