@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Final, final
+from typing import final
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from twin.compensation.backlash import Backlash
 from twin.compensation.block_conditions import CONSTANT, BlockConditions, block_conditions
 from twin.compensation.one_mode import check_one_mode
 from twin.compensation.toolpath import (
+    CHORD_MM,
     SAMPLES_A_PIECE,
     PathMotion,
     Setup,
@@ -36,9 +37,6 @@ from twin.machine.machine import Machine
 from twin.nc import read_program
 from twin.nc.blocks import Program
 from twin.nc.inline import errors_in_files
-
-CHORD_MM: Final = 0.01
-"""Chord tolerance on arcs."""
 
 
 @final
@@ -109,7 +107,8 @@ def execute_file(
         conditions: temperatures, time and speed, for the effects that need them.
 
     Raises:
-        InputError: as for `execute`; the program cannot be read, or moves no axis to a known position; an effect needs a temperature or time that is not given.
+        InputError: as for `execute`; the program cannot be read, or moves no axis to a known position; an effect needs a
+            temperature or time that is not given.
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     errors = errors.with_transformation() if tcp else errors

@@ -3,11 +3,12 @@
 from twin.compensation.toolpath.follow import Follower, follow, motionless
 from twin.compensation.toolpath.frames import FrameSpaces
 from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ToolPath
-from twin.compensation.toolpath.samples import SAMPLES_A_PIECE, spacings
+from twin.compensation.toolpath.samples import CHORD_MM, SAMPLES_A_PIECE, spacings
 from twin.compensation.toolpath.sections import Section, SectionMotions, motions_of, sections, spaces
 from twin.compensation.toolpath.words import Setup, WordSpace, axis_words, check_domains, outside_range, turns_tool
 
 __all__ = [
+    "CHORD_MM",
     "SAMPLES_A_PIECE",
     "Follower",
     "FrameSpaces",

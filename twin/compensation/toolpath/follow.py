@@ -9,6 +9,7 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.compensation.toolpath.motions import MotionColumns, Passage, PathMotion, ProgramMotions, ToolPath
+from twin.compensation.toolpath.samples import CHORD_MM, MOST_SAMPLES, SAMPLE_SPACING
 from twin.compensation.toolpath.words import WordSpace
 from twin.nc.blocks import Interpretation, Kind, LostPositions, Move, Notice, Program
 from twin.nc.columns import MoveColumns, as_columns
@@ -107,7 +108,7 @@ class Follower:
             if motion is not None:
                 loose[at] = motion
             at += 1
-        return MotionColumns.joined([*parts, MotionColumns.of(loose, len(self._words))])
+        return self._checked(MotionColumns.joined([*parts, MotionColumns.of(loose, len(self._words))]), text_of)
 
     def _moved(self, moves: MoveColumns, at: int) -> bool:
         """Return whether a conversion begins at a move that is not yet in force."""
@@ -187,6 +188,23 @@ class Follower:
             return None
         self._count += 1
         return PathMotion(move, start, end)
+
+    def _checked(self, motions: MotionColumns, text_of: TextOf) -> MotionColumns:
+        """Return motions; raise `InputError` for the first that needs more than `MOST_SAMPLES` samples."""
+        long = motions.spacings > MOST_SAMPLES
+        for i, move in motions.special.items():
+            long[i] |= move.arc is not None and motions[i].chords(CHORD_MM) > MOST_SAMPLES
+        if not long.any():
+            return motions
+        line = int(motions.line[int(np.argmax(long))])
+        most_mm, most_deg = (MOST_SAMPLES * one for one in SAMPLE_SPACING)
+        raise InputError(
+            "the motion is too long",
+            expected=f"at most {most_mm:,.0f} mm, {most_deg:,.0f}° or {MOST_SAMPLES:,} chords of an arc: is a decimal point missing?",
+            file=self._source,
+            line=line + 1,
+            value=text_of(line).strip(),
+        )
 
     def _named(self, move: Move) -> np.ndarray:
         """Return (axes,) which words a move has."""
