@@ -16,6 +16,8 @@ from twin.nc.block import AxisWord, Block
 from twin.nc.blocks import Arc, AxisWords, FrameChange, LostPositions, Move, Notice, WordFrame
 from twin.nc.text import LARGEST, number, unit_vector
 
+_WITH_LETTER = re.compile(r"[A-Za-z_]")
+"""An exponent, or what else Python reads as part of a number; no control does."""
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
 
 
@@ -113,7 +115,7 @@ class Interpreter(ABC):
     def value_of(self, text: str) -> float:
         """Return the value of a number, or of arithmetic with variables of known values; NaN for anything else."""
         value = number(text)
-        if value == value:
+        if value == value and not _WITH_LETTER.search(text):
             return value
         match = _REFERENCE.fullmatch(text)
         if match is None:

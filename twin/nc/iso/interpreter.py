@@ -163,7 +163,7 @@ class IsoInterpreter(IsoMotion):
             if block.items or block.names:
                 raise self.error("control flow", vocabulary.NO_CALLS)
         elif name not in _NO_MOTION:
-            if block.items:
+            if block.items or block.cycle_words:
                 what = "unknown word in a block that moves axes"
                 raise self.error(what, "words whose effect on the motion is known", shown)
             self.note(f"unknown word {shown.strip()} passed through")
@@ -189,8 +189,16 @@ class IsoInterpreter(IsoMotion):
         elif letter == "M":
             self._m_word(block, match.start(2), match.end(), value)
         else:
+            if letter == "E":
+                self._check_exponent(block, match.start(2), match.end())
             self._sort(block, Item(letter, match.start(2), match.end(), match.start(3), match.end(), value))
         self._started = True
+
+    def _check_exponent(self, block: IsoBlock, start: int, end: int) -> None:
+        """Raise `InputError` if a word that begins with E follows the digits of a number: few controls read it as an exponent."""
+        if start > block.head_end and block.text[start - 1] in "0123456789.":
+            shown = block.text[max(start - 12, block.head_end) : end].split()[-1]
+            raise self.error("number with an exponent", "a number such as 0.001, and a space before a word", shown)
 
     def _sort(self, block: IsoBlock, item: Item) -> None:
         (block.items if item.name in self.index else block.others).append(item)
@@ -206,6 +214,8 @@ class IsoInterpreter(IsoMotion):
         """Interpret a name; return whether it takes the rest of the line."""
         self._started = True
         name, start = match.group(10).upper(), match.start(10)
+        if name.startswith("EX"):
+            self._check_exponent(block, start, match.end())
         block.names.append(Item(name, start, match.end(), start, match.end(), match.group(12) or ""))
         if name in ("DEF", "EXTERN", "PROC"):
             for variable, value in vocabulary.ASSIGNED.findall(block.text[match.end() :].split(";")[0]):
@@ -280,16 +290,15 @@ class IsoInterpreter(IsoMotion):
 
     def _g_words(self, block: IsoBlock) -> frozenset[str]:
         """Apply the G words of a block and return their groups."""
-        seen: set[str] = set()
+        seen: dict[str, str] = {}
         for span in block.codes:
             code = span.name
             group = self._group(block, code)
-            if group in seen:
-                raise self.error(f"two G words of one modal group ({group})", "one G word per group in a block")
             if group is None:
                 continue
-            if group:
-                seen.add(group)
+            # The same word twice changes nothing: controls differ in whether they allow it.
+            if group and seen.setdefault(group, code) != code:
+                raise self.error(f"two G words of one modal group ({group})", "one G word per group in a block")
             self._modal(block, span, group)
             self.switch_by(block, f"G{code}")
         return frozenset(seen)
