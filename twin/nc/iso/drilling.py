@@ -63,6 +63,8 @@ class IsoDrilling(IsoTilt):
     def take_cycle_words(self, block: IsoBlock) -> bool:
         """Take the words of a Fanuc cycle from a block; return whether the block executes the cycle.
 
+        A block with an axis word or R does. P and Q in any other block belong to another word (``G4 P1``, ``G64 P0.01``, ``G5.1 Q1``).
+
         Raises:
             InputError: a value is missing, contradicts another, or depends on a mode that is not expanded.
         """
@@ -70,6 +72,12 @@ class IsoDrilling(IsoTilt):
         if not self.code:
             return False
         stated = bool(block.cycle_words)
+        if not (block.items or any(item.name == "R" for item in block.others)):
+            if stated:
+                raise self._refused("no place", "an axis word or R in the block of the cycle")
+            if level_stated and self.cycle is not None:
+                self.cycle = self._cycle()
+            return False
         unit = MM_PER_INCH if self.inch else 1.0
         kept: list[Item] = []
         for item in (*block.items, *block.others):
@@ -94,7 +102,7 @@ class IsoDrilling(IsoTilt):
             self.cycle = self._cycle()
         elif level_stated and self.cycle is not None:
             self.cycle = self._cycle()
-        return stated or bool(block.items)
+        return True
 
     @property
     def _retract(self) -> float:

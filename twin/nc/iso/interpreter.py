@@ -19,6 +19,8 @@ _AXIS_LETTERS: Final = frozenset("XYZABCUVW")
 _ARC_WORDS: Final = frozenset({*CENTRE, *SPINDLE_VECTOR, "R", "CR", "TURN"})
 _NO_MOTION: Final = frozenset("STDHFPQM")
 _new = tuple.__new__
+_WITHOUT_CYCLE: Final = frozenset({"still", "reference"})
+"""Groups of G words whose block does not execute the drilling cycle in force; its words are theirs."""
 _SOME_WORDS: Final = "words whose effect is known"
 _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "motion": ("motion", int),
@@ -121,7 +123,7 @@ class IsoInterpreter(IsoMotion):
         groups = self._g_words(block) if block.codes else frozenset()
         if "plane tilt" in groups:
             self.tilt_words(block)
-        drills = self.take_cycle_words(block)
+        drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
         centre = [item for item in block.others if self._is_of_motion(block, item)]
         self._state_to(block)
@@ -151,7 +153,7 @@ class IsoInterpreter(IsoMotion):
     def _is_of_motion(self, block: IsoBlock, item: Item) -> bool:
         """Return whether a word other than an axis word belongs to the motion; unknown words raise an error or add a notice."""
         name, shown = item.name, block.text[item.start : item.end]
-        if name in _ARC_WORDS or (name == "P" and self.motion in (2, 3) and block.items):
+        if name in _ARC_WORDS or (name == "P" and self.motion in (2, 3) and (block.items or _has_centre(block))):
             return True
         if name in _AXIS_LETTERS or (name[0] in _AXIS_LETTERS and name[1:].isdigit()):
             raise self.unknown_axis(f"{name}{item.value}")
@@ -394,6 +396,11 @@ class IsoInterpreter(IsoMotion):
         else:
             self.assign(name + bracket, self.value_of(value))
         return True
+
+
+def _has_centre(block: IsoBlock) -> bool:
+    """Return whether a block has a centre: a full circle needs no axis words."""
+    return any(item.name in CENTRE for item in block.others)
 
 
 _TOKENS: Final[Mapping[str, Callable[[IsoInterpreter, IsoBlock, re.Match[str]], bool | InputError | None]]] = {
