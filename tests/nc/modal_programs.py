@@ -1,7 +1,7 @@
 """Random ISO programs whose modal state changes at any place, and the path that a control makes of them.
 
-A program is written from its path, by modal rules of its own: nothing here is shared with `twin.nc`. Rules: LinuxCNC's G-code reference and
-Fanuc's operator's manual (30i), which agree but for what `Judge` lists.
+A program is written from its path, by modal rules of its own: nothing here is shared with `twin.nc`. Rules: LinuxCNC's G-code reference
+and Fanuc's operator's manual (30i), which agree but for what `ModalProgram.judge` says.
 """
 
 from __future__ import annotations
@@ -42,9 +42,10 @@ class ModalProgram:
 
     Attributes:
         rng: source of every choice.
-        judge: ``"fanuc"``, or ``"linuxcnc"``: what both understand alike. There no motion code applies after G80, a cycle code needs all its
-            words, and a hole has no rotary axis. R must not rise, and G98 not follow G99: the tool goes to that height before it goes to the
-            next hole. G89 feeds up to the initial level.
+        judge: ``"fanuc"``, or ``"linuxcnc"``: what both understand alike. There no motion code applies after G80, a cycle code needs all
+            its words, and a hole has no rotary axis. R must not rise, and G98 not follow G99: the tool goes to that height before it goes
+            to the next hole. G89 feeds up to the initial level.
+        peck_mm: height above the bottom at which feeding begins again after a retract for chips.
         lines, events: the program and its path so far.
     """
 

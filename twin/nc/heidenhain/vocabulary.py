@@ -34,7 +34,9 @@ TOKEN = re.compile(
 )
 
 UNIT = re.compile(r"BEGIN[ \t]+PGM[ \t]+(?:.*[ \t])?([^ \t;]+)[ \t]*(?:;.*)?$", re.ASCII | re.IGNORECASE)
-TOOL_AXIS = re.compile(r"TOOL[ \t]+CALL[ \t]+(?:[^ \t]+[ \t]+)?([XYZ])(?![A-Z\d])", re.ASCII | re.IGNORECASE)
+TOOL_AXIS = re.compile(
+    r"TOOL[ \t]+CALL[ \t]+(?:(?:\"[^\"]*\"|[^ \t\"]+)[ \t]+)?([XYZ])(?![A-Z\d])", re.ASCII | re.IGNORECASE
+)
 TOOL = re.compile(
     r"TOOL[ \t]+CALL[ \t]+(?:\"([^\"]*)\"|(Q[SLR]?\d+|\d+(?:\.\d+)?))(?:[ \t]|$)", re.ASCII | re.IGNORECASE
 )
