@@ -42,9 +42,9 @@ class ModalProgram:
 
     Attributes:
         rng: source of every choice.
-        judge: ``"fanuc"``, or ``"linuxcnc"``: what both understand alike. There no motion code applies after G80, a cycle code needs all
-            its words, and a hole has no rotary axis. R must not rise, and G98 not follow G99: the tool goes to that height before it goes
-            to the next hole. G89 feeds up to the initial level.
+        judge: ``"fanuc"``, or ``"linuxcnc"``: what both understand alike. There no motion code applies after G80, a cycle code needs
+            all its words, and a hole has no rotary axis. R must not rise, and G98 not follow G99: the tool goes to that height before
+            it goes to the next hole. G89 feeds up to the initial level.
         peck_mm: height above the bottom at which feeding begins again after a retract for chips.
         lines, events: the program and its path so far.
     """
