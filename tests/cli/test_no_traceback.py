@@ -363,6 +363,32 @@ def test_a_defect_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
         cli.main(["info"])
 
 
+MOTIONLESS = {
+    "end.nc": "M30\n",
+    "tape.nc": "%\n",
+    "comments.nc": "(nothing)\n; but comments\n",
+    "home.nc": "G28 X0\nG28\nM30\n",
+    "machine.nc": "G53 X10 Y10 Z-10\nM30\n",
+    "one_axis.nc": "G0 X10\nM30\n",
+    "empty.h": "BEGIN PGM A MM\nEND PGM A MM\n",
+    "empty.cls": "UNITS/MM\nEND-OF-PATH\n",
+    "rapid.apt": "RAPID\nFEDRAT/100\n",
+}
+
+
+@pytest.mark.parametrize("command", ["scene", "compensate", "path"])
+@pytest.mark.parametrize("name", MOTIONLESS)
+def test_a_program_without_motion_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, command: str
+) -> None:
+    """Every command that reads a program."""
+    program = tmp_path / name
+    program.write_text(MOTIONLESS[name])
+    output = tmp_path / ("out.html" if command == "scene" else f"out{program.suffix}")
+    assert "no block moves an axis to a known position" in refused(capsys, command, program, "-o", output)
+    assert not output.exists()
+
+
 LONG_NUMBER = "9" * 5000
 """More digits than Python converts to an integer."""
 

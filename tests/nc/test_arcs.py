@@ -92,6 +92,7 @@ def test_full_circles(sense, angle):
     assert moves[1].position[2] == -1.0  # a helix
     assert moves[2].arc.angle_rad == pytest.approx(angle)
     assert moves[2].arc.centre_mm == (0.0, 0.0)
+    assert moves[3].arc.angle_rad == pytest.approx(3 * angle)  # P needs no axis word
 
 
 def test_plain_centre_arcs():

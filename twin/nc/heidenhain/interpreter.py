@@ -172,6 +172,10 @@ class HeidenhainInterpreter(HeidenhainFrame):
         upper = " ".join(body.split(";")[0].upper().split())
         if keyword in vocabulary.REFUSED_PATHS:
             raise self.error(f"path function {keyword}", vocabulary.LINEAR)
+        if keyword in vocabulary.WITH_NUMBERS:
+            exponent = vocabulary.EXPONENT.search(vocabulary.QUOTED.sub("", body.split(";")[0]))
+            if exponent is not None:
+                raise self.error("number with an exponent", "a number such as 0.001", exponent.group())
         if keyword in _STATEMENTS:
             _STATEMENTS[keyword](self, block, body, upper)
         elif keyword[0] == "Q":
