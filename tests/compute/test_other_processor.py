@@ -133,8 +133,7 @@ def test_a_simultaneous_band() -> None:
     close = np.eye(6) + np.finfo(float).eps * repeated(np.random.default_rng(10), [1.0] * 5 + [9.0])
     turn = np.linalg.qr(np.random.default_rng(15).standard_normal((6, 6)))[0]  # another basis of the same functions
     for other in (simultaneous_factor(shape, close), simultaneous_factor(shape @ turn, np.eye(6))):
-        # Of 50 positions and 6 coordinates, 44 variances are zero: the root moves by √ε.
-        assert other == pytest.approx(simultaneous_factor(shape, np.eye(6)), rel=1e-6)
+        assert other == pytest.approx(simultaneous_factor(shape, np.eye(6)), rel=ROUNDING)
     assert 1.96 < simultaneous_factor(shape, np.eye(6)) < np.sqrt(12.6) + 0.1  # between one point and Scheffé's χ²(6)
 
 

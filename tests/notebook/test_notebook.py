@@ -94,6 +94,8 @@ def test_a_table_is_the_same_after_a_frame(dmu50: Machine, errors: Calibration) 
     for name, values in table.arrays().items():
         if name == "lines":
             continue  # of the file, whose comments come first
+        if name in ("point_mm", "positions"):
+            values = np.round(values, 6)  # simulated readings are written in nanometres
         assert np.array_equal(getattr(back, name), values, equal_nan=values.dtype.kind == "f"), name
     some = twin.measurements_from_frame(frame[frame.X_mm > 100.0], dmu50)
     assert 0 < len(some) < len(table)

@@ -128,13 +128,16 @@ def simultaneous_factor(shape: np.ndarray, covariance: np.ndarray) -> float:
         shape: (g, m) value of a unit of each coordinate.
         covariance: (m, m) of the coordinates.
     """
-    # Drawn at the positions: the coordinates are those of an arbitrary basis of the curve's functions.
-    factor = symmetric_root(shape @ covariance @ shape.T)
+    # The coordinates are those of an arbitrary orthonormal basis: turned to be nearest to cosines, they do not depend on rounding.
+    count, places = len(covariance), (np.arange(len(shape)) + 0.5) / max(len(shape), 1)
+    left, _, right = np.linalg.svd(shape.T @ np.cos(np.pi * np.outer(places, np.arange(count))))
+    turn = left @ right
+    factor = shape @ turn @ symmetric_root(turn.T @ covariance @ turn)
     size = np.linalg.norm(factor, axis=1)
     if not np.any(size):
         return 1.959964
     seen = size > 1e-9 * size.max()
-    drawn = np.random.default_rng(SEED).standard_normal((len(shape), DRAWS))
+    drawn = np.random.default_rng(SEED).standard_normal((count, DRAWS))
     return float(np.quantile(np.abs(factor[seen] @ drawn / size[seen, None]).max(axis=0), 0.95))
 
 

@@ -33,8 +33,8 @@ LEAST_SHARE_NAMED: Final = 0.01
 MOST_NAMED: Final = 6
 """Unknowns named in one sentence, at most; the others are counted."""
 EARLIER: Final = 1e-3
-"""Of two directions that change the readings equally, the one of the unknowns that come first is named: the last unknown counts this
-much more than the first. A solver of linear programmes compares to 1e-7."""
+"""Extra weight of the last unknown against the first: of two directions that change the readings equally, the one of the unknowns that
+come first is named. A solver of linear programmes compares to 1e-7."""
 LARGE_PROBLEM: Final = 20_000
 """Entries of a null-space basis above which the sparse direction, a linear programme of seconds, is replaced by a projection."""
 
