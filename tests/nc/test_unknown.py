@@ -222,7 +222,10 @@ def test_blocks_between_are_left_as_written_and_counted(
         lambda m: f"{m[1]}{'+' if suffix == '.h' else ''}{dict(X=250, Y=225)[m[1]]}" if m[1] != "Z" else f"{m[1]}-1",
         machine,
     )
-    many = "".join(f"{feed.replace('6', str(6 + i))}\n" for i in range(40))
+    plain_blocks = "".join(
+        f"{'X' if suffix == '.nc' else 'L X+'}{7 + i}\n" for i in range(39)
+    )  # read together elsewhere
+    many = f"{feed}\n{plain_blocks}"
     tail = f"{machine}\n{start}\n{feed}\n"
     text, report = compensated(tmp_path, f"{start}\n{statement}\n{many}{tail}", dmu50, errors, suffix)
     assert many in text and not report.complete
