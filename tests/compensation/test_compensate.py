@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
 from twin.machine.iso16907 import Scope
 from twin.machine.machine import Machine
+from twin.machine.motion_curve import Curve
 from twin.nc import dialect_for
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.at_tool import ToolUncertainty
@@ -405,3 +407,21 @@ def test_the_uncertainty_covers_the_residual_of_a_compensation(
         within.append(left <= at[ends])
     # Three and a half standard errors of 400 draws; rounding adds at most 0.9 µm to some 40.
     assert np.abs(np.mean(within, axis=0) - 0.95).max() < 0.038
+
+
+def test_a_block_is_split_where_its_middle_leaves_the_tolerance(dmu50: Machine) -> None:
+    """Straightness by a parabola: the middle of a line is off by its sagitta, which decides alone, to a hundredth of the tolerance."""
+    sagitta_um, tolerance_um = 100.0, 2.0
+    parabola = Curve("E_YX", "um", (0.0, 500.0), "power", (0.0, 0.0, sagitta_um))
+    errors = Calibration(
+        dmu50, "a parabola", MappingProxyType({"E_YX": parabola}), MappingProxyType({}), MappingProxyType({})
+    )
+    # u = (2x − 500)/500; over a length L the sagitta of sagitta_um·u² is sagitta_um·(L/500)².
+    factors = np.array([0.9, 0.98, 1.02, 1.2, 1.45, 3.9, 4.1])
+    lengths = 500.0 * np.sqrt(factors * tolerance_um / sagitta_um)
+    blocks = "".join(f"G0 X10\nG1 X{10.0 + length:.3f} F500\n" for length in lengths)
+    text = f"G21 G90\nG0 X10 Y200 Z-200 B0 C0\n{blocks}"
+    result = compensate(text, dmu50, errors, tolerance_mm=tolerance_um * 1e-3)
+    pieces = np.bincount(result.moves)[2::2]
+    assert np.all((pieces > 1) == (factors > 1.0))
+    assert np.all(factors / pieces**2 <= 1.0)

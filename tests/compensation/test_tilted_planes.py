@@ -206,3 +206,33 @@ def test_a_program_with_planes_cannot_lose_blocks(dmu50: Machine, tmp_path: Path
     program = ISO.read(PLANES["G68.2"][0].encode(), "part.nc")
     with pytest.raises(InputError, match="cannot be refitted"):
         Refitter(dmu50, Calibration.zero(dmu50)).refit(program, ISO)
+
+
+@pytest.mark.parametrize(
+    ("text", "sign"),
+    [
+        ("G68.2 I20. J25. K0.\nG53.1 P1\n", 1),
+        ("G68.2 I20. J25. K0.\nG53.1 P2\n", -1),
+        ('CYCLE800(0,"T",0,57,0,0,0,25,0,0,0,0,0,1)\n', 1),
+        ('CYCLE800(0,"T",0,57,0,0,0,25,0,0,0,0,0,-1)\n', -1),
+        ("PLANE SPATIAL SPA+25 SPB+0 SPC+0 TURN FMAX SEQ+\n", 1),
+        ("PLANE SPATIAL SPA+25 SPB+0 SPC+0 TURN FMAX SEQ-\n", -1),
+        ("G68.2 I20. J25. K0.\nG53.1\n", 1),
+        ("G68.2 I200. J25. K0.\nG53.1 P0\n", -1),
+    ],
+)
+@pytest.mark.parametrize("standing", [10.0, -10.0])
+def test_the_program_chooses_between_two_positions(text: str, sign: int, standing: float) -> None:
+    """On a trunnion that tilts both ways: the axis nearer the tool becomes positive or negative, or C takes the shorter way."""
+    machine = Machine.load("xyzbc_trunnion")
+    if text.startswith("PLANE"):
+        dialect, inside = HEIDENHAIN, "L X+0 Y+0 Z+5 FMAX\n"
+        head = f"BEGIN PGM A MM\nL X+0 Y+0 Z+200 B{standing:+} C+0 FMAX\n"
+    else:
+        dialect, inside, head = ISO, "G0 X0. Y0. Z5.\n", f"G90 G21\nG0 X0. Y0. Z200. B{standing} C0.\n"
+    result = Compensator(machine, Calibration.zero(machine)).compensate(
+        dialect.read(f"{head}{text}{inside}".encode(), "part"), dialect
+    )
+    b = result.nominal[-1, machine.names.index("B")]
+    assert abs(b) == pytest.approx(25.0)
+    assert np.sign(b) == sign

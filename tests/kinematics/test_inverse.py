@@ -241,3 +241,24 @@ def test_positions_along_a_path_are_those_found_one_by_one(
             found.append(before)
         assert len(found) == 280
         np.testing.assert_array_equal(branches.along(solutions, np.array([3.0, 400.0]), offset), found)
+
+
+def test_the_nearest_position_has_the_smallest_largest_travel() -> None:
+    """Of both solutions with every whole turn within the ranges, by the larger of the two axes' travels, not their sum."""
+    machine = Machine.load("xyzbc_trunnion")
+    branches = Branches(Kinematics(machine, Calibration.zero(machine)))
+    rng = np.random.default_rng(17)
+    tilt, turn = rng.uniform(0.05, 0.6, 400), rng.uniform(-np.pi, np.pi, 400)
+    axis = np.column_stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
+    solutions = branches.all(axis)
+    before = np.column_stack([rng.uniform(-30.0, 30.0, 400), rng.uniform(-700.0, 700.0, 400)])
+    limits = (machine.limits / machine.scale[:, None])[list(machine.rotary)]
+    turns = 360.0 * np.arange(-4, 5)
+    candidates = np.stack([(solutions[:, k] + [0.0, turn]) for k in (0, 1) for turn in turns], axis=1)
+    travel = np.abs(candidates - before[:, None, :])
+    within = ((candidates >= limits[:, 0] - 1e-6) & (candidates <= limits[:, 1] + 1e-6)).all(axis=2)
+    largest = np.where(within, travel.max(axis=2), np.inf)
+    found = branches.nearest(solutions, before)
+    assert np.abs(found - before).max(axis=1) == pytest.approx(largest.min(axis=1), abs=1e-9)
+    by_sum = np.where(within, travel.sum(axis=2), np.inf)
+    assert np.count_nonzero(by_sum.argmin(axis=1) != largest.argmin(axis=1)) > 5  # the two rules differ

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from twin._common.errors import InputError, OutputError
 from twin.compensation.solving.rows import repeat_with_index
-from twin.compensation.toolpath import LostBlock
 from twin.nc.columns import NewPositions
 
 PRINTED_MM: Final = 2e-4
@@ -47,12 +45,3 @@ def check(source: str, lines: np.ndarray, new: NewPositions, got: np.ndarray) ->
 def unreadable(source: str, error: InputError) -> OutputError:
     """Return the error for output that cannot be read back; the line number is that of the output, not of the program."""
     return OutputError(f"{source}: line {error.line} of the output cannot be read back: {error.what}")
-
-
-def motionless(source: str, unknown: Sequence[LostBlock] = ()) -> InputError:
-    """Return the error for a program without a motion between known positions; ``unknown``: its blocks that go to unknown places."""
-    what = "no block moves an axis to a known position"
-    if not unknown:
-        return InputError(what, expected="a program with axis motion", file=source)
-    expected = "statements whose effect is known, or machine coordinates of every axis after them"
-    return InputError(f"{what}: {unknown[0].reason}", expected=expected, file=source, line=unknown[0].line + 1)

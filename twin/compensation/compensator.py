@@ -20,7 +20,7 @@ from twin._common.files import atomic_file, tracked_files
 from twin._common.progress import Progress, silent
 from twin.compensation.account import CompensationAccount, Report, frame_uses
 from twin.compensation.block_conditions import block_conditions
-from twin.compensation.checked import check, motionless, unreadable
+from twin.compensation.checked import check, unreadable
 from twin.compensation.prepared import Options, PreparedMachine
 from twin.compensation.solving import Corrected, Pieces, correct, new_positions
 from twin.compensation.stream import Streamed
@@ -28,6 +28,7 @@ from twin.compensation.toolpath import (
     SectionMotions,
     ToolPath,
     follow,
+    motionless,
     motions_of,
     sections,
     spaces,

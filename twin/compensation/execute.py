@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Final, final
+from typing import final
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from twin.compensation.backlash import Backlash
 from twin.compensation.block_conditions import CONSTANT, BlockConditions, block_conditions
 from twin.compensation.one_mode import check_one_mode
 from twin.compensation.toolpath import (
+    CHORD_MM,
     SAMPLES_A_PIECE,
     LostBlock,
     PathMotion,
@@ -23,6 +24,7 @@ from twin.compensation.toolpath import (
     by_reason,
     check_domains,
     follow,
+    motionless,
     motions_of,
     outside_range,
     sections,
@@ -37,9 +39,6 @@ from twin.machine.machine import Machine
 from twin.nc import read_program
 from twin.nc.blocks import Program
 from twin.nc.inline import errors_in_files
-
-CHORD_MM: Final = 0.01
-"""Chord tolerance on arcs."""
 
 
 @final
@@ -127,7 +126,8 @@ def execute_file(
         conditions: temperatures, time and speed, for the effects that need them.
 
     Raises:
-        InputError: as for `execute`; the program cannot be read; an effect needs a temperature or time that is not given.
+        InputError: as for `execute`; the program cannot be read, or moves no axis to a known position; an effect needs a
+            temperature or time that is not given.
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     errors = errors.with_transformation() if tcp else errors
@@ -139,6 +139,8 @@ def execute_file(
         reading = dialect.moves(read, space.axes, tcp=tcp)
         found = sections(space, read.source, reading)
         path = follow(read, reading, *spaces(found))
+        if not path.motions:
+            raise motionless(read.source, path.unknown)
         check_one_mode(errors, path.columns.tcp, read.source, tcp=tcp)
         parts = motions_of(found, path)
         by_block = block_conditions(read, dialect, path, [(part.begin, part.space) for part in parts], errors, at)

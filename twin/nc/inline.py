@@ -63,6 +63,7 @@ class Inliner(ABC):
         self.folder = folder
         self._count = 0
         self._found = False
+        self._files: dict[Path, list[Line]] = {}
 
     @cached_property
     def lines(self) -> list[Line]:
@@ -139,14 +140,16 @@ class Inliner(ABC):
             raise refused("subprograms call each other too deeply", f"at most {DEEPEST} levels", line)
         self._found = True
         yield line._replace(text=self.comment(line.text))
-        for _ in range(call.repeats):
+        for _ in range(call.repeats if body else 0):
             for one in body:
                 yield from self._written(one, depth + 1)
 
     def read_file(self, path: Path) -> list[Line]:
-        """Return the lines of another file."""
-        register_input(path)
-        return [Line(text, str(path), i) for i, text in enumerate(lines_in(read_bytes(path)), 1)]
+        """Return the lines of another file, which is read once."""
+        if path not in self._files:
+            register_input(path)
+            self._files[path] = [Line(text, str(path), i) for i, text in enumerate(lines_in(read_bytes(path)), 1)]
+        return self._files[path]
 
     def file_named(self, *names: str) -> Path | None:
         """Return the file of the folder that has one of these names, whatever its capitals; None if there is none."""

@@ -20,6 +20,8 @@ UNKNOWN_AFTER: Final = (
     "is not known: positions, frame, offsets and modes are unknown until machine coordinates of every axis"
 )
 """End of the notice on a statement after which nothing is known."""
+_WITH_LETTER = re.compile(r"[A-Za-z_]")
+"""An exponent, or what else Python reads as part of a number; no control does."""
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
 
 
@@ -131,7 +133,7 @@ class Interpreter(ABC):
     def value_of(self, text: str) -> float:
         """Return the value of a number, or of arithmetic with variables of known values; NaN for anything else."""
         value = number(text)
-        if value == value:
+        if value == value and not _WITH_LETTER.search(text):
             return value
         match = _REFERENCE.fullmatch(text)
         if match is None:

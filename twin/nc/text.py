@@ -120,7 +120,7 @@ def number(text: str) -> float:
             value = float(_SPACES.sub("", text).replace(",", "."))
         except ValueError:
             return math.nan
-    return value if -LARGEST < value < LARGEST else math.nan
+    return value if -LARGEST < value < LARGEST and "_" not in text else math.nan  # Python reads 1_0 as 10
 
 
 class Style(NamedTuple):

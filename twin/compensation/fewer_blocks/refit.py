@@ -17,7 +17,6 @@ import numpy as np
 from twin._common.defaults import DEFAULT_TOLERANCE_MM
 from twin._common.errors import InputError
 from twin._common.progress import Progress, silent
-from twin.compensation.checked import motionless
 from twin.compensation.compensator import Compensation, Compensator
 from twin.compensation.fewer_blocks.account import RefitJob, account
 from twin.compensation.fewer_blocks.emit import Shortened, shortened
@@ -26,7 +25,7 @@ from twin.compensation.fewer_blocks.report import PathReport, ToleranceShares
 from twin.compensation.fewer_blocks.run_refitter import RunRefitter
 from twin.compensation.fewer_blocks.runs import Run, find_runs
 from twin.compensation.prepared import Options, PreparedMachine
-from twin.compensation.toolpath import ToolPath, follow
+from twin.compensation.toolpath import ToolPath, follow, motionless
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import DIALECTS, dialect_for, read_program

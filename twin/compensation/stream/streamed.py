@@ -21,13 +21,12 @@ import numpy as np
 
 from twin._common.progress import Progress
 from twin.compensation.account import CompensationAccount, Report
-from twin.compensation.checked import motionless
 from twin.compensation.prepared import PreparedMachine
 from twin.compensation.solving import Corrected, EndState, Pieces, correct, new_positions
 from twin.compensation.solving.rows import even_cuts
 from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
-from twin.compensation.toolpath import SAMPLES_A_PIECE, MotionColumns, ToolPath
+from twin.compensation.toolpath import SAMPLES_A_PIECE, MotionColumns, ToolPath, motionless
 from twin.compute.native import equal_portions
 from twin.nc.columns import NewPositions
 

@@ -1,13 +1,14 @@
 """Tool path of a program: conversion between words and axis commands, and the motions between blocks."""
 
-from twin.compensation.toolpath.follow import Follower, follow
+from twin.compensation.toolpath.follow import Follower, follow, motionless
 from twin.compensation.toolpath.frames import FrameSpaces
 from twin.compensation.toolpath.motions import LostBlock, MotionColumns, Passage, PathMotion, ToolPath, by_reason
-from twin.compensation.toolpath.samples import SAMPLES_A_PIECE, spacings
+from twin.compensation.toolpath.samples import CHORD_MM, SAMPLES_A_PIECE, spacings
 from twin.compensation.toolpath.sections import Section, SectionMotions, motions_of, sections, spaces
 from twin.compensation.toolpath.words import Setup, WordSpace, axis_words, check_domains, outside_range, turns_tool
 
 __all__ = [
+    "CHORD_MM",
     "SAMPLES_A_PIECE",
     "Follower",
     "FrameSpaces",
@@ -24,6 +25,7 @@ __all__ = [
     "by_reason",
     "check_domains",
     "follow",
+    "motionless",
     "motions_of",
     "outside_range",
     "sections",

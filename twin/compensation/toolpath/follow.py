@@ -9,6 +9,7 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.compensation.toolpath.motions import LostBlock, MotionColumns, Passage, PathMotion, ProgramMotions, ToolPath
+from twin.compensation.toolpath.samples import CHORD_MM, MOST_SAMPLES, SAMPLE_SPACING
 from twin.compensation.toolpath.words import WordSpace
 from twin.nc.blocks import Interpretation, Kind, LostPositions, Move, Notice, Program
 from twin.nc.columns import MoveColumns, as_columns
@@ -36,6 +37,15 @@ def follow(
     columns = follower.columns(moves, reading.lost_positions, lambda line: program.texts[line])
     passed = tuple(follower.notices), tuple(follower.passages), tuple(follower.unknown)
     return ToolPath(ProgramMotions(columns, moves), columns, *passed)
+
+
+def motionless(source: str, unknown: Sequence[LostBlock] = ()) -> InputError:
+    """Return the error for a program without a motion between known positions; ``unknown``: its blocks that go to unknown places."""
+    what = "no block moves an axis to a known position"
+    if not unknown:
+        return InputError(what, expected="a program with axis motion", file=source)
+    expected = "statements whose effect is known, or machine coordinates of every axis after them"
+    return InputError(f"{what}: {unknown[0].reason}", expected=expected, file=source, line=unknown[0].line + 1)
 
 
 @final
@@ -105,7 +115,7 @@ class Follower:
             if motion is not None:
                 loose[at] = motion
             at += 1
-        return MotionColumns.joined([*parts, MotionColumns.of(loose, len(self._words))])
+        return self._checked(MotionColumns.joined([*parts, MotionColumns.of(loose, len(self._words))]), text_of)
 
     def _moved(self, moves: MoveColumns, at: int) -> bool:
         """Return whether a conversion begins at a move that is not yet in force."""
@@ -197,6 +207,23 @@ class Follower:
         if known or self.passages[-1].before != self._count:
             self._pass(everywhere, np.ones(len(everywhere), dtype=bool))
         self._words, self._assumed = everywhere, False
+
+    def _checked(self, motions: MotionColumns, text_of: TextOf) -> MotionColumns:
+        """Return motions; raise `InputError` for the first that needs more than `MOST_SAMPLES` samples."""
+        long = motions.spacings > MOST_SAMPLES
+        for i, move in motions.special.items():
+            long[i] |= move.arc is not None and motions[i].chords(CHORD_MM) > MOST_SAMPLES
+        if not long.any():
+            return motions
+        line = int(motions.line[int(np.argmax(long))])
+        most_mm, most_deg = (MOST_SAMPLES * one for one in SAMPLE_SPACING)
+        raise InputError(
+            "the motion is too long",
+            expected=f"at most {most_mm:,.0f} mm, {most_deg:,.0f}° or {MOST_SAMPLES:,} chords of an arc: is a decimal point missing?",
+            file=self._source,
+            line=line + 1,
+            value=text_of(line).strip(),
+        )
 
     def _named(self, move: Move) -> np.ndarray:
         """Return (axes,) which words a move has."""

@@ -11,6 +11,11 @@ SAMPLE_SPACING: Final = (10.0, 3.0)
 SAMPLES_A_PIECE: Final = 5
 """Least number of interior points at which a piece is simulated; long pieces have more."""
 
+CHORD_MM: Final = 0.01
+"""Chord tolerance on arcs in a simulated execution."""
+MOST_SAMPLES: Final = 100_000
+"""Samples of one motion beyond which it is refused: 1 km, 833 turns of a rotary axis, an arc of as many chords."""
+
 
 def spacings(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Return (n,) the distance between (n, axes) words and others, in units of `SAMPLE_SPACING`."""

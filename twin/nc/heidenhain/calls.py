@@ -6,10 +6,12 @@ Source: Heidenhain TNC 640, user's manual Klartext programming, "Subprograms and
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, final
 
+from twin.nc.blocks import Program
 from twin.nc.dialect import as_comment
 from twin.nc.heidenhain.vocabulary import HEAD
 from twin.nc.inline import Call, Inliner, Line, refused, with_ending
@@ -28,6 +30,10 @@ _FRAME: Final = re.compile(r"(?:BEGIN|END)[ \t]+PGM\b|BLK[ \t]+FORM\b", _FLAGS)
 @final
 class HeidenhainInliner(Inliner):
     """Writes out the subprograms of Heidenhain programs."""
+
+    def __init__(self, program: Program, folder: Path | None) -> None:
+        super().__init__(program, folder)
+        self._labels: dict[str, Mapping[str, list[int]]] = {}
 
     def likely(self, text: str) -> bool:
         """See `Inliner.likely`."""
@@ -72,9 +78,12 @@ class HeidenhainInliner(Inliner):
             path = self._path(call.name)
             return None if path is None else self._whole(path)
         lines = self.lines if line.file == self.program.source else self.read_file(Path(line.file))
-        begin = next((i for i, one in enumerate(lines) if _label(one) == call.name), None)
+        labels = self._labels_of(line.file, lines)
+        begin = next(iter(labels.get(call.name, ())), None)
         if begin is None:
             return None
+        if not call.repeats:
+            return []
         if call.values:
             if line.number <= begin + 1:
                 raise refused("repetition of a part that comes later", "CALL LBL with REP behind its label", line)
@@ -82,11 +91,22 @@ class HeidenhainInliner(Inliner):
             if any(_label(one) == "0" for one in part):
                 raise refused("repetition across the end of a subprogram", "a part without LBL 0", line)
         else:
-            end = next((i for i in range(begin + 1, len(lines)) if _label(lines[i]) == "0"), None)
-            if end is None:
+            ends = labels.get("0", [])
+            behind = bisect_right(ends, begin)
+            if behind == len(ends):
                 raise refused(f"subprogram {call.name} without an end", "LBL 0", line)
-            part = lines[begin + 1 : end]
+            part = lines[begin + 1 : ends[behind]]
         return [_as_remark(one) if _label(one) else one for one in part]
+
+    def _labels_of(self, file: str, lines: Sequence[Line]) -> Mapping[str, list[int]]:
+        """Return the indices of the lines of a file with a label, in order, by its name; looked for once."""
+        if file not in self._labels:
+            found: dict[str, list[int]] = {}
+            for i, line in enumerate(lines):
+                if name := _label(line):
+                    found.setdefault(name, []).append(i)
+            self._labels[file] = found
+        return self._labels[file]
 
     def _whole(self, path: Path) -> list[Line]:
         """Return the blocks of another program.

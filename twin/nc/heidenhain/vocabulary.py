@@ -36,7 +36,9 @@ TOKEN = re.compile(
 )
 
 UNIT = re.compile(r"BEGIN[ \t]+PGM[ \t]+(?:.*[ \t])?([^ \t;]+)[ \t]*(?:;.*)?$", re.ASCII | re.IGNORECASE)
-TOOL_AXIS = re.compile(r"TOOL[ \t]+CALL[ \t]+(?:[^ \t]+[ \t]+)?([XYZ])(?![A-Z\d])", re.ASCII | re.IGNORECASE)
+TOOL_AXIS = re.compile(
+    r"TOOL[ \t]+CALL[ \t]+(?:(?:\"[^\"]*\"|[^ \t\"]+)[ \t]+)?([XYZ])(?![A-Z\d])", re.ASCII | re.IGNORECASE
+)
 TOOL = re.compile(
     r"TOOL[ \t]+CALL[ \t]+(?:\"([^\"]*)\"|(Q[SLR]?\d+|\d+(?:\.\d+)?))(?:[ \t]|$)", re.ASCII | re.IGNORECASE
 )
@@ -44,6 +46,10 @@ TOOL_LENGTH = re.compile(rf"(?<![A-Z\d])DL[ \t]*=?[ \t]*({_VALUE})", re.ASCII | 
 CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
 FN = re.compile(r"FN[ \t]*+(\d{1,9})(?!\d)[ \t]*+:?(.*)", re.ASCII | re.IGNORECASE)
 ASSIGNED = re.compile(r"(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)
+WITH_NUMBERS = frozenset({"CYCL", "FN", "PLANE", "Q", "QL", "QR", "TOOL"})
+QUOTED = re.compile(r"\"[^\"]*+\"")
+EXPONENT = re.compile(r"(?<![\\/:.\d])[+-]?(?:\d++[.,]?+\d*+|[.,]\d++)E[+-]?\d+", re.ASCII | re.IGNORECASE)
+"""A number with an exponent outside paths, in one of the statements `WITH_NUMBERS`; the control knows none."""
 NUMBERS = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
 REFUSED_PATHS = frozenset("CT CP LP CTP LT RND CHF APPR DEP FL FLT FC FCT FPOL FSELECT".split())

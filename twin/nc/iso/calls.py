@@ -13,6 +13,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin.nc.blocks import Program
 from twin.nc.dialect import as_comment
 from twin.nc.inline import Call, Inliner, Line, refused, with_ending
 from twin.nc.iso import vocabulary
@@ -68,6 +69,10 @@ def _may_call_inside(text: str) -> bool:
 @final
 class IsoInliner(Inliner):
     """Writes out the subprograms of ISO programs."""
+
+    def __init__(self, program: Program, folder: Path | None) -> None:
+        super().__init__(program, folder)
+        self._bodies: dict[tuple[str, bool], list[Line] | None] = {}
 
     def likely(self, text: str) -> bool:
         """See `Inliner.likely`."""
@@ -144,6 +149,14 @@ class IsoInliner(Inliner):
 
     def body(self, call: Call, line: Line) -> list[Line] | None:
         """See `Inliner.body`."""
+        key = (call.name, call.outside)
+        if key not in self._bodies:
+            self._bodies[key] = self._body(call)
+        lines = self._bodies[key]
+        return None if lines is None else self._with_values(call, lines, line)
+
+    def _body(self, call: Call) -> list[Line] | None:
+        """Return the lines of a subprogram as written; None if there is no such subprogram."""
         lines = None if call.outside else self._inside(call.name)
         if lines is None:
             path = self._file(call.name)
@@ -152,7 +165,7 @@ class IsoInliner(Inliner):
             lines = self.read_file(path)
             if any(_O_WORD.match(_bare(one)) for one in lines):
                 lines = _between(lines, call.name)
-        return self._with_values(call, _until_return(lines), line)
+        return _until_return(lines)
 
     def _inside(self, name: str) -> list[Line] | None:
         """Return the lines of a subprogram in the main file: after ``O1000``, or between ``o100 sub`` and ``o100 endsub``."""

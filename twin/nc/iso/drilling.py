@@ -63,12 +63,35 @@ class IsoDrilling(IsoTilt):
     def take_cycle_words(self, block: IsoBlock) -> bool:
         """Take the words of a Fanuc cycle from a block; return whether the block executes the cycle.
 
+        A block with an axis word or R does. P and Q in any other block belong to another word (``G4 P1``, ``G64 P0.01``,
+        ``G5.1 Q1``).
+
         Raises:
             InputError: a value is missing, contradicts another, or depends on a mode that is not expanded.
         """
         level_stated, self._level_stated = self._level_stated, False
         if not self.code:
             return False
+        if not (block.items or any(item.name == "R" for item in block.others)):
+            if block.cycle_words:
+                raise self._refused("no place", "an axis word or R in the block of the cycle")
+            if level_stated and self.cycle is not None:
+                self.cycle = self._cycle()
+            return False
+        if self._take_heights(block):
+            if self.code in cycles.FANUC_TAPPING:
+                self._thread_words(block)
+            self.cycle = self._cycle()
+        elif level_stated and self.cycle is not None:
+            self.cycle = self._cycle()
+        return True
+
+    def _take_heights(self, block: IsoBlock) -> bool:
+        """Take heights, step and dwell of a Fanuc cycle from a block; return whether it states any of them or the cycle.
+
+        Raises:
+            InputError: repeats, or an unknown value.
+        """
         stated = bool(block.cycle_words)
         unit = MM_PER_INCH if self.inch else 1.0
         kept: list[Item] = []
@@ -88,13 +111,7 @@ class IsoDrilling(IsoTilt):
             block.cycle_words.append(Span(item.start, item.end, item.name))
         block.items = [item for item in kept if item.name in self.index]
         block.others = [item for item in kept if item.name not in self.index]
-        if stated:
-            if self.code in cycles.FANUC_TAPPING:
-                self._thread_words(block)
-            self.cycle = self._cycle()
-        elif level_stated and self.cycle is not None:
-            self.cycle = self._cycle()
-        return stated or bool(block.items)
+        return stated
 
     @property
     def _retract(self) -> float:

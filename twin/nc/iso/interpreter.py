@@ -20,6 +20,8 @@ _LENGTH_WORDS: Final = frozenset({"", "G43.4", "G43.5", "G234"})
 _ARC_WORDS: Final = frozenset({*CENTRE, *SPINDLE_VECTOR, "R", "CR", "TURN"})
 _NO_MOTION: Final = frozenset("STDHFPQM")
 _new = tuple.__new__
+_WITHOUT_CYCLE: Final = frozenset({"still", "reference"})
+"""Groups of G words whose block does not execute the drilling cycle in force; its words are theirs."""
 _SOME_WORDS: Final = "words whose effect is known"
 _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "motion": ("motion", int),
@@ -122,7 +124,7 @@ class IsoInterpreter(IsoMotion):
         groups = self._g_words(block) if block.codes else frozenset()
         if "plane tilt" in groups:
             self.tilt_words(block)
-        drills = self.take_cycle_words(block)
+        drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
         centre = [item for item in block.others if self._is_of_motion(block, item)]
         self._state_to(block)
@@ -152,7 +154,7 @@ class IsoInterpreter(IsoMotion):
     def _is_of_motion(self, block: IsoBlock, item: Item) -> bool:
         """Return whether a word other than an axis word belongs to the motion; unknown words raise an error or add a notice."""
         name, shown = item.name, block.text[item.start : item.end]
-        if name in _ARC_WORDS or (name == "P" and self.motion in (2, 3) and block.items):
+        if name in _ARC_WORDS or (name == "P" and self.motion in (2, 3) and (block.items or _has_centre(block))):
             return True
         if name in _AXIS_LETTERS or (name[0] in _AXIS_LETTERS and name[1:].isdigit()):
             raise self.unknown_axis(f"{name}{item.value}")
@@ -164,7 +166,7 @@ class IsoInterpreter(IsoMotion):
             if block.items or block.names:
                 raise self.error("control flow", vocabulary.NO_CALLS)
         elif name not in _NO_MOTION:
-            if block.items:
+            if block.items or block.cycle_words:
                 what = "unknown word in a block that moves axes"
                 raise self.error(what, "words whose effect on the motion is known", shown)
             self.lose(block, shown)
@@ -190,8 +192,16 @@ class IsoInterpreter(IsoMotion):
         elif letter == "M":
             self._m_word(block, match.start(2), match.end(), value)
         else:
+            if letter == "E":
+                self._check_exponent(block, match.start(2), match.end())
             self._sort(block, Item(letter, match.start(2), match.end(), match.start(3), match.end(), value))
         self._started = True
+
+    def _check_exponent(self, block: IsoBlock, start: int, end: int) -> None:
+        """Raise `InputError` if a word that begins with E follows the digits of a number: few controls read it as an exponent."""
+        if start > block.head_end and block.text[start - 1] in "0123456789.":
+            shown = block.text[max(start - 12, block.head_end) : end].split()[-1]
+            raise self.error("number with an exponent", "a number such as 0.001, and a space before a word", shown)
 
     def _sort(self, block: IsoBlock, item: Item) -> None:
         (block.items if item.name in self.index else block.others).append(item)
@@ -207,6 +217,8 @@ class IsoInterpreter(IsoMotion):
         """Interpret a name; return whether it takes the rest of the line."""
         self._started = True
         name, start = match.group(10).upper(), match.start(10)
+        if name.startswith("EX"):
+            self._check_exponent(block, start, match.end())
         block.names.append(Item(name, start, match.end(), start, match.end(), match.group(12) or ""))
         if name in ("DEF", "EXTERN", "PROC"):
             for variable, value in vocabulary.ASSIGNED.findall(block.text[match.end() :].split(";")[0]):
@@ -287,16 +299,15 @@ class IsoInterpreter(IsoMotion):
 
     def _g_words(self, block: IsoBlock) -> frozenset[str]:
         """Apply the G words of a block and return their groups."""
-        seen: set[str] = set()
+        seen: dict[str, str] = {}
         for span in block.codes:
             code = span.name
             group = self._group(block, code)
-            if group in seen:
-                raise self.error(f"two G words of one modal group ({group})", "one G word per group in a block")
             if group is None:
                 continue
-            if group:
-                seen.add(group)
+            # The same word twice changes nothing: controls differ in whether they allow it.
+            if group and seen.setdefault(group, code) != code:
+                raise self.error(f"two G words of one modal group ({group})", "one G word per group in a block")
             self._modal(block, span, group)
             self.switch_by(block, f"G{code}")
         return frozenset(seen)
@@ -399,6 +410,11 @@ class IsoInterpreter(IsoMotion):
         else:
             self.assign(name + bracket, self.value_of(value))
         return True
+
+
+def _has_centre(block: IsoBlock) -> bool:
+    """Return whether a block has a centre: a full circle needs no axis words."""
+    return any(item.name in CENTRE for item in block.others)
 
 
 _TOKENS: Final[Mapping[str, Callable[[IsoInterpreter, IsoBlock, re.Match[str]], bool | InputError | None]]] = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from twin.nc.arcs import PLANES, ArcMisfit, arc_by_centre, arc_by_radius
+from twin.nc.arcs import MOST_TURNS, PLANES, ArcMisfit, arc_by_centre, arc_by_radius
 from twin.nc.block import AxisWord, Span
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import vocabulary
@@ -163,8 +163,8 @@ class IsoMotion(IsoDrilling):
             if name in ("R", "CR"):
                 radius = value * scale
             elif name not in CENTRE:
-                if value != int(value) or not 0 <= value < 1e6:
-                    raise self.error(f"{name} is not a number of turns", "a whole number", text)
+                if value != int(value) or not 0 <= value <= MOST_TURNS:
+                    raise self.error(f"{name} is not a number of turns", f"a whole number up to {MOST_TURNS}", text)
                 turns = int(value) if name == "TURN" else max(0, int(value) - 1)
             elif CENTRE[name] in centre:
                 raise self.error(f"{name} twice in one block", "each word once")

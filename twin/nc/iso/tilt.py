@@ -11,6 +11,9 @@ from twin.nc.planes import Plane, rotation_about
 from twin.nc.text import MM_PER_INCH
 
 _ORDER: Final = {1: "X", 2: "Y", 3: "Z"}
+_PLANE_WORDS: Final = tuple("XYZIJKPSTDHF")
+_POSITIONING_WORDS: Final = tuple("PSTDHF")
+"""Words of a block with G68.2, and with G53.1: those of the plane, and of spindle, tool and feed."""
 _CHOICES: Final = {"0": 0, "1": 1, "2": -1}
 
 
@@ -27,6 +30,11 @@ class IsoTilt(IsoFrame):
             InputError: another way to define a plane, a plane within a plane, or an unknown value.
         """
         codes = {span.name for span in block.codes}
+        words = _PLANE_WORDS if "68.2" in codes else _POSITIONING_WORDS
+        stray = next((item for item in (*block.items, *block.others) if item.name not in words), None)
+        if stray is not None and codes & {"68.2", "53.1"}:
+            shown = block.text[stray.start : stray.end].strip()
+            raise self.error("unknown word in a block with a tilted plane", f"no words but {' '.join(words)}", shown)
         if "68.2" in codes:
             self._check_allowed(block)
             values = {

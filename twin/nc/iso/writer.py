@@ -227,7 +227,8 @@ class IsoWriter(WordWriter[IsoBlock]):
             self.motion = code
             self.wide = len(block.text[span.start + 1 : span.end].strip()) > 1
             if block.motion != code:
-                edits.append((span.end - 1, span.end, str(code)))
+                repeated = [one for one in block.codes if one.name == str(block.motion)]
+                edits += ((one.end - 1, one.end, str(code)) for one in repeated or [span])
             return ""
         return "" if code is None or before == code else self.g(code)
 

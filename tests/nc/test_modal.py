@@ -1,0 +1,108 @@
+"""Modal state over random sequences of statements: against the path they were written from, and LinuxCNC's interpreter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+
+from tests.machine.errors import random_calibration
+from tests.nc import rs274
+from tests.nc.modal_programs import Event, ModalProgram, difference
+from tests.nc.nc_support import AXES
+from tests.nc.other_programs import CutterLocations, PlainProgram
+from twin.compensation import Compensation, Compensator
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+from twin.nc import DIALECTS
+from twin.nc.blocks import Kind, Move
+from twin.nc.iso import cycles
+
+ISO, HEIDENHAIN, APT = DIALECTS
+PRINTED_MM = 2e-3
+"""LinuxCNC's interpreter prints four decimals: up to 1.3 µm of an inch program."""
+
+
+def as_events(moves: Iterable[Move]) -> list[Event]:
+    """Return the moves of a reading as events."""
+    found = []
+    for move in moves:
+        if move.arc is None:
+            found.append(Event(0 if move.kind is Kind.RAPID else 1, move.position))
+        else:
+            sweep = move.arc.angle_rad
+            found.append(Event(3 if sweep > 0 else 2, move.position, move.arc.plane[:2], move.arc.centre_mm, sweep))
+    return found
+
+
+def read(text: str) -> list[Event]:
+    return as_events(ISO.moves(ISO.read(text.encode(), "part"), AXES, tcp=False).moves)
+
+
+@pytest.mark.parametrize("seed", range(80))
+def test_a_program_is_read_as_it_was_meant(seed: int) -> None:
+    program = ModalProgram(Random(seed)).grow(30)
+    found = difference(read(program.text), program.events, 1e-6)
+    assert not found, f"{found}\n{program.text}"
+
+
+@rs274.needed
+@pytest.mark.parametrize("seed", range(40))
+def test_a_program_is_read_as_linuxcnc_reads_it(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cycles, "CLEARANCE_MM", rs274.PECK_MM)
+    program = ModalProgram(Random(1000 + seed), "linuxcnc", rs274.PECK_MM).grow(30)
+    judged = rs274.events(program.text, tmp_path)
+    found = difference(judged, program.events, PRINTED_MM) or difference(judged, read(program.text), PRINTED_MM)
+    assert not found, f"{found}\n{program.text}"
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_plain_language_is_read_as_it_was_meant(seed: int) -> None:
+    program = PlainProgram(Random(seed)).grow(30)
+    moves = HEIDENHAIN.moves(HEIDENHAIN.read(program.text.encode(), "part"), AXES, tcp=False).moves
+    found = difference(as_events(moves), program.events, 1e-6)
+    assert not found, f"{found}\n{program.text}"
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_cutter_locations_are_read_as_they_were_meant(seed: int) -> None:
+    program = CutterLocations(Random(seed)).grow(30)
+    moves = APT.moves(APT.read(program.text.encode(), "part"), AXES, tcp=True).moves
+    assert [move.kind is Kind.RAPID for move in moves] == program.rapid, program.text
+    assert np.array([move.position[:3] for move in moves]) == pytest.approx(np.array(program.points), abs=1e-9)
+    assert np.array([move.vector for move in moves]) == pytest.approx(np.array(program.vectors), abs=1e-8)
+
+
+@pytest.fixture(scope="module")
+def errors(dmu50: Machine) -> Calibration:
+    return random_calibration(dmu50, np.random.default_rng(3), size=30.0)
+
+
+def compensated(text: str, machine: Machine, errors: Calibration) -> Compensation:
+    return Compensator(machine, errors).compensate(ISO.read(text.encode(), "part.ngc"), ISO)
+
+
+@rs274.needed
+@pytest.mark.parametrize("seed", range(4))
+def test_linuxcnc_goes_where_the_output_was_meant_to(
+    dmu50: Machine, errors: Calibration, seed: int, tmp_path: Path
+) -> None:
+    """Every block end of the compensated program, cycles written out and arcs in chords."""
+    program = ModalProgram(Random(2000 + seed), "linuxcnc").grow(20)
+    result = compensated(program.text, dmu50, errors)
+    assert len(result.commands) > len(program.events)
+    meant = [Event(-1, tuple(row)) for row in result.commands.tolist()]
+    judged = [event._replace(code=-1) for event in rs274.events(result.text, tmp_path)]
+    assert not difference(judged, meant, PRINTED_MM), result.text
+
+
+def test_the_same_word_twice_stays_one_meaning(dmu50: Machine, errors: Calibration) -> None:
+    """Controls differ in whether they allow it; an arc becomes chords, so both its words change."""
+    once = "G90 G21 G17\nG0 X200. Y200. Z-200. B5. C0.\nG3 X210. Y210. J10. F500\nG99 G81 X220. Z-220. R-205.\nG80\n"
+    twice = once.replace("G90", "G90 G90").replace("G3", "G3 G03").replace("G81", "G81 G81")
+    assert read(twice) == read(once)
+    texts = [compensated(text, dmu50, errors).text for text in (once, twice)]
+    assert read(texts[0]) == read(texts[1])
