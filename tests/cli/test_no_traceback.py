@@ -389,6 +389,46 @@ def test_a_program_without_motion_is_refused(
     assert not output.exists()
 
 
+@pytest.mark.parametrize("command", ["scene", "path"])
+def test_a_program_larger_than_the_memory_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    """Before it is interpreted: by the size of its file, or by its lines."""
+    program = tmp_path / "p.h"
+    program.write_text("BEGIN PGM A MM\n" + "L X+1\n" * 1000 + "END PGM A MM\n")
+    for most in (1000.0, 2e6):
+        monkeypatch.setattr("twin.nc.memory_bytes", lambda most=most: most)
+        output = tmp_path / ("o.html" if command == "scene" else "o.h")
+        assert "too large to be held in memory" in refused(capsys, command, program, "-o", output)
+
+
+@pytest.mark.parametrize(
+    ("block", "said"),
+    [
+        ("G1 X900000000 F100", "too long"),
+        ("G1 C90000000 F100", "too long"),
+        ("G2 X103 Y100 I100000000 J0", "too long"),
+        ("G2 X100 Y100 I10 J0 P999999", "whole number up to 400"),
+        ("M98 P9 L999999999", "no subprogram"),
+    ],
+)
+@pytest.mark.parametrize("command", ["scene", "compensate"])
+def test_a_motion_that_needs_all_memory_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, block: str, said: str
+) -> None:
+    program = tmp_path / "p.nc"
+    program.write_text(f"G21 G90 G17\nG0 X100 Y100 Z-100 B0 C0\nG1 X101 F100\nX102\nX103\n{block}\nM30\n")
+    error = refused(capsys, command, program, "-o", tmp_path / ("o.html" if command == "scene" else "o.nc"))
+    assert said in error and "p.nc:6: " in error
+
+
+def test_repeating_nothing_ends_at_once(dmu50: Machine) -> None:
+    """A part without a block, a thousand million times; a subprogram called from many places is looked for once."""
+    text = "BEGIN PGM A MM\nL X+1 Y+1 Z+1\nLBL 1\nCALL LBL 1 REP 999999999\nEND PGM A MM\n"
+    program = Heidenhain().expanded(Heidenhain().read(text.encode(), "p.h"), None)
+    assert len(program.texts) == 5
+
+
 LONG_NUMBER = "9" * 5000
 """More digits than Python converts to an integer."""
 

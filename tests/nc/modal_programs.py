@@ -247,7 +247,7 @@ class ModalProgram:
                 sticky.clear()
             words += self.heights(sticky, initial)
             if code in STEPPED and ("Q" not in sticky or rng.random() < 0.3):
-                words.append(self.sticky(sticky, "Q", rng.uniform(3.0, 12.0)))
+                words.append(self.sticky(sticky, "Q", rng.uniform(3.0, 12.0) if rng.random() < 0.9 else 0.4))
             if code in DWELLS and ("P" not in sticky or rng.random() < 0.2):
                 sticky["P"] = 0.5
                 words.append("P0.5")

@@ -95,6 +95,12 @@ def test_full_circles(sense, angle):
     assert moves[3].arc.angle_rad == pytest.approx(3 * angle)  # P needs no axis word
 
 
+def test_a_full_circle_from_a_place_reached_by_increments():
+    """0.1 + 0.1 + 0.1 is not 0.3 in binary numbers: the circle is still a full one, not a point."""
+    text = "G0 X0 Y0 Z0\nG91 X0.1\nX0.1\nX0.1\nG90 G2 X0.3 Y0 I5\n"
+    assert read_moves(ISO, text).moves[-1].arc.angle_rad == pytest.approx(-2 * math.pi)
+
+
 def test_plain_centre_arcs():
     text = "BEGIN PGM A MM\nL X+10 Y+0 Z+0\nCC X+0 Y+0\nC X+0 Y+10 DR-\nCC IX+0 IY-10\nC X+0 Y+10 DR+\n"
     first, second = read_moves(PLAIN, text).moves[1:]

@@ -222,14 +222,17 @@ def test_blocks_between_are_left_as_written_and_counted(
         lambda m: f"{m[1]}{'+' if suffix == '.h' else ''}{dict(X=250, Y=225)[m[1]]}" if m[1] != "Z" else f"{m[1]}-1",
         machine,
     )
-    many = "".join(f"{feed.replace('6', str(6 + i))}\n" for i in range(40))
+    plain_blocks = "".join(
+        f"{'X' if suffix == '.nc' else 'L X+'}{7 + i}\n" for i in range(39)
+    )  # read together elsewhere
+    many = f"{feed}\n{plain_blocks}"
     tail = f"{machine}\n{start}\n{feed}\n"
-    text, report = compensated(tmp_path, f"{start}\n{statement}\n{many}{tail}", dmu50, errors, suffix)
+    text, report = compensated(tmp_path, f"{start}\n{feed}\n{statement}\n{many}{tail}", dmu50, errors, suffix)
     assert many in text and not report.complete
     (lost,) = [one for one in report.not_corrected if one.kind == "unknown"]
-    assert lost.lines == lost.missed == tuple(range(3, 43)) and statement in lost.reason
-    assert report.cutting == 41 and "40 of 41 cutting blocks are left as written" in report.headline
-    alone, whole = compensated(tmp_path, f"{start}\n{tail}", dmu50, errors, suffix)
+    assert lost.lines == lost.missed == tuple(range(4, 44)) and statement in lost.reason
+    assert report.cutting == 42 and "40 of 42 cutting blocks are left as written" in report.headline
+    alone, whole = compensated(tmp_path, f"{start}\n{feed}\n{tail}", dmu50, errors, suffix)
     assert whole.complete
     assert text.split(f"{machine}\n")[1] == alone.split(f"{machine}\n")[1]
 

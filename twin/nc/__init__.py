@@ -8,12 +8,15 @@ from twin._common.bundled import find_program
 from twin._common.errors import InputError
 from twin._common.file_kinds import other_kind
 from twin._common.files import read_bytes, register_input
+from twin._common.memory import memory_bytes
 from twin.nc.apt.dialect import Apt
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
 from twin.nc.heidenhain.dialect import Heidenhain
 from twin.nc.iso.dialect import Iso
 
+LINE_BYTES = 2400
+"""Memory that a line needs when a program is held as a whole: measured, five axes in a block, animated."""
 DIALECTS: tuple[Dialect, ...] = (Iso(), Heidenhain(), Apt())
 
 
@@ -58,15 +61,29 @@ def dialect_of(path: Path) -> Dialect:
         raise InputError("cannot be read", expected="a readable file", file=path, value=error.strerror) from error
 
 
+def _check_size(path: Path, needed: int) -> None:
+    """Raise `InputError` for a program that needs more memory, in bytes, than this process can have."""
+    most = memory_bytes()
+    if needed > most:
+        raise InputError(
+            "the program is too large to be held in memory",
+            expected=f"at most {most / LINE_BYTES:,.0f} lines with {most / 1e9:.1f} GB of memory; split it into several programs",
+            file=path,
+        )
+
+
 def read_program(path: str | Path) -> tuple[Program, Dialect]:
     """Read a program from a file (or a sample that comes with twin) and return it with its language.
 
     Its subprograms, in the same file or folder, are written out in place of their calls.
 
     Raises:
-        InputError: there is no such file, its suffix is unknown, it is empty or not text, or a subprogram cannot be written out.
+        InputError: there is no such file, its suffix is unknown, it is empty or not text, it needs more memory than there is, or a
+            subprogram cannot be written out.
     """
     found = find_program(path)
+    _check_size(found, 0 if not found.is_file() else found.stat().st_size)
     data = read_bytes(found)
+    _check_size(found, LINE_BYTES * (1 + max(data.count(b"\n"), data.count(b"\r"))))
     dialect = dialect_for(found, data)
     return dialect.expanded(dialect.read(data, str(found)), found.parent), dialect

@@ -182,7 +182,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self._assignments(body)
         elif keyword in self.index or (keyword[:1] == "I" and keyword[1:] in self.index):
             raise self.error("word without a number", f"a number after {keyword}")
-        elif keyword not in vocabulary.PASSED:
+        elif keyword not in vocabulary.PASSED and not upper.startswith("TABDATA READ"):
             self.lose(block, body)
 
     def _begin(self, block: PathBlock, body: str, upper: str) -> None:
@@ -255,10 +255,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
         elif upper.startswith(("FUNCTION TURNDATA", "FUNCTION MODE TURN", "FUNCTION CORRDATA", "FUNCTION PARAXMODE")):
             raise self.error("function that changes the meaning of axis words", vocabulary.NO_TRANSFORMATION)
         elif not upper.startswith(vocabulary.HARMLESS_FUNCTIONS):
-            self.lose(block, body)
-
-    def _table(self, block: PathBlock, body: str, upper: str) -> None:
-        if not upper.startswith("TABDATA READ"):
             self.lose(block, body)
 
     # ------------------------------------------------------------------ words of paths
@@ -441,7 +437,6 @@ _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str,
     "PLANE": HeidenhainInterpreter._tilt,
     "POLARKIN": HeidenhainInterpreter._transform,
     "SEL": HeidenhainInterpreter._call,
-    "TABDATA": HeidenhainInterpreter._table,
     "TOOL": HeidenhainInterpreter._tool,
     "TRANS": HeidenhainInterpreter._transform,
 }
