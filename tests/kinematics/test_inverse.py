@@ -244,7 +244,7 @@ def test_positions_along_a_path_are_those_found_one_by_one(
 
 
 def test_the_nearest_position_has_the_smallest_largest_travel() -> None:
-    """Of both solutions with every whole turn within the ranges, by the larger of the two axes' travels, not their sum."""
+    """Compare with all solutions and whole turns within the ranges, by the larger of the two axes' travels, not their sum."""
     machine = Machine.load("xyzbc_trunnion")
     branches = Branches(Kinematics(machine, Calibration.zero(machine)))
     rng = np.random.default_rng(17)

@@ -1,4 +1,4 @@
-"""Random ISO programs whose modal state changes at any place, and the path that a control makes of them.
+"""Random ISO programs whose modal state changes at any place, and their tool path on a control.
 
 A program is written from its path, by modal rules of its own: nothing here is shared with `twin.nc`. Rules: LinuxCNC's G-code reference
 and Fanuc's operator's manual (30i), which agree but for what `ModalProgram.judge` says.
@@ -25,7 +25,7 @@ class Event(NamedTuple):
 
     Attributes:
         code: 0, 1, 2 or 3.
-        end: position at its end, mm and degrees.
+        end: position at the end point, mm and degrees.
         plane, centre, sweep: of an arc: indices of the two axes, mm, signed radians.
     """
 

@@ -130,6 +130,17 @@ def test_words_between_the_strokes(dmu50: Machine, errors: Calibration) -> None:
     assert all(lines[i + 1].startswith(("G0 ", "G80")) for i in threads)
 
 
+def test_a_dwell_or_a_return_under_a_cycle_is_not_part_of_it(dmu50: Machine, errors: Calibration) -> None:
+    """P of G4 is not the dwell of the holes, Z of G28 not their depth, and neither block drills."""
+    hole = "G99 G82 X310. Y210. Z-330. R-310. P1 F120.\n"
+    for between in ("G4 P2\n", "G4 X3. P2\n", "G64 P0.01\n", "G5.1 Q1\n"):
+        lines = compensated(f"{START}{hole}{between}X320.\nG80\n", dmu50, errors).text.splitlines()
+        assert lines.count("G4 P1") == 2 and lines.count(between.strip()) == 1, between
+    reading = read(f"{START}{hole}G28 Z-300.\nG80\nG0 Z-290.\n")
+    assert [move.position[2] for move in reading.moves] == [-300.0, -300.0, -310.0, -330.0, -310.0, -290.0]
+    assert [lost.axes for lost in reading.lost_positions] == [(2,)]
+
+
 def test_the_depth_of_a_thread_is_corrected(dmu50: Machine, errors: Calibration) -> None:
     """As much as the height above it, which the control has reached when it begins; its other words are kept."""
     text = (

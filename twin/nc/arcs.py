@@ -13,7 +13,7 @@ SLACK_MOST_MM = 0.5
 """Tolerance of an arc's end point: 0.02 mm or 0.1 % of the radius, whichever is larger, but less than 0.5 mm."""
 
 MOST_TURNS = 400
-"""Full turns of an arc beyond which it is refused: no thread or ramp has so many, and each turn becomes many blocks."""
+"""Full turns of an arc beyond which it is refused: threads and ramps have fewer, and each turn becomes many blocks."""
 
 PLANES: dict[int, tuple[int, int, int]] = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 
