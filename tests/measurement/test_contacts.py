@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
+from tests.machine.reordered import columns, reordered
 from tests.measurement.formats.cases.spheres import DIRECTIONS
 from tests.truth.reference import dmu50_pose
 from twin._common.errors import InputError
@@ -183,3 +185,26 @@ def test_machines_without_linear_axes_x_y_z_are_refused(tmp_path: Path) -> None:
     (tmp_path / "m.yaml").write_text(text.replace("dmu50.urdf", str(folder / "dmu50.urdf")))
     with pytest.raises(InputError, match="linear axes X, Y and Z"):
         reduce_contacts(one_sphere(), Machine.load(tmp_path / "m.yaml"), Probing(u_contact_mm=NOISE))
+
+
+@pytest.mark.parametrize("directed", [False, True])
+def test_the_order_of_the_axes_in_the_machine_file_does_not_matter(tmp_path: Path, directed: bool) -> None:
+    """Contacts and directions are along X, Y, Z; positions are in command order, and so are the reduced ones."""
+    rng = np.random.default_rng(12)
+    points, poses = [], []
+    for b, c in ((0.0, 0.0), (30.0, 90.0), (90.0, -45.0)):
+        points += [np.array([250.0, 140.0, -300.0]) + (RADIUS + rng.normal(0, NOISE)) * normal for normal in DIRECTIONS]
+        poses += [[b, c]] * len(DIRECTIONS)
+    directions = -np.tile(DIRECTIONS, (3, 1)) if directed else None
+    given = contacts(np.array(points), np.array(poses), directions)
+    probing = Probing(tip_radius_mm=3.0) if directed else Probing()
+    other, at = reordered(tmp_path), columns(MACHINE)
+    one = reduce_contacts(given, MACHINE, probing)
+    two = reduce_contacts(replace(given, positions=given.positions[:, at]), other, probing)
+    np.testing.assert_allclose(two.measurements.positions, one.measurements.positions[:, at], atol=1e-9)
+    np.testing.assert_allclose(two.measurements.u_mm, one.measurements.u_mm, rtol=1e-6)
+    u = one.measurements.u_mm
+    assert np.all(np.ptp(u, axis=1) > 0.05 * u.min(axis=1)), "the three coordinates differ, so that their order shows"
+    for centre, same in zip(one.centres, two.centres, strict=True):
+        assert same.radius_mm == pytest.approx(centre.radius_mm, abs=1e-9)
+        np.testing.assert_allclose(same.covariance_mm2, centre.covariance_mm2, rtol=1e-6, atol=1e-15)
