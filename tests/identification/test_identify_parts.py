@@ -179,7 +179,7 @@ def test_backlash_is_no_noise_of_repeats(dmu50: Machine) -> None:
 
 
 def test_p_values_of_a_right_model_are_uniform(dmu50: Machine) -> None:
-    """Of the residuals and of the lack of fit, each with the degrees of freedom of the readings that were used."""
+    """P-values of the residuals and of the lack of fit, each with the degrees of freedom of the readings that were used."""
     rng, n, draws = np.random.default_rng(2), 60, 400
     read = np.ones((n, 3), dtype=bool)
     read[::3, 1:] = False
