@@ -13,18 +13,26 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.identification.plans import volumetric
+from tests.machine.errors import random_calibration
 from twin._common.errors import InputError
+from twin.identification import Identification, identify
 from twin.identification.network import Network
 from twin.identification.outliers import RowAssessment, assess_rows
 from twin.identification.priors import DECAYS, SIZES, mean_variance
 from twin.identification.spread import covariance_from_repeats, misfit, repeat_groups
+from twin.identification.start import initial_setup
+from twin.identification.unknowns import Unknowns
+from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.machine.motion_curve import Curve
 from twin.measurement.instruments import (
     Instrument,
     LaserTracker,
     StationInstruments,
     TrackingInterferometer,
 )
+from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 
 RARE = 1e-4
@@ -120,12 +128,33 @@ def test_a_gap_separates_an_outlier_from_a_misfit(ratio: float, bad: bool) -> No
     assert bool(found.bad[3]) is bad and np.count_nonzero(found.bad) == int(bad)
 
 
-@pytest.mark.parametrize(("factor", "beyond"), [(0.97, False), (1.03, True)])
-def test_the_limit_of_a_misfit_is_wider_by_half(factor: float, beyond: bool) -> None:
+def test_of_two_gaps_the_rows_above_one_are_outliers() -> None:
+    """The row below the gap is beyond the limit too, but nothing separates it from those below it."""
     n = 200
     size = np.full(n, 20.0 * np.sqrt(stats.chi2.median(3)))
-    size[3] = factor * 1.5 * np.sqrt(stats.chi2.isf(0.01 / n, 3)) * 20.0
-    assert bool(assessed(np.outer(size, [0.0, 0.6, 0.8])).beyond[3]) is beyond
+    limit = 1.5 * np.sqrt(stats.chi2.isf(0.01 / n, 3)) * 20.0
+    size[[3, 8, 11]] = 2.2 * limit, 1.05 * limit, 0.9 * limit
+    found = assessed(np.outer(size, [0.0, 0.6, 0.8]))
+    assert np.flatnonzero(found.beyond).tolist() == [3, 8] and np.flatnonzero(found.bad).tolist() == [3]
+
+
+@pytest.mark.parametrize(("factor", "beyond"), [(0.97, False), (1.03, True)])
+@pytest.mark.parametrize("coordinates", [1, 3])
+def test_the_limit_of_a_misfit_is_wider_by_half(coordinates: int, factor: float, beyond: bool) -> None:
+    n = 200
+    size = np.full(n, 20.0 * np.sqrt(stats.chi2.median(coordinates)))
+    size[3] = factor * 1.5 * np.sqrt(stats.chi2.isf(0.01 / n, coordinates)) * 20.0
+    way = [1.0, 0.0, 0.0] if coordinates == 1 else [0.0, 0.6, 0.8]
+    assert bool(assessed(np.outer(size, way), coordinates=coordinates).beyond[3]) is beyond
+
+
+def test_weights_of_a_model_that_fits() -> None:
+    """Without a misfit a row of k standard deviations of a coordinate has the weight (1 + k²/9)⁻² (Geman and McClure)."""
+    whitened = np.full((400, 3), 0.85)
+    whitened[[5, 6]] = [[3.0], [1.5]]
+    found = assessed(whitened)
+    assert found.misfit_um == {} and found.noise == 1.0
+    assert found.weight[[5, 6]] == pytest.approx([0.25, 1.25**-2])
 
 
 def table(rows: dict[str, Any], machine: Machine) -> Measurements:
@@ -184,12 +213,13 @@ def test_p_values_of_a_right_model_are_uniform(dmu50: Machine) -> None:
     read = np.ones((n, 3), dtype=bool)
     read[::3, 1:] = False
     used = np.arange(n) % 10 != 0
-    data = table({"X": np.arange(n) % 20}, dmu50)
+    data = table({"X": np.arange(n) % 4}, dmu50)
     p = []
     for _ in range(draws):
         found = misfit(np.where(read, rng.standard_normal((n, 3)), 0.0), read, data, 0.0, used)
         p.append((found.p_value, found.lack_p_value))
     assert found.dof == np.count_nonzero(read[used])
+    assert misfit(np.ones((n, 3)), read, data, 7.5, used).dof == found.dof - 7.5
     for column in np.array(p).T:
         assert stats.kstest(column, "uniform").pvalue > RARE
 
@@ -266,3 +296,56 @@ def test_the_variance_of_a_prior_is_its_mean_over_sizes_and_decays(seed: int) ->
     expected = weight @ np.array(variances) / weight.sum()
     # The grid's sizes are far apart where a coefficient is determined to many digits; both round alike.
     np.testing.assert_allclose(mean_variance(mean, covariance, held), expected, rtol=1e-6)
+
+
+def test_results_do_not_depend_on_the_size_of_chunks(dmu50: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows are computed in chunks of thousands; in chunks of 17 and 7 the same readings give the same estimate, all of its parts."""
+    rng = np.random.default_rng(6)
+    names = ("E_XX", "E_YX", "E_BY", "E_C0Y", "E_X0C")
+    # In the datum of `identify`, and within the orders that it tries.
+    curves = {"E_XX": (-4.0, 10.0, 12.0), "E_YX": (-2.5, 0.0, 7.5), "E_BY": (0.0, 40.0, 0.0)}
+    errors = replace(
+        Calibration.zero(dmu50),
+        curves={
+            name: Curve(name, "urad" if name == "E_BY" else "um", dmu50.by_name[name[3]].domain, "power", values)
+            for name, values in curves.items()
+        },
+        squareness={"E_C0Y": 30.0},
+        location={"E_X0C": -25.0},
+    )
+    data, _ = simulate(volumetric(dmu50, rng, 60), dmu50, errors, LaserTracker(), rng)
+
+    def found() -> Identification:
+        return identify(data, dmu50, wanted=lambda name: name in names, spread="between poses")
+
+    whole = found()
+    monkeypatch.setattr("twin.identification.network.CHUNK", 17)
+    monkeypatch.setattr("twin.identification.network.VIEW_CHUNK", 7)
+    parts = found()
+    assert parts.choice.counts == whole.choice.counts
+    # Weak directions of normal equations whose condition is 1e13: their sums in another order.
+    assert parts.choice.held_out == pytest.approx(whole.choice.held_out, rel=1e-3)
+    assert parts.misfit.chi2 == pytest.approx(whole.misfit.chi2, rel=1e-6)
+    # Sums in another order, of a problem whose condition is 1e4.
+    np.testing.assert_allclose(parts.residual_mm, whole.residual_mm, atol=1e-7)
+    np.testing.assert_array_equal(parts.used, whole.used)
+    one, two = (own.calibration.covariance for own in (whole, parts))
+    assert one.names == two.names
+    u = np.sqrt(np.diag(one.matrix))
+    np.testing.assert_allclose(two.matrix / np.outer(u, u), one.matrix / np.outer(u, u), atol=1e-5)
+
+
+def test_a_table_of_many_rows_is_read_row_by_row(dmu50: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every reading and derivative of a linearised table is that of its row alone, across the boundaries of its chunks."""
+    rng = np.random.default_rng(7)
+    data, _ = simulate(volumetric(dmu50, rng, 30), dmu50, random_calibration(dmu50, rng, 50.0), LaserTracker(), rng)
+    instruments = StationInstruments.same(LaserTracker(), data.station)
+    network = Network(dmu50, data, instruments, Unknowns(dmu50, [], ["E_C0Y", "E_X0C"]))
+    setup, _ = initial_setup(dmu50, data, instruments)
+    theta = np.array([12.0, -30.0])
+    monkeypatch.setattr("twin.identification.network.VIEW_CHUNK", 8)
+    view = network.view(theta, setup, np.arange(30))
+    for row in range(30):
+        alone = network.view(theta, setup, np.array([row]))
+        for whole, own in zip(view.arrays(), alone.arrays(), strict=True):
+            np.testing.assert_allclose(whole[row], own[0], rtol=1e-12, atol=1e-15)
