@@ -17,7 +17,7 @@ from tests.identification.plans import volumetric
 from tests.machine.errors import random_calibration
 from twin._common.errors import InputError
 from twin.identification import Identification, identify
-from twin.identification.network import Network
+from twin.identification.network import Network, stated_covariance
 from twin.identification.outliers import RowAssessment, assess_rows
 from twin.identification.priors import DECAYS, SIZES, mean_variance
 from twin.identification.spread import covariance_from_repeats, misfit, repeat_groups
@@ -349,3 +349,40 @@ def test_a_table_of_many_rows_is_read_row_by_row(dmu50: Machine, monkeypatch: py
         alone = network.view(theta, setup, np.array([row]))
         for whole, own in zip(view.arrays(), alone.arrays(), strict=True):
             np.testing.assert_allclose(whole[row], own[0], rtol=1e-12, atol=1e-15)
+
+
+def test_a_probe_finds_the_same_point_at_other_positions(dmu50: Machine) -> None:
+    """Repeats of a probe, which reads zero by definition, differ by hundredths of a millimetre; those of a tracker do not."""
+    data = table({"X": [100.01, 100.02, 99.99, 103.0], "point_mm": np.zeros((4, 3))}, dmu50)
+    probe = replace(data, station_carrier=np.full(4, "work", dtype=object))
+    assert len(set(repeat_groups(probe).tolist())) == 2
+    assert len(set(repeat_groups(replace(probe, point_mm=np.ones((4, 3)))).tolist())) == 4
+
+
+def test_stated_uncertainties_precede_the_instruments(dmu50: Machine) -> None:
+    """A row counts as stated if every coordinate that it reads has an uncertainty, in millimetres (k = 1)."""
+    points = np.array([[1000.0, 0.0, 0.0]] * 4)
+    points[3, 1:] = np.nan
+    u = np.array([[0.002, 0.003, 0.004], [0.002, 0.003, np.nan], [np.nan] * 3, [0.002, np.nan, np.nan]])
+    data = replace(table({"X": np.arange(4), "point_mm": points}, dmu50), u_mm=u)
+    tracker = LaserTracker()
+    found = stated_covariance(data, StationInstruments.same(tracker, data.station))
+    own = tracker.covariance(np.array([[1.0, 0.0, 0.0]]))[0]
+    np.testing.assert_allclose(found[0], np.diag([4e-12, 9e-12, 16e-12]), rtol=1e-12)
+    np.testing.assert_allclose(found[1], own, rtol=1e-12)
+    np.testing.assert_allclose(found[2], own, rtol=1e-12)
+    assert found[3, 0, 0] == pytest.approx(4e-12)
+
+
+def test_a_factor_of_the_variances(dmu50: Machine) -> None:
+    """Nine times the variance is a third of the weight."""
+    rng = np.random.default_rng(8)
+    data, _ = simulate(volumetric(dmu50, rng, 12), dmu50, Calibration.zero(dmu50), LaserTracker(), rng)
+    network = Network(
+        dmu50, data, StationInstruments.same(LaserTracker(), data.station), Unknowns(dmu50, [], ["E_C0Y"])
+    )
+    other = network.with_variance_factor(9.0)
+    np.testing.assert_allclose(other.covariance, 9.0 * network.covariance)
+    np.testing.assert_allclose(other.whitening, network.whitening / 3.0)
+    unit = network.whitening @ network.covariance @ network.whitening.transpose(0, 2, 1)
+    np.testing.assert_allclose(unit, np.tile(np.eye(3), (12, 1, 1)), atol=1e-9)
