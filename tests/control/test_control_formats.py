@@ -306,3 +306,27 @@ def test_more_points_than_linuxcnc_takes() -> None:
 def test_degrees() -> None:
     """Conversion of µrad to degrees and back."""
     assert ControlCurve("B", (0.0,), (1.0,)).along(0.0) * 1e-6 / DEG == pytest.approx(1.0 / URAD_A_DEG)
+
+
+@pytest.mark.parametrize("start", [-180.0, 0.0, 30.0])
+def test_a_curve_of_an_unlimited_axis_repeats_from_its_first_node_on(start: float) -> None:
+    """Positions are wrapped into the turn that begins at the first node, for numbers and for expressions."""
+    at = start + np.linspace(0.0, 360.0, 9)
+    values = np.sin(np.radians(at)) + 0.2 * np.cos(np.radians(3.0 * at))
+    curve = ControlCurve("C", tuple(at), tuple(values), period=360.0)
+    q = np.concatenate([np.linspace(-800.0, 800.0, 77), [start - 1e-6, start, start + 359.999, start + 360.0]])
+    expected = [np.interp(start + (x - start) % 360.0, at, values) for x in q]
+    np.testing.assert_allclose(curve.along(q), expected, atol=1e-12)
+    symbol = ca.SX.sym("q")
+    evaluated = ca.Function("curve", [symbol], [curve.along(symbol)])
+    np.testing.assert_allclose([float(evaluated(x)) for x in q], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("direction", [-1, 0, 1])
+def test_a_curve_of_one_direction(direction: int) -> None:
+    """Whole in its own direction, nothing in the other, half where the direction is unknown."""
+    curve = ControlCurve("X", (0.0, 100.0), (2.0, 6.0), direction=direction)  # type: ignore[arg-type]
+    shares = [1.0, 1.0, 1.0] if direction == 0 else [0.0, 0.5, 1.0][::direction]
+    for side, share in zip((-1.0, 0.0, 1.0), shares, strict=True):
+        assert curve({"X": 25.0, "approach_X": side}) == share * 3.0
+    assert curve({"X": 25.0}) == shares[1] * 3.0

@@ -16,6 +16,7 @@ from twin.machine.calibration import Calibration
 from twin.machine.effects import MACHINE_EFFECTS, Effect, Specification
 from twin.machine.effects.entries import effect_named, entry_of
 from twin.machine.effects.specification import FittedCause, title_of
+from twin.machine.effects.waves import Waves
 from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 
@@ -217,3 +218,13 @@ def test_an_effect_without_specification_is_titled_by_its_name() -> None:
     known = SPECIFICATIONS["reversal"]
     assert title_of(known, "reversal", "Y") == known.title("Y")[:1].upper() + known.title("Y")[1:]
     assert title_of(None, "worn_nut", "Y") == "Worn nut Y"
+
+
+def test_half_waves_of_an_unlimited_axis_are_counted_about_their_range() -> None:
+    """The cut of the turn is opposite to the middle of the range: rounding at its low end does not lead to the other end."""
+    column = Waves("C_deg", "half_waves", 3, (-30.0, 200.0), wrapped=True)
+    for turns in (-720.0, 0.0, 360.0):
+        assert column.share(np.array([-30.0, 85.0, 200.0]) + turns) == pytest.approx([0.0, 0.5, 1.0])
+        assert not np.any(column.outside(np.array([-30.0 - 1e-6, 200.0 + 1e-6]) + turns))
+        assert column.share(-40.0 + turns) == pytest.approx(-10.0 / 230.0)
+        assert np.all(column.outside(np.array([-40.0, 210.0, 265.0]) + turns))

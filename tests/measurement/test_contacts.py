@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import norm
+from scipy.stats import t as student_t
 
+from tests.machine.reordered import columns, reordered
 from tests.measurement.formats.cases.spheres import DIRECTIONS
-from tests.truth.reference import dmu50_pose
+from tests.real.probe_sphere import MACHINE as HEAD_HEAD
+from tests.truth.reference import about, dmu50_pose
 from twin._common.errors import InputError
 from twin.identification import identify
 from twin.machine.machine import Machine
@@ -183,3 +187,70 @@ def test_machines_without_linear_axes_x_y_z_are_refused(tmp_path: Path) -> None:
     (tmp_path / "m.yaml").write_text(text.replace("dmu50.urdf", str(folder / "dmu50.urdf")))
     with pytest.raises(InputError, match="linear axes X, Y and Z"):
         reduce_contacts(one_sphere(), Machine.load(tmp_path / "m.yaml"), Probing(u_contact_mm=NOISE))
+
+
+@pytest.mark.parametrize("directed", [False, True])
+def test_the_order_of_the_axes_in_the_machine_file_does_not_matter(tmp_path: Path, directed: bool) -> None:
+    """Contacts and directions are along X, Y, Z; positions are in command order, and so are the reduced ones."""
+    rng = np.random.default_rng(12)
+    points, poses = [], []
+    for b, c in ((0.0, 0.0), (30.0, 90.0), (90.0, -45.0)):
+        points += [np.array([250.0, 140.0, -300.0]) + (RADIUS + rng.normal(0, NOISE)) * normal for normal in DIRECTIONS]
+        poses += [[b, c]] * len(DIRECTIONS)
+    directions = -np.tile(DIRECTIONS, (3, 1)) if directed else None
+    given = contacts(np.array(points), np.array(poses), directions)
+    probing = Probing(tip_radius_mm=3.0) if directed else Probing()
+    other, at = reordered(tmp_path), columns(MACHINE)
+    one = reduce_contacts(given, MACHINE, probing)
+    two = reduce_contacts(replace(given, positions=given.positions[:, at]), other, probing)
+    np.testing.assert_allclose(two.measurements.positions, one.measurements.positions[:, at], atol=1e-9)
+    np.testing.assert_allclose(two.measurements.u_mm, one.measurements.u_mm, rtol=1e-6)
+    u = one.measurements.u_mm
+    assert np.all(np.ptp(u, axis=1) > 0.05 * u.min(axis=1)), "the three coordinates differ, so that their order shows"
+    for centre, same in zip(one.centres, two.centres, strict=True):
+        assert same.radius_mm == pytest.approx(centre.radius_mm, abs=1e-9)
+        np.testing.assert_allclose(same.covariance_mm2, centre.covariance_mm2, rtol=1e-6, atol=1e-15)
+
+
+def test_uncertainties_are_along_the_axes_of_the_tool() -> None:
+    """A head that turns the probe by C and B: u along x, y, z of the tool is that of Rᵀ Σ R, R = Rz(C) Ry(B)."""
+    machine, rng = Machine.load(HEAD_HEAD), np.random.default_rng(13)
+    points, poses, expected = [], [], []
+    for c, b in ((0.0, 0.0), (0.0, 90.0), (90.0, 0.0), (35.0, -70.0)):
+        points += [np.array([1500.0, 900.0, -700.0]) + (RADIUS + rng.normal(0, NOISE)) * n for n in DIRECTIONS]
+        poses += [[c, b]] * len(DIRECTIONS)
+        turn = about(2, np.radians(c))[:3, :3] @ about(1, np.radians(b))[:3, :3]
+        design = np.column_stack([DIRECTIONS, np.ones(len(DIRECTIONS))])
+        covariance = NOISE**2 * np.linalg.inv(design.T @ design)[:3, :3]
+        expected.append(np.sqrt(np.diag(turn.T @ covariance @ turn)))
+    found = reduce_contacts(contacts(np.array(points), np.array(poses)), machine, Probing(u_contact_mm=NOISE))
+    # The directions of contact differ from the normals of the fit by the noise over the radius.
+    np.testing.assert_allclose(found.measurements.u_mm, expected, rtol=1e-3)
+    assert np.ptp(expected, axis=0).max() > 0.2 * NOISE, "the orientation of the head shows"
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.97, False), (1.03, True)])
+def test_an_outlier_among_few_contacts_is_studentised(share: float, refused: bool) -> None:
+    """Without a stated noise the residual is compared with that of the others, by Student's t with their degrees of freedom."""
+    rng = np.random.default_rng(21)
+    points = [250.0, 225.0, -200.0] + (RADIUS + rng.normal(0, NOISE, (8, 1))) * DIRECTIONS
+    leverage = fit_sphere(points).leverage[5]
+    dof = 8 - 4
+    limit = student_t.isf(0.5e-3 / 8, dof - 1)
+    low, high = 0.0, 5.0
+    for _ in range(60):  # t rises with the displacement of the contact, from some size on
+        middle = (low + high) / 2.0
+        moved = points.copy()
+        moved[5] += middle * DIRECTIONS[5]
+        sphere = fit_sphere(moved)
+        scaled = sphere.residuals_mm[5] / np.sqrt(1.0 - sphere.leverage[5])
+        others = sphere.residuals_mm @ sphere.residuals_mm - scaled**2
+        t = abs(scaled) / np.sqrt(others / (dof - 1))
+        low, high = (middle, high) if scaled < 0.0 or t < share * limit else (low, middle)
+    assert 0.1 < leverage < 0.9 and high < 4.0
+    given = contacts(moved, np.zeros((8, 2)))
+    if refused:
+        with pytest.raises(InputError, match="outlier"):
+            reduced(given)
+    else:
+        reduced(given)

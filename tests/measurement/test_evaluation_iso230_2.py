@@ -25,6 +25,7 @@ from twin.measurement.evaluation import (
     rotary_axis,
     rotary_deviations_urad,
 )
+from twin.measurement.evaluation.iso230_2 import unidirectional
 
 STAGE = SHARED / "data" / "real" / "stage-iso230-2"
 REPORTS = {"x": "b02_x_x_iso230_2_report.md", "y": "b02_y_report_target_y.md"}
@@ -470,3 +471,20 @@ def test_rounding_asks_for_no_target_more() -> None:
     target = np.linspace(24.300000000164687, 1024.300000000164687, 5)
     assert np.ptp(target) > 1000.0
     assert linear_axis(target, np.zeros((5, 5)), np.zeros((5, 5))).by_standard
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_one_direction_alone_has_the_values_of_that_direction(direction: int) -> None:
+    rng = np.random.default_rng(4)
+    target, deviations = (
+        np.arange(0.0, 500.0, 50.0),
+        rng.normal(0.0, 2.0, (2, 10, 5)) + np.linspace(0.0, 8.0, 10)[:, None],
+    )
+    both = linear_axis(target, deviations[0], deviations[1])
+    own = deviations[0 if direction > 0 else 1]
+    alone = unidirectional(target, own, "mm", direction, axis="X")
+    side = "forward" if direction > 0 else "backward"
+    for name in "REA":
+        assert getattr(alone, name) == pytest.approx(getattr(both, f"{name}_{side}"), rel=1e-12), name
+    np.testing.assert_allclose(alone.s_i, own.std(axis=1, ddof=1))
+    assert alone.shortfalls == ("approached from one direction only",)

@@ -66,6 +66,15 @@ def test_lag_of_one_axis_tilts_the_ellipse_with_the_direction() -> None:
     assert equal.H_um == pytest.approx(0.0, abs=1e-6) and equal.G_b_um == pytest.approx(0.0, abs=1e-6)
 
 
+def test_directions_are_compared_across_zero_degrees() -> None:
+    """The same eccentric circle read at other angles in the other direction has no hysteresis but that of linear interpolation."""
+    up, down = np.arange(0.0, 360.0, 4.0), np.arange(2.0, 360.0, 4.0)
+    first, second = ((angle, R + 20e-3 * np.sin(np.radians(angle))) for angle in (up, down))
+    found = circular_test(R, first, second)
+    # The sagitta of 4° of 20 µm is 12 nm; a value continued from 2° to 0° would be off by 0.7 µm.
+    assert found.H_um is not None and found.H_um < 0.013
+
+
 def test_amplitude_of_a_servo_changes_the_mean_radius_only() -> None:
     smaller = np.full(360, R * (1.0 - 30e-6))
     found = circular_test(R, (DEGREES, smaller), (DEGREES, smaller))

@@ -213,3 +213,20 @@ def test_results_do_not_change() -> None:
 def test_bad_input(position: list[float], deviation: list[float], more: dict[str, float], words: str) -> None:
     with pytest.raises(InputError, match=words):
         straightness(position, deviation, **more)
+
+
+def test_a_covariance_belongs_to_the_order_given() -> None:
+    """Points given in any order, each with its own variance, give the same lines with the same uncertainties."""
+    rng = np.random.default_rng(3)
+    position, deviation = np.linspace(0.0, 400.0, 9), rng.normal(0.0, 3.0, 9)
+    root = np.diag(rng.uniform(0.2, 3.0, 9)) + 0.2 * rng.normal(size=(9, 9))
+    covariance, order = root @ root.T, rng.permutation(9)
+    sorted_, shuffled = (
+        straightness(position[o], deviation[o], covariance_um2=covariance[np.ix_(o, o)]) for o in (np.arange(9), order)
+    )
+    for one, two in zip(sorted_.lines, shuffled.lines, strict=True):
+        np.testing.assert_allclose(two.covariance, one.covariance, rtol=1e-9, atol=1e-12)
+    # The end-point line by hand: its slope is the difference of the last and the first deviation over 400 mm.
+    first, last = 0, 8
+    variance = covariance[first, first] + covariance[last, last] - 2.0 * covariance[first, last]
+    assert shuffled.end_point.u_slope_urad == pytest.approx(1e3 * np.sqrt(variance) / 400.0, rel=1e-9)

@@ -14,6 +14,7 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.measurement.checks import copied_rows, overstated_noise
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
@@ -177,3 +178,29 @@ def test_a_station_without_a_reading_is_named(dmu50: Machine, tracked: Measureme
     with pytest.raises(InputError, match="station west: no coordinate was measured") as caught:
         Measurements.load(lines, dmu50)
     assert caught.value.line == 2
+
+
+@pytest.mark.parametrize(("expected", "copied"), [(0.021, False), (0.0045, True)])
+def test_equal_readings_are_copies_below_one_expected_in_a_hundred_tables(expected: float, copied: bool) -> None:
+    """Forty readings of one point with a resolution of 1 µm: two normal readings agree with the probability r/(2√π σ) a coordinate."""
+    rng, n, resolution = np.random.default_rng(12), 40, 1e-3
+    pairs = n * (n - 1) / 2
+    sigma = resolution / (2.0 * np.sqrt(np.pi)) * (pairs / expected) ** (1.0 / 3.0)
+    points = rng.normal(0.0, 1.0, (n, 3))
+    # Of exactly this standard deviation between successive readings, which is what the noise is estimated from.
+    points *= sigma / np.sqrt(np.mean(np.diff(points, axis=0) ** 2, axis=0) / 2.0)
+    points = np.round(points / resolution) * resolution
+    points[30] = points[4]
+    same = [b"one point"] * n
+    found = copied_rows(points, same, same, same, np.full(n, np.nan))
+    assert found == ({30: 4} if copied else {})
+
+
+@pytest.mark.parametrize(
+    ("chi2", "dof", "noticed"), [(4.9, 50, True), (5.1, 50, False), (1.0, 19, False), (1.0, 20, True)]
+)
+def test_a_noise_stated_too_large_is_noticed(chi2: float, dof: float, noticed: bool) -> None:
+    """Reduced chi² below a tenth, from twenty degrees of freedom on; the text says how many times the noise is too large."""
+    found = overstated_noise(0.3, chi2, dof)
+    assert len(found) == int(noticed)
+    assert not noticed or f"{np.sqrt(dof / chi2):.3g} times the residuals (0.3 µm)" in found[0]

@@ -27,7 +27,7 @@ from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.budget import random_approach, volume
 from twin.uncertainty.draws import MACHINES_PER_STEP, Draws
 from twin.uncertainty.population import TRIALS_PER_TASK, draw_machines
-from twin.uncertainty.tally import BINS, Counts
+from twin.uncertainty.tally import BINS, Counts, binned
 
 HERE = Workers(1)
 
@@ -138,7 +138,7 @@ def test_where_first_order_is_not_sufficient(dmu50: Machine) -> None:
     # The same from sorted draws, pose by pose.
     other = sampled(ToolUncertainty(kinematics), found.positions, np.random.default_rng(7), 20_000)
     agree = [a is b for a, b in zip(found.validated, other.validated, strict=True) if None not in (a, b)]
-    assert len(agree) >= 5 and all(agree)
+    assert len(agree) >= 4 and all(agree)
     no = np.array([answer is False for answer in found.validated])
     assert (found.difference_um > found.tolerance_um).any(axis=1)[no].all()
     assert np.linalg.norm(found.bias_um, axis=1)[no].max() > 10.0
@@ -199,3 +199,53 @@ def test_the_command(
 def test_a_calibration_without_uncertainties_is_refused(dmu50: Machine, calibration: Calibration) -> None:
     with pytest.raises(InputError, match="no machines can be drawn"):
         draw_machines(Kinematics(dmu50, calibration), trials=2000, poses=5, workers=HERE)
+
+
+def test_statistics_are_those_of_the_machines_drawn(dmu50: Machine, uncertain: Calibration) -> None:
+    """Means, standard deviations (n − 1) and maxima of 1500 machines, which are drawn in two steps, at poses in several tiles."""
+    trials, poses = MACHINES_PER_STEP + 476, 40
+    found = draw_machines(
+        Kinematics(dmu50, uncertain, tool_length_mm=LENGTH), trials=trials, poses=poses, seed=6, workers=HERE
+    )
+    draws = draws_of(dmu50, uncertain, poses=poses, seed=6)
+    parts: dict[int, list[np.ndarray]] = {}
+    measures = draws.steps.run(0, trials, lambda tile, some: parts.setdefault(tile.start, []).append(some.copy()))
+    assert len(parts) > 1 and all(len(steps) == 2 for steps in parts.values())
+    values = np.concatenate([np.concatenate(parts[start], axis=2) for start in sorted(parts)], axis=1)
+    assert values.shape == (4, poses, trials)
+    np.testing.assert_allclose(found.bias_um, values[:3].mean(axis=2).T, atol=1e-9)
+    np.testing.assert_allclose(found.standard_um, values[:3].std(axis=2, ddof=1).T, rtol=1e-9)
+    squares = np.sum(values[:3] ** 2, axis=0)
+    np.testing.assert_allclose(measures[2], np.sqrt(squares.mean(axis=0)), rtol=1e-9)
+    np.testing.assert_allclose(measures[3], np.sqrt(squares.max(axis=0)), rtol=1e-9)
+    for spread, row in zip((*found.as_it_is, *found.compensated), measures, strict=True):
+        assert spread.mean == pytest.approx(row.mean(), rel=1e-9) and spread.largest == pytest.approx(row.max())
+        low, high = np.quantile(row, [0.025, 0.975])
+        assert [spread.low, spread.high] == pytest.approx([low, high], abs=0.02 * np.ptp(row))
+    np.testing.assert_allclose(found.by_draws_um, np.quantile(values[3], 0.95, axis=1), rtol=0.01)
+
+
+def test_counts_over_bins_are_those_of_a_histogram() -> None:
+    rng = np.random.default_rng(4)
+    lower, upper = np.array([[-3.0, 0.0], [10.0, -1e-3]]), np.array([[3.0, 1.0], [70.0, 2e-3]])
+    values = lower[..., None] + (upper - lower)[..., None] * rng.uniform(-0.1, 1.1, (2, 2, 5000))
+    found = binned(values, lower, upper)
+    for place in np.ndindex(2, 2):
+        edges = [-np.inf, *np.linspace(lower[place], upper[place], BINS + 1), np.inf]
+        # A value within rounding of an edge may fall on either side of it.
+        assert np.abs(found[place] - np.histogram(values[place], edges)[0]).sum() <= 2
+
+
+def test_too_few_draws_do_not_decide(dmu50: Machine, uncertain: Calibration) -> None:
+    """Two digits need limits to half a unit of the second digit, and a thousand draws give them to 8 %: neither yes nor no.
+
+    First order is exact here to all digits that count, so that every no is wrong; it was one pose in four with two standard errors.
+    """
+    kinematics = Kinematics(dmu50, uncertain, tool_length_mm=LENGTH)
+    answers = [
+        answer
+        for seed in range(8)
+        for answer in draw_machines(kinematics, trials=1000, poses=5, seed=seed, digits=2, workers=HERE).validated
+    ]
+    # Five in a hundred at most, less than four of forty in 99.9 % of cases were they independent; poses of a seed are not.
+    assert answers.count(True) == 0 and answers.count(False) <= 4

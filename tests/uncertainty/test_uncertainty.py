@@ -225,12 +225,35 @@ def test_a_map_over_the_volume(dmu50: Machine, uncertain: Calibration) -> None:
 
 
 def test_many_poses_give_the_same_as_one(dmu50: Machine, uncertain: Calibration) -> None:
-    """Across the boundaries of the steps in which poses are computed."""
-    tool = ToolUncertainty(Kinematics(dmu50, uncertain))
-    q = volume(dmu50, POSES_PER_STEP + 300)
-    many = tool.at(q)
-    for i in (0, 255, 256, POSES_PER_STEP - 1, POSES_PER_STEP, len(q) - 1):
-        assert many.covariance[i] == pytest.approx(tool.at(q[i]).covariance[0], rel=1e-9, abs=1e-12)
+    """Across the boundaries of the steps in which poses are computed, each pose with its own directions of approach.
+
+    The reversal is large and uncertain: its size changes the derivatives, its sign the correlation with the other errors.
+    """
+    assert uncertain.joint is not None
+    lost = (effect_named("reversal", "Y", {"size": 40.0}, dmu50), effect_named("reversal", "B", {"size": 900.0}, dmu50))
+    names = (*uncertain.joint.names, "reversal:Y.size", "reversal:B.size")
+    # Correlated with the first errors, so that the sign of the approach shows.
+    root = np.zeros((len(names), len(names)))
+    root[:-2, :-2] = np.linalg.cholesky(uncertain.joint.matrix)
+    root[-2:, :3] = [[3.0, 2.0, 4.0], [30.0, 50.0, 20.0]]
+    calibration = replace(uncertain, extra=lost, joint=Covariance(names, read_only(root @ root.T)))
+    tool = ToolUncertainty(Kinematics(dmu50, calibration, tool_length_mm=LENGTH))
+    q = volume(dmu50, 2 * POSES_PER_STEP + 300)
+    sides = random_approach(q)
+    # No two poses a step or a chunk apart have the same directions.
+    for apart in (256, POSES_PER_STEP):
+        assert np.any(sides[apart:] != sides[:-apart], axis=1).mean() > 0.9
+    many = tool.at(q, sides)
+    ends = [
+        end + k
+        for end in (0, 256, POSES_PER_STEP, POSES_PER_STEP + 256, 2 * POSES_PER_STEP, len(q))
+        for k in range(-4, 4)
+    ]
+    for i in (i for i in ends if 0 <= i < len(q)):
+        alone = tool.at(q[i], sides[i])
+        assert many.covariance[i] == pytest.approx(alone.covariance[0], rel=1e-9, abs=1e-12), i
+        assert many.expanded_um[i] == pytest.approx(alone.expanded_um[0], rel=1e-9), i
+        assert many.axis[i] == pytest.approx(alone.axis[0], abs=1e-12), i
     with pytest.raises(ValueError, match="read-only"):
         many.covariance[0] = 0.0
 

@@ -43,6 +43,9 @@ MOST_POSES: Final = 5_000
 TRIALS_PER_TASK: Final = 16_384
 """Machines per task for any number of workers: about one second with 200 poses."""
 TAIL: Final = (1.0 - COVERAGE) / 2.0
+UNDECIDED: Final = 3.5
+"""Standard errors of an interval's limit within which first order is neither sufficient nor insufficient. A pose has six limits, and
+their standard errors are estimates: with two, one pose in four was called insufficient where first order is exact."""
 
 LEADING_KEYS: Final = ("machines", "seed", "as_it_is", "compensated", "without_uncertainty", "warnings")
 """Attributes that come before the poses in JSON."""
@@ -264,8 +267,8 @@ def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) 
     )
     ends = np.abs(interval - first.standard_um[:, :, None] * np.array([-COVERAGE_FACTOR, COVERAGE_FACTOR]))
     tolerance = np.maximum(numerical_tolerance(first.standard_um, digits), NUMERICAL_UM)
-    inside_domains = np.all(ends + 2.0 * noise <= tolerance[:, :, None], axis=(1, 2))
-    beyond = np.any(ends - 2.0 * noise > tolerance[:, :, None], axis=(1, 2))
+    inside_domains = np.all(ends + UNDECIDED * noise <= tolerance[:, :, None], axis=(1, 2))
+    beyond = np.any(ends - UNDECIDED * noise > tolerance[:, :, None], axis=(1, 2))
     mean = total.sums / trials
     variance = np.einsum("nii->ni", total.squares) / trials - mean**2
     measures = Counts(least, most, total.measures)
