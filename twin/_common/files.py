@@ -107,7 +107,7 @@ import secrets
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -385,13 +385,19 @@ def _target(path: Path) -> Path:
     return file
 
 
-def write_atomic(path: Path, content: str | bytes) -> None:
+def write_atomic(path: Path, content: str | bytes, *, check: Callable[[Path], object] | None = None) -> None:
     """Write a file atomically: at every moment the path holds the old content or the new one.
 
+    Args:
+        path: the file.
+        content: its content; text as UTF-8.
+        check: reads the complete file, under a temporary name in the same folder, before it replaces the path. If it raises an
+            `InputError`, the path keeps its old content.
+
     Raises:
-        InputError: it cannot be written.
+        InputError: it cannot be written, or the check refuses it.
     """
-    with atomic_file(path) as stream:
+    with atomic_file(path, check) as stream:
         stream.write(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
@@ -413,10 +419,11 @@ def _finite(data: Any) -> Any:
 
 
 @contextmanager
-def atomic_file(path: Path) -> Iterator[BinaryIO]:
+def atomic_file(path: Path, check: Callable[[Path], object] | None = None) -> Iterator[BinaryIO]:
     """Open a temporary file that replaces the path when it is complete; after an error nothing remains.
 
-    An existing file keeps its mode and, if permitted, its owner; a symbolic link is kept and its target replaced.
+    An existing file keeps its mode and, if permitted, its owner; a symbolic link is kept and its target replaced. ``check`` is that of
+    `write_atomic`.
 
     Raises:
         InputError: it cannot be written.
@@ -429,11 +436,29 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
+            if check is not None:
+                _check_written(temporary, path, check)
             _replace(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise InputError("cannot be written", expected="a writable file", file=path, value=error.strerror) from error
+
+
+def _check_written(temporary: Path, path: Path, check: Callable[[Path], object]) -> None:
+    """Read a file before it replaces the path, without registering its temporary name as an input of the command."""
+    token = _COMMAND.set(None)
+    try:
+        check(temporary)
+    except InputError as error:
+        raise InputError(
+            f"not written, because it would not be read back: {error.what}",
+            expected=error.expected,
+            file=path,
+            value=error.value,
+        ) from error
+    finally:
+        _COMMAND.reset(token)
 
 
 def move_into_place(made: Path, path: Path) -> None:
