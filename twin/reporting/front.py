@@ -203,8 +203,8 @@ def _tool_items(report: MachineReport, given: Mapping[str, float]) -> list[Front
         if level is None or not report.budget.errors:
             rows.append(FrontItem(name, "um", nan, nan, given.get(name), None, ""))
         else:
-            figures = {"rms": level.rms_um, "quantile_95": level.quantile(0.95)}
-            rows.append(FrontItem(name, "um", level.max_um, half, given.get(name), None, "", **figures))
+            item = FrontItem(name, "um", level.max_um, half, given.get(name), None, "")
+            rows.append(replace(item, rms=level.rms_um, quantile_95=level.quantile(0.95)))
     return [_judged(item, complete, bool(report.illustrative)) for item in rows]
 
 

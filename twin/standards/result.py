@@ -35,6 +35,11 @@ HARD_SPACE: Final = "\u00a0"
 FEW_TESTS: Final = 3
 """Number of tests up to which the text gives the remarks with every test; for more tests, equal remarks are listed once."""
 Conformity = Literal["conforming", "nonconforming", "neither", "unknown"]
+CONFORMITY: Final[Mapping[Verdict, Conformity]] = {
+    "pass": "conforming",
+    "fail": "nonconforming",
+    "undecided": "neither",
+}
 SENTENCES: Final[Mapping[Conformity, str]] = {
     "conforming": "conformity is proven: the value plus U is within the tolerance",
     "nonconforming": "nonconformity is proven: the value minus U is outside the tolerance",
@@ -378,4 +383,4 @@ def _grouped_remarks(tests: Sequence[StandardTest]) -> list[str]:
 def _conformity(verdict: Verdict, size: float, expanded: float) -> Conformity:
     if not (np.isfinite(expanded) and np.isfinite(size)):
         return "unknown"
-    return {"pass": "conforming", "fail": "nonconforming", "undecided": "neither"}[verdict]
+    return CONFORMITY[verdict]
