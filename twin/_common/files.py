@@ -99,6 +99,7 @@ and at most two rotary axes, on either side; the kinematics alone needs only a c
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -114,8 +115,10 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final, final
 
 from twin._common.errors import InputError
+from twin._common.output_locks import OutputLocks
+from twin._common.pipes import is_readable_device, read_pipe
 
-MAX_TEXT_BYTES: Final = 2**29
+MAX_TEXT_BYTES: Final = 2**28
 """Largest text file in bytes; a table of a million rows needs a third of it."""
 TEMPORARY_PREFIX: Final = ".twin-"
 """Prefix of the names of all temporary files and folders; process id, random part and computer name follow."""
@@ -166,9 +169,8 @@ def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
     Raises:
         InputError: there is no such file, it cannot be read, it is too large, or the running command is going to write it.
     """
-    register_input(path)
     try:
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             data = stream.read(-1 if most_bytes is None else most_bytes + 1)
     except (OSError, ValueError) as error:
         value = error.strerror if isinstance(error, OSError) else error
@@ -176,6 +178,22 @@ def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
     if most_bytes is not None and len(data) > most_bytes:
         raise InputError("too large", expected=f"at most {most_bytes >> 20} MB of text", file=path)
     return data
+
+
+def open_input(path: Path) -> BinaryIO:
+    """Open an input file: a regular file, a terminal, or a pipe that another program writes, such as ``<(…)`` of a shell.
+
+    Raises:
+        InputError: it is a device or a socket, no program writes to the pipe, or the running command is going to write it.
+        OSError: it cannot be read.
+    """
+    register_input(path)
+    mode = path.stat().st_mode
+    if stat.S_ISFIFO(mode):
+        return io.BytesIO(read_pipe(path, MAX_TEXT_BYTES))
+    if stat.S_ISSOCK(mode) or stat.S_ISBLK(mode) or (stat.S_ISCHR(mode) and not is_readable_device(path)):
+        raise InputError("a device or a socket", expected="a file, or a pipe that another program writes", file=path)
+    return path.open("rb")
 
 
 def read_text(path: Path, *, most_bytes: int = MAX_TEXT_BYTES) -> str:
@@ -242,6 +260,7 @@ class CommandFiles:
         read: input files by their resolved paths.
         outputs: output files by their resolved paths.
         written: complete output files, which may be read back.
+        locks: locks of the output files, from the first that is complete to the end of the command.
     """
 
     def __init__(self) -> None:
@@ -249,6 +268,7 @@ class CommandFiles:
         self.outputs: set[Path] = set()
         self.written: set[Path] = set()
         self._identities: set[tuple[int, int]] = set()
+        self.locks = OutputLocks()
 
     def add_input(self, path: Path) -> None:
         """Register an input file.
@@ -299,6 +319,7 @@ def tracked_files() -> Iterator[CommandFiles]:
         yield files
     finally:
         _COMMAND.reset(token)
+        files.locks.release()
 
 
 def _input_conflict(path: Path) -> InputError:
@@ -472,13 +493,15 @@ def move_into_place(made: Path, path: Path) -> None:
 
 
 def _replace(made: Path, target: Path) -> None:
+    tracker = _COMMAND.get()
+    if tracker is not None:
+        tracker.locks.acquire({*tracker.outputs, target})
     if target.exists():
         old = target.stat()
         with suppress(PermissionError):
             os.chown(made, old.st_uid, old.st_gid)
         os.chmod(made, stat.S_IMODE(old.st_mode))
     os.replace(made, target)
-    tracker = _COMMAND.get()
     if tracker is not None:
         tracker.written.add(target)
 
