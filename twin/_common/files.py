@@ -172,6 +172,8 @@ def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
     try:
         with open_input(path) as stream:
             data = stream.read(-1 if most_bytes is None else most_bytes + 1)
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         value = error.strerror if isinstance(error, OSError) else error
         raise InputError("cannot be read", expected="a readable file", file=path, value=value) from error
