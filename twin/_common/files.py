@@ -80,6 +80,11 @@ to the table:
 The comment `# ball bar length: 150 mm` states the nominal length of a ball bar; `twin convert` and `twin plan` write it, and `simulate`
 keeps it. Readings below half of that length are deviations from it. A table has the readings of one length.
 
+A table has at most 10 million cells (one for `import` 3 million), a text file 256 MB. Instead of a file a command reads a pipe
+(`/dev/stdin`, `<(…)` of a shell) to its end; it refuses a pipe that no program writes to within five seconds, devices and sockets. A
+calibration, a table, a thermal model and a URDF are read back before they replace the file of that name. Outputs of two runs that write
+the same files at the same time are all of one run.
+
 **Report** (`--json`, `schema: twin.compensation/1`): `before` and `after` (RMS and maximum at the functional point in µm, of the tool
 axis in µrad and its tilt about x and y of the tool (angles independent of order), the worst line), `classes`, `rounding_um`,
  `largest_correction`, `uncertainty`, `headline`, `complete` and `strictly_complete` (exit status 0 without and with

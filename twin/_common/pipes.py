@@ -50,7 +50,7 @@ def read_pipe(path: Path, most_bytes: int) -> bytes:
             seen = seen or bool(block)
             if not block and (seen or monotonic() > deadline):
                 break
-            if not block:  # nobody has it open yet
+            if not block:  # no program has it open yet
                 sleep(0.02)
     finally:
         os.close(descriptor)
