@@ -7,7 +7,9 @@ import os
 import resource
 import subprocess
 import sys
+import threading
 import time
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ import twin
 from tests.cli.commands import TWIN, refused
 from tests.cli.hostile import sample
 from twin import cli
+from twin._common import pipes
 from twin._common.errors import InputError, printable
 from twin.compensation.toolpath import axis_words
 from twin.compute.native import compiler
@@ -463,3 +466,75 @@ def test_a_table_without_a_name_in_an_ini_file(dmu50: Machine, tmp_path: Path) -
     with pytest.raises(InputError, match="COMP_FILE is empty") as refused:
         read_tables("linuxcnc", [ini], dmu50)
     assert refused.value.line == 6 and refused.value.expected
+
+
+@pytest.mark.parametrize(
+    ("words", "status"),
+    [(["info", "--machine", "trunnion_ac"], 0), (["info", "--machine", "absent"], 2), (["report"], 2)],
+)
+@pytest.mark.parametrize("closed", [(2,), (1,), (0, 1, 2)])
+def test_closed_streams_change_no_exit_status(
+    tmp_path: Path, words: list[str], status: int, closed: tuple[int, ...]
+) -> None:
+    """As after ``2>&-`` in a shell: nothing can be printed, and no file that is opened later takes the place of the stream."""
+
+    def close() -> None:
+        for number in closed:
+            os.close(number)
+
+    done = subprocess.run([*TWIN, *words], cwd=tmp_path, preexec_fn=close, timeout=120, check=False)
+    assert done.returncode == status
+
+
+def test_an_interrupt_during_imports_is_one_line(tmp_path: Path) -> None:
+    """Ctrl-C while a package is imported, and one that the package turns into another exception."""
+    for raised in ("KeyboardInterrupt", "ImportError('stopped') from KeyboardInterrupt()"):
+        (tmp_path / "typer.py").write_text(f"raise {raised}\n")
+        done = subprocess.run(
+            [*TWIN, "info"],
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+            env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        )
+        assert (done.returncode, done.stderr) == (130, "twin: interrupted, nothing half written\n"), done
+
+
+def test_inputs_that_are_no_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pipe is read to its end if a program writes to it, also slowly; without one it is refused, as is an endless device."""
+    monkeypatch.setattr(pipes, "WRITER_S", 0.2)
+    pipe = tmp_path / "p.csv"
+    os.mkfifo(pipe)
+    assert "a pipe to which no program writes" in refused(capsys, "evaluate", pipe)
+    assert "a device or a socket" in refused(capsys, "evaluate", "/dev/zero")
+
+    def write() -> None:
+        with pipe.open("w") as stream:
+            time.sleep(0.4)
+            stream.write(sample("table"))
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    assert len(Measurements.load(pipe, twin.Machine.load("dmu50"))) == 20
+    writer.join()
+
+
+def test_a_workbook_or_table_beyond_any_measurement_is_refused_before_it_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Three million cells of a workbook are counted, not read: openpyxl takes minutes for them."""
+    row = b"<row>" + b'<c t="n"><v>1</v></c>' * 1000 + b"</row>"
+    book = tmp_path / "big.xlsx"
+    with zipfile.ZipFile(book, "w", zipfile.ZIP_DEFLATED) as parts:
+        parts.writestr("xl/worksheets/sheet1.xml", b"<worksheet><sheetData>" + row * 3100 + b"</sheetData></worksheet>")
+    begin = time.process_time()
+    assert "a sheet of more than 3,000,000 cells" in refused(capsys, "import", book, "-o", tmp_path / "m.csv")
+    assert time.process_time() - begin < 20.0  # a second or two
+    table = tmp_path / "big.csv"
+    table.write_bytes((b"1," * 999 + b"1\n") * 3100)
+    assert "too large: more than" in refused(capsys, "import", table, "-o", tmp_path / "m.csv")
+    table.write_bytes(b",".join(b"c%d" % i for i in range(1000)) + b"\n" + b",\n" * 10_000)
+    assert "too large: 10,001 rows" in refused(capsys, "evaluate", table)

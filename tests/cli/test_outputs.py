@@ -11,8 +11,10 @@ import signal
 import stat
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -24,7 +26,7 @@ from tests.measurement.formats.cases import CASES as MEASURED
 from tests.measurement.importing import shop_files
 from twin import cli
 from twin._common.errors import InputError
-from twin._common.files import TEMPORARY_PREFIX, atomic_file, read_bytes, tracked_files, write_atomic
+from twin._common.files import TEMPORARY_PREFIX, atomic_file, check_writable, read_bytes, tracked_files, write_atomic
 from twin.cli import commands
 from twin.cli.shared.command import path_parameters
 from twin.machine.machine import bundled_folder
@@ -350,3 +352,42 @@ def test_json_has_no_number_that_is_not_finite(tmp_path: Path) -> None:
 
     write_json(tmp_path / "r.json", {"a": float("nan"), "b": [1.0, float("-inf")], "c": (2,)})
     assert json.loads((tmp_path / "r.json").read_text()) == {"a": None, "b": [1.0, None], "c": [2]}
+
+
+def test_outputs_of_two_runs_do_not_mix(tmp_path: Path) -> None:
+    """Two commands write the same two files; one is interrupted between them, and the other one waits until both are there."""
+    first, second = tmp_path / "m.yaml", tmp_path / "m.json"
+    between, steps = threading.Event(), []
+
+    def run(name: str, after_one: Callable[[], object]) -> None:
+        with tracked_files():
+            check_writable([first, second])
+            write_atomic(first, name)
+            after_one()
+            write_atomic(second, name)
+            steps.append(name)
+
+    def slow() -> None:
+        run("A", lambda: (between.set(), time.sleep(0.5)))
+
+    other = threading.Thread(target=lambda: (between.wait(), run("B", lambda: None)))
+    thread = threading.Thread(target=slow)
+    other.start(), thread.start()
+    other.join(), thread.join()
+    assert steps == ["A", "B"] and first.read_text() == second.read_text() == "B"
+
+
+def test_what_would_not_be_read_back_is_not_written(tmp_path: Path) -> None:
+    """The old file stays, no temporary file remains, and the message names the file and the value."""
+    dmu50 = twin.Machine.load("dmu50")
+    path = tmp_path / "c.yaml"
+    twin.Calibration.zero(dmu50).save(path)
+    before = path.read_bytes()
+    for wrong in (
+        replace(twin.Calibration.zero(dmu50), squareness={"E_C0Y": 1e9}),
+        replace(twin.Calibration.zero(dmu50), location={"E_X0C": float("nan")}),
+    ):
+        with pytest.raises(InputError, match="would not be read back") as caught:
+            wrong.save(path)
+        assert caught.value.file == str(path)
+    assert path.read_bytes() == before and [*tmp_path.iterdir()] == [path]

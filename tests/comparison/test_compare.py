@@ -390,6 +390,8 @@ def test_the_command_prints_and_writes_the_comparison(tmp_path: Path) -> None:
     assert written["schema"] == "twin.comparison/1" and written["verdict"] == "changed"
     assert [error["error"] for error in written["fewest"]["errors"]] == ["E_C0Y"]
     assert written["first_compensating_second"]["good_enough"] is True
+    run = CliRunner().invoke(app, ["compare", str(older), str(newer), "--tolerance", "0.0001"])
+    assert run.exit_code == 3 and "not good enough" in run.output, "proven to exceed the tolerance"
     made(u=None).save(older)
     run = CliRunner().invoke(app, ["compare", str(older), str(newer)])
     assert run.exit_code == 3 and "UNKNOWN" in run.output

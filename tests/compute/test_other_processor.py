@@ -14,8 +14,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +32,6 @@ from twin.numerics.covariance import Covariance, symmetric_root
 from twin.numerics.observability import Unknown, determinability
 from twin.planning.aims import LinearAim
 from twin.planning.design import Exchange
-from twin.reporting.compensation import _with_uncertainty
 from twin.standards.rotary import _circle
 from twin.thermal.fit import _directions
 from twin.uncertainty.at_tool import ToolUncertainty
@@ -116,15 +113,6 @@ def test_machines_drawn_from_a_calibration(dmu50: Machine) -> None:
         ).draw(np.random.default_rng(6), 50)
         for matrix in (np.eye(len(names)), close)
     ]
-    assert np.abs(drawn[1] - drawn[0]).max() < ROUNDING
-
-
-def test_the_remaining_errors_with_their_uncertainty() -> None:
-    covariance = np.tile(np.eye(6) * 4.0, (30, 1, 1))
-    drawn = []
-    for each in (covariance, covariance + np.finfo(float).eps * repeated(np.random.default_rng(8), [1.0] * 5 + [9.0])):
-        stated: Any = SimpleNamespace(at=lambda q, sides, each=each: SimpleNamespace(covariance=each))
-        drawn.append(_with_uncertainty(np.zeros((30, 3)), stated, np.zeros((30, 5)), np.zeros((30, 5)), 1))
     assert np.abs(drawn[1] - drawn[0]).max() < ROUNDING
 
 

@@ -245,6 +245,31 @@ def test_a_load_is_named_by_few_loaded_poses(
     assert off < 0.03 * before
 
 
+@pytest.mark.parametrize("carried", [Carried(0.01, (2e4, 0.0, 0.0)), Carried(0.005, (0.0, 1e4, 3e4))])
+def test_a_moment_without_mass_is_a_possible_load(
+    unloaded: tuple[Path, Machine, Calibration], carried: Carried
+) -> None:
+    """A cable that pulls turns the joints like a first moment of a few grams, metres away: the file holds a load that is possible.
+
+    Free mass and moments give a centre that every loader refuses, or any at all where the mass is noise.
+    """
+    folder, machine, known = unloaded
+    rng = np.random.default_rng(3)
+    q = np.round(rng.uniform(-HIGH, HIGH, (40, 6)), 3)
+    data = Measurements.load(
+        table(folder / "pulled.csv", q, links(sagged(np.radians(q), COMPLIANCE, carried))[-1], rng), machine
+    )
+    found = diagnose(data, machine, known)
+    found.extended.save(folder / "pulled.yaml")
+    again = Calibration.load(folder / "pulled.yaml", machine)
+    payloads = {one for effect in again.extra if isinstance(effect, GravityCompliance) for one in effect.payloads}
+    assert len(payloads) == 1 and all(one.plausible for one in payloads), payloads
+    quantities = {q.name: q.value for q in by_name(found)["payload", "tool"].parameters}
+    assert max(abs(quantities[f"centre_{letter}_mm"]) for letter in "xyz") <= 500.0
+    assert found.gain is not None and found.gain.rms_after_um < found.gain.rms_before_um
+    assert found.gain.tool_after_um < 1e5
+
+
 def test_own_weight_alone_needs_no_payload(tmp_path: Path) -> None:
     found, _ = measured(tmp_path, COMPLIANCE, None)
     causes = by_name(found)

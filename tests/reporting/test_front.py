@@ -14,11 +14,13 @@ import pytest
 
 from tests.browser import run_chromium
 from tests.cli.commands import refused
+from twin import cli
+from twin._common.conformity import decide, is_accepted
 from twin._common.language import Language
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.reporting import machine_report
-from twin.reporting.front import decide, front_page
+from twin.reporting.front import TOOL, FrontPage, front_page
 from twin.reporting.job import Job
 from twin.reporting.language import wording
 from twin.reporting.page import machine_html
@@ -51,6 +53,7 @@ def pages(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     front = front_page(report, Job(operator="A <b>"), dict.fromkeys(dmu50.motion_names, 4.0) | TOLERANCES)
     verdicts = {item.name: item.verdict for item in front.judged}
     assert [verdicts[name] for name in TOLERANCES] == ["fail", "undecided", "undecided"]
+    assert {item.name for item in front.not_accepted} >= {"E_XX", "E_YY"} and front.items[0] not in front.not_accepted
     assert front.verdict == "fail"
     return {language.value: machine_html(report, front, language) for language in Language}
 
@@ -75,6 +78,70 @@ def first(page: str) -> str:
 def test_decision_rule(value: float, half: float, tolerance: float, verdict: str) -> None:
     """ISO 14253-1: conformance up to tolerance − U, non-conformance beyond tolerance + U."""
     assert decide(value, half, tolerance) == verdict
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "accepted"), [(8, 2, 1), (9, 2, 1), (12, 3, 0), (13, 2, 0), (11, nan, 0), (nan, nan, 0)]
+)
+def test_exit_status_follows_from_value_and_verdict(value: float, half: float, accepted: int) -> None:
+    """A value beyond the tolerance of 10 or an unknown one is not accepted, whatever its U."""
+    assert is_accepted(decide(value, half, 10.0), value, 10.0) is bool(accepted)
+
+
+def judged(dmu50: Machine, folder: Path, text: str, **tolerances: float) -> FrontPage:
+    path = folder / "c.yaml"
+    path.write_text(text)
+    report = machine_report(dmu50, Calibration.load(path, dmu50), made=datetime(2026, 1, 2, tzinfo=UTC))
+    return front_page(report, tolerances=tolerances)
+
+
+def test_error_after_compensation_is_that_of_the_appendix(dmu50: Machine, tmp_path: Path) -> None:
+    """Every figure of the tool point on the first page is one of the section on compensation, and contains U.
+
+    E_XX is known with u = 1 µm for the mean and the slope: compensated, only rounding and that uncertainty remain, so that the largest
+    error is of the order of some standard uncertainties.
+    """
+    front = judged(dmu50, tmp_path, MINE.replace("squareness: {E_C0Y: 60.0}", ""), tool_after=50.0)
+    report = machine_report(dmu50, Calibration.load(tmp_path / "c.yaml", dmu50), made=datetime(2026, 1, 2, tzinfo=UTC))
+    levels = report.compensation.before, report.compensation.with_uncertainty
+    for item, level in zip(front.items[: len(TOOL)], levels, strict=True):
+        assert level is not None
+        assert (item.value, item.rms, item.quantile_95) == (level.max_um, level.rms_um, level.quantile(0.95))
+    before, after = front.items[: len(TOOL)]
+    assert after.rms is not None and after.quantile_95 is not None
+    assert after.rms < after.quantile_95 and 0.8 < after.value < before.value and 0.5 < after.half < 4.0
+    machines = report.to_dict()["compensation"]["machines"]
+    largest = machines["compensated_largest"]
+    assert largest["low_um"] < after.value == largest["mean_um"] < largest["high_um"]
+    assert report.to_dict()["compensation"]["compensated"]["max_um"] == after.value
+
+
+def test_a_failure_beyond_an_incomplete_uncertainty_is_a_failure(dmu50: Machine, tmp_path: Path) -> None:
+    """U is a lower bound as errors are absent: value − U > tolerance fails with the reason beside it, nothing passes."""
+    front = judged(dmu50, tmp_path, MINE, tool=2.0, E_XX=2.0)
+    assert front.items[0].name == "tool" and front.items[0].value - front.items[0].half > 2.0
+    assert (front.items[0].verdict, front.items[0].reason) == ("fail", "incomplete")
+    assert judged(dmu50, tmp_path, MINE, tool=1e4).items[0].verdict == "undecided"
+
+
+@pytest.mark.parametrize(
+    ("tolerances", "status", "words"),
+    [
+        (("E_XX=2",), 3, "not met: FAIL E_XX"),
+        (("E_XX=50",), 0, "PASS"),
+        (("E_ZZ=50",), 3, "not met: UNDECIDED E_ZZ: unknown"),
+        (("E_XX=50", "tool=2"), 3, "not met: FAIL tool"),
+    ],
+)
+def test_command_says_the_verdict_and_leaves_by_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], tolerances: tuple[str, ...], status: int, words: str
+) -> None:
+    calibration = tmp_path / "c.yaml"
+    calibration.write_text(MINE)
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["report", "-c", str(calibration), "-o", str(tmp_path / "r.html"), "--tolerance", *tolerances])
+    shown, _ = capsys.readouterr()
+    assert ended.value.code == status and words in shown and "tolerances (ISO 14253-1)" in shown
 
 
 def test_both_languages_have_the_same_texts_and_values() -> None:

@@ -18,6 +18,8 @@ from twin._common.file_kinds import other_kind
 from twin._common.files import read_lines
 
 MAX_COLUMNS: Final = 1000
+MAX_CELLS: Final = 10_000_000
+"""Largest table: 100,000 points with 30 columns are 3 million cells; ten million take about 2 GB."""
 MAX_VALUE: Final = 1e12
 """Largest absolute value of a number in a table. Times in seconds since 1970 are smaller; squares and their sums stay finite."""
 
@@ -46,6 +48,12 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
     if not lines:
         raise InputError("no header row", expected="a CSV table with a header", file=path)
     _check_separator(lines[0][1], path, lines[0][0])
+    columns = lines[0][1].count(",") + 1
+    if columns * len(lines) > MAX_CELLS:
+        size = f"{count_with_noun(len(lines), 'row')} of {count_with_noun(columns, 'cell')}"
+        raise InputError(
+            f"too large: {size}", expected=f"at most {MAX_CELLS:,} cells: fewer rows or columns", file=path
+        )
     cells = _cells(lines, path)
     header = [name.strip() for name in cells[0]]
     if len(header) > MAX_COLUMNS:

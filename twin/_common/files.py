@@ -81,6 +81,11 @@ to the table:
 The comment `# ball bar length: 150 mm` states the nominal length of a ball bar; `twin convert` and `twin plan` write it, and `simulate`
 keeps it. Readings below half of that length are deviations from it. A table has the readings of one length.
 
+A table has at most 10 million cells (one for `import` 3 million), a text file 256 MB. Instead of a file a command reads a pipe
+(`/dev/stdin`, `<(…)` of a shell) to its end; it refuses a pipe that no program writes to within five seconds, devices and sockets. A
+calibration, a table, a thermal model and a URDF are read back before they replace the file of that name. Outputs of two runs that write
+the same files at the same time are all of one run.
+
 **Report** (`--json`, `schema: twin.compensation/1`): `before` and `after` (RMS and maximum at the functional point in µm, of the tool
 axis in µrad and its tilt about x and y of the tool (angles independent of order), the worst line), `classes`, `rounding_um`,
  `largest_correction`, `uncertainty`, `headline`, `complete` and `strictly_complete` (exit status 0 without and with
@@ -100,6 +105,7 @@ and at most two rotary axes, on either side; the kinematics alone needs only a c
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -108,15 +114,17 @@ import secrets
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, BinaryIO, Final, final
 
 from twin._common.errors import InputError
+from twin._common.output_locks import OutputLocks
+from twin._common.pipes import is_readable_device, read_pipe
 
-MAX_TEXT_BYTES: Final = 2**29
+MAX_TEXT_BYTES: Final = 2**28
 """Largest text file in bytes; a table of a million rows needs a third of it."""
 TEMPORARY_PREFIX: Final = ".twin-"
 """Prefix of the names of all temporary files and folders; process id, random part and computer name follow."""
@@ -167,16 +175,33 @@ def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
     Raises:
         InputError: there is no such file, it cannot be read, it is too large, or the running command is going to write it.
     """
-    register_input(path)
     try:
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             data = stream.read(-1 if most_bytes is None else most_bytes + 1)
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         value = error.strerror if isinstance(error, OSError) else error
         raise InputError("cannot be read", expected="a readable file", file=path, value=value) from error
     if most_bytes is not None and len(data) > most_bytes:
         raise InputError("too large", expected=f"at most {most_bytes >> 20} MB of text", file=path)
     return data
+
+
+def open_input(path: Path) -> BinaryIO:
+    """Open an input file: a regular file, a terminal, or a pipe that another program writes, such as ``<(…)`` of a shell.
+
+    Raises:
+        InputError: it is a device or a socket, no program writes to the pipe, or the running command is going to write it.
+        OSError: it cannot be read.
+    """
+    register_input(path)
+    mode = path.stat().st_mode
+    if stat.S_ISFIFO(mode):
+        return io.BytesIO(read_pipe(path, MAX_TEXT_BYTES))
+    if stat.S_ISSOCK(mode) or stat.S_ISBLK(mode) or (stat.S_ISCHR(mode) and not is_readable_device(path)):
+        raise InputError("a device or a socket", expected="a file, or a pipe that another program writes", file=path)
+    return path.open("rb")
 
 
 def read_text(path: Path, *, most_bytes: int = MAX_TEXT_BYTES) -> str:
@@ -243,6 +268,7 @@ class CommandFiles:
         read: input files by their resolved paths.
         outputs: output files by their resolved paths.
         written: complete output files, which may be read back.
+        locks: locks of the output files, from the first that is complete to the end of the command.
     """
 
     def __init__(self) -> None:
@@ -250,6 +276,7 @@ class CommandFiles:
         self.outputs: set[Path] = set()
         self.written: set[Path] = set()
         self._identities: set[tuple[int, int]] = set()
+        self.locks = OutputLocks()
 
     def add_input(self, path: Path) -> None:
         """Register an input file.
@@ -300,6 +327,7 @@ def tracked_files() -> Iterator[CommandFiles]:
         yield files
     finally:
         _COMMAND.reset(token)
+        files.locks.release()
 
 
 def _input_conflict(path: Path) -> InputError:
@@ -386,13 +414,19 @@ def _target(path: Path) -> Path:
     return file
 
 
-def write_atomic(path: Path, content: str | bytes) -> None:
+def write_atomic(path: Path, content: str | bytes, *, check: Callable[[Path], object] | None = None) -> None:
     """Write a file atomically: at every moment the path holds the old content or the new one.
 
+    Args:
+        path: the file.
+        content: its content; text as UTF-8.
+        check: reads the complete file, under a temporary name in the same folder, before it replaces the path. If it raises an
+            `InputError`, the path keeps its old content.
+
     Raises:
-        InputError: it cannot be written.
+        InputError: it cannot be written, or the check refuses it.
     """
-    with atomic_file(path) as stream:
+    with atomic_file(path, check) as stream:
         stream.write(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
@@ -414,10 +448,11 @@ def _finite(data: Any) -> Any:
 
 
 @contextmanager
-def atomic_file(path: Path) -> Iterator[BinaryIO]:
+def atomic_file(path: Path, check: Callable[[Path], object] | None = None) -> Iterator[BinaryIO]:
     """Open a temporary file that replaces the path when it is complete; after an error nothing remains.
 
-    An existing file keeps its mode and, if permitted, its owner; a symbolic link is kept and its target replaced.
+    An existing file keeps its mode and, if permitted, its owner; a symbolic link is kept and its target replaced. ``check`` is that of
+    `write_atomic`.
 
     Raises:
         InputError: it cannot be written.
@@ -430,11 +465,29 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
+            if check is not None:
+                _check_written(temporary, path, check)
             _replace(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise InputError("cannot be written", expected="a writable file", file=path, value=error.strerror) from error
+
+
+def _check_written(temporary: Path, path: Path, check: Callable[[Path], object]) -> None:
+    """Read a file before it replaces the path, without registering its temporary name as an input of the command."""
+    token = _COMMAND.set(None)
+    try:
+        check(temporary)
+    except InputError as error:
+        raise InputError(
+            f"not written, because it would not be read back: {error.what}",
+            expected=error.expected,
+            file=path,
+            value=error.value,
+        ) from error
+    finally:
+        _COMMAND.reset(token)
 
 
 def move_into_place(made: Path, path: Path) -> None:
@@ -448,13 +501,15 @@ def move_into_place(made: Path, path: Path) -> None:
 
 
 def _replace(made: Path, target: Path) -> None:
+    tracker = _COMMAND.get()
+    if tracker is not None:
+        tracker.locks.acquire({*tracker.outputs, target})
     if target.exists():
         old = target.stat()
         with suppress(PermissionError):
             os.chown(made, old.st_uid, old.st_gid)
         os.chmod(made, stat.S_IMODE(old.st_mode))
     os.replace(made, target)
-    tracker = _COMMAND.get()
     if tracker is not None:
         tracker.written.add(target)
 

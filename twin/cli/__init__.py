@@ -8,7 +8,7 @@ import os
 import sys
 from typing import Final
 
-from twin.cli.shared import installation
+from twin.cli.shared import installation, terminal
 
 __all__ = ["main"]
 
@@ -34,11 +34,17 @@ def main(arguments: list[str] | None = None) -> None:
     words = sys.argv[1:] if arguments is None else arguments
     if words[:1] == ["doctor"] and not {"-h", "--help"} & set(words) and not installation.can_start():
         installation.exit_with_findings()
+    terminal.open_closed_streams()
     try:
-        from twin.cli.commands import run
-    except installation.IMPORT_FAILURES as error:
-        installation.exit_with_import_error(error)
-    try:
-        run(words)
-    except ImportError as error:
-        installation.exit_with_import_error(error)
+        try:
+            from twin.cli.commands import run
+        except installation.IMPORT_FAILURES as error:
+            installation.exit_with_import_error(error)
+        try:
+            run(words)
+        except ImportError as error:
+            installation.exit_with_import_error(error)
+    except KeyboardInterrupt:
+        # During the imports; from then on `run` ends the command.
+        terminal.print_error("twin: interrupted, nothing half written")
+        sys.exit(installation.INTERRUPTED)

@@ -140,6 +140,11 @@ def run(arguments: list[str]) -> None:
             discard_output()
             print_error(f"twin: {os_error_message(error)}")
             sys.exit(BAD_INPUT)
+        except MemoryError:
+            print_error(
+                "twin: out of memory, nothing half written; expected a smaller input, or a computer with more memory"
+            )
+            sys.exit(BAD_INPUT)
         except KeyboardInterrupt:
             print_error(f"twin: {received.reason}, nothing half written")
             sys.exit(received.status)

@@ -47,8 +47,8 @@ def compare(
 ) -> CommandResult:
     """Compare two calibrations of a machine: changes, their significance, and their effect at the tool.
 
-    The exit status is 0 whether or not anything changed, and 3 if an error could not be compared: only one calibration gives it, or one
-    gives no uncertainty.
+    The exit status is 0 whether or not anything changed, and 3 if an error could not be compared (only one calibration gives it, or one
+    gives no uncertainty), or if the older calibration is proven not to meet the tolerance.
     """
     from twin.comparison import compare as compared
     from twin.comparison import text_of
@@ -65,4 +65,4 @@ def compare(
             tolerance_mm=tolerance,
             progress=bar,
         )
-    return CommandResult(text_of(found), found.to_dict, met=not found.unjudged)
+    return CommandResult(text_of(found), found.to_dict, met=not found.unjudged and found.good_enough is not False)

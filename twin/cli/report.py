@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -19,8 +19,11 @@ from twin.cli.shared.words import tolerances
 if TYPE_CHECKING:
     from twin.machine.machine import Machine
     from twin.reporting import MachineReport
+    from twin.reporting.front import FrontPage
     from twin.reporting.job import Job
 
+SHOWN: Final = 8
+"""Number of items out of tolerance that are printed."""
 JobOption = Annotated[
     Path | None,
     typer.Option(
@@ -33,7 +36,8 @@ FrontToleranceOption = Annotated[
     list[str] | None,
     typer.Option(
         "--tolerance",
-        help="Largest permitted absolute value, µm or µrad, of the tool point (tool, tool_after) or an error: tool=50 E_XX=8.",
+        help="Largest permitted absolute value, µm or µrad, of an error or of the tool point over the volume: "
+        "before (tool) or after compensation (tool_after): tool=50 E_XX=8.",
     ),
 ]
 LangOption = Annotated[Language, typer.Option("--lang", help="Language of the report.")]
@@ -79,7 +83,10 @@ def report(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Random seed of the Monte Carlo draws.")] = 0,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """Write a report of a machine: largest errors, their effect at the tool, recommended actions, uncertainty and sources."""
+    """Write a report of a machine: largest errors, their effect at the tool, recommended actions, uncertainty and sources.
+
+    The exit status is 3 if a value exceeds its tolerance or is unknown, or if something asked for could not be shown.
+    """
     from twin.measurement.table import Measurements
     from twin.reporting import machine_report
     from twin.reporting.front import front_page
@@ -114,10 +121,10 @@ def report(
     if pdf_file is not None and printed is not None:
         write_atomic(pdf_file, printed)
     return CommandResult(
-        "\n".join([*_first_screen(found), *options.unused(at, errors), ""]),
+        "\n".join([*_first_screen(found), *_verdict(front), *options.unused(at, errors), ""]),
         lambda: found.to_dict() | {"first_page": front.to_dict()},
-        met=not found.unmet,
-        after=[f"not met: {text}" for text in found.unmet],
+        met=not found.unmet and not front.not_accepted,
+        after=[f"not met: {text}" for text in (*found.unmet, *_not_accepted(front))],
     )
 
 
@@ -131,6 +138,21 @@ def _of_first_page(
     limits = tolerances(tolerance)
     check_tolerances(machine, limits)
     return limits, None if job is None else load_job(job), "" if logo is None else logo_uri(logo)
+
+
+def _verdict(front: FrontPage) -> list[str]:
+    """Return the verdict on the tolerances, with the number of items of each kind; nothing without tolerances."""
+    if front.verdict is None:
+        return []
+    counts = [f"{front.count(kind)} {kind}" for kind in ("fail", "undecided", "pass") if front.count(kind)]
+    return [f"tolerances (ISO 14253-1): {front.verdict.upper()}; items: {', '.join(counts)}"]
+
+
+def _not_accepted(front: FrontPage) -> list[str]:
+    """Return the items that are out of tolerance or unknown, the first few in full."""
+    items = front.not_accepted
+    more = [f"and {len(items) - SHOWN} further items, all in the JSON"] if len(items) > SHOWN else []
+    return [*(item.text for item in items[:SHOWN]), *more]
 
 
 def _first_screen(found: MachineReport) -> list[str]:

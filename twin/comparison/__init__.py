@@ -26,7 +26,7 @@ gives this detection limit for each number.
 each RMS the limit it stays below by chance. It is given as it is, and after aligning the workpiece: without the common shift and
 rotation that touching off the workpiece removes. It is also given by class of ISO/TR 16907 and error by error. Then follows the error
 that remains if the older calibration compensates the machine described by the newer one. With `--tolerance` the comparison says whether
-that is good enough: yes or no only if the uncertainty leaves no doubt (ISO 14253-1).
+that is good enough: yes or no only if the uncertainty leaves no doubt (ISO 14253-1); the exit status is 3 if it is not.
 
 **What it means.** Sentences name what the changed errors have in common, if anything: one axis, all scales alike, squareness only, the
 location of a rotary axis. They say where to look first; they do not know the cause.

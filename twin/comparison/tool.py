@@ -18,6 +18,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.conformity import decide_interval
 from twin._common.progress import Progress, silent
 from twin.display.numbers import COVERAGE
 from twin.kinematics.forward import Kinematics, Poses
@@ -103,11 +104,7 @@ class Remaining:
 
         Decision rule of ISO 14253-1: within the uncertainty neither conformance nor non-conformance is stated.
         """
-        if not np.isfinite(self.surely_um):
-            return None
-        if self.surely_um <= tolerance_um:
-            return True
-        return False if self.at_least_um > tolerance_um else None
+        return {"pass": True, "fail": False}.get(decide_interval(self.at_least_um, self.surely_um, tolerance_um))
 
 
 @final
@@ -339,7 +336,7 @@ def _simulate_unchanged(
         kept = side.where(lambda name: name in judged)
         own = kept.covariance.where(lambda name: owner[name] in drawn)
         tools.append(ToolUncertainty(scene.kinematics(replace(kept, joint=own))))
-    rates = [_point_rates(tool, scene.q, scene.sides) for tool in tools]
+    rates = [tool.point_rates(scene.q, scene.sides).reshape(3 * len(scene.q), -1) for tool in tools]
     groups: dict[str, list[np.ndarray]] = {"all": [np.arange(len(tool.parameters)) for tool in tools]}
     for name in classes:
         groups[name] = [
@@ -372,16 +369,6 @@ def _simulate_unchanged(
     return {
         name: _Simulated(np.concatenate(rms[name]), u_um[name], factor if name == "all" else np.nan) for name in rms
     }
-
-
-def _point_rates(tool: ToolUncertainty, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Return the (3n, p) derivatives of the tool point by the uncertain numbers, µm per unit of each."""
-    error = tool.kinematics.sensitivities(q, sides).error[:, :3]
-    found = np.zeros((len(q), 3, len(tool.parameters)))
-    for component, columns, shape in tool.rates(q, sides):
-        # m per m and rad equal µm per µm and µrad.
-        found[:, :, columns] += error[:, :, component, None] * shape[:, None, :]
-    return found.reshape(3 * len(q), -1)
 
 
 def _tool_displacement(

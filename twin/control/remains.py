@@ -15,8 +15,9 @@ from twin.control.required import RequiredCorrections
 from twin.display import UNKNOWN
 from twin.kinematics.forward import Kinematics, Poses, rms_and_max
 from twin.machine.calibration import Calibration
-from twin.machine.conditions import APPROACH, RecordingState
+from twin.machine.conditions import APPROACH
 from twin.machine.effects import ControlCorrection
+from twin.machine.effects.base import RecordingState
 from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
 
 

@@ -270,7 +270,8 @@ class Gain:
             for the latter, instrument errors found are subtracted from the readings.
         held_out: residuals of held-out readings; None if nothing can be held out.
         tool_before_um, tool_after_um: RMS error at the tool tip over the volume after compensating with each calibration, on a machine
-            as the extended one describes it; errors found that are not in the file remain in both.
+            as the extended one describes it; errors found that are not in the file remain in both. NaN if they are larger than the
+            model describes.
         tool_length_mm: tool length assumed: the machine file's, or a typical one.
     """
 

@@ -62,14 +62,14 @@ class CalibratedUrdf:
         return note(self.summary).text
 
     def save(self, path: str | Path) -> None:
-        """Write the file atomically; meshes are named relative to it."""
+        """Write the file atomically, after it was read back; meshes are named relative to it."""
         folder = Path(path).resolve().parent
         robot = _parsed(self.text)
         for mesh in robot.iter("mesh"):
             name = mesh.get("filename", "")
             if "://" not in name and not Path(name).is_absolute():
                 mesh.set("filename", os.path.relpath(self.path.resolve().parent / name, folder))
-        write_atomic(Path(path), _printed(robot))
+        write_atomic(Path(path), _printed(robot), check=read_urdf)
 
 
 def calibrated_urdf(calibration: Calibration) -> CalibratedUrdf:

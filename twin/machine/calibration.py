@@ -47,6 +47,7 @@ from twin.machine.effects import (
     Squareness,
     split_name,
 )
+from twin.machine.effects.base import RecordingState
 from twin.machine.effects.control import kinematics_of, tables_of
 from twin.machine.effects.empirical import channel_name, check_ranges
 from twin.machine.effects.entries import entry_of, payload_entries, payloads_on
@@ -158,8 +159,26 @@ class Calibration:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write the file atomically."""
-        write_atomic(Path(path), self.to_yaml(Path(path).parent))
+        """Write the file atomically, after it was read back and its errors were evaluated.
+
+        Raises:
+            InputError: it cannot be written, or a value would be refused by `load` or is not finite.
+        """
+        text = self.to_yaml(Path(path).parent)
+        write_atomic(Path(path), text, check=lambda written: self._check_copy(written, text))
+
+    def _check_copy(self, written: Path, text: str) -> None:
+        """Raise `InputError` unless a file written from this calibration reads back as the same errors, finite everywhere."""
+        loaded = Calibration.load(written, self.machine)
+        if loaded.to_yaml(written.parent) != text:
+            raise InputError(
+                "the file reads back as another calibration", expected="the same numbers", value=self.source
+            )
+        for effect in loaded.effects:
+            if not all(
+                np.all(np.isfinite(value)) for value in effect.components(RecordingState(self.machine)).values()
+            ):
+                raise InputError("an error that is not finite", expected="a finite error everywhere", value=effect.name)
 
     def to_yaml(self, folder: Path | None = None) -> str:
         """Return the text of the calibration file; reading it gives the same calibration.

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from twin._common.errors import InputError, closest_name
 from twin._common.records import SPEED, TIME, is_temperature, sensor_of
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Effect
+from twin.machine.effects.base import RecordingState
 from twin.machine.effects.payload import HEAVIEST_KG, LOAD
 from twin.machine.machine import Machine
 from twin.machine.machine_log import MachineLog
@@ -180,37 +181,6 @@ def required_channels(effects: Sequence[Effect], machine: Machine) -> dict[str, 
         for name in state.asked:
             found[name] = (*found.get(name, ()), effect.name)
     return found
-
-
-@final
-class RecordingState(dict[str, Any]):
-    """State of one pose inside the ranges that answers any request for a channel and records its name.
-
-    Args:
-        machine: the machine.
-
-    Attributes:
-        asked: names of the requested channels, in the order of the requests.
-    """
-
-    def __init__(self, machine: Machine) -> None:
-        # An arbitrary pose: no effect is zero at 0.37 of a range.
-        places = {
-            axis.name: 137.0
-            if axis.lower is None or axis.upper is None
-            else axis.lower + 0.37 * (axis.upper - axis.lower)
-            for axis in machine.axes
-        }
-        super().__init__({name: np.array([place]) for name, place in places.items()})
-        self.asked: list[str] = []
-
-    def __contains__(self, name: object) -> bool:
-        return True
-
-    def __missing__(self, name: str) -> np.ndarray:
-        if name not in self.asked:
-            self.asked.append(name)
-        return np.array([27.0])
 
 
 def values_in_words(channels: Mapping[str, float]) -> str:

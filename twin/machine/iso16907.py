@@ -15,8 +15,8 @@ import numpy as np
 from twin._common.errors import InputError, closest_name
 from twin.display import card, pairs
 from twin.machine.classes import BASIC, COMBINED, NAMES
-from twin.machine.conditions import RecordingState
 from twin.machine.effects import ControlCorrection, Effect, split_name
+from twin.machine.effects.base import RecordingState
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
 

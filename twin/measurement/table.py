@@ -306,8 +306,17 @@ class Measurements:
         return {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)}
 
     def save(self, path: str | Path, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> None:
-        """Write the table atomically; columns without any value are left out. Arguments as `to_csv`."""
-        write_atomic(Path(path), self.to_csv(machine, comment=comment, planned=planned))
+        """Write the table atomically, after it was read back; columns without any value are left out. Arguments as `to_csv`.
+
+        Raises:
+            InputError: it cannot be written, or `load` would refuse it.
+        """
+        plan = not np.isfinite(self.point_mm).any()
+        write_atomic(
+            Path(path),
+            self.to_csv(machine, comment=comment, planned=planned),
+            check=lambda written: Measurements.load(written, machine, plan=plan),
+        )
 
     def to_csv(self, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> str:
         """Return the table as text, which reads back as the same measurements. Without any coordinate it is a plan.

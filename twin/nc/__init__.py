@@ -7,7 +7,7 @@ from pathlib import Path
 from twin._common.bundled import find_program
 from twin._common.errors import InputError
 from twin._common.file_kinds import other_kind
-from twin._common.files import read_bytes, register_input
+from twin._common.files import MAX_TEXT_BYTES, open_input, read_bytes
 from twin._common.memory import memory_bytes
 from twin.nc.apt.dialect import Apt
 from twin.nc.blocks import Program
@@ -53,9 +53,8 @@ def dialect_of(path: Path) -> Dialect:
     Raises:
         InputError: it cannot be read, or its suffix is unknown.
     """
-    register_input(path)
     try:
-        with path.open("rb") as stream:
+        with open_input(path) as stream:
             return dialect_for(path, stream.read(4000))
     except OSError as error:
         raise InputError("cannot be read", expected="a readable file", file=path, value=error.strerror) from error
@@ -82,8 +81,7 @@ def read_program(path: str | Path) -> tuple[Program, Dialect]:
             subprogram cannot be written out.
     """
     found = find_program(path)
-    _check_size(found, 0 if not found.is_file() else found.stat().st_size)
-    data = read_bytes(found)
+    data = read_bytes(found, most_bytes=MAX_TEXT_BYTES)
     _check_size(found, LINE_BYTES * (1 + max(data.count(b"\n"), data.count(b"\r"))))
     dialect = dialect_for(found, data)
     return dialect.expanded(dialect.read(data, str(found)), found.parent), dialect

@@ -20,11 +20,13 @@ identifiable; if its numbers differ from those of the calibration, the summary s
 the measured points at each position, including outliers, because removing them could hide backlash.
 
 **Computation.** "Compensated" is the error after compensation of a program: rotary words are rounded, the linear axes are solved again,
-rounded, and limited to the axis travel. The uncertainty of the calibration is added by draws from its covariance. Errors that tables in
+rounded, and limited to the axis travel. The uncertainty of the calibration is added by 1,000 machines drawn from its covariance: RMS
+and percentiles are over all of them, the largest error is its mean over the machines, with their 95 % interval. Errors that tables in
 the control leave are computed by making these tables with the defaults of `twin control`. An adjustment is recommended only if it
 reduces the RMS error over the volume by at least 5 % and the error exceeds its own 95 % half-width. The field is computed with the
 rotary axes at zero and cannot show wavelengths shorter than its grid; the budget covers all axes. Effects that need a temperature or a
-time use `--temperature` and `--time`; without them they are omitted and listed, and the exit status is 3.
+time use `--temperature` and `--time`; without them they are omitted and listed, and the exit status is 3. A tolerance whose value is
+exceeded or unknown is 3 as well.
 """
 
 from twin.reporting.result import SCHEMA, MachineReport, machine_report

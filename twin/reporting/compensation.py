@@ -9,18 +9,17 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.json_form import json_form
-from twin.compute.parallel import Workers
 from twin.kinematics.forward import rms_and_max
 from twin.kinematics.inverse import Inverse, Status
-from twin.numerics.covariance import symmetric_root
 from twin.reporting.contributions import Budget, without
 from twin.uncertainty.at_tool import ToolUncertainty
-from twin.uncertainty.population import Spread, draw_machines
+from twin.uncertainty.population import TAIL, Spread
 
-DRAWS_A_POSE: Final = 8
-"""Draws from the covariance per pose: 16,000 at 2,000 poses give the 99th percentile within 2 %."""
 MACHINES: Final = 1000
-MACHINE_POSES: Final = 100
+MACHINES_A_STEP: Final = 50
+"""Machines drawn at once: 50 at 2,000 poses are 2.4 MB."""
+SIZES: Final = 16_000
+"""Number of magnitudes kept of a distribution over all drawn machines and poses."""
 SHARES: Final = (0.5, 0.95, 0.99)
 
 
@@ -32,10 +31,12 @@ class ErrorDistribution:
     Attributes:
         name: name of the case.
         size_um: (k,) magnitudes, ascending.
+        machines: distributions over the drawn machines of the RMS and of the largest error over the volume; None for one machine.
     """
 
     name: str
     size_um: np.ndarray
+    machines: tuple[Spread, Spread] | None = None
 
     @property
     def rms_um(self) -> float:
@@ -44,8 +45,16 @@ class ErrorDistribution:
 
     @property
     def max_um(self) -> float:
-        """Largest magnitude, µm."""
-        return float(self.size_um[-1])
+        """Largest magnitude over the volume, µm; for drawn machines its mean over the machines."""
+        return float(self.size_um[-1]) if self.machines is None else self.machines[1].mean
+
+    @property
+    def max_half_um(self) -> float:
+        """Half width of the 95 % interval of the largest magnitude over the drawn machines, µm; NaN for one machine."""
+        if self.machines is None:
+            return float("nan")
+        most = self.machines[1]
+        return max(most.high - most.mean, most.mean - most.low)
 
     def quantile(self, share: float) -> float:
         """Return the magnitude that a given share of the poses does not exceed, µm."""
@@ -69,15 +78,16 @@ class CompensationForecast:
         before: error of the machine, including the tables in its control.
         without_tables: error without the tables in the control; None if there are none.
         exact: error after compensation if the calibration is exact (rounding, travel limits); None if the machine runs no programs.
-        with_uncertainty: the same including the uncertainty of the calibration; None if that is unknown or ``exact`` is None.
+        with_uncertainty: error expected after compensation: the same on machines drawn from the calibration's covariance; None if
+            that is unknown or ``exact`` is None.
         complete: whether all errors have an uncertainty; if not, ``with_uncertainty`` is a lower bound.
         poses: number of poses.
         out_of_range: number of poses at which the correction exceeds the travel.
         out_of_range_um: largest remaining error at these poses.
         orientation_missed: number of poses at which the point is reached but the orientation is not.
         tilt_before_urad, tilt_after_urad: RMS and largest tilt of the tool axis, about x and about y; after as for ``exact``.
-        machines: distribution of the RMS over the volume for machines drawn from the covariance, uncompensated and compensated without
-            rounding; None if U is unknown.
+        uncompensated: distributions over the drawn machines of the RMS and of the largest error over the volume before compensation;
+            None if U is unknown.
         seed: random seed of the draws.
     """
 
@@ -92,7 +102,7 @@ class CompensationForecast:
     orientation_missed: int
     tilt_before_urad: tuple[tuple[float, float], tuple[float, float]]
     tilt_after_urad: tuple[tuple[float, float], tuple[float, float]] | None
-    machines: tuple[Spread, Spread] | None
+    uncompensated: tuple[Spread, Spread] | None
     seed: int
 
     @property
@@ -105,7 +115,7 @@ class CompensationForecast:
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON; null for unknown numbers."""
         tilts = [tilt and {"rms": tilt[0], "max": tilt[1]} for tilt in (self.tilt_before_urad, self.tilt_after_urad)]
-        spread = self.machines
+        after = None if self.with_uncertainty is None else self.with_uncertainty.machines
         return json_form(
             {
                 "poses": self.poses,
@@ -119,7 +129,12 @@ class CompensationForecast:
                 "orientation_not_reached": self.orientation_missed,
                 "tilt_before_urad": tilts[0],
                 "tilt_after_urad": tilts[1],
-                "machines": None if spread is None else {"as_it_is_rms": spread[0], "compensated_rms": spread[1]},
+                "machines": self.uncompensated
+                and {
+                    "drawn": MACHINES,
+                    **dict(zip(("as_it_is_rms", "as_it_is_largest"), self.uncompensated, strict=True)),
+                    **dict(zip(("compensated_rms", "compensated_largest"), after or (None, None), strict=True)),
+                },
                 "seed": self.seed,
             }
         )
@@ -142,10 +157,11 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
         alone = without(real, {table.name for table in real.calibration.corrections})
         remaining_bare = (alone.forward(q, sides).point_mm - found.nominal_poses.point_mm) * 1e3
         without_tables = _distribution("without the control's tables", remaining_bare)
-    exact = with_uncertainty = tilt_after = spreads = None
+    exact = with_uncertainty = tilt_after = uncompensated = None
     out = unoriented_count = 0
     worst_out = np.nan
     uncertainty = ToolUncertainty(real)
+    deviations = _Deviations(uncertainty, q, sides, seed)
     if real.machine.runs_programs:
         commands, beyond, unoriented = _commanded(found)
         meant, reached = found.nominal_poses, real.forward(commands, sides)
@@ -156,12 +172,9 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
         if out:
             worst_out = float(np.linalg.norm(remaining[beyond], axis=1).max())
         if uncertainty.parameters:
-            with_uncertainty = _distribution(
-                "compensated, with uncertainty", _with_uncertainty(remaining, uncertainty, q, sides, seed)
-            )
+            with_uncertainty = deviations.distribution("compensated, with uncertainty", remaining)
     if uncertainty.parameters:
-        nominal_poses = draw_machines(real, trials=MACHINES, poses=MACHINE_POSES, seed=seed, workers=Workers(1))
-        spreads = (nominal_poses.as_it_is[0], nominal_poses.compensated[0])
+        uncompensated = deviations.distribution("uncompensated, with uncertainty", found.error_um).machines
     return CompensationForecast(
         before=ErrorDistribution("uncompensated", read_only(np.sort(before))),
         without_tables=without_tables,
@@ -174,7 +187,7 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
         orientation_missed=unoriented_count,
         tilt_before_urad=rms_and_max(found.tilt_urad),
         tilt_after_urad=tilt_after,
-        machines=spreads,
+        uncompensated=uncompensated,
         seed=seed,
     )
 
@@ -205,10 +218,33 @@ def _clipped(commands: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndar
     return np.clip(commands, low, high)
 
 
-def _with_uncertainty(
-    remaining: np.ndarray, uncertainty: ToolUncertainty, q: np.ndarray, sides: np.ndarray, seed: int
-) -> np.ndarray:
-    """Return (n·draws, 3) remaining errors plus normal draws from the covariance of the tool point at each pose, µm."""
-    covariance = uncertainty.at(q, sides).covariance[:, :3, :3]
-    drawn = symmetric_root(covariance) @ np.random.default_rng(seed).standard_normal((len(q), 3, DRAWS_A_POSE))
-    return np.asarray((remaining[:, :, None] + drawn).transpose(0, 2, 1).reshape(-1, 3))
+@final
+class _Deviations:
+    """Deviations of the tool point on machines drawn from the covariance, to first order; the same machines for every case."""
+
+    def __init__(self, uncertainty: ToolUncertainty, q: np.ndarray, sides: np.ndarray, seed: int) -> None:
+        self._rates = uncertainty.point_rates(q, sides).reshape(3 * len(q), -1)
+        self._drawn = (
+            uncertainty.draw(np.random.default_rng(seed), MACHINES) if uncertainty.parameters else np.zeros((0, 0))
+        )
+
+    def distribution(self, name: str, error_um: np.ndarray) -> ErrorDistribution:
+        """Return the distribution of an error (n, 3), µm, with the deviations of every drawn machine added to it.
+
+        The deviations are those of a whole machine, not of single poses: only so the largest error over the volume has a distribution.
+        """
+        count = len(error_um)
+        size = np.empty((MACHINES, count))
+        for start in range(0, MACHINES, MACHINES_A_STEP):
+            part = slice(start, start + MACHINES_A_STEP)
+            deviation = (self._rates @ self._drawn[:, part]).reshape(count, 3, -1)
+            size[part] = np.linalg.norm(error_um[:, :, None] + deviation, axis=1).T
+        machines = _spread(np.sqrt(np.mean(size**2, axis=1))), _spread(size.max(axis=1))
+        ordered = np.sort(size, axis=None)
+        kept = ((np.arange(SIZES) + 0.5) / SIZES * len(ordered)).astype(int)
+        return ErrorDistribution(name, read_only(ordered[kept]), machines)
+
+
+def _spread(values: np.ndarray) -> Spread:
+    low, high = np.quantile(values, (TAIL, 1.0 - TAIL))
+    return Spread(float(values.mean()), float(low), float(high), float(values.max()))

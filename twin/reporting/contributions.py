@@ -186,12 +186,7 @@ class _Shares:
             for effect in kinematics.calibration.effects
         }
         self._place = {name: i for i, name in enumerate(self.tool.parameters)}
-        self._rates = np.zeros((len(q), 3, len(self.tool.parameters)))
-        if self._place:
-            by_error = kinematics.sensitivities(q, sides).error[:, :3]
-            for component, columns, shape in self.tool.rates(q, sides):
-                # m/m and m/rad equal µm/µm and µm/µrad.
-                self._rates[:, :, columns] += by_error[:, :, component, None] * shape[:, None, :]
+        self._rates = self.tool.point_rates(q, sides)
 
     def u_um(self, effects: Iterable[str]) -> tuple[float, float, bool]:
         """Return RMS and largest U over the poses (NaN if unknown), and whether all parameters have an uncertainty."""

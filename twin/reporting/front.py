@@ -5,23 +5,30 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import isfinite, nan
-from typing import Any, Final, Literal, final
+from typing import Any, Final, final
 
+from twin._common.conformity import Verdict, decide, is_accepted
 from twin._common.errors import InputError, closest_name
 from twin._common.json_form import json_form
 from twin._common.provenance import UNSETTLED_ESTIMATE
+from twin.display import UNKNOWN, readable, with_half
 from twin.machine.effects import unit_of
 from twin.machine.machine import Machine
 from twin.reporting.contributions import Contribution
 from twin.reporting.job import Job
 from twin.reporting.result import MachineReport
 
-Verdict = Literal["pass", "fail", "undecided"]
 TOOL: Final = ("tool", "tool_after")
 """Names of the error of the tool point before compensation, and as expected after it."""
 FINDINGS: Final = 3
 ROWS: Final = 17
 """Largest number of items on the first page, so that it stays one page."""
+_REASONS: Final = {
+    "unknown": "unknown",
+    "incomplete": "U incomplete",
+    "assumed": "assumed, not measured",
+    "unsettled": "the identification did not converge",
+}
 _URGENCY: Final = {"fail": 0, "undecided": 1, "pass": 2, None: 3}
 
 
@@ -38,8 +45,10 @@ class FrontItem:
         tolerance: largest permitted absolute value; None without a tolerance.
         verdict: result; None without a tolerance.
         reason: why there is no decision: ``unknown``, ``incomplete`` (U is a lower bound), ``assumed`` or ``unsettled``;
-            empty otherwise.
+            ``incomplete`` also with a fail, which no larger U of the known errors explains; empty otherwise.
         to: for a squareness, the reference axis; else empty.
+        rms, quantile_95: of the error of the tool point over the volume, in ``unit``: RMS and value that 95 % of the positions do not
+            exceed; None for other items, or if unknown.
     """
 
     name: str
@@ -50,6 +59,21 @@ class FrontItem:
     verdict: Verdict | None
     reason: str
     to: str = ""
+    rms: float | None = None
+    quantile_95: float | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the item has no tolerance or a known value within it (`twin._common.conformity.is_accepted`)."""
+        return self.tolerance is None or self.verdict is None or is_accepted(self.verdict, self.value, self.tolerance)
+
+    @property
+    def text(self) -> str:
+        """The item and its verdict in one line."""
+        known = with_half(self.value, self.half, self.unit) if isfinite(self.value) else UNKNOWN
+        tolerance = "" if self.tolerance is None else f", tolerance {self.tolerance:g} {readable(self.unit)}"
+        reason = f" ({_REASONS[self.reason]})" if self.reason else ""
+        return f"{(self.verdict or '').upper()} {self.name}: {known}{tolerance}{reason}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
@@ -93,6 +117,12 @@ class FrontPage:
         """Items that only the appendix lists."""
         shown = {item.name for item in self.shown}
         return tuple(item for item in self.items if item.name not in shown)
+
+    @property
+    def not_accepted(self) -> tuple[FrontItem, ...]:
+        """Items whose value exceeds its tolerance or is unknown, failed ones first."""
+        found = [item for item in self.judged if not item.accepted]
+        return tuple(sorted(found, key=lambda item: _URGENCY[item.verdict]))
 
     def count(self, verdict: Verdict) -> int:
         """Return the number of items with a verdict."""
@@ -149,19 +179,6 @@ def check_tolerances(machine: Machine, tolerances: Mapping[str, float]) -> None:
             )
 
 
-def decide(value: float, half: float, tolerance: float) -> Verdict:
-    """Return the verdict by ISO 14253-1 with the expanded uncertainty as guard band.
-
-    Args:
-        value: absolute value; NaN if unknown.
-        half: its expanded uncertainty; NaN if unknown.
-        tolerance: largest permitted absolute value.
-    """
-    if value + half <= tolerance:
-        return "pass"
-    return "fail" if value - half > tolerance else "undecided"
-
-
 def _item(one: Contribution, tolerance: float | None, to: str) -> FrontItem:
     return _judged(
         FrontItem(one.name, one.unit, one.peak, one.peak_half, tolerance, None, "", to),
@@ -171,23 +188,39 @@ def _item(one: Contribution, tolerance: float | None, to: str) -> FrontItem:
 
 
 def _tool_items(report: MachineReport, given: Mapping[str, float]) -> list[FrontItem]:
-    """Return the items of the tool point; the largest U over the volume is added to the largest error, which is conservative."""
-    total, after = report.budget.total, report.compensation.exact
-    half = total.u_max_um
+    """Return the items of the tool point: the largest error over the volume before compensation, and as expected after it.
+
+    Before: U is the largest over the volume, which is conservative. After: mean and 95 % interval over machines drawn from the
+    covariance, so that the value contains the uncertainty of the calibration (`CompensationForecast.with_uncertainty`).
+    """
+    outcome, total = report.compensation, report.budget.total
     # Errors that are absent from the calibration count as zero in the total, so its U is a lower bound.
     complete = total.u_complete and not report.gaps.absent and not report.gaps.left_out
-    values = (total.max_um, nan if after is None else after.max_um) if report.budget.errors else (nan, nan)
-    rows = [
-        FrontItem(name, "um", value, half, given.get(name), None, "") for name, value in zip(TOOL, values, strict=True)
-    ]
+    after = outcome.with_uncertainty
+    halves = (total.u_max_um, nan if after is None else after.max_half_um)
+    rows = []
+    for name, level, half in zip(TOOL, (outcome.before, after), halves, strict=True):
+        if level is None or not report.budget.errors:
+            rows.append(FrontItem(name, "um", nan, nan, given.get(name), None, ""))
+        else:
+            item = FrontItem(name, "um", level.max_um, half, given.get(name), None, "")
+            rows.append(replace(item, rms=level.rms_um, quantile_95=level.quantile(0.95)))
     return [_judged(item, complete, bool(report.illustrative)) for item in rows]
 
 
 def _judged(item: FrontItem, complete: bool, assumed: bool) -> FrontItem:
-    """Return an item with its verdict; without a decision if it is assumed, or if value or U are unknown or incomplete."""
+    """Return an item with its verdict; undecided if it is assumed, or if value or U are unknown.
+
+    An incomplete U is a lower bound: it proves no conformity. A value that exceeds the tolerance by more than that U fails, with the
+    reason beside it.
+    """
     if item.tolerance is None:
         return item
     unknown = not (isfinite(item.value) and isfinite(item.half))
     reason = "assumed" if assumed else "unknown" if unknown else "" if complete else "incomplete"
-    verdict: Verdict = "undecided" if reason else decide(item.value, item.half, item.tolerance)
+    verdict: Verdict = "undecided"
+    if reason in ("", "incomplete"):
+        verdict = decide(item.value, item.half, item.tolerance)
+        if reason and verdict == "pass":
+            verdict = "undecided"
     return replace(item, verdict=verdict, reason=reason)

@@ -24,6 +24,7 @@ from twin.machine.display import uncertainty_of
 from twin.machine.effects import Effect
 from twin.numerics.curves import Basis, basis_named
 from twin.reporting import plots
+from twin.reporting.compensation import MACHINES
 from twin.reporting.front import FrontPage, front_page
 from twin.reporting.language import wording
 from twin.reporting.motions import Motion
@@ -95,6 +96,7 @@ def machine_html(report: MachineReport, front: FrontPage | None = None, language
         plots=plots,
         AT_TOOL=AT_TOOL,
         CLASSES=CLASSES,
+        MACHINES=MACHINES,
         DEFINITION=DEFINITION,
         ROWS=ROWS,
         VIEWER=VIEWER,

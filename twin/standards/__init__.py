@@ -74,10 +74,11 @@ The kinds of test and the name ETVE come from the public scope of ISO 230-3:2020
 the signs of the tilts are not verified against it. `twin plan --drift` makes the schedule.
 
 **Tolerances.** `A=10` applies to every test that has the value, `X:A=8` to that of X; µm or µrad. The absolute value is compared. The
-exit status is 3 if a tolerance is not met, if no test gives its value, or if the table allows no test at all. Beside pass or fail
-stands the decision by ISO 14253-1: conformity proven, nonconformity proven, or neither, because the margin is within U. U (95 %) is
+verdict is that of ISO 14253-1: PASS if the value plus U is within the tolerance, FAIL if the value minus U exceeds it, otherwise
+UNDECIDED. The exit status is 3 if a value exceeds its tolerance, decided or not, if no test gives it, or if the table allows no test at
+all. U (95 %) is
 propagated from the uncertainties of the readings (columns `u_x_mm` …, or `--instrument`), taken as independent; it does not contain
-the instrument's scale error, temperature or set-up. Without an uncertainty nothing is proven.
+the instrument's scale error, temperature or set-up. Without an uncertainty PASS and FAIL are by the value alone and nothing is proven.
 """
 
 from twin.standards.drift import evaluate_drift

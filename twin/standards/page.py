@@ -55,10 +55,13 @@ def evaluation_html(result: EvaluationResult) -> str:
         result: the result of `twin.evaluate`.
     """
     failed = sum(not check.met for check in result.checks)
+    undecided = sum(check.conformity == "neither" for check in result.checks)
     if not result.checks:
         headline = f"{count_with_noun(len(result.tests), 'standard test')} evaluated"
     elif failed:
         headline = f"{failed} of {count_with_noun(len(result.checks), 'tolerance check')} not met"
+    elif undecided:
+        headline = f"{undecided} of {count_with_noun(len(result.checks), 'tolerance check')} undecided"
     else:
         headline = "All tolerances met" if len(result.checks) > 1 else "The tolerance is met"
     pictures = [test for test in result.tests if _figure(test, draw=False)][:MOST_PICTURES]
@@ -67,7 +70,7 @@ def evaluation_html(result: EvaluationResult) -> str:
         found=result,
         title=f"{headline}: {result.machine}",
         headline=headline,
-        colour=COLOURS["none" if not result.checks else "failed" if failed else "met"],
+        colour=COLOURS["none" if not result.checks else "failed" if failed or undecided else "met"],
         source=", ".join(Path(name).name for name in result.data.source.split(", ")),
         badges=warning_texts(result.warnings),
         picture=lambda test: _picture(test) if any(test is one for one in pictures) else "",

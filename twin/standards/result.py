@@ -9,6 +9,7 @@ from typing import Any, Final, Literal, Protocol, final
 
 import numpy as np
 
+from twin._common.conformity import Verdict, decide, is_accepted
 from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.json_form import json_form
@@ -34,11 +35,16 @@ HARD_SPACE: Final = "\u00a0"
 FEW_TESTS: Final = 3
 """Number of tests up to which the text gives the remarks with every test; for more tests, equal remarks are listed once."""
 Conformity = Literal["conforming", "nonconforming", "neither", "unknown"]
+CONFORMITY: Final[Mapping[Verdict, Conformity]] = {
+    "pass": "conforming",
+    "fail": "nonconforming",
+    "undecided": "neither",
+}
 SENTENCES: Final[Mapping[Conformity, str]] = {
     "conforming": "conformity is proven: the value plus U is within the tolerance",
     "nonconforming": "nonconformity is proven: the value minus U is outside the tolerance",
     "neither": "neither conformity nor nonconformity is proven: the margin is within U",
-    "unknown": "conformity cannot be proven: the uncertainty of the readings is unknown",
+    "unknown": "by the value alone: the uncertainty of the readings is unknown, so that conformity cannot be proven",
 }
 """Decision by ISO 14253-1, in words."""
 
@@ -184,7 +190,7 @@ class ToleranceCheck:
         limit: the tolerance, in the unit of the value.
         test: title and place of the test; empty if no test gives the value.
         value: the value; None if it could not be evaluated.
-        met: whether the absolute value is at most the tolerance.
+        met: whether the absolute value is at most the tolerance; the exit status follows from it.
         conformity: decision by ISO 14253-1.
     """
 
@@ -196,14 +202,21 @@ class ToleranceCheck:
     conformity: Conformity
 
     @property
+    def word(self) -> str:
+        """The verdict in one word; without a known uncertainty it is by the value alone."""
+        if self.value is None:
+            return "NOT EVALUATED"
+        return "UNDECIDED" if self.conformity == "neither" else "PASS" if self.met else "FAIL"
+
+    @property
     def text(self) -> str:
         """The check in one line."""
         if self.value is None:
-            return f"{self.asked} = {self.limit:g}: NOT EVALUATED: no test of this table gives it"
+            return f"{self.asked} = {self.limit:g}: {self.word}: no test of this table gives it"
         unit, expanded = readable(self.value.unit), self.value.expanded
         u = f", U {figure(expanded, unit)}" if np.isfinite(expanded) else ""
         return (
-            f"{'PASS' if self.met else 'FAIL'} {self.test}: {self.value.symbol} {figure(self.value.value, unit, digits=4)}{u}, "
+            f"{self.word} {self.test}: {self.value.symbol} {figure(self.value.value, unit, digits=4)}{u}, "
             f"tolerance {self.limit:g} {unit}; {SENTENCES[self.conformity]}"
         )
 
@@ -344,9 +357,13 @@ def check_tolerances(tolerances: Mapping[str, float], tests: Sequence[StandardTe
             found.append(ToleranceCheck(asked, limit, "", None, False, "unknown"))
         for test, value in values:
             size, expanded = abs(value.value), value.expanded
-            met = bool(size <= limit)
+            verdict = decide(size, expanded, limit)
             title = f"{test.title} ({test.place})" if test.place else test.title
-            found.append(ToleranceCheck(asked, limit, title, value, met, _conformity(size, limit, expanded)))
+            found.append(
+                ToleranceCheck(
+                    asked, limit, title, value, is_accepted(verdict, size, limit), _conformity(verdict, size, expanded)
+                )
+            )
     return tuple(found)
 
 
@@ -363,9 +380,7 @@ def _grouped_remarks(tests: Sequence[StandardTest]) -> list[str]:
     ]
 
 
-def _conformity(size: float, limit: float, expanded: float) -> Conformity:
+def _conformity(verdict: Verdict, size: float, expanded: float) -> Conformity:
     if not (np.isfinite(expanded) and np.isfinite(size)):
         return "unknown"
-    if size + expanded <= limit:
-        return "conforming"
-    return "nonconforming" if size - expanded > limit else "neither"
+    return CONFORMITY[verdict]

@@ -135,7 +135,8 @@ def save_model(model: ThermalModel, path: str | Path) -> None:
         ],
         "notices": list(model.notices),
     }
-    write_atomic(Path(path), yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None))
+    text = yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    write_atomic(Path(path), text, check=load_model)
 
 
 def _displacement(one: DisplacementModel) -> dict[str, Any]:

@@ -348,6 +348,21 @@ class ToolUncertainty:
             for component, found in moved.items()
         ]
 
+    def point_rates(self, positions: np.ndarray, approach: np.ndarray) -> np.ndarray:
+        """Return the derivatives (n, 3, parameters) of the tool point with respect to the uncertain parameters, µm per unit of each.
+
+        Args:
+            positions: (n, axes) commands, mm and degrees, checked.
+            approach: (n, axes) directions of approach, see `at`.
+        """
+        found = np.zeros((len(positions), 3, len(self.parameters)))
+        if self.parameters:
+            error = self.kinematics.sensitivities(positions, approach).error[:, :3]
+            for component, columns, shape in self.rates(positions, approach):
+                # m per m and m per rad equal µm per µm and µm per µrad.
+                found[:, :, columns] += error[:, :, component, None] * shape[:, None, :]
+        return found
+
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw deviations (parameters, count) of the uncertain parameters, µm and µrad: normal, with their covariance."""
         return np.asarray(self._factor @ rng.standard_normal((count, self._factor.shape[1])).T)

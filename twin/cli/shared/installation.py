@@ -113,8 +113,14 @@ def exit_with_import_error(error: BaseException) -> NoReturn:
 
     Raises:
         BaseException: the error itself, if all packages can be imported: then the defect is in twin.
+        KeyboardInterrupt: the import was interrupted.
         SystemExit: otherwise.
     """
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, KeyboardInterrupt):  # a package that was being imported made another exception of it
+            raise KeyboardInterrupt from error
+        cause = cause.__cause__ or cause.__context__
     accept_any_text()
     names: dict[str, list[str]] = {}
     for name, reason in broken().items():

@@ -43,6 +43,23 @@ def _readable(error: UnicodeError) -> tuple[str, int]:
 codecs.register_error("twin.readable", _readable)
 
 
+def open_closed_streams() -> None:
+    """Open standard streams that the caller closed, as by ``2>&-``, on the empty device.
+
+    Otherwise the next file that is opened, such as an output, gets the number of the closed stream, and messages end in it.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            null = os.open(os.devnull, os.O_RDWR)
+            if null != number:
+                os.dup2(null, number)
+                os.close(null)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "r" if number == 0 else "w", encoding="utf-8", closefd=False))
+
+
 def accept_any_text() -> None:
     """Make the standard streams replace characters that their encoding lacks by ASCII."""
     for stream in (sys.stdout, sys.stderr):

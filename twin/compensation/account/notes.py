@@ -11,7 +11,7 @@ from twin._common.records import TIME
 from twin.compensation.account.report import LineNote, ReversalNote
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving import Corrected
-from twin.machine.conditions import RecordingState
+from twin.machine.effects.base import RecordingState
 
 WARM_UP_S: Final = 600.0
 """Time over which the further change of a thermal effect is reported, s."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, final
 
 from twin._common.errors import InputError
+from twin._common.files import open_input
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.toolpath import Follower, LostBlock, MotionColumns
 from twin.nc.blocks import Notice
@@ -76,7 +77,7 @@ class ProgramFile:
 
     def _blocks(self) -> Iterator[bytes]:
         try:
-            with self.path.open("rb") as stream:
+            with open_input(self.path) as stream:
                 while data := stream.read(STRETCH_BYTES):
                     yield data
         except OSError as error:

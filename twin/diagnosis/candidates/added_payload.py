@@ -7,6 +7,7 @@ Control of Robots, ch. 12). Compliances that are not known are estimated togethe
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -90,7 +91,7 @@ def _candidate(
     doubt = _standard_uncertainties(inputs.calibration, compliant)
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[AddedLoad, ...]:
-        weights = np.concatenate([values, np.zeros(LOADS - len(values))])
+        weights = values if len(values) == LOADS else values[0] * first_moments(fixed)
 
         def load(one: GravityCompliance, u: float, beside: Sequence[AddedLoad] = ()) -> AddedLoad:
             return AddedLoad(one, loads_along(one.axis.name), side, weights, carried=carried, u=u, beside=beside)
@@ -112,6 +113,26 @@ def _candidate(
         build,
         reported=_mass_and_centre,
     )
+
+
+def first_moments(fixed: Mapping[str, float]) -> np.ndarray:
+    """Return (4,) mass and first moments, kg·m, of a load of 1 kg with the centre that a variant fixes; at the origin without one."""
+    return np.array([1.0, *(1e-3 * fixed.get(name, 0.0) for name in NUMBERS[1:])])
+
+
+def with_centre(candidate: Candidate, centre_mm: Sequence[float] | np.ndarray) -> Variant:
+    """Return the variant of an added load with a given centre: its only coefficient is the mass.
+
+    Args:
+        candidate: an added load.
+        centre_mm: centre in the frame that carries it.
+    """
+    fixed = dict(zip(NUMBERS[1:], map(float, centre_mm), strict=True))
+    parts = list(zip(candidate.variants[-1].columns, first_moments(fixed), strict=True))
+    terms = [replace(term, weight=term.weight * weight) for one, weight in parts for term in one.terms]
+    # The effect of 1 kg is at most the sum of those of its mass and moments, so that this mass has the largest plausible effect.
+    scale = 1.0 / sum(abs(weight) / one.scale for one, weight in parts)
+    return Variant((Column(tuple(terms), float(scale)),), fixed)
 
 
 def _standard_uncertainties(calibration: Calibration, compliant: Sequence[GravityCompliance]) -> list[float]:

@@ -419,6 +419,12 @@ def _quantities(
     )
     if "order" in form.variant.fixed:
         found = (Quantity("order", form.variant.fixed["order"], "1", 0.0), *found)
+    # Parameters that the search fixed within their bounds, such as a centre that the readings do not determine.
+    found += tuple(
+        Quantity(name, form.variant.fixed[name], unit, float("nan"))
+        for name, unit in form.candidate.names[len(values) :]
+        if name in form.variant.fixed
+    )
     if form.candidate.drift is not None and "time_constant" in fixed:
         found = (*found, Quantity("time_constant", fixed["time_constant"], "s", float(u[-1])))
     return found

@@ -25,6 +25,8 @@ from twin.measurement.table import Measurements
 from twin.numerics.covariance import Covariance
 from twin.uncertainty.budget import volume
 
+LARGEST_UM: Final = 1e5
+"""Error at the tool above which none is stated: small rotations and compliances do not describe a machine that is 100 mm off."""
 DEFAULT_TOOL_MM: Final = 100.0
 """Tool length assumed if the machine file has none."""
 
@@ -71,10 +73,15 @@ def gain(
         rms(before, network.read),
         rms(after, network.read),
         held,
-        float(np.sqrt(moved**2 + unseen**2 + rest)),
-        float(np.sqrt(doubt**2 + rest)),
+        *_plausible(np.sqrt(moved**2 + unseen**2 + rest), np.sqrt(doubt**2 + rest)),
         tool_length_of(network.machine),
     )
+
+
+def _plausible(before: float, after: float) -> tuple[float, float]:
+    """Return the errors at the tool before and after; both NaN if either is larger than the model describes."""
+    known = max(before, after) <= LARGEST_UM
+    return (float(before), float(after)) if known else (float("nan"), float("nan"))
 
 
 def residuals_as_written(problem: Problem, extended: Calibration, instrument: np.ndarray) -> np.ndarray:

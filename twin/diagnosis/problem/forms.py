@@ -164,7 +164,7 @@ class Candidates:
             products = Products(problem, self.products.columns, self._columns, points)
             root = problem.orthonormal_on(points)
             inner = [count / len(points) * own for own in self._projected_blocks(products, products.on_basis(root))]
-        basis = problem.rows(points).reshape(-1, len(problem.nuisance_coordinates))
+        basis = problem.rows(points).reshape(3 * len(points), len(problem.nuisance_coordinates))
         read = problem.network.read[points].reshape(-1)
         noise = rng.standard_normal((len(read), NULL_DATA_SETS)) * read[:, None]
         noise += basis @ (

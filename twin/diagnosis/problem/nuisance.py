@@ -13,6 +13,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from functools import reduce
 from hashlib import blake2b
+from math import prod
 from typing import Any, Final, final
 
 import numpy as np
@@ -190,7 +191,7 @@ class Nuisance:
 
     def along(self, vectors: np.ndarray) -> np.ndarray:
         """Return inner products (directions, …) of the basis with (3n, …) vectors at all points."""
-        flat = vectors.reshape(len(vectors), -1)
+        flat = vectors.reshape(len(vectors), prod(vectors.shape[1:]))
         at_points = flat.reshape(len(flat) // 3, 3, flat.shape[1])
         by_columns = self.signatures.along(lambda block: at_points[block.rows])[0]
         found = self.from_raw(np.concatenate([self._setup.T @ flat, by_columns]))
@@ -203,9 +204,11 @@ class Nuisance:
 
     def combined(self, coordinates: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
         """Return (3n, …) vectors at some points, in ascending order, or all, from (directions, …) coordinates in the basis."""
-        by_setup, rest = np.split(coordinates.reshape(len(coordinates), -1), [self._setup.shape[1]])
+        by_setup, rest = np.split(
+            coordinates.reshape(len(coordinates), prod(coordinates.shape[1:])), [self._setup.shape[1]]
+        )
         by_columns = self._change @ rest
-        setup = self._setup if points is None else self._setup_at(points).reshape(-1, self.setup_count)
+        setup = self._setup if points is None else self._setup_at(points).reshape(3 * len(points), self.setup_count)
         found = setup @ (by_setup - self._on_setup @ by_columns)
         if len(by_columns):
             found += self.signatures.combined(by_columns, points).reshape(found.shape)

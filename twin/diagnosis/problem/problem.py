@@ -77,7 +77,7 @@ class Problem:
         by_setup = np.zeros((len(setup), len(network.data), 3))
         network.fill_setup_columns(self.view, setup, by_setup.transpose(1, 2, 0))
         by_setup *= setup.plausible[:, None, None]
-        flat = by_setup.reshape(len(setup), -1).T
+        flat = by_setup.reshape(len(setup), 3 * len(network.data)).T
         self.nuisances = Nuisance.of(self.view, flat, *self._calibration_columns(calibration))
         self._start()
 

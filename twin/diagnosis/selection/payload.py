@@ -17,6 +17,7 @@ from typing import Final, final
 import numpy as np
 import scipy
 
+from twin.diagnosis.candidates.added_payload import with_centre
 from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
 from twin.diagnosis.selection.search import Selection, select, within_limits
@@ -30,7 +31,16 @@ from twin.machine.effects.gravity_compliance import (
     payloads_of,
     refined_form,
 )
-from twin.machine.effects.payload import CENTRE_RANGE_MM, MASS, SIDES, Side, max_payload_kg, side_of, sum_of
+from twin.machine.effects.payload import (
+    CENTRE_RANGE_MM,
+    LARGEST_RATIO,
+    MASS,
+    SIDES,
+    Side,
+    max_payload_kg,
+    side_of,
+    sum_of,
+)
 from twin.machine.machine import Axis
 from twin.measurement.state import machine_state
 
@@ -198,7 +208,76 @@ def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> 
         _exclude_free_payloads(candidates)
         known = {form.key: form for form in candidates.forms if MASS in form.variant.fixed}
         best, anew = select(candidates, [known.get(form.key, form) for form in best.forms]), False
+    for _ in range(ROUNDS):
+        forms = [_bounded_load(candidates, form, best.forms) for form in best.forms]
+        if forms == list(best.forms):
+            break
+        best, anew = select(candidates, [form for form in forms if form is not None]), False
     return within_limits(candidates, best, anew)
+
+
+def _bounded_load(candidates: Candidates, form: Form, forms: Sequence[Form]) -> Form | None:
+    """Return the form, or for an added load that is impossible the best possible one; None if no such load explains anything.
+
+    Mass and first moments are free in the search. A mass that is not positive, or a centre beyond the search range, is the noise of
+    directions that the readings hardly show: with the centre's prior (`CENTRE_PRIOR`) the estimate stays within its bounds.
+    """
+    added = next(iter(_added_loads(candidates, forms, (form,))), None)
+    if added is None or added.plausible:
+        return form
+    machine = candidates.problem.network.machine
+    free = next(one for one in candidates.forms if one.key == form.key and len(one.variant.columns) == CARRY)
+    heaviest = LARGEST_RATIO if added.carried else max_payload_kg(machine)
+    centre, mass = _bounded_centre(*_projected(candidates, free, [one for one in forms if one is not form]), heaviest)
+    if mass <= 0.0:
+        candidates.exclude({form.key})
+        return None
+    candidates.exclude_forms([free])
+    single = next(one for one in candidates.forms if one.key == form.key and len(one.variant.columns) == 1)
+    candidates.refine(single, with_centre(form.candidate, centre))
+    return candidates.forms[single.index]
+
+
+def _projected(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+    """Return inner products of a form's columns and with the residual, other causes projected out, in units of the parameters."""
+    every = [*others, form]
+    columns, gram = columns_of(every), candidates.gram(every)
+    at = np.searchsorted(columns, form.columns)
+    rest = np.setdiff1d(np.arange(len(columns)), at)
+    slope = candidates.slope[columns]
+    along = gram[np.ix_(at, rest)] @ pseudo_inverse(gram[np.ix_(rest, rest)])
+    size = np.array([column.scale for column in form.variant.columns])
+    left = (gram[np.ix_(at, at)] - along @ gram[np.ix_(rest, at)]) / np.outer(size, size)
+    return left, (slope[at] - along @ slope[rest]) / size
+
+
+def _bounded_centre(gram: np.ndarray, slope: np.ndarray, heaviest: float) -> tuple[np.ndarray, float]:
+    """Return the centre (3,), mm, and the mass within their bounds that explain most.
+
+    Args:
+        gram: (4, 4) inner products of mass and first moments, per kg and kg·m.
+        slope: (4,) inner products with the residual.
+        heaviest: largest mass.
+    """
+
+    def mass_of(shares: np.ndarray) -> tuple[float, float]:
+        one_kg = np.array([1.0, *(1e-3 * CENTRE_RANGE_MM * shares)])
+        size, along = float(one_kg @ gram @ one_kg), float(one_kg @ slope)
+        mass = float(np.clip(along / size, 0.0, heaviest)) if size > 0.0 else 0.0
+        return mass, 2.0 * mass * along - mass**2 * size
+
+    fits = [
+        scipy.optimize.minimize(
+            lambda shares: CENTRE_PRIOR * np.sum(shares**2) - mass_of(shares)[1],
+            start,
+            method="L-BFGS-B",
+            bounds=[(-1.0, 1.0)] * 3,
+            options={"maxiter": STEPS},
+        )
+        for start in (np.zeros(3), *np.concatenate([np.eye(3), -np.eye(3)]))
+    ]
+    shares = np.asarray(min(fits, key=lambda fit: float(fit.fun)).x)
+    return CENTRE_RANGE_MM * shares, mass_of(shares)[0]
 
 
 def _loads_found(candidates: Candidates, forms: Sequence[Form]) -> dict[Side, tuple[Payload | None, Payload | None]]:
@@ -217,7 +296,10 @@ def _loads_found(candidates: Candidates, forms: Sequence[Form]) -> dict[Side, tu
     if any(carried.values()):
         # The other side's joints must not carry it either, even if none of them is among the causes yet.
         found = {side: found.get(side, (None, None)) for side in SIDES}
+    # Further compliances of that side carry an added load as well.
     for own in _added_loads(candidates, forms):
+        if not own.plausible:
+            continue
         others = found.get(own.side, (None, None))
         kinds = [sum_of((one, own)) if one is not None and one.carried == own.carried else one for one in others]
         kinds[own.carried] = own if kinds[own.carried] is None else kinds[own.carried]
@@ -225,9 +307,9 @@ def _loads_found(candidates: Candidates, forms: Sequence[Form]) -> dict[Side, tu
     return found
 
 
-def _added_loads(candidates: Candidates, forms: Sequence[Form]) -> list[Payload]:
-    """Return the loads found with the known compliances, which further compliances of that side carry as well."""
-    own = [form for form in forms if form.candidate.specification in (PAYLOAD, CARRIED_LOAD)]
+def _added_loads(candidates: Candidates, forms: Sequence[Form], of: Sequence[Form] | None = None) -> list[Payload]:
+    """Return the loads found with the known compliances, fitted with all forms; of those forms only, if given."""
+    own = [form for form in of or forms if form.candidate.specification in (PAYLOAD, CARRIED_LOAD)]
     if not own:
         return []
     columns, values, _ = candidates.fitted(forms)
@@ -236,12 +318,15 @@ def _added_loads(candidates: Candidates, forms: Sequence[Form]) -> list[Payload]
         at = np.searchsorted(columns, form.columns)
         scale = np.array([column.scale for column in form.variant.columns])
         built = () if form.candidate.build is None else form.candidate.build(values[at] * scale, form.variant.fixed)
-        found += [effect.payload for effect in built[:1] if isinstance(effect, AddedLoad) and effect.weights[0] > 0.0]
+        found += [effect.payload for effect in built[:1] if isinstance(effect, AddedLoad) and effect.weights[0]]
     return found
 
 
 def restore_payloads(candidates: Candidates, forms: Sequence[Form]) -> None:
     """Put the loads of the given causes back into the load of all joints, after the pool was evaluated on other data."""
+    for form in forms:
+        if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
+            candidates.refine(candidates.forms[form.index], form.variant)
     for side in SIDES:
         yielding = [
             form

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from math import isnan
 from typing import Final, Literal
 
 import numpy as np
@@ -187,8 +188,13 @@ def _at_tool(diagnosis: DiagnosisResult) -> str:
     gain, kinds = diagnosis.gain, {kind(cause.effect) for cause in diagnosis.causes}
     if kinds == {"instrument"}:
         return "No effect: the error is in the readings only."
-    if gain is None or gain.tool_before_um <= 0.0:
+    if gain is None or gain.tool_before_um == 0.0:
         return ""
+    if isnan(gain.tool_before_um):
+        return (
+            "Unknown: over the working volume the causes would move the tool point by more than this model describes. The readings do "
+            "not determine them there."
+        )
     made = f"{micrometres(gain.tool_before_um)} (RMS over the working volume)"
     if _written(diagnosis):
         return f"{made}, within the measured range. After compensation {micrometres(gain.tool_after_um)} remain there."

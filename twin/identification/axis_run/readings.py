@@ -76,8 +76,9 @@ class BeamReadings:
         return csv_text(columns, comment_lines(comment, simulated=self.simulated))
 
     def save(self, path: str | Path, layout: AxisLayout, *, comment: str = "") -> None:
-        """Write the table atomically."""
-        write_atomic(Path(path), self.to_csv(layout, comment=comment))
+        """Write the table atomically, after it was read back."""
+        text = self.to_csv(layout, comment=comment)
+        write_atomic(Path(path), text, check=lambda written: load_readings(written, layout))
 
 
 def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:

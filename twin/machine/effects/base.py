@@ -116,6 +116,37 @@ def along(axis: Axis, value: Any) -> dict[int, Any]:
     return {start + i: value * part for i, part in enumerate(axis.direction) if part != 0.0}
 
 
+@final
+class RecordingState(dict[str, Any]):
+    """State of one pose inside the ranges that answers any request for a channel and records its name.
+
+    Args:
+        machine: the machine.
+
+    Attributes:
+        asked: names of the requested channels, in the order of the requests.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        # An arbitrary pose: no effect is zero at 0.37 of a range.
+        places = {
+            axis.name: 137.0
+            if axis.lower is None or axis.upper is None
+            else axis.lower + 0.37 * (axis.upper - axis.lower)
+            for axis in machine.axes
+        }
+        super().__init__({name: np.array([place]) for name, place in places.items()})
+        self.asked: list[str] = []
+
+    def __contains__(self, name: object) -> bool:
+        return True
+
+    def __missing__(self, name: str) -> np.ndarray:
+        if name not in self.asked:
+            self.asked.append(name)
+        return np.array([27.0])
+
+
 def channel(positions: Mapping[str, Any], name: str, effect: str) -> Any:
     """Return a channel that an effect needs besides the positions.
 

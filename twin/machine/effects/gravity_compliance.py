@@ -242,11 +242,11 @@ def combined(payloads: Sequence[Payload], added: Sequence[Payload]) -> tuple[Pay
 def _free_payload(machine: Machine, axis: Axis, values: np.ndarray) -> tuple[Payload, ...]:
     """Return the payload and the carried load that one joint alone implies, from its compliance and free loads (5 or 9,)."""
     side, found = side_of(axis), []
-    if values[0] and values[1]:
-        shares = [values[1] / values[0], *(values[2:5] / values[1])]
+    if values[0] and values[1] / values[0] > 0.0:
+        shares = [values[1] / values[0], *np.clip(values[2:5] / values[1], -1.0, 1.0)]
         found.append(Payload.of_shares(side, max_payload_kg(machine), shares))
-    if len(values) > FREE_LOADS and values[0] and values[FREE_LOADS]:
-        shares = [values[FREE_LOADS] / values[0], *(values[FREE_LOADS + 1 :] / values[FREE_LOADS])]
+    if len(values) > FREE_LOADS and values[0] and values[FREE_LOADS] / values[0] > 0.0:
+        shares = [values[FREE_LOADS] / values[0], *np.clip(values[FREE_LOADS + 1 :] / values[FREE_LOADS], -1.0, 1.0)]
         found.append(replace(Payload.of_shares(side, 1.0, shares), carried=True))
     return tuple(found)
 

@@ -63,6 +63,11 @@ class Payload:
         return cls(side, heaviest * share, (CENTRE_RANGE_MM * x, CENTRE_RANGE_MM * y, CENTRE_RANGE_MM * z))
 
     @property
+    def plausible(self) -> bool:
+        """Whether the mass is positive and the centre within the search range."""
+        return self.mass_kg > 0.0 and max(map(abs, self.centre_mm)) <= CENTRE_RANGE_MM * (1.0 + 1e-9)
+
+    @property
     def numbers(self) -> dict[str, float]:
         """Parameters by name."""
         return dict(zip(LOAD_NUMBERS if self.carried else NUMBERS, (self.mass_kg, *self.centre_mm), strict=True))

@@ -7,7 +7,7 @@ import io
 import re
 import zipfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, time
 from hashlib import sha256
@@ -26,6 +26,10 @@ MAX_UNPACKED_BYTES: Final = 2**29
 """Largest content of a workbook with its parts unpacked."""
 MAX_ROWS: Final = 500_000
 MAX_COLUMNS: Final = 1000
+MAX_CELLS: Final = 3_000_000
+"""Largest number of cells, empty ones included: a measurement of a machine has less than a tenth of it."""
+CELL_MARKS: Final = (b"<c ", b":c ", b"<c>")
+"""Beginnings of a cell in the XML of a sheet, with or without attributes or a prefix."""
 SAMPLE_ROWS: Final = 2000
 """Number of rows that show the delimiter."""
 DELIMITERS: Final = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
@@ -110,11 +114,29 @@ def read_cells(path: Path, *, sheet: str | None = None, encoding: str = "", deli
         raw = RawTable(path, digest, len(data), kept, comments, encoding, delimiter)
     if not raw.rows:
         raise InputError("no cells", expected="a table of measured points", file=path)
-    widest = max(len(row) for _, row in raw.rows)
-    if widest > MAX_COLUMNS or len(raw.rows) > MAX_ROWS:
-        size = f"{count_with_noun(len(raw.rows), 'row')} of up to {count_with_noun(widest, 'cell')}"
-        raise InputError(size, expected=f"at most {MAX_ROWS:,} rows of {MAX_COLUMNS:,} cells", file=path)
     return raw
+
+
+def _bounded(rows: Iterable[tuple[int, Sequence[Any]]], path: Path) -> Iterator[tuple[int, Sequence[Any]]]:
+    """Yield the rows of a table; refuse it at the row where it becomes larger than any measurement.
+
+    Raises:
+        InputError: too many rows, or too many cells in a row or in all.
+    """
+    widest = count = cells = 0
+    for line, row in rows:
+        if len(row) > MAX_COLUMNS:
+            # Programs that fill whole sheets end rows with empty cells.
+            width = max((i + 1 for i, cell in enumerate(row) if cell not in (None, "")), default=0)
+            row = row[:width]
+        widest, count, cells = max(widest, len(row)), count + 1, cells + len(row)
+        if widest > MAX_COLUMNS or count > MAX_ROWS or cells > MAX_CELLS:
+            size = (
+                f"too large: more than {count_with_noun(count - 1, 'row')} of up to {count_with_noun(widest, 'cell')}"
+            )
+            limits = f"{MAX_ROWS:,} rows, {MAX_COLUMNS:,} columns and {MAX_CELLS:,} cells"
+            raise InputError(size, expected=f"a table of measured points, at most {limits}", file=path)
+        yield line, row
 
 
 def _decoded(data: bytes, path: Path, encoding: str) -> tuple[str, str]:
@@ -196,7 +218,7 @@ def _text_rows(text: str, delimiter: str, path: Path) -> list[tuple[int, list[st
         )
     rows: list[tuple[int, list[str]]] = []
     try:
-        rows.extend(_split(text, sign))
+        rows.extend((line, list(row)) for line, row in _bounded(_split(text, sign), path))
     except csv.Error as error:
         line = rows[-1][0] + 1 if rows else 1
         raise InputError(
@@ -235,12 +257,16 @@ def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as parts:
             unpacked = sum(part.file_size for part in parts.infolist())
+            if unpacked <= MAX_UNPACKED_BYTES:
+                _check_cells(parts, path)
         if unpacked <= MAX_UNPACKED_BYTES:
             book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
             sheets = {sheet.title: sheet for sheet in book.worksheets}
             filled = [name for name, sheet in sheets.items() if wanted is not None or _is_filled(sheet)]
             name = wanted if wanted is not None else filled[0] if len(filled) == 1 else None
-            rows = [] if name not in sheets else _cells_of(sheets[name])
+            rows = [] if name not in sheets else _cells_of(sheets[name], path)
+    except InputError:
+        raise
     except _WORKBOOK_ERRORS as error:
         message = "a damaged workbook, or a zip file of another kind"
         raise InputError(message, expected="an Excel workbook (.xlsx)", file=path, value=error) from error
@@ -262,14 +288,38 @@ def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[
     return name, rows
 
 
+def _check_cells(parts: zipfile.ZipFile, path: Path) -> None:
+    """Refuse a workbook with a sheet of too many cells before openpyxl, which is a hundred times slower than counting, reads any.
+
+    Raises:
+        InputError: it has one.
+    """
+    for part in parts.infolist():
+        if not re.fullmatch(r"xl/worksheets/[^/]+\.xml", part.filename):
+            continue
+        cells, end = 0, b""
+        with parts.open(part) as stream:
+            while block := stream.read(1 << 20):
+                data = end + block
+                cells += sum(data.count(mark) for mark in CELL_MARKS)
+                end = data[-2:]  # shorter than any mark
+                if cells > MAX_CELLS:
+                    raise InputError(
+                        f"too large: a sheet of more than {MAX_CELLS:,} cells",
+                        expected="a sheet of measured points alone",
+                        file=path,
+                        value=part.filename,
+                    )
+
+
 def _is_filled(sheet: Any) -> bool:
     return any(value is not None for row in islice(sheet.iter_rows(values_only=True), 200) for value in row)
 
 
-def _cells_of(sheet: Any) -> list[tuple[int, list[str]]]:
+def _cells_of(sheet: Any, path: Path) -> list[tuple[int, list[str]]]:
     sheet.reset_dimensions()  # some programs write a wrong size of the sheet
-    rows = islice(sheet.iter_rows(values_only=True), MAX_ROWS + 1)
-    return [(number, [_cell_text(value) for value in row]) for number, row in enumerate(rows, start=1)]
+    rows = _bounded(enumerate(sheet.iter_rows(values_only=True), start=1), path)
+    return [(number, [_cell_text(value) for value in row]) for number, row in rows]
 
 
 def _cell_text(value: Any) -> str:
