@@ -220,9 +220,7 @@ class ToolUncertainty:
         without_uncertainty: names of errors, or of single parameters of a curve, with a value but no uncertainty.
     """
 
-    def __init__(
-        self, kinematics: Kinematics, errors: Literal["all", "identified", "unknown"] = "all"
-    ) -> None:
+    def __init__(self, kinematics: Kinematics, errors: Literal["all", "identified", "unknown"] = "all") -> None:
         self.kinematics = kinematics
         calibration = kinematics.calibration
         named = {parameter.name for effect in calibration.effects for parameter in effect.parameters}
@@ -233,9 +231,15 @@ class ToolUncertainty:
             covariance = Covariance.of_blocks([covariance, prior_covariance(calibration)])
         self.covariance = covariance
         self._effects = (*(() if errors == "unknown" else calibration.effects), *absent)
-        self.without_uncertainty = tuple(
-            name for name in _without(calibration, set(covariance.names)) if name.partition("[")[0] not in self.unknown
-        ) if errors != "unknown" else ()
+        self.without_uncertainty = (
+            tuple(
+                name
+                for name in _without(calibration, set(covariance.names))
+                if name.partition("[")[0] not in self.unknown
+            )
+            if errors != "unknown"
+            else ()
+        )
         self._index = {name: i for i, name in enumerate(covariance.names)}
         self._factor = _factor(covariance)
         frames = kinematics.machine.frames
@@ -281,7 +285,7 @@ class ToolUncertainty:
                 error = self.kinematics.sensitivities(step, sides[start : start + POSES_PER_STEP]).error
                 for first in range(0, len(step), POSES_PER_CHUNK):
                     part = slice(first, first + POSES_PER_CHUNK)
-                    rows, spread = self._spread(step[part], sides[start : start + POSES_PER_STEP][part])
+                    rows, spread = self.frame_factors(step[part], sides[start : start + POSES_PER_STEP][part])
                     # Metres per metre and radian equal µm per µm and µrad; the product is a factor, so no variance is negative.
                     root = error[part][:, :, rows] @ spread
                     covariance[start:][part] = root @ root.transpose(0, 2, 1)
@@ -372,11 +376,15 @@ class ToolUncertainty:
         """Draw deviations (parameters, count) of the uncertain parameters, µm and µrad: normal, with their covariance."""
         return np.asarray(self._factor @ rng.standard_normal((count, self._factor.shape[1])).T)
 
-    def _spread(self, q: np.ndarray, sides: np.ndarray) -> tuple[list[int], np.ndarray]:
+    def frame_factors(self, q: np.ndarray, sides: np.ndarray) -> tuple[list[int], np.ndarray]:
         """Return a factor of the covariance of the error frames' components that have an uncertainty.
 
+        Args:
+            q: (n, axes) commands, mm and degrees, checked.
+            sides: (n, axes) directions of approach, see `at`.
+
         Returns:
-            Their indices into the (6·frames,) vector, and the factor (n, indices, r), µm and µrad.
+            Their indices into the (6·frames,) vector, and the factor F (n, indices, r), µm and µrad: their covariance is F Fᵀ.
         """
         moved = self.rates(q, sides)
         spread = np.empty((len(moved), len(q), self._factor.shape[1]))
