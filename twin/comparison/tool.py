@@ -338,7 +338,7 @@ def _simulate_unchanged(
     for side in (scene.first, scene.second):
         kept = side.where(lambda name: name in judged)
         own = kept.covariance.where(lambda name: owner[name] in drawn)
-        tools.append(ToolUncertainty(scene.kinematics(replace(kept, joint=own))))
+        tools.append(ToolUncertainty(scene.kinematics(replace(kept, joint=own)), "identified"))
     rates = [_point_rates(tool, scene.q, scene.sides) for tool in tools]
     groups: dict[str, list[np.ndarray]] = {"all": [np.arange(len(tool.parameters)) for tool in tools]}
     for name in classes:

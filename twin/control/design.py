@@ -98,7 +98,7 @@ class Unproven:
         unit: ``um`` or ``urad``.
         rms: RMS of the correction over the table.
         u_rms: RMS of its U (95 %) over the table.
-        not_identified: errors in the correction that the calibration could not determine; if none, they are known to be no larger than U.
+        not_identified: errors in the correction that the calibration could not determine; if none, it is known to be small.
     """
 
     name: str

@@ -107,7 +107,8 @@ class KinematicsAccount:
             f"  holds: {form.carries}",
             f"  does not hold: {form.leaves}",
             f"  the location errors of the calibration displace the tool centre point by {made.displaced_rms_um:.2f} µm RMS, "
-            f"{made.displaced_max_um:.2f} µm at most; {made.left_rms_um:.3f} µm RMS, {made.left_max_um:.3f} µm at most, remain with this file",
+            f"{made.displaced_max_um:.2f} µm at most; {made.left_rms_um:.3f} µm RMS, {made.left_max_um:.3f} µm at most, remain with "
+            "this file",
             f"  read back: rounding in the file displaces the point by {made.round_trip_um:.4f} µm at most",
             "",
             *self.stages.to_lines(),
@@ -241,10 +242,10 @@ def _check_identified(errors: Calibration) -> None:
     """Raise `InputError` if a location was not identified: the file would overwrite what the control's own cycle has calibrated."""
     for warning in nominal_locations(errors):
         why = {one.name: one.why for one in errors.not_identifiable}
-        reasons = dict.fromkeys(why.get(name, "left out of the estimate on request") for name in warning.errors)
+        reason = why.get(warning.errors[0], "it was left out of the estimate")
         raise InputError(
-            f"{', '.join(warning.errors)}: not identified ({'; '.join(reasons)}). These kinematics would hold values that are not measured",
-            expected="a calibration with the location of every rotary axis, or kinematics of which a part is not measured",
+            f"{', '.join(warning.errors)} were not identified: kinematics with them would hold values that are not measured",
+            expected=f"the location of every rotary axis identified ({warning.errors[0]}: {reason}), or a file not measured in full",
             file=errors.path,
             setting="force",
         )

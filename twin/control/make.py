@@ -113,9 +113,9 @@ def make(
             setting="force",
         )
     if plan.unproven and request.unproven:
-        request = replace(
-            request, notes=(*request.notes, *(f"NOT SHOWN TO BE AN IMPROVEMENT: {one.text}" for one in plan.unproven))
-        )
+        names = ", ".join(one.name for one in plan.unproven)
+        note = f"NOT SHOWN TO BE AN IMPROVEMENT: U exceeds the correction in {names}"
+        request = replace(request, notes=(*request.notes, note))
     if not plan.correction.contents():
         raise InputError(
             "no error that these tables could correct",

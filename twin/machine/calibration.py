@@ -302,7 +302,11 @@ class Calibration:
         return self if same else replace(self, corrections=corrections)
 
     def where(self, keep: Callable[[str], bool]) -> Calibration:
-        """Return the calibration with only those effects (error motions, squareness, locations, others) whose name fulfils ``keep``."""
+        """Return the calibration with only those effects (error motions, squareness, locations, others) whose name fulfils ``keep``.
+
+        Errors that it does not contain because they could not be determined stay unknown.
+        """
+        given = {effect.name for effect in self.effects}
         numbers = {number.name for effect in self.effects if keep(effect.name) for number in effect.parameters}
         return replace(
             self,
@@ -312,7 +316,7 @@ class Calibration:
             joint=None if self.joint is None else self.joint.where(lambda name: name in numbers),
             extra=tuple(effect for effect in self.extra if keep(effect.name)),
             corrections=tuple(effect for effect in self.corrections if keep(effect.name)),
-            not_identifiable=tuple(one for one in self.not_identifiable if keep(one.name)),
+            not_identifiable=tuple(one for one in self.not_identifiable if one.name not in given or keep(one.name)),
         )
 
     @property
