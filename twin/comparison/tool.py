@@ -384,6 +384,16 @@ def _point_rates(tool: ToolUncertainty, q: np.ndarray, sides: np.ndarray) -> np.
     return found.reshape(3 * len(q), -1)
 
 
+def _unknown_u(scene: _CommonPoses) -> np.ndarray:
+    """Return (n,) U of the aligned tool point from the errors of the newer calibration that could not be determined."""
+    tool = ToolUncertainty(scene.kinematics(scene.second), "unknown")
+    if not tool.parameters:
+        return np.zeros(len(scene.q))
+    rates = _point_rates(tool, scene.q, scene.sides).reshape(len(scene.q), 3, -1)
+    aligned = scene.alignment.removed(rates)
+    return radius_95(aligned @ tool.covariance.matrix @ aligned.transpose(0, 2, 1))
+
+
 def _tool_displacement(
     scene: _CommonPoses, displacement: np.ndarray, chance: _Simulated, share: float
 ) -> ToolDisplacement:
@@ -420,7 +430,8 @@ def _remaining(scene: _CommonPoses, chance: _Simulated) -> Remaining:
     aligned = np.linalg.norm(Alignment(scene.meant.point_mm[keep]).removed(off), axis=1)
     row = int(np.argmax(aligned))
     known = len(chance.u_um) > 0
-    u = chance.u_um[keep] if known else np.full(len(aligned), np.nan)
+    # Errors of the machine that were not identified are independent of those that changed: the radii add in squares, or less.
+    u = np.hypot(chance.u_um, _unknown_u(scene))[keep] if known else np.full(len(aligned), np.nan)
     return Remaining(
         rms_um=float(np.sqrt(np.mean(aligned**2))),
         max_um=float(aligned[row]),

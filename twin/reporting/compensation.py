@@ -68,7 +68,10 @@ class CompensationForecast:
         before: error of the machine, including the tables in its control.
         without_tables: error without the tables in the control; None if there are none.
         exact: error after compensation if the calibration is exact (rounding, travel limits); None if the machine runs no programs.
-        with_uncertainty: the same including the uncertainty of the calibration; None if that is unknown or ``exact`` is None.
+        with_uncertainty: the same including the uncertainty of the calibration and the plausible size of errors that it could not
+            determine; None if that is unknown or ``exact`` is None.
+        identified: the same without the errors that could not be determined; None if there are none.
+        not_identified: names of these errors.
         complete: whether all errors have an uncertainty; if not, ``with_uncertainty`` is a lower bound.
         poses: number of poses.
         out_of_range: number of poses at which the correction exceeds the travel.
@@ -84,6 +87,8 @@ class CompensationForecast:
     without_tables: ErrorDistribution | None
     exact: ErrorDistribution | None
     with_uncertainty: ErrorDistribution | None
+    identified: ErrorDistribution | None
+    not_identified: tuple[str, ...]
     complete: bool
     poses: int
     out_of_range: int
@@ -95,10 +100,20 @@ class CompensationForecast:
     seed: int
 
     @property
+    def judged(self) -> ErrorDistribution | None:
+        """Expected error after compensation that decides whether compensating is an improvement.
+
+        Errors that could not be determined are the same before and after, and are not part of it.
+        """
+        return self.with_uncertainty if self.identified is None else self.identified
+
+    @property
     def levels(self) -> tuple[ErrorDistribution, ...]:
         """All available cases, in the order of the report."""
         return tuple(
-            one for one in (self.without_tables, self.before, self.exact, self.with_uncertainty) if one is not None
+            one
+            for one in (self.without_tables, self.before, self.exact, self.identified, self.with_uncertainty)
+            if one is not None
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -112,6 +127,8 @@ class CompensationForecast:
                 "without_control": self.without_tables,
                 "compensated_if_exactly_true": self.exact,
                 "compensated": self.with_uncertainty,
+                "compensated_identified_errors": self.judged,
+                "not_identified": self.not_identified,
                 "compensated_complete": self.with_uncertainty is not None and self.complete,
                 "out_of_range": self.out_of_range,
                 "out_of_range_max_um": self.out_of_range_um,
@@ -138,10 +155,10 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
     before = np.linalg.norm(found.error_um, axis=1)
     without_tables = None
     if real.calibration.corrections:
-        alone = without(real, {table.name for table in real.calibration.corrections})
-        remaining_bare = (alone.forward(q, sides).point_mm - found.nominal_poses.point_mm) * 1e3
+        bare = without(real, {table.name for table in real.calibration.corrections})
+        remaining_bare = (bare.forward(q, sides).point_mm - found.nominal_poses.point_mm) * 1e3
         without_tables = _distribution("without the control's tables", remaining_bare)
-    exact = with_uncertainty = tilt_after = spreads = None
+    exact = with_uncertainty = identified = tilt_after = spreads = None
     out = unoriented_count = 0
     worst_out = np.nan
     uncertainty = ToolUncertainty(real)
@@ -155,9 +172,13 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
         if out:
             worst_out = float(np.linalg.norm(remaining[beyond], axis=1).max())
         if uncertainty.parameters:
-            with_uncertainty = _distribution(
-                "compensated, with uncertainty", _with_uncertainty(remaining, uncertainty, q, sides, seed)
-            )
+            drawn = _with_uncertainty(remaining, uncertainty, q, sides, seed)
+            also = " and errors not identified" if uncertainty.unknown else ""
+            with_uncertainty = _distribution(f"compensated, with uncertainty{also}", drawn)
+        if uncertainty.unknown:
+            alone = ToolUncertainty(real, "identified")
+            drawn = _with_uncertainty(remaining, alone, q, sides, seed) if alone.parameters else remaining
+            identified = _distribution("compensated, with uncertainty", drawn)
     if uncertainty.parameters:
         nominal_poses = draw_machines(real, trials=MACHINES, poses=MACHINE_POSES, seed=seed, workers=Workers(1))
         spreads = (nominal_poses.as_it_is[0], nominal_poses.compensated[0])
@@ -166,6 +187,8 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
         without_tables=without_tables,
         exact=exact,
         with_uncertainty=with_uncertainty,
+        identified=identified,
+        not_identified=uncertainty.unknown,
         complete=not uncertainty.without_uncertainty,
         poses=len(q),
         out_of_range=out,
