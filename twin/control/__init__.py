@@ -34,8 +34,8 @@ both are unknown. `twin report` gives the same figures for `siemens`, `heidenhai
 other axes in the middle of their ranges. Warnings about the origin of the numbers are in the comments of every file.
 
 **Not written.** A table is written only if it is shown to be an improvement: the RMS of its correction over the table exceeds the RMS
-of the correction's U (95 %). A machine without that error would otherwise get a table in 19 of 20 cases. The account lists the others. If
-the calibration says that it could not determine the error, the exit status is 3; if no table is left, it is 2 and nothing is written.
+of the correction's U (95 %). A machine without that error would otherwise get a table in 19 of 20 cases. The account lists the others.
+If the calibration says that it could not determine the error, the exit status is 3; if no table is left, it is 2: nothing is written.
 `--force` writes them all, with the warning in the files. Without a covariance U is unknown and every table is written.
 
 **Errors measured with active tables** (`control: errors_are: remaining`) are the errors that remain with those tables. New tables
