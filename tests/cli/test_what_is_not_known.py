@@ -90,7 +90,7 @@ def test_every_command_says_it(
     assert TITLE in page and "cannot be separated from" in page
     found = said("compare", measured[kind], measured["all"], "--tool-length", 120, "--tolerance", 0.05)
     assert [one["error"] for one in found["not_identified"]] == list(unknown)
-    assert found["tolerance"]["good_enough"] is None
+    assert found["first_compensating_second"]["good_enough"] is None
 
 
 def test_good_tables_are_written_and_those_of_one_reflector_are_refused(

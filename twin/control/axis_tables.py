@@ -197,7 +197,7 @@ def _factors(required: RequiredCorrections, axis: Axis, columns: Sequence[TableC
     if not axis.linear:
         return np.stack([required.rotary_factors(axis, q, one.side) for one in columns], axis=1)
     linear, line = [required.machine.axes[i].name for i in required.machine.linear], required.positions_along(axis, q)
-    found = {}
+    found: dict[tuple[Direction, str | None], np.ndarray] = {}
     for side, by in {(one.side, one.by) for one in columns}:
         if by is None:
             found[side, by] = required.linear_factors((axis.name,), line, side)

@@ -65,7 +65,7 @@ class PointUncertainty:
         """Return the uncertainty at (n, axes) poses, approached from the directions ``sides`` (+1, −1, 0 unknown)."""
         tool = ToolUncertainty(real)
         if not tool.parameters:
-            return cls(*[np.nan] * 5, (), tool.without_uncertainty)
+            return cls(np.nan, np.nan, np.nan, np.nan, np.nan, (), tool.without_uncertainty)
         found = tool.at(q, sides)
         of_identified = ToolUncertainty(real, "identified").at(q, sides) if tool.unknown else found
         rms, standard, identified, identified_standard = (
