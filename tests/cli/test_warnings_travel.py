@@ -15,8 +15,10 @@ from twin import cli
 from twin._common.errors import InputError
 from twin._common.provenance import (
     ILLUSTRATIVE,
+    NOT_IDENTIFIABLE,
     PARTLY_UNKNOWN_UNCERTAINTY,
     SIMULATED,
+    SYSTEMATIC_RESIDUALS,
     UNKNOWN_UNCERTAINTY,
     UNSETTLED_ESTIMATE,
     SourceWarning,
@@ -36,6 +38,7 @@ from twin.nc.iso.dialect import Iso
 from twin.samples import thesis_plan
 
 COVARIANCE: Final = ", covariance: [[1.0, 0], [0, 2.0]]"
+NOT_KNOWN: Final = NOT_IDENTIFIABLE.about(["E_XY"])
 KINDS: Final[dict[str, tuple[str, str, str, tuple[SourceWarning, ...]]]] = {
     # name: entry of the file, entry of the curve, covariance of the curve, warnings
     "nothing": ("", "", COVARIANCE, ()),
@@ -43,9 +46,23 @@ KINDS: Final[dict[str, tuple[str, str, str, tuple[SourceWarning, ...]]]] = {
     "simulated": ("simulated: true", "", COVARIANCE, (SIMULATED,)),
     "unknown": ("", "", "", (UNKNOWN_UNCERTAINTY,)),
     "unsettled": ("settled: false", "", COVARIANCE, (UNSETTLED_ESTIMATE,)),
-    "all": ("simulated: true", ", illustrative: true", "", (ILLUSTRATIVE, SIMULATED, UNKNOWN_UNCERTAINTY)),
+    "not identified": ("not_identifiable: [{name: E_XY, why: Y did not move}]", "", COVARIANCE, (NOT_KNOWN,)),
+    "misfit": ("misfit: {verdict: systematic}", "", COVARIANCE, (SYSTEMATIC_RESIDUALS,)),
+    "all": (
+        "simulated: true\nmisfit: {verdict: systematic}\nnot_identifiable: [{name: E_XY, why: Y did not move}]",
+        ", illustrative: true",
+        "",
+        (ILLUSTRATIVE, SIMULATED, NOT_KNOWN, SYSTEMATIC_RESIDUALS, UNKNOWN_UNCERTAINTY),
+    ),
 }
-EVERY: Final = (ILLUSTRATIVE, SIMULATED, UNSETTLED_ESTIMATE, UNKNOWN_UNCERTAINTY)
+EVERY: Final = (
+    ILLUSTRATIVE,
+    SIMULATED,
+    UNSETTLED_ESTIMATE,
+    NOT_KNOWN,
+    SYSTEMATIC_RESIDUALS,
+    UNKNOWN_UNCERTAINTY,
+)
 PROGRAMS: Final = {
     "p.nc": "%\nO1234 (part)\nG21 G90 G0 X100 Y100 Z-100\nG1 X200 F500\nM30\n%\n",
     "p.mpf": "%_N_PART_MPF\n;$PATH=/_N_WKS_DIR\nG90 G0 X100 Y100 Z-100\nG1 X200 F500\nM30\n",
@@ -167,8 +184,8 @@ def files(folder: Path, *, cut: bool, drawn: bool) -> Files:
     return found
 
 
-ONE_ALONE: Final = ("nothing", "illustrative", "simulated", "unknown")
-"""Slow kinds; the last three are combined in ``all``."""
+ONE_ALONE: Final = ("nothing", "illustrative", "simulated", "unknown", "not identified", "misfit")
+"""Slow kinds; those after the first are combined in ``all``."""
 
 
 @pytest.mark.parametrize(
@@ -265,7 +282,8 @@ def test_calibration_from_simulated_readings_has_the_warning(dmu50: Machine, tab
     # The warning does not change any number.
     assert np.array_equal(drawn.calibration.covariance.matrix, real.calibration.covariance.matrix)
     assert SIMULATED.text in drawn.to_text() and SIMULATED.title not in real.to_text()
-    assert [one["name"] for one in drawn.to_dict()["warnings"]] == ["simulated_readings"]
+    # Only X moved: nothing is known of the other axes.
+    assert [one["name"] for one in drawn.to_dict()["warnings"]] == ["simulated_readings", "not_identifiable"]
 
 
 def test_standard_tests_have_the_warning(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,8 +26,23 @@ its lower triangle: `lower`, one row per line, for up to 20 parameters, otherwis
 ungrouped bytes). It replaces the covariances of the curves. `settled: false` means that the estimate did not converge: no program and
 no compensation table can be made from such a file. `simulated: true` means that some of the readings
 were simulated; `identify`, `axis-run` and `diagnose --extended` write it, even if only one of several tables was simulated.
-`illustrative`, `simulated`, `settled: false` and errors without a covariance are warnings. Programs, control tables, reports and JSON
-(`warnings`: a list of `name` and `text`) made from the file repeat them.
+
+`identify` also writes what is not known:
+
+    instruments: [tracker]
+    set_up: {stations: 1, targets_on_tool: 3, targets_on_work: 3, points: 840}
+    misfit: {verdict: consistent, says: …, rms_um: 0.9, reduced_chi2: 1.0, dof: 2100.0, p_value: 0.4, held_out_rms_um: 1.0}
+    not_identifiable:
+    - {name: E_X0B, why: cannot be separated from station 1 and the targets; enter the targets' places}
+    not_estimated: [E_C0Y]           # left out on request (`--only`): counts as zero
+
+`verdict`: `consistent`, `systematic` (a repeatable part of the residuals is not described), `larger` (than the stated noise) or
+`untested` (too few readings). An error under `not_identifiable` has no value, and is not zero: U at the tool includes the `plausible`
+size of the machine file for it. One that has a value nevertheless, because other errors refer to it, has that size in the covariance.
+`not_estimated` only bars kinematics with such a location. All of these entries are optional.
+
+`illustrative`, `simulated`, `settled: false`, `not_identifiable`, a `misfit` that is not `consistent`, and errors without a covariance
+are warnings. Programs, control tables, reports and JSON (`warnings`: a list of `name` and `text`) made from the file repeat them.
 
 A curve is Σ c_k f_k(q), q in mm or degrees. `power`: f_k = u^k with u = (2q − lo − hi)/(hi − lo). `bernstein`: f_k = C(n,k) x^k (1 −
 x)^(n−k), x = (q − lo)/(hi − lo), n = coefficients − 1: the same polynomials, bounded by the smallest and the largest coefficient.

@@ -7,10 +7,30 @@ can hold them in a comment.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, final
 
-Name = Literal["illustrative", "simulated_readings", "unsettled_estimate", "unknown_uncertainty"]
+Name = Literal[
+    "illustrative",
+    "simulated_readings",
+    "unsettled_estimate",
+    "not_identifiable",
+    "kinematics_not_identified",
+    "misfit",
+    "unknown_uncertainty",
+]
+ORDER: Final[tuple[Name, ...]] = (
+    "illustrative",
+    "simulated_readings",
+    "unsettled_estimate",
+    "kinematics_not_identified",
+    "not_identifiable",
+    "misfit",
+    "unknown_uncertainty",
+)
+"""Names of the warnings, the most serious first."""
+NAMED: Final = 8
+"""Largest number of errors that a warning names; the others are counted."""
 
 
 @final
@@ -21,12 +41,22 @@ class SourceWarning:
     Attributes:
         name: identifier of the warning.
         title: the title shown before the sentence.
-        sentence: the explanation.
+        explanation: the sentence, without the errors that it is about.
+        errors: names of the errors that it is about; empty if it is about all.
     """
 
     name: Name
     title: str
-    sentence: str
+    explanation: str
+    errors: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """The explanation, after the names of the errors that it is about."""
+        if not self.errors:
+            return self.explanation
+        more = len(self.errors) - NAMED
+        return f"{', '.join(self.errors[:NAMED])}{f' and {more} more' if more > 0 else ''} {self.explanation}"
 
     @property
     def text(self) -> str:
@@ -36,6 +66,10 @@ class SourceWarning:
     def to_dict(self) -> dict[str, str]:
         """Return the warning as JSON data."""
         return {"name": self.name, "text": self.text}
+
+    def about(self, errors: Iterable[str]) -> SourceWarning:
+        """Return the warning about some errors, by name."""
+        return replace(self, errors=tuple(dict.fromkeys(errors)))
 
 
 ILLUSTRATIVE: Final = SourceWarning(
@@ -49,6 +83,29 @@ SIMULATED: Final = SourceWarning(
 UNSETTLED_ESTIMATE: Final = SourceWarning(
     "unsettled_estimate", "UNSETTLED ESTIMATE", "the identification did not converge. Do not use its numbers."
 )
+NOT_IDENTIFIABLE: Final = SourceWarning(
+    "not_identifiable",
+    "NOT IDENTIFIED",
+    "could not be determined from the readings. U includes the plausible range of the machine file for them.",
+)
+NOMINAL_KINEMATICS: Final = SourceWarning(
+    "kinematics_not_identified",
+    "KINEMATICS NOT IDENTIFIED",
+    "were not identified: the values here are not measured. Do not load them into a control that was calibrated otherwise.",
+)
+SYSTEMATIC_RESIDUALS: Final = SourceWarning(
+    "misfit",
+    "SYSTEMATIC RESIDUALS",
+    "the readings contain a repeatable part that the calibration does not describe and its uncertainties do not cover.",
+)
+NOISE_CONTRADICTED: Final = SourceWarning(
+    "misfit",
+    "RESIDUALS LARGER THAN THE STATED UNCERTAINTY",
+    "the readings contradict the noise on which the uncertainties of the calibration are based.",
+)
+MODEL_NOT_TESTED: Final = SourceWarning(
+    "misfit", "MODEL NOT TESTED", "the readings were too few to test the calibration against them."
+)
 UNKNOWN_UNCERTAINTY: Final = SourceWarning(
     "unknown_uncertainty", "UNKNOWN UNCERTAINTY", "the calibration gives no uncertainty for its errors."
 )
@@ -58,15 +115,16 @@ PARTLY_UNKNOWN_UNCERTAINTY: Final = SourceWarning(
 
 
 def merge_warnings(*lists: Iterable[SourceWarning]) -> tuple[SourceWarning, ...]:
-    """Return the warnings of several sources, each name once (its first occurrence), the most serious first."""
+    """Return the warnings of several sources, the most serious first.
+
+    Each name appears once, with the title of its first occurrence and the errors of all.
+    """
     first: dict[str, SourceWarning] = {}
     for warning in (warning for each in lists for warning in each):
-        first.setdefault(warning.name, warning)
-    return tuple(
-        first[kind.name]
-        for kind in (ILLUSTRATIVE, SIMULATED, UNSETTLED_ESTIMATE, UNKNOWN_UNCERTAINTY)
-        if kind.name in first
-    )
+        same = first.setdefault(warning.name, warning)
+        if warning.errors and same.errors:
+            first[warning.name] = same.about((*same.errors, *warning.errors))
+    return tuple(first[name] for name in ORDER if name in first)
 
 
 def warnings_to_json(warnings: Sequence[SourceWarning]) -> list[dict[str, str]]:

@@ -70,6 +70,11 @@ PRODUCTS_HELP = "Use products of two tables for angular errors ({product_formats
 Products = Annotated[bool, typer.Option("--products/--no-products", help=PRODUCTS_HELP)]
 ADD_HELP = "Add to the tables that were active when the calibration was measured."
 Add = Annotated[bool, typer.Option("--add", help=ADD_HELP)]
+FORCE_HELP = (
+    "Also write tables whose uncertainty exceeds their correction, and kinematics with locations that were not identified; "
+    "the files say so."
+)
+Force = Annotated[bool, typer.Option("--force", help=FORCE_HELP)]
 
 
 @command(
@@ -95,6 +100,7 @@ def control(
     tables: Tables = None,
     products: Products = True,
     add: Add = False,
+    force: Force = False,
     temperature: TemperatureOption = None,
     time: TimeOption = None,
     rpm: RpmOption = None,
@@ -126,10 +132,10 @@ def control(
         "step": step,
         "most": tables,
     }
-    own |= {"products": products, "conditions": around, "add": add, "notes": notes}
+    own |= {"products": products, "conditions": around, "add": add, "notes": notes, "unproven": force}
     request = None if to is None else _request(to, None if tolerance is None else 1e3 * tolerance, own)
     if kinematics is not None and output is not None:
-        both = KinematicsRequest(kinematics, request, tool_length, around, notes)
+        both = KinematicsRequest(kinematics, request, tool_length, around, force, notes)
         _write_kinematics(errors, both, output, json_file)
     elif request is not None and output is not None:
         _write(loaded, errors, request, output, json_file)

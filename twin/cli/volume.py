@@ -108,6 +108,12 @@ def _lines(found: Population, *, programs: bool) -> list[str]:
         _row(f"{'compensated with' if programs else 'minus'} this calibration: RMS", found.compensated[0]),
         _row("          largest of the poses", found.compensated[1]),
     ]
+    if found.not_identified:
+        known = values["first_order_identified_errors"]
+        lines.append(
+            f"drawn from their plausible size, because not identified: {', '.join(found.not_identified)}; without them U to "
+            f"first order is {known['rms_um']:.3f} µm RMS, {known['max_um']:.3f} µm largest"
+        )
     if found.without_uncertainty:
         names = ", ".join(found.without_uncertainty)
         lines.append(f"not varied (no covariance in the calibration): {names}")

@@ -12,7 +12,7 @@ import scipy
 from twin._common.errors import InputError, require_type
 from twin._common.progress import Progress, silent
 from twin._common.provenance import merge_warnings
-from twin.comparison.pairs import NotCompared, Pair, joint_covariance, pair_errors
+from twin.comparison.pairs import NotCompared, Pair, joint_covariance, not_identified, pair_errors
 from twin.comparison.result import Changes, Culprits, ErrorChange
 from twin.comparison.significance import SHARE, holm_adjusted, simultaneous_factor, smallest_set, whiten
 from twin.comparison.tool import POSES, Cause, JudgedErrors, at_tool
@@ -77,6 +77,7 @@ def compare(
         second=named[1],
         errors=errors,
         not_compared=not_compared,
+        not_identified=not_identified(first, second),
         joint_p_value=whole.p_value,
         joint_dof=whole.dof,
         culprits=whole.culprits,

@@ -177,6 +177,16 @@ def pair_errors(first: Calibration, second: Calibration) -> tuple[tuple[Pair, ..
     return tuple(pairs), tuple(not_compared)
 
 
+def not_identified(first: Calibration, second: Calibration) -> tuple[NotCompared, ...]:
+    """Return the errors that neither calibration contains, because they could not be determined.
+
+    An error that one of them contains is listed by `pair_errors`.
+    """
+    given = {effect.name for side in (first, second) for effect in side.effects}
+    reasons = {one.name: one.why for side in (first, second) for one in side.not_identifiable if one.name not in given}
+    return tuple(NotCompared(name, "both", why, float("nan"), unit_of(name)) for name, why in reasons.items())
+
+
 def without_rounding(covariance: np.ndarray, *, alike: bool) -> np.ndarray:
     """Return a covariance with variances that are rounding errors set to zero.
 

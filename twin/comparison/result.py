@@ -123,6 +123,8 @@ class Changes:
         first, second: names of the two (their files).
         errors: change of each error that both contain, tested by itself.
         not_compared: errors that could not be compared, with the reason.
+        not_identified: errors that neither contains, because they could not be determined; U of what remains includes their plausible
+            size.
         joint_p_value, joint_dof: of the χ² of all known changes together; NaN and 0 if none is known.
         culprits: the smallest set of errors that explains the change.
         tool: the change at the tool.
@@ -138,6 +140,7 @@ class Changes:
     second: str
     errors: tuple[ErrorChange, ...]
     not_compared: tuple[NotCompared, ...]
+    not_identified: tuple[NotCompared, ...]
     joint_p_value: float
     joint_dof: int
     culprits: Culprits
@@ -233,6 +236,7 @@ class Changes:
                 "shows_from": [{"error": name, "size": size, "unit": unit} for name, size, unit in culprits.shows_from],
             },
             "not_compared": [json_form(one, rename={"name": "error"}) for one in self.not_compared],
+            "not_identified": [{"error": one.name, "why": one.why} for one in self.not_identified],
             "left_out_at_tool": [{"effect": name, "needs": needs} for name, needs in self.left_out],
             "tool": json_form(self.tool, rename=AT_TOOL, leave_out=("left",)),
             "first_compensating_second": {

@@ -93,6 +93,9 @@ def _errors(found: Changes) -> list[str]:
                 "(a constant, a slope): not tested"
             )
         lines += [f"    {error.name}: {note}" for note in notes]
+    if found.not_identified:
+        lines += ["", "in neither calibration, because not identified"]
+        lines += [f"  {one.name}: {one.why}" for one in found.not_identified]
     if found.not_compared:
         lines += ["", "not compared"]
     for one in found.not_compared:

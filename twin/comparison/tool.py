@@ -335,7 +335,7 @@ def _simulate_unchanged(
     for side in (scene.first, scene.second):
         kept = side.where(lambda name: name in judged)
         own = kept.covariance.where(lambda name: owner[name] in drawn)
-        tools.append(ToolUncertainty(scene.kinematics(replace(kept, joint=own))))
+        tools.append(ToolUncertainty(scene.kinematics(replace(kept, joint=own)), "identified"))
     rates = [tool.point_rates(scene.q, scene.sides).reshape(3 * len(scene.q), -1) for tool in tools]
     groups: dict[str, list[np.ndarray]] = {"all": [np.arange(len(tool.parameters)) for tool in tools]}
     for name in classes:
@@ -369,6 +369,15 @@ def _simulate_unchanged(
     return {
         name: _Simulated(np.concatenate(rms[name]), u_um[name], factor if name == "all" else np.nan) for name in rms
     }
+
+
+def _unknown_u(scene: _CommonPoses) -> np.ndarray:
+    """Return (n,) U of the aligned tool point from the errors of the newer calibration that could not be determined."""
+    tool = ToolUncertainty(scene.kinematics(scene.second), "unknown")
+    if not tool.parameters:
+        return np.zeros(len(scene.q))
+    aligned = scene.alignment.removed(tool.point_rates(scene.q, scene.sides))
+    return radius_95(aligned @ tool.covariance.matrix @ aligned.transpose(0, 2, 1))
 
 
 def _tool_displacement(
@@ -407,7 +416,8 @@ def _remaining(scene: _CommonPoses, chance: _Simulated) -> Remaining:
     aligned = np.linalg.norm(Alignment(scene.meant.point_mm[keep]).removed(off), axis=1)
     row = int(np.argmax(aligned))
     known = len(chance.u_um) > 0
-    u = chance.u_um[keep] if known else np.full(len(aligned), np.nan)
+    # Errors of the machine that were not identified are independent of those that changed: the radii add in squares, or less.
+    u = np.hypot(chance.u_um, _unknown_u(scene))[keep] if known else np.full(len(aligned), np.nan)
     return Remaining(
         rms_um=float(np.sqrt(np.mean(aligned**2))),
         max_um=float(aligned[row]),

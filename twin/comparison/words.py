@@ -55,6 +55,11 @@ def meaning_of(found: Changes) -> tuple[str, ...]:
         sentences.append(
             f"This does not cover errors that could not be compared or tested: {_list(names, MOST_NAMED)}."
         )
+    if found.not_identified:
+        sentences.append(
+            f"Nothing is known of {_list([one.name for one in found.not_identified], MOST_NAMED)}: neither calibration could determine "
+            "them. A change of them is not seen; U of what remains includes their plausible size."
+        )
     sentences += _verdict_on_tolerance(found)
     return tuple(sentences)
 

@@ -150,6 +150,11 @@ class PreparedMachine:
         return self._within[space]
 
     @cached_property
+    def at_unknown(self) -> ToolUncertainty:
+        """Uncertainty at the functional point from the errors that the calibration could not determine; nothing corrects them."""
+        return ToolUncertainty(self.real, "unknown")
+
+    @cached_property
     def constant(self) -> dict[str, float]:
         """Channels that the calibration needs and that have one value for the whole program."""
         used = self.options.conditions.used(self.calibration)
@@ -284,7 +289,7 @@ class CorrectionAim:
     @cached_property
     def at_point(self) -> ToolUncertainty:
         """Uncertainty of the corrected errors at the functional point."""
-        return ToolUncertainty(self.point)
+        return ToolUncertainty(self.point, "identified")
 
     @cached_property
     def at_axis(self) -> ToolUncertainty | None:
@@ -295,7 +300,7 @@ class CorrectionAim:
         if self.orientation is None:
             return None
         names = [{effect.name for effect in machine.calibration.effects} for machine in (self.orientation, self.point)]
-        return self.at_point if names[0] <= names[1] else ToolUncertainty(self.orientation)
+        return self.at_point if names[0] <= names[1] else ToolUncertainty(self.orientation, "identified")
 
     @cached_property
     def by_class(self) -> Mapping[str, Kinematics]:

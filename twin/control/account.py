@@ -82,6 +82,7 @@ class Account:
             "",
             *self.remains.to_lines(),
         ]
+        lines += self._unproven()
         lines += ["", "Error motions", *_shares(self.carried), *self._limits()]
         lines += [
             "",
@@ -100,6 +101,18 @@ class Account:
         if self.unmet:
             lines += ["", "Not met:", *(f"  - {text}" for text in self.unmet)]
         return "\n".join(lines) + "\n"
+
+    def _unproven(self) -> list[str]:
+        """Return the lines on tables whose U exceeds their correction."""
+        made = self.made
+        if not made.unproven:
+            return []
+        what = "WRITTEN ALTHOUGH" if made.request.unproven else "Not written, because"
+        return [
+            "",
+            f"{what} U of the correction (95 %) exceeds the correction: not shown to be an improvement",
+            *(f"  {one.text}" for one in made.unproven),
+        ]
 
     @property
     def load(self) -> tuple[str, ...]:
@@ -145,6 +158,7 @@ class Account:
             "conditions": dict(made.held),
             "files": list(made.files),
             "tables": [_row(one) for one in made.tables],
+            "unproven_tables": [{**json_form(one), "written": made.request.unproven} for one in made.unproven],
             "error_at_tool": self.remains.to_dict(),
             "errors": json_form(self.carried),
             "unchecked": list(made.request.form.unchecked),

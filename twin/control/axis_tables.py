@@ -12,7 +12,9 @@ from twin._common.errors import InputError
 from twin._common.units import TURN
 from twin.control.design import (
     NEGLIGIBLE_SHARE,
+    U_EVERY,
     Design,
+    ProofOfTables,
     Share,
     Table,
     TablePlan,
@@ -30,6 +32,9 @@ from twin.machine.machine import Axis
 
 TURNS: Final = (-TURN, 2.0 * TURN)
 """Range of a table over an unlimited rotary axis, degrees, in a format that does not wrap positions."""
+LINEAR: Final = ("L-POS", "L-STR", "L-SQU", "L-ANG")
+ROTARY: Final = ("R-POS",)
+"""Classes that a table over an axis corrects."""
 SOME_BEYOND: Final = 0.01
 ALL_BEYOND: Final = 0.99
 """Limits of the share of an error that no linear axis can correct; products of two errors contribute about 0.001."""
@@ -78,6 +83,7 @@ class AxisTables(Design[TableSum]):
     def plan(self, required: RequiredCorrections, request: Request, old: TableSum | None) -> TablePlan[TableSum]:
         """See `Design.plan`. If there are more tables than the control has, those that correct least are left out."""
         form, machine, found = request.form, required.machine, list[Planned]()
+        proof = ProofOfTables(required, keep_all=request.unproven)
         for axis in machine.axes:
             columns = _columns(required, form, axis, request)
             if not columns:
@@ -90,7 +96,12 @@ class AxisTables(Design[TableSum]):
                 nodes = choose_nodes(truth, low, high, np.array(limits), step=request.step, most=form.points)
             else:
                 nodes = nodes_at(truth, np.array(kept))
-            found += _planned(required, axis, columns, nodes, truth, period_of(axis) if form.wraps else None)
+            planned = _planned(required, axis, columns, nodes, truth, period_of(axis) if form.wraps else None)
+            factors = _factors(required, axis, columns, planned[0].q[::U_EVERY])
+            for k, one in enumerate(planned):
+                (content,) = TableSum((one.term,), machine).contents()
+                if proof.keeps(content, [axis.name], LINEAR if axis.linear else ROTARY, one.truth, factors[:, k]):
+                    found.append(one)
         most = None if form.tables is None else request.most or form.tables
         within, left_out = _strongest(found, most)
 
@@ -101,7 +112,7 @@ class AxisTables(Design[TableSum]):
 
         correction = TableSum(tuple(one.term for one in within), machine)
         contents = correction.contents()
-        return TablePlan(correction, compared, left_out)
+        return TablePlan(correction, compared, left_out, tuple(proof.unproven))
 
     def share(
         self, required: RequiredCorrections, effect: Effect, others: Sequence[Axis], request: Request
@@ -179,6 +190,24 @@ def _required_values(
         return np.stack([found[one.side, one.by][:, linear.index(one.moved)] for one in columns], axis=1)
 
     return truth
+
+
+def _factors(required: RequiredCorrections, axis: Axis, columns: Sequence[TableColumn], q: np.ndarray) -> np.ndarray:
+    """Return the factors (n, columns, r) of the covariance of the required values of the columns, as `_required_values`."""
+    if not axis.linear:
+        return np.stack([required.rotary_factors(axis, q, one.side) for one in columns], axis=1)
+    linear, line = [required.machine.axes[i].name for i in required.machine.linear], required.positions_along(axis, q)
+    found: dict[tuple[Direction, str | None], np.ndarray] = {}
+    for side, by in {(one.side, one.by) for one in columns}:
+        if by is None:
+            found[side, by] = required.linear_factors((axis.name,), line, side)
+        else:
+            ends = [
+                required.linear_factors((axis.name,), required.positions_along(axis, q, {by: end}))
+                for end in required.range_of(required.machine.by_name[by])
+            ]
+            found[side, by] = 0.5 * (ends[1] - ends[0])
+    return np.stack([found[one.side, one.by][:, linear.index(one.moved)] for one in columns], axis=1)
 
 
 def _slope(required: RequiredCorrections, axis: Axis, by: str, q: np.ndarray) -> np.ndarray:

@@ -51,7 +51,10 @@ def account_of(
         made,
         remaining,
         corrected_shares(
-            made.required, replace(request, products=request.products and not made.left_out), design_of(request.form)
+            made.required,
+            replace(request, products=request.products and not made.left_out),
+            design_of(request.form),
+            made.unproven,
         ),
         missing,
         errors,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final, Generic, Literal, TypeVar, final
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.control.request import Request
 from twin.control.required import RequiredCorrections
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.control import Correction, TableSummary
 from twin.machine.effects import Effect
 from twin.machine.machine import Axis
@@ -24,6 +25,8 @@ NEGLIGIBLE_SHARE: Final = 0.1
 CHECKS: Final = 997
 """Number of random positions at which every table is compared with the model."""
 SEED: Final = 16907
+U_EVERY: Final = 8
+"""U of a table is evaluated at every eighth of these positions: it varies slowly."""
 
 
 def tolerance_of(axis: Axis, tolerance_um: float) -> float:
@@ -84,6 +87,80 @@ class Table:
 
 @final
 @dataclass(frozen=True)
+class Unproven:
+    """A table that is not shown to be an improvement: U of its correction exceeds the correction (RMS over the table).
+
+    A machine without that error would get such a table in 95 % of cases. Below U, the table may increase the error.
+
+    Attributes:
+        name: name of the table.
+        axes: axes whose errors it corrects.
+        unit: ``um`` or ``urad``.
+        rms: RMS of the correction over the table.
+        u_rms: RMS of its U (95 %) over the table.
+        not_identified: errors in the correction that the calibration could not determine; if none, it is known to be small.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    unit: str
+    rms: float
+    u_rms: float
+    not_identified: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """Name and numbers, without a sentence's end."""
+        why = f"; not identified: {' '.join(self.not_identified)}" if self.not_identified else ""
+        return f"{self.name}: correction {self.rms:.2f} {self.unit}, its U {self.u_rms:.2f} {self.unit} (RMS){why}"
+
+
+@final
+class ProofOfTables:
+    """Comparison of the corrections of tables with their uncertainty.
+
+    Args:
+        required: the required corrections.
+        keep_all: whether unproven tables are kept.
+
+    Attributes:
+        unproven: the tables that are not shown to be an improvement, so far.
+    """
+
+    def __init__(self, required: RequiredCorrections, *, keep_all: bool) -> None:
+        self._required, self._keep_all = required, keep_all
+        self.unproven: list[Unproven] = []
+
+    def keeps(
+        self,
+        content: TableSummary,
+        axes: Sequence[str],
+        classes: Collection[str],
+        values: np.ndarray,
+        factor: np.ndarray,
+    ) -> bool:
+        """Return whether a table is to be written; an unproven one is noted.
+
+        Without a covariance U is unknown and nothing is refused; a warning says so.
+
+        Args:
+            content: name and unit of the table.
+            axes: axes whose errors it corrects.
+            classes: classes of these errors.
+            values: (n,) the correction at positions of the table.
+            factor: (m, r) factor of its covariance at some of them.
+        """
+        rms = float(np.sqrt(np.mean(np.square(values))))
+        u_rms = COVERAGE_FACTOR * float(np.sqrt(np.mean(np.sum(np.square(factor), axis=1))))
+        if u_rms <= rms:
+            return True
+        unknown = self._required.not_identified(axes, classes)
+        self.unproven.append(Unproven(content.name, tuple(axes), content.unit, rms, u_rms, unknown))
+        return self._keep_all
+
+
+@final
+@dataclass(frozen=True)
 class TablePlan(Generic[C]):
     """Tables to be written.
 
@@ -91,11 +168,13 @@ class TablePlan(Generic[C]):
         correction: the tables.
         compared: function that compares them with the files read back: one `Table` for each of `Correction.contents`, in that order.
         left_out: tables left out because the control has too few.
+        unproven: tables that are not shown to be an improvement; they are not written unless the request says so.
     """
 
     correction: C
     compared: Callable[[C], tuple[Table, ...]]
     left_out: tuple[str, ...] = ()
+    unproven: tuple[Unproven, ...] = ()
 
 
 class Design(ABC, Generic[C]):

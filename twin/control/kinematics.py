@@ -12,7 +12,14 @@ import numpy as np
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin._common.json_form import json_form
-from twin._common.provenance import ILLUSTRATIVE, warning_texts, warnings_to_json
+from twin._common.provenance import (
+    ILLUSTRATIVE,
+    NOMINAL_KINEMATICS,
+    SourceWarning,
+    merge_warnings,
+    warning_texts,
+    warnings_to_json,
+)
 from twin.control.account import SCHEMA, Account
 from twin.control.constants import ConstantKinematics, make_kinematics, read_kinematics, real_geometry
 from twin.control.deliver import CALIBRATION, README, outputs_of, write_folder, written_by
@@ -45,6 +52,7 @@ class KinematicsRequest:
         tables: format and settings of the tables; None for kinematics alone.
         tool_length_mm: tool length of the functional point; None: that of the machine file.
         conditions: temperatures and time.
+        unidentified: whether kinematics are written although locations of rotary axes were not identified.
         notes: lines for the comments of the file.
     """
 
@@ -52,6 +60,7 @@ class KinematicsRequest:
     tables: Request | None = None
     tool_length_mm: float | None = None
     conditions: Conditions = field(default_factory=Conditions)
+    unidentified: bool = False
     notes: tuple[str, ...] = ()
 
 
@@ -75,6 +84,11 @@ class KinematicsAccount:
     tables: Account | None
 
     @property
+    def warnings(self) -> tuple[SourceWarning, ...]:
+        """Warnings about the source of the numbers."""
+        return merge_warnings(self.errors.warnings, nominal_locations(self.errors))
+
+    @property
     def unmet(self) -> tuple[str, ...]:
         """Requirements that are not met, one sentence each."""
         return (*self.kinematics.unmet, *(() if self.tables is None else self.tables.unmet))
@@ -84,7 +98,7 @@ class KinematicsAccount:
         made, form = self.kinematics, self.kinematics.form
         lines = [f"Kinematics of the control for {made.machine.name}: {form.name} ({form.title}, {form.what})"]
         lines += [
-            *warning_texts(self.errors.warnings),
+            *warning_texts(self.warnings),
             f"calibration: {self.errors.path or 'no file: the nominal machine'}",
         ]
         lines += [
@@ -92,8 +106,9 @@ class KinematicsAccount:
             "",
             f"  holds: {form.carries}",
             f"  does not hold: {form.leaves}",
-            f"  location errors displace the tool centre point by {made.displaced_rms_um:.2f} µm RMS, {made.displaced_max_um:.2f} µm "
-            f"at most; {made.left_rms_um:.3f} µm RMS, {made.left_max_um:.3f} µm at most, remain with this file",
+            f"  the location errors of the calibration displace the tool centre point by {made.displaced_rms_um:.2f} µm RMS, "
+            f"{made.displaced_max_um:.2f} µm at most; {made.left_rms_um:.3f} µm RMS, {made.left_max_um:.3f} µm at most, remain with "
+            "this file",
             f"  read back: rounding in the file displaces the point by {made.round_trip_um:.4f} µm at most",
             "",
             *self.stages.to_lines(),
@@ -127,7 +142,7 @@ class KinematicsAccount:
             "machine": made.machine.name,
             "calibration": str(self.errors.path or "no file: the nominal machine"),
             "illustrative": ILLUSTRATIVE in self.errors.warnings,
-            "warnings": warnings_to_json(self.errors.warnings),
+            "warnings": warnings_to_json(self.warnings),
             "tool_length_mm": self.tool_length_mm,
         }
         found |= {} if self.tables is None else self.tables.to_dict()
@@ -216,6 +231,26 @@ def kinematics_outputs(folder: Path, request: KinematicsRequest, made: ConstantK
     return list(dict.fromkeys([*tables, *(folder / name for name in (made.form.file, README, CALIBRATION))]))
 
 
+def nominal_locations(errors: Calibration) -> tuple[SourceWarning, ...]:
+    """Return a warning of the locations that were not identified: kinematics hold the nominal value of each, or one that is a guess."""
+    unknown = {one.name for one in errors.not_identifiable} | (set(errors.not_estimated) - set(errors.location))
+    names = [name for name in errors.machine.location_names if name in unknown]
+    return (NOMINAL_KINEMATICS.about(names),) if names else ()
+
+
+def _check_identified(errors: Calibration) -> None:
+    """Raise `InputError` if a location was not identified: the file would overwrite what the control's own cycle has calibrated."""
+    for warning in nominal_locations(errors):
+        why = {one.name: one.why for one in errors.not_identifiable}
+        reason = why.get(warning.errors[0], "it was left out of the estimate")
+        raise InputError(
+            f"{', '.join(warning.errors)} were not identified: kinematics with them would hold values that are not measured",
+            expected=f"the location of every rotary axis identified ({warning.errors[0]}: {reason}), or a file not measured in full",
+            file=errors.path,
+            setting="force",
+        )
+
+
 def make_both(
     errors: Calibration, known: Calibration, request: KinematicsRequest
 ) -> tuple[ConstantKinematics, ControlTables | None]:
@@ -227,9 +262,12 @@ def make_both(
         request: format and settings.
 
     Raises:
-        InputError: as for `make_kinematics` and `make`; tables that correct the location errors themselves.
+        InputError: as for `make_kinematics` and `make`; tables that correct the location errors themselves; locations that were not
+            identified, unless the request accepts them.
     """
     errors.check_settled()
+    if not request.unidentified:
+        _check_identified(errors)
     if request.tables is not None and format_named(request.tables.kind).knows_machine:
         raise InputError(
             "these tables correct the location of the rotary axes themselves: with kinematics in addition it would be corrected twice",
@@ -238,7 +276,10 @@ def make_both(
             value=request.tables.kind,
         )
     kinematics = make_kinematics(
-        known, request.kind, request.tool_length_mm, (*request.notes, *warning_texts(errors.warnings))
+        known,
+        request.kind,
+        request.tool_length_mm,
+        (*request.notes, *warning_texts(merge_warnings(errors.warnings, nominal_locations(errors)))),
     )
     return kinematics, None if request.tables is None else make(errors.machine, known, request.tables)
 

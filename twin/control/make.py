@@ -12,7 +12,7 @@ from twin._common.errors import InputError
 from twin._common.provenance import warning_texts
 from twin.control.axis_tables import AxisTables
 from twin.control.component_errors import ComponentErrors
-from twin.control.design import CHECKS, SEED, Design, Table
+from twin.control.design import CHECKS, SEED, Design, Table, Unproven
 from twin.control.request import Request
 from twin.control.required import RequiredCorrections
 from twin.control.spatial_grid import GridDesign
@@ -43,6 +43,7 @@ class ControlTables:
         correction: corrections of the control with these files, as read back.
         tables: every table compared with the model.
         left_out: tables left out because the control has too few.
+        unproven: tables that are not shown to be an improvement: not written, or written on request.
         largest: largest correction by axis, over the volume and both directions, as read back: µm, µrad.
     """
 
@@ -53,6 +54,7 @@ class ControlTables:
     correction: Correction
     tables: tuple[Table, ...]
     left_out: tuple[str, ...]
+    unproven: tuple[Unproven, ...]
     largest: Mapping[str, float]
 
     @property
@@ -64,7 +66,11 @@ class ControlTables:
     def unmet(self) -> tuple[str, ...]:
         """Requirements that are not met, one sentence each."""
         found = [text for one in self.tables for text in one.unmet]
-        return (*found, *(f"no table available for {one} um" for one in self.left_out))
+        found += [f"no table available for {one} um" for one in self.left_out]
+        if not self.request.unproven:
+            # An error that was identified and is not significant needs no table.
+            found += [f"not written: {one.text}" for one in self.unproven if one.not_identified]
+        return tuple(found)
 
 
 def make(
@@ -80,7 +86,8 @@ def make(
 
     Raises:
         InputError: an unknown format; a calibration whose estimate did not converge, or that was measured with tables on while
-            ``request.add`` is False; old tables of another format; no error that the format can correct.
+            ``request.add`` is False; old tables of another format; no error that the format can correct; no table that is shown to be
+            an improvement.
     """
     if not request.tolerance_um > 0.0:
         raise InputError("tolerance must be positive", expected="µm", value=request.tolerance_um)
@@ -96,6 +103,19 @@ def make(
             machine, calibration, request.at, request.tool_length_mm, request.classes, request.conditions
         )
     plan = design_of(form).plan(required, request, old)
+    if plan.unproven and not any(content.largest > 0.0 for content in plan.correction.contents()):
+        worst = max(plan.unproven, key=lambda one: one.u_rms / max(one.rms, 1e-12))
+        raise InputError(
+            f"none of the {len(plan.unproven)} tables is shown to be an improvement: U of the correction exceeds the correction",
+            expected="a calibration with smaller uncertainties, or the tables without proof",
+            file=calibration.path,
+            value=worst.text,
+            setting="force",
+        )
+    if plan.unproven and request.unproven:
+        names = ", ".join(one.name for one in plan.unproven)
+        note = f"NOT SHOWN TO BE AN IMPROVEMENT: U exceeds the correction in {names}"
+        request = replace(request, notes=(*request.notes, note))
     if not plan.correction.contents():
         raise InputError(
             "no error that these tables could correct",
@@ -107,11 +127,11 @@ def make(
     back = form.read_back(files, machine)
     tables = plan.compared(back)
     if old is None:
-        return ControlTables(required, request, files, {}, back, tables, plan.left_out, _largest(back))
+        return ControlTables(required, request, files, {}, back, tables, plan.left_out, plan.unproven, _largest(back))
     whole = form.write(plan.correction.plus(old), request.notes)
     said = form.read_back(whole, machine)
     rows = (*tables, *_compare_sums(said, (old, back), form))
-    return ControlTables(required, request, whole, files, said, rows, plan.left_out, _largest(said))
+    return ControlTables(required, request, whole, files, said, rows, plan.left_out, plan.unproven, _largest(said))
 
 
 def _old_tables(machine: Machine, calibration: Calibration, request: Request) -> Correction | None:

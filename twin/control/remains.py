@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any, final
@@ -9,7 +10,7 @@ from typing import Any, final
 import numpy as np
 
 from twin._common.json_form import json_form
-from twin.control.design import Design, Share
+from twin.control.design import Design, Share, Unproven
 from twin.control.request import Request
 from twin.control.required import RequiredCorrections
 from twin.display import UNKNOWN
@@ -46,12 +47,18 @@ class PointUncertainty:
     Attributes:
         rms_um, max_um: U of the point (`twin.uncertainty.at_tool.DEFINITION`), RMS and maximum over the poses; NaN if unknown.
         standard_rms_um: standard uncertainty (k = 1) of the distance, RMS over the poses; NaN if unknown.
+        identified_rms_um: U of the identified errors alone, RMS over the poses; NaN if unknown.
+        identified_standard_rms_um: standard uncertainty of these alone, as ``standard_rms_um``.
+        unknown: errors that could not be determined; U includes their plausible size.
         without_uncertainty: errors that have a value but no uncertainty; if there are any, the numbers are lower bounds.
     """
 
     rms_um: float
     max_um: float
     standard_rms_um: float
+    identified_rms_um: float
+    identified_standard_rms_um: float
+    unknown: tuple[str, ...]
     without_uncertainty: tuple[str, ...]
 
     @classmethod
@@ -59,11 +66,26 @@ class PointUncertainty:
         """Return the uncertainty at (n, axes) poses, approached from the directions ``sides`` (+1, −1, 0 unknown)."""
         tool = ToolUncertainty(real)
         if not tool.parameters:
-            return cls(np.nan, np.nan, np.nan, tool.without_uncertainty)
+            return cls(np.nan, np.nan, np.nan, np.nan, np.nan, (), tool.without_uncertainty)
         found = tool.at(q, sides)
-        u, variance = found.expanded_um, found.standard_um**2
-        rms, standard = (float(np.sqrt(np.mean(one))) for one in (u**2, variance.sum(axis=1)))
-        return cls(rms, float(u.max()), standard, tool.without_uncertainty)
+        of_identified = ToolUncertainty(real, "identified").at(q, sides) if tool.unknown else found
+        rms, standard, identified, identified_standard = (
+            float(np.sqrt(np.mean(squares)))
+            for one in (found, of_identified)
+            for squares in (one.expanded_um**2, (one.standard_um**2).sum(axis=1))
+        )
+        largest = float(found.expanded_um.max())
+        return cls(rms, largest, standard, identified, identified_standard, tool.unknown, tool.without_uncertainty)
+
+    @property
+    def unknown_text(self) -> str:
+        """Sentence on the errors that could not be determined; empty if there are none."""
+        if not self.unknown:
+            return ""
+        return (
+            f"U includes the plausible size of errors that were not identified: {' '.join(self.unknown)}; without them it is "
+            f"{or_unknown(self.identified_rms_um)} µm RMS."
+        )
 
     @property
     def least(self) -> str:
@@ -72,7 +94,8 @@ class PointUncertainty:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object; unknown numbers are null."""
-        return {"definition": DEFINITION, **json_form(self, leave_out=("standard_rms_um",))}
+        hidden = ("standard_rms_um", "identified_standard_rms_um")
+        return {"definition": DEFINITION, **json_form(self, leave_out=hidden, rename={"unknown": "not_identified"})}
 
 
 @final
@@ -96,10 +119,15 @@ class RemainingErrors:
 
     @property
     def reduction(self) -> float:
-        """Share of the RMS error that the tables correct; of the expected RMS error where the uncertainty is known."""
-        before, after = self.before.expected_rms_um, self.tables.expected_rms_um
-        if not np.isfinite(before):
-            before, after = self.before.rms_um, self.tables.rms_um
+        """Share of the RMS error that the tables correct; of the expected RMS error where the uncertainty is known.
+
+        Errors that were not identified are the same with and without tables, and are not part of it.
+        """
+        known = self.uncertainty.identified_standard_rms_um
+        before, after = (
+            float(np.hypot(one.rms_um, known)) if np.isfinite(known) else one.rms_um
+            for one in (self.before, self.tables)
+        )
         return 1.0 - after / before if before > 0.0 else 0.0
 
     def to_lines(self) -> list[str]:
@@ -123,6 +151,7 @@ class RemainingErrors:
                 "It comes from the calibration: neither tables nor programs reduce it."
             )
             lines.append("  expected: including the uncertainty of the calibration.")
+            lines += [f"  {u.unknown_text}"] if u.unknown else []
             if u.without_uncertainty:
                 lines.append(f"  U is a lower bound: no uncertainty is given for {' '.join(u.without_uncertainty)}.")
         if self.at_limits:
@@ -201,7 +230,7 @@ class CorrectedShare:
 
 
 def corrected_shares(
-    required: RequiredCorrections, request: Request, design: Design[Any]
+    required: RequiredCorrections, request: Request, design: Design[Any], unproven: Sequence[Unproven] = ()
 ) -> tuple[CorrectedShare, ...]:
     """Return every error of the calibration with the share of it that the tables correct.
 
@@ -209,7 +238,12 @@ def corrected_shares(
         required: the required corrections.
         request: the format, classes, and whether two tables are multiplied.
         design: the class that computes the format's tables.
+        unproven: tables that are not shown to be an improvement.
     """
+    not_written: dict[str, list[str]] = {}
+    for one in () if request.unproven else unproven:
+        for name in one.axes:
+            not_written.setdefault(name, []).append(one.name)
     found, by_name = [], required.machine.by_name
     for effect in required.calibration.effects:
         if isinstance(effect, ControlCorrection):
@@ -228,6 +262,8 @@ def corrected_shares(
             )
         else:
             share = design.share(required, effect, others, request)
+        if share[0] != "no" and axis.name in not_written:
+            share = "line", f"not written, because U exceeds the correction: {', '.join(not_written[axis.name])}"
         found.append(CorrectedShare(effect.name, iso_class, *share))
     return tuple(found)
 

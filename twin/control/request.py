@@ -26,6 +26,7 @@ class Request:
         most: number of tables the control has; None: the format's default.
         products: whether two tables may be multiplied, if the format can do that.
         conditions: temperatures and time.
+        unproven: whether tables are written although U of their correction exceeds the correction.
         add: whether the calibration was measured with tables switched on, and the new tables are added to those.
         notes: lines for the comments of every file.
     """
@@ -39,6 +40,7 @@ class Request:
     most: int | None = None
     products: bool = True
     conditions: Conditions = field(default_factory=Conditions)
+    unproven: bool = False
     add: bool = False
     notes: tuple[str, ...] = ()
 

@@ -7,7 +7,7 @@ correction is complete; with fewer it corrects the part along them. It is a firs
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, final
@@ -23,6 +23,7 @@ from twin.machine.conditions import Conditions
 from twin.machine.effects import Effect
 from twin.machine.iso16907 import error_motion_of, iso_class
 from twin.machine.machine import Axis, Machine
+from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.budget import errors_in, random_approach, state_at, volume_inside_domains
 
 REMEMBERED: Final = 256
@@ -96,6 +97,7 @@ class RequiredCorrections:
             )
         self._classes = classes
         self._real: dict[tuple[str, ...], Kinematics] = {}
+        self._uncertain: dict[tuple[str, ...], ToolUncertainty] = {}
         self._known: dict[tuple[tuple[str, ...], int, bytes], np.ndarray] = {}
 
     def kinematics_with(self, errors: Calibration) -> Kinematics:
@@ -210,6 +212,54 @@ class RequiredCorrections:
         frames = self.kinematics_of_axes((axis.name,)).error_frames(self.positions_along(axis, q))
         own = [i for i, one in enumerate(self.machine.frames) if one.axis == axis.name]
         return np.asarray(frames[:, own].sum(axis=1) * 1e6)
+
+    def linear_factors(self, axes: tuple[str, ...], positions: np.ndarray, side: int = 0) -> np.ndarray:
+        """Return a factor F (n, linear axes, r) of the covariance F Fᵀ of `linear_corrections`, µm, from the identified errors.
+
+        r is zero if none of these axes' errors has a covariance.
+        """
+        tool, sides = self._uncertainty(axes), self._sides(axes, positions, side)
+        components, spread = tool.frame_factors(positions, sides)
+        # Metres per metre and radian equal µm per µm and µrad.
+        point = tool.kinematics.sensitivities(positions, sides).error[:, :3][:, :, components] @ spread
+        return np.asarray(-np.linalg.pinv(_derivatives(self.nominal, positions, None)) @ point)
+
+    def rotary_factors(self, axis: Axis, q: np.ndarray, side: int = 0) -> np.ndarray:
+        """Return a factor (n, r) of the covariance of `rotary_correction`, µrad; see `linear_factors`."""
+        index = next(i for i, one in enumerate(self.machine.frames) if (one.axis, one.role) == (axis.name, "motion"))
+        own = self._frame_factors(axis, q, [index], side)[:, 3:]
+        return np.asarray(-np.einsum("nir,i->nr", own, np.array(axis.direction)))
+
+    def frame_error_factors(self, axis: Axis, q: np.ndarray) -> np.ndarray:
+        """Return a factor (n, 6, r) of the covariance of `frame_errors`, µm and µrad; see `linear_factors`."""
+        return self._frame_factors(axis, q, [i for i, one in enumerate(self.machine.frames) if one.axis == axis.name])
+
+    def _frame_factors(self, axis: Axis, q: np.ndarray, frames: Sequence[int], side: int = 0) -> np.ndarray:
+        """Return the factor (n, 6, r) of the sum of some error frames of an axis."""
+        positions = self.positions_along(axis, q)
+        components, spread = self._uncertainty((axis.name,)).frame_factors(
+            positions, self._sides((axis.name,), positions, side)
+        )
+        found = np.zeros((len(q), 6, spread.shape[2]))
+        for row, component in enumerate(components):
+            if component // 6 in frames:
+                found[:, component % 6] += spread[:, row]
+        return found
+
+    def _uncertainty(self, axes: tuple[str, ...]) -> ToolUncertainty:
+        """Return the uncertainty of the identified errors of these axes."""
+        if axes not in self._uncertain:
+            self._uncertain[axes] = ToolUncertainty(self.kinematics_of_axes(axes), "identified")
+        return self._uncertain[axes]
+
+    def not_identified(self, axes: Collection[str], classes: Collection[str]) -> tuple[str, ...]:
+        """Return the names of the errors of some axes and classes in the calibration that it could not determine."""
+        unknown = {one.name for one in self.calibration.not_identifiable}
+        return tuple(
+            effect.name
+            for effect in self.calibration.effects
+            if effect.name in unknown and effect.frame.axis in axes and self.class_of(effect) in classes
+        )
 
     def _sides(self, axes: tuple[str, ...], positions: np.ndarray, side: int) -> np.ndarray:
         """Return the directions of approach (n, axes): ``side`` for these axes, 0 for the others."""

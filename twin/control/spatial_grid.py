@@ -9,10 +9,22 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.control.design import CHECKS, SEED, Design, Share, Table, TablePlan, share_depending_on
+from twin.control.design import (
+    CHECKS,
+    SEED,
+    U_EVERY,
+    Design,
+    ProofOfTables,
+    Share,
+    Table,
+    TablePlan,
+    share_depending_on,
+)
 from twin.control.nodes import choose_nodes
 from twin.control.request import Request
 from twin.control.required import RequiredCorrections
+from twin.machine.classes import BASIC
+from twin.machine.control import TableSummary
 from twin.machine.control.spatial import CorrectionGrid
 from twin.machine.effects import Effect
 from twin.machine.machine import Axis
@@ -48,8 +60,11 @@ class GridDesign(Design[CorrectionGrid]):
                 value=" ".join(names) or "none",
             )
 
+        proof = ProofOfTables(required, keep_all=request.unproven)
+        kept = np.array(_proven(required, axes, proof), dtype=float)
+
         def truth(positions: np.ndarray) -> np.ndarray:
-            return required.linear_corrections(names, positions)
+            return required.linear_corrections(names, positions) * kept
 
         tolerance = request.tolerance_um
         if old is not None:
@@ -62,7 +77,9 @@ class GridDesign(Design[CorrectionGrid]):
                 off = _largest_deviation(required, grid, truth)
                 if off <= tolerance or request.step is not None:
                     break
-        return TablePlan(grid, lambda back: _tables(required, request, grid, truth, off, back))
+        return TablePlan(
+            grid, lambda back: _tables(required, request, grid, truth, off, back), unproven=tuple(proof.unproven)
+        )
 
     def share(
         self, required: RequiredCorrections, effect: Effect, others: Sequence[Axis], request: Request
@@ -71,6 +88,22 @@ class GridDesign(Design[CorrectionGrid]):
         if not required.machine.by_name[effect.frame.axis].linear:
             return "no", "error of a rotary axis: the grid depends on X, Y and Z only"
         return share_depending_on([axis for axis in others if not axis.linear])
+
+
+def _proven(required: RequiredCorrections, axes: Sequence[Axis], proof: ProofOfTables) -> list[bool]:
+    """Return for each of the linear axes whether its correction over the box is written; otherwise it is zero."""
+    names = tuple(axis.name for axis in axes)
+    rng = np.random.default_rng(SEED)
+    q = _full(required, np.stack([rng.uniform(*required.range_of(axis), CHECKS // U_EVERY) for axis in axes], axis=1))
+    values, factors = required.linear_corrections(names, q), required.linear_factors(names, q)
+    return [
+        # Without any correction there is nothing to prove.
+        not values[:, k].any()
+        or proof.keeps(
+            TableSummary.over(f"d{name} over the box", (0.0,), 0.0, "um"), names, BASIC, values[:, k], factors[:, k]
+        )
+        for k, name in enumerate(names)
+    ]
 
 
 def _tables(

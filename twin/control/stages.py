@@ -60,6 +60,7 @@ class Stages:
                 "  U is unknown: the calibration gives no uncertainty. The error that really remains may have any size.",
             ]
         lines.append(f"  {DEFINITION}; it comes from the calibration, and no stage reduces it.")
+        lines += [f"  {u.unknown_text}"] if u.unknown else []
         if u.without_uncertainty:
             lines.append(f"  U is a lower bound: no uncertainty is given for {' '.join(u.without_uncertainty)}.")
         return lines

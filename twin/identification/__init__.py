@@ -63,7 +63,8 @@ prior with a standard deviation of 1000 µm or µrad, or the value in the machin
 compensate it, it is left out. If it is confounded with other errors, all of them stay in the calibration, limited by their priors:
 their sum is known, and the covariance shows that each of them is not. The most frequent case are reflectors of unknown place that
 move with the table: the position of B and C in X and Y then needs the places of the reflectors (`place_x_mm …`) or a reference on the
-machine.
+machine. The file names these errors (`not_identifiable`), and whatever is made from it repeats that. Those left out count in U at the
+tool with the machine file's plausible size, not as zero.
 
 **Uncertainty at the tool.** U is the radius of the sphere that contains 95 % of a normally distributed error of the point. It is not
 twice a standard deviation, which in space covers less. `twin info -c mine.yaml` gives each error's peak with its standard

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -15,18 +15,20 @@ from twin._common.units import MM
 from twin.identification.constant_errors import constant_errors
 from twin.identification.determined import DeterminedModel, Wanted, determined_models
 from twin.identification.inputs import PreparedData, implausible_tips, prepare
+from twin.identification.network import Network
 from twin.identification.orders import Choice, choose
 from twin.identification.outliers import many_outliers_notice, outlier_notes
 from twin.identification.priors import prior_precision
-from twin.identification.result import Identification, residuals_of, rms_um
+from twin.identification.result import Identification, misfit_entry, residuals_of, rms_um
 from twin.identification.robust import FinalEstimate, RobustStart, robust_start, without_outliers
 from twin.identification.shares import instrument_shares
 from twin.identification.spread import Spread, covariance_from_repeats, covariance_of, misfit
 from twin.identification.unidentified import held_by_prior, unidentified, unknown_reference
+from twin.machine.calibration_file import MeasuredWith, NotIdentifiable
 from twin.machine.machine import Machine
 from twin.measurement.checks import overstated_noise
 from twin.measurement.instruments import Instrument
-from twin.measurement.table import Measurements
+from twin.measurement.table import CARRIERS, Measurements
 
 
 @final
@@ -107,15 +109,22 @@ def _result(
     count = len(unknowns)
     source = f"identified by twin from {data.source}: {int(used.sum())} points"
     found, _ = unknowns.calibration(solution.theta, range(count), source, covariance[:count, :count])
-    calibration = replace(found, settled=solution.converged, simulated=data.simulated)
+    found = replace(found, settled=solution.converged, simulated=data.simulated)
     u = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
     held = held_by_prior(model.determined, solution)
-    residual, whitened = residuals_of(calibration, network, solution.setup)
+    residual, whitened = residuals_of(found, network, solution.setup)
     statistics = misfit(whitened, network.read, data, solution.determined, used)
     residual_mm = read_only(np.where(network.read, residual / MM, np.nan))
+    unknown = unidentified(machine, data, model.determined, wanted, solution.setup, held)
+    calibration = replace(
+        found,
+        not_identifiable=tuple(NotIdentifiable(name=one.name, why=one.reason) for one in unknown),
+        misfit=misfit_entry(statistics, model.choice.held_out, rms_um(residual_mm[used])),
+        **_measured_with(network, used, wanted),
+    )
     return Identification(
         calibration=calibration,
-        unidentified=unidentified(machine, data, model.determined, wanted, solution.setup, held),
+        unidentified=unknown,
         held_by_prior={name: float(machine.plausible(name)) for name in held},
         setup=solution.setup,
         constants=constant_errors(machine, data, network.instruments, solution.setup, network.covariance),
@@ -140,3 +149,20 @@ def _result(
         network=network,
         solution=solution,
     )
+
+
+def _measured_with(network: Network, used: np.ndarray, wanted: Wanted) -> dict[str, Any]:
+    """Return the entries of the calibration on the measurement, and the errors left out on request."""
+    data, machine = network.data, network.machine
+    sides = {side: len(dict.fromkeys(data.target[data.carrier == side].tolist())) for side in CARRIERS}
+    every = (*machine.motion_names, *machine.squareness_names, *machine.location_names)
+    return {
+        "instruments": tuple(one.name for one in network.instruments.every),
+        "set_up": MeasuredWith(
+            stations=len(dict.fromkeys(data.station.tolist())),
+            targets_on_tool=sides["tool"],
+            targets_on_work=sides["work"],
+            points=int(used.sum()),
+        ),
+        "not_estimated": tuple(name for name in every if not wanted(name)),
+    }

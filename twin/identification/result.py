@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, final
+from typing import Any, Literal, final
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from twin.identification.table import TableTilt
 from twin.identification.unidentified import Unidentified
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
+from twin.machine.calibration_file import Misfit
 from twin.machine.datum.conditions import EXPLANATION
 from twin.machine.display import errors_html, standard_uncertainty
 from twin.machine.effects import unit_of
@@ -100,7 +101,7 @@ class Identification:
     @property
     def verdict(self) -> str:
         """Whether the model fits the readings, or there are too few of them to decide."""
-        return _verdict(self.misfit, self.choice.held_out)
+        return _judged(self.misfit, self.choice.held_out)[1]
 
     @cached_property
     def rms_um(self) -> float:
@@ -363,27 +364,59 @@ def _row_text(row: Mapping[str, Any]) -> str:
     return f"  {row['name']:<7} peak {row['peak']:8.2f} {unit:<4} ± {half:6.2f} at most, {kind} {row['order']}"
 
 
-def _verdict(fit: FitStatistics, held_out: float) -> str:
-    """Return whether the model fits, as a sentence.
+Verdict = Literal["consistent", "systematic", "larger", "untested"]
+
+
+def _judged(fit: FitStatistics, held_out: float) -> tuple[Verdict, str]:
+    """Return whether the model fits, as in a calibration file and as a sentence.
 
     Args:
         fit: misfit of the rows used.
         held_out: RMS of the held-out residuals, in standard deviations.
     """
     if fit.dof < 1:
-        return "NO DEGREES OF FREEDOM: as many parameters as readings, so the model cannot be tested. Measure more positions or rounds."
+        return (
+            "untested",
+            "NO DEGREES OF FREEDOM: as many parameters as readings, so the model cannot be tested. Measure more positions or rounds.",
+        )
     if fit.lack_p_value == fit.lack_p_value and fit.lack_p_value < SIGNIFICANCE:
-        return "SYSTEMATIC RESIDUALS, not covered by the intervals below: the model is incomplete. Run `twin diagnose`."
+        return (
+            "systematic",
+            "SYSTEMATIC RESIDUALS, not covered by the intervals below: the model is incomplete. Run `twin diagnose`.",
+        )
     if fit.p_value < SIGNIFICANCE:
-        return "RESIDUALS LARGER THAN THE STATED UNCERTAINTY, on which the intervals below are based."
+        return "larger", "RESIDUALS LARGER THAN THE STATED UNCERTAINTY, on which the intervals below are based."
     if fit.dof < FEWEST_DOF:
-        return f"TOO FEW DATA to test the model: {fit.dof:.0f} degrees of freedom. Measure more positions or rounds."
+        return (
+            "untested",
+            f"TOO FEW DATA to test the model: {fit.dof:.0f} degrees of freedom. Measure more positions or rounds.",
+        )
     if held_out > POOR_PREDICTION * max(1.0, float(np.sqrt(fit.reduced))):
         return (
+            "untested",
             f"TOO FEW POSITIONS to test the model: the fit is good, but residuals at held-out positions are {held_out:.1f} "
-            "standard deviations RMS (about 1 if the model holds there). Measure more positions."
+            "standard deviations RMS (about 1 if the model holds there). Measure more positions.",
         )
-    return CONSISTENT
+    return "consistent", CONSISTENT
+
+
+def misfit_entry(fit: FitStatistics, held_out: float, rms: float) -> Misfit:
+    """Return the misfit as it is written into the calibration.
+
+    Args:
+        fit: misfit of the rows used.
+        held_out: RMS of the held-out residuals, in standard deviations.
+        rms: RMS of the residuals of a coordinate, µm.
+    """
+    verdict, says = _judged(fit, held_out)
+    numbers = {
+        "reduced_chi2": fit.reduced,
+        "p_value": fit.p_value,
+        "lack_of_fit_p_value": fit.lack_p_value,
+        "rms_um": rms,
+    }
+    known = {name: value for name, value in numbers.items() if np.isfinite(value)}
+    return Misfit(verdict=verdict, says=says, dof=fit.dof, **known)
 
 
 def _spread_text(spread: str) -> str:

@@ -17,6 +17,7 @@ from twin._common.errors import InputError, closest_name
 from twin._common.files import write_atomic
 from twin._common.provenance import (
     ILLUSTRATIVE,
+    NOT_IDENTIFIABLE,
     PARTLY_UNKNOWN_UNCERTAINTY,
     SIMULATED,
     UNKNOWN_UNCERTAINTY,
@@ -31,9 +32,13 @@ from twin.machine.calibration_file import (
     ControlEntry,
     CovarianceEntry,
     CurveEntry,
+    MeasuredWith,
+    Misfit,
+    NotIdentifiable,
     covariance_of,
     covariance_text,
     effects_of,
+    measurement_entries,
 )
 from twin.machine.control import ControlSection, TableEntry
 from twin.machine.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
@@ -83,6 +88,11 @@ class Calibration:
         transformation: corrections by the kinematics of the control; they act in tool centre point mode only (`with_transformation`).
         settled: whether the estimation converged; if not, no program is corrected and no table is made with it.
         simulated: whether it was identified from simulated readings.
+        not_identifiable: errors that the readings did not determine, and why (`twin.machine.unknown_errors`).
+        not_estimated: names of errors that were left out of the estimate on request, and count as zero.
+        misfit: residuals of the identification; None if it was not identified.
+        instruments: names of the instruments it was measured with.
+        set_up: set-up of the measurement; None if unknown.
     """
 
     machine: Machine
@@ -98,6 +108,11 @@ class Calibration:
     transformation: tuple[ControlCorrection, ...] = ()
     settled: bool = True
     simulated: bool = False
+    not_identifiable: tuple[NotIdentifiable, ...] = ()
+    not_estimated: tuple[str, ...] = ()
+    misfit: Misfit | None = None
+    instruments: tuple[str, ...] = ()
+    set_up: MeasuredWith | None = None
 
     @classmethod
     def zero(cls, machine: Machine) -> Calibration:
@@ -145,6 +160,11 @@ class Calibration:
             path=path,
             settled=entries.settled,
             simulated=entries.simulated,
+            not_identifiable=check.not_identifiable(entries),
+            not_estimated=entries.not_estimated,
+            misfit=entries.misfit,
+            instruments=entries.instruments,
+            set_up=entries.set_up,
         )
         check.datum(entries.datum, loaded)
         if entries.covariance is not None:
@@ -193,6 +213,9 @@ class Calibration:
             "datum": self.datum,
             **({} if self.settled else {"settled": False}),
             **({"simulated": True} if self.simulated else {}),
+            **measurement_entries(
+                self.instruments, self.set_up, self.misfit, self.not_identifiable, self.not_estimated
+            ),
             "curves": {name: _entry(curve) for name, curve in self.curves.items()},
             "squareness": {name: float(value) for name, value in self.squareness.items()},
             "location": {name: float(value) for name, value in self.location.items()},
@@ -298,7 +321,11 @@ class Calibration:
         return self if same else replace(self, corrections=corrections)
 
     def where(self, keep: Callable[[str], bool]) -> Calibration:
-        """Return the calibration with only those effects (error motions, squareness, locations, others) whose name fulfils ``keep``."""
+        """Return the calibration with only those effects (error motions, squareness, locations, others) whose name fulfils ``keep``.
+
+        Errors that it does not contain because they could not be determined stay unknown.
+        """
+        given = {effect.name for effect in self.effects}
         numbers = {number.name for effect in self.effects if keep(effect.name) for number in effect.parameters}
         return replace(
             self,
@@ -308,6 +335,7 @@ class Calibration:
             joint=None if self.joint is None else self.joint.where(lambda name: name in numbers),
             extra=tuple(effect for effect in self.extra if keep(effect.name)),
             corrections=tuple(effect for effect in self.corrections if keep(effect.name)),
+            not_identifiable=tuple(one for one in self.not_identifiable if one.name not in given or keep(one.name)),
         )
 
     @property
@@ -366,9 +394,12 @@ class Calibration:
             widest = max(motions[name], key=lambda motion: len(motion.coefficients))
             own = own.transformed(name, conversion_of(name, before.family, basis, len(before.coefficients), count))
             found = found.transformed(name, conversion_of(name, widest.basis, basis, len(widest.coefficients), count))
+        # What these readings determined is known now.
+        found_now = {name.partition("[")[0] for name in covariance.names}
         whole = replace(
             self,
             source=f"{self.source}; {source}",
+            not_identifiable=tuple(one for one in self.not_identifiable if one.name not in found_now),
             curves=MappingProxyType(curves),
             squareness=MappingProxyType(squareness),
             location=MappingProxyType(location),
@@ -395,6 +426,9 @@ class Calibration:
         found = [ILLUSTRATIVE] if self.illustrative else []
         found += [SIMULATED] if self.simulated else []
         found += [] if self.settled else [UNSETTLED_ESTIMATE]
+        if self.not_identifiable:
+            found.append(NOT_IDENTIFIABLE.about(one.name for one in self.not_identifiable))
+        found += [] if self.misfit is None or self.misfit.warning is None else [self.misfit.warning]
         numbers = {parameter.name for effect in self.effects for parameter in effect.parameters}
         known = numbers.intersection(self.covariance.names)
         if known != numbers:
@@ -411,7 +445,7 @@ class Calibration:
         # The card itself marks illustrative numbers, and `about` lists what has no uncertainty.
         warnings = (
             note(text, loud=True)
-            for text in warning_texts([w for w in self.warnings if w in (SIMULATED, UNSETTLED_ESTIMATE)])
+            for text in warning_texts([w for w in self.warnings if w not in (ILLUSTRATIVE, UNKNOWN_UNCERTAINTY)])
         )
         return card(title, *warnings, errors, about, small=small, illustrative=self.illustrative).text
 
@@ -483,6 +517,16 @@ class _Check:
         if name not in allowed:
             what = f"{self.machine.name} has no such entry under {place[0]}"
             raise self.fail(place, what, f"one of {', '.join(allowed)}", name, closest_name(name, allowed))
+
+    def not_identifiable(self, entries: CalibrationFile) -> tuple[NotIdentifiable, ...]:
+        every = (*self.machine.motion_names, *self.machine.squareness_names, *self.machine.location_names)
+        named = [one.name for one in entries.not_identifiable]
+        for kind, names in (("not_identifiable", named), ("not_estimated", entries.not_estimated)):
+            for i, name in enumerate(names):
+                self.name((kind, i), name, every)
+                if name in names[:i]:
+                    raise self.fail((kind, i), f"duplicate entry under {kind}", "each error once", name)
+        return entries.not_identifiable
 
     def datum(self, stated: str | None, calibration: Calibration) -> None:
         if stated is None:

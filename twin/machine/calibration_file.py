@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Sequence
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from twin._common.errors import InputError
+from twin._common.provenance import MODEL_NOT_TESTED, NOISE_CONTRADICTED, SYSTEMATIC_RESIDUALS, SourceWarning
 from twin.machine.classes import BasicClass
 from twin.machine.effects import Effect, GravityCompliance, Payload
 from twin.machine.effects.entries import effect_named, payload_named
@@ -96,6 +97,73 @@ class ControlEntry(BaseModel):
         return self
 
 
+class NotIdentifiable(BaseModel):
+    """An error that the readings did not determine.
+
+    Attributes:
+        name: ISO 230-1 name.
+        why: the reason, and what would change it; one sentence.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+    name: str
+    why: Annotated[str, Field(min_length=1)]
+
+
+class Misfit(BaseModel):
+    """Residuals of the identification, compared with the noise stated for the readings.
+
+    Attributes:
+        verdict: ``consistent``; ``systematic`` (a repeatable part is left); ``larger`` than stated; ``untested`` (too few readings).
+        says: the verdict as a sentence.
+        rms_um: RMS of the residuals of a coordinate, µm.
+        reduced_chi2: chi² per degree of freedom.
+        dof: degrees of freedom.
+        p_value: probability of a chi² at least as large if the stated noise holds.
+        lack_of_fit_p_value: p-value of the residuals compared with repeats.
+        held_out_rms_um: RMS of the residuals at positions that were not used, µm.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+    verdict: Literal["consistent", "systematic", "larger", "untested"]
+    says: str = ""
+    rms_um: Annotated[float, Field(ge=0.0)] | None = None
+    reduced_chi2: Annotated[float, Field(ge=0.0)] | None = None
+    dof: Annotated[float, Field(ge=0.0)] | None = None
+    p_value: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    lack_of_fit_p_value: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    held_out_rms_um: Annotated[float, Field(ge=0.0)] | None = None
+
+    @property
+    def warning(self) -> SourceWarning | None:
+        """Warning that every file made from the calibration repeats; None if the residuals are consistent with the noise."""
+        return MISFIT_WARNINGS[self.verdict]
+
+
+MISFIT_WARNINGS: Final[dict[str, SourceWarning | None]] = {
+    "consistent": None,
+    "systematic": SYSTEMATIC_RESIDUALS,
+    "larger": NOISE_CONTRADICTED,
+    "untested": MODEL_NOT_TESTED,
+}
+
+
+class MeasuredWith(BaseModel):
+    """Set-up of the measurement.
+
+    Attributes:
+        stations: number of stations.
+        targets_on_tool, targets_on_work: number of reflectors, balls or spheres on either side.
+        points: number of points used.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+    stations: Annotated[int, Field(ge=0)]
+    targets_on_tool: Annotated[int, Field(ge=0)]
+    targets_on_work: Annotated[int, Field(ge=0)]
+    points: Annotated[int, Field(ge=0)]
+
+
 class CalibrationFile(BaseModel):
     """A calibration file."""
 
@@ -106,6 +174,11 @@ class CalibrationFile(BaseModel):
     datum: str | None = None
     settled: bool = True
     simulated: bool = False
+    instruments: tuple[str, ...] = ()
+    set_up: MeasuredWith | None = None
+    misfit: Misfit | None = None
+    not_identifiable: tuple[NotIdentifiable, ...] = ()
+    not_estimated: tuple[str, ...] = ()
     curves: dict[str, CurveEntry] = {}
     squareness: dict[str, float] = {}
     location: dict[str, float] = {}
@@ -165,6 +238,24 @@ def _effect(entry: EffectEntry, machine: Machine, payloads: Sequence[Payload]) -
         )
     columns = [ColumnSpec(column.column, column.functions, column.order, column.range) for column in entry.columns]
     return empirical_named(entry.where, entry.along, columns, entry.parameters, machine)
+
+
+def measurement_entries(
+    instruments: Sequence[str],
+    set_up: MeasuredWith | None,
+    misfit: Misfit | None,
+    not_identifiable: Sequence[NotIdentifiable],
+    not_estimated: Sequence[str],
+) -> dict[str, Any]:
+    """Return the entries on how a calibration was measured and what is not known; those without content are left out."""
+    found: dict[str, Any] = {
+        "instruments": list(instruments),
+        "set_up": None if set_up is None else set_up.model_dump(),
+        "misfit": None if misfit is None else misfit.model_dump(exclude_none=True),
+        "not_identifiable": [one.model_dump() for one in not_identifiable],
+        "not_estimated": list(not_estimated),
+    }
+    return {name: value for name, value in found.items() if value}
 
 
 def covariance_text(covariance: Covariance) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from math import isfinite
+from math import hypot, isfinite
 from pathlib import Path
 from typing import Any, Final, Literal, final
 
@@ -114,7 +114,7 @@ def advise(
         )
     every = [
         *_void(calibration, calibration.settled and (identified is None or identified.file.converged)),
-        *_incomplete(left_out, identified),
+        *_incomplete(calibration, left_out, identified),
         *_misfit(points, calibration),
         *_control(calibration, outcome),
         *(
@@ -122,14 +122,22 @@ def advise(
             if identified is not None and identified.doubtful
             else _one_of(_compensate(calibration, found, outcome), _adjust(found), _tables(found, tables))
         ),
+        *_unknown(calibration, outcome),
         *_measure(found, outcome, None if identified is None else identified.relative_instrument),
         *_never(calibration, found),
     ]
     return MachineAdvice(
-        f"The error at the tool point is {rms} RMS over the working volume and up to {most}.",
+        f"The error at the tool point is {rms} RMS over the working volume and up to {most}{_without(outcome)}.",
         "well" if found.total.max_um <= SMALL_UM else "wrong",
         tuple(_line(one) for one in found.errors[:NAMED]),
         tuple(sorted(every, key=lambda step: _ORDER.index(step.kind))),
+    )
+
+
+def _without(outcome: CompensationForecast) -> str:
+    """Return in words which errors a figure of the known errors does not contain."""
+    return (
+        f", without {listed(outcome.not_identified)}, which could not be determined" if outcome.not_identified else ""
     )
 
 
@@ -153,11 +161,20 @@ def _line(one: Contribution) -> str:
     )
 
 
-def _incomplete(left_out: Mapping[str, tuple[str, ...]], identified: Identified | None) -> Iterator[Step]:
+def _incomplete(
+    calibration: Calibration, left_out: Mapping[str, tuple[str, ...]], identified: Identified | None
+) -> Iterator[Step]:
     for channel, names in left_out.items():
         text = f"It needs {channel}: give {needed_values([channel])}. No number in this report includes it."
         yield Step("unknown", f"{listed(names)} omitted", text)
     if identified is None:
+        misfit = calibration.misfit
+        if misfit is not None and misfit.warning is not None:
+            yield Step(
+                "unknown",
+                capital(lower(misfit.warning.title)),
+                f"The identification reported: {misfit.says or misfit.verdict}",
+            )
         return
     if identified.others:
         text = (
@@ -237,13 +254,13 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
     if found.total.rms_um <= 0.0:
         return
     start, exact = (figure(level.rms_um, "µm") for level in (outcome.before, outcome.exact))
-    if outcome.with_uncertainty is not None and outcome.with_uncertainty.rms_um >= outcome.before.rms_um:
-        expected = figure(outcome.with_uncertainty.rms_um, "µm")
+    if outcome.judged is not None and outcome.judged.rms_um >= outcome.before.rms_um:
+        expected = figure(outcome.judged.rms_um, "µm")
         text = f"Its uncertainty is too large: the expected RMS error would change from {start} to {expected}. Measure more first."
         yield Step("never", "Compensate programs with this calibration", text)
         return
     text = f"`twin compensate part.nc -o part.compensated.nc{_options(found, calibration)}` reduces the error from {start} RMS to "
-    if outcome.with_uncertainty is None:
+    if outcome.judged is None:
         text += (
             f"{exact} for an exact calibration. The expected error is {UNKNOWN}, because the calibration gives no "
             "uncertainty."
@@ -251,9 +268,14 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
     else:
         least = "" if outcome.complete else "at least "
         text += (
-            f"{least}{figure(outcome.with_uncertainty.rms_um, 'µm')}, including the uncertainty of the calibration ({exact} for an "
-            f"exact one); 95 % of positions within {least}{figure(outcome.with_uncertainty.quantile(0.95), 'µm')}."
+            f"{least}{figure(outcome.judged.rms_um, 'µm')}, including the uncertainty of the calibration ({exact} for an "
+            f"exact one); 95 % of positions within {least}{figure(outcome.judged.quantile(0.95), 'µm')}."
         )
+        if outcome.not_identified and outcome.with_uncertainty is not None:
+            text += (
+                f" This does not include {listed(outcome.not_identified)}, which could not be determined and which no program "
+                f"corrects: with their plausible size {figure(outcome.with_uncertainty.rms_um, 'µm')} RMS remain."
+            )
     if outcome.out_of_range:
         share = 100.0 * outcome.out_of_range / outcome.poses
         text += (
@@ -326,7 +348,8 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
         f"at {where}."
     )
     tables_left = best.remains.tables
-    larger = isfinite(best.remains.uncertainty.rms_um) and tables_left.expected_rms_um >= best.remains.before.rms_um
+    known = best.remains.uncertainty.identified_standard_rms_um
+    larger = isfinite(known) and hypot(tables_left.rms_um, known) >= best.remains.before.rms_um
     if best.remains.reduction >= WORTH and not larger:
         calibration = found.kinematics.calibration
         how = f"`twin control --to {best.kind} -o tables/{_options(found, calibration)}` writes the tables."
@@ -339,9 +362,26 @@ def _remaining(one: TablesLeft) -> str:
     """Return the remaining error with the tables of a format, for the model and with its uncertainty."""
     remaining, u = one.remains.tables, one.remains.uncertainty
     expected = (
-        f"{u.least}{figure(remaining.expected_rms_um, 'µm')} with uncertainty" if isfinite(u.rms_um) else f"U {UNKNOWN}"
+        f"{u.least}{figure(hypot(remaining.rms_um, u.identified_standard_rms_um), 'µm')} with uncertainty"
+        if isfinite(u.identified_standard_rms_um)
+        else f"U {UNKNOWN}"
     )
     return f"{one.kind} {figure(remaining.rms_um, 'µm')} by the model, {expected}"
+
+
+def _unknown(calibration: Calibration, outcome: CompensationForecast) -> Iterator[Step]:
+    """Yield a step on the errors that the readings could not determine."""
+    by_reason: dict[str, list[str]] = {}
+    for one in calibration.not_identifiable:
+        by_reason.setdefault(one.why, []).append(one.name)
+    if not by_reason:
+        return
+    reasons = [f"{listed(names)}: {why}" for why, names in list(by_reason.items())[:NAMED]]
+    more = len(by_reason) - len(reasons)
+    text = f"{'. '.join(reasons)}{f'. {more} more: see the file of the calibration' if more > 0 else ''}."
+    if outcome.not_identified:
+        text += f" U at the tool includes the plausible size of {listed(outcome.not_identified)} (machine file)."
+    yield Step("measure", "Determine the errors that were not identified", text)
 
 
 def _measure(found: Budget, outcome: CompensationForecast, instrument: str | None) -> Iterator[Step]:
@@ -352,11 +392,7 @@ def _measure(found: Budget, outcome: CompensationForecast, instrument: str | Non
             yield Step("measure", "Determine the uncertainty", text)
         return
     what = ""
-    if (
-        outcome.with_uncertainty is not None
-        and outcome.exact is not None
-        and outcome.with_uncertainty.rms_um > 2.0 * outcome.exact.rms_um
-    ):
+    if outcome.judged is not None and outcome.exact is not None and outcome.judged.rms_um > 2.0 * outcome.exact.rms_um:
         what = "The error after compensation is mostly due to the uncertainty of the calibration. Largest uncertainties"
     elif outcome.exact is None and found.total.u_rms_um > found.total.rms_um:
         what = f"U at the tool ({figure(found.total.u_rms_um, 'µm')}) exceeds the error itself. Largest uncertainties"

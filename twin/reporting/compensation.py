@@ -78,8 +78,10 @@ class CompensationForecast:
         before: error of the machine, including the tables in its control.
         without_tables: error without the tables in the control; None if there are none.
         exact: error after compensation if the calibration is exact (rounding, travel limits); None if the machine runs no programs.
-        with_uncertainty: error expected after compensation: the same on machines drawn from the calibration's covariance; None if
-            that is unknown or ``exact`` is None.
+        with_uncertainty: error expected after compensation: the same on machines drawn from the calibration's covariance and the
+            plausible size of errors that it could not determine; None if that is unknown or ``exact`` is None.
+        identified: the same without the errors that could not be determined; None if there are none.
+        not_identified: names of these errors.
         complete: whether all errors have an uncertainty; if not, ``with_uncertainty`` is a lower bound.
         poses: number of poses.
         out_of_range: number of poses at which the correction exceeds the travel.
@@ -95,6 +97,8 @@ class CompensationForecast:
     without_tables: ErrorDistribution | None
     exact: ErrorDistribution | None
     with_uncertainty: ErrorDistribution | None
+    identified: ErrorDistribution | None
+    not_identified: tuple[str, ...]
     complete: bool
     poses: int
     out_of_range: int
@@ -106,10 +110,20 @@ class CompensationForecast:
     seed: int
 
     @property
+    def judged(self) -> ErrorDistribution | None:
+        """Expected error after compensation that decides whether compensating is an improvement.
+
+        Errors that could not be determined are the same before and after, and are not part of it.
+        """
+        return self.with_uncertainty if self.identified is None else self.identified
+
+    @property
     def levels(self) -> tuple[ErrorDistribution, ...]:
         """All available cases, in the order of the report."""
         return tuple(
-            one for one in (self.without_tables, self.before, self.exact, self.with_uncertainty) if one is not None
+            one
+            for one in (self.without_tables, self.before, self.exact, self.identified, self.with_uncertainty)
+            if one is not None
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -123,6 +137,8 @@ class CompensationForecast:
                 "without_control": self.without_tables,
                 "compensated_if_exactly_true": self.exact,
                 "compensated": self.with_uncertainty,
+                "compensated_identified_errors": self.judged,
+                "not_identified": self.not_identified,
                 "compensated_complete": self.with_uncertainty is not None and self.complete,
                 "out_of_range": self.out_of_range,
                 "out_of_range_max_um": self.out_of_range_um,
@@ -154,10 +170,10 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
     before = np.linalg.norm(found.error_um, axis=1)
     without_tables = None
     if real.calibration.corrections:
-        alone = without(real, {table.name for table in real.calibration.corrections})
-        remaining_bare = (alone.forward(q, sides).point_mm - found.nominal_poses.point_mm) * 1e3
+        bare = without(real, {table.name for table in real.calibration.corrections})
+        remaining_bare = (bare.forward(q, sides).point_mm - found.nominal_poses.point_mm) * 1e3
         without_tables = _distribution("without the control's tables", remaining_bare)
-    exact = with_uncertainty = tilt_after = uncompensated = None
+    exact = with_uncertainty = identified = tilt_after = uncompensated = None
     out = unoriented_count = 0
     worst_out = np.nan
     uncertainty = ToolUncertainty(real)
@@ -172,7 +188,15 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
         if out:
             worst_out = float(np.linalg.norm(remaining[beyond], axis=1).max())
         if uncertainty.parameters:
-            with_uncertainty = deviations.distribution("compensated, with uncertainty", remaining)
+            also = " and errors not identified" if uncertainty.unknown else ""
+            with_uncertainty = deviations.distribution(f"compensated, with uncertainty{also}", remaining)
+        if uncertainty.unknown:
+            name, alone = "compensated, with uncertainty", ToolUncertainty(real, "identified")
+            identified = (
+                _Deviations(alone, q, sides, seed).distribution(name, remaining)
+                if alone.parameters
+                else _distribution(name, remaining)
+            )
     if uncertainty.parameters:
         uncompensated = deviations.distribution("uncompensated, with uncertainty", found.error_um).machines
     return CompensationForecast(
@@ -180,6 +204,8 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
         without_tables=without_tables,
         exact=exact,
         with_uncertainty=with_uncertainty,
+        identified=identified,
+        not_identified=uncertainty.unknown,
         complete=not uncertainty.without_uncertainty,
         poses=len(q),
         out_of_range=out,

@@ -15,6 +15,7 @@ from twin.display.numbers import COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics, Poses
 from twin.machine.effects import split_name
 from twin.machine.iso16907 import error_motion_of, iso_class
+from twin.machine.unknown_errors import unknown_effects
 from twin.reporting.words import named
 from twin.uncertainty.at_tool import ToolUncertainty, radius_95
 from twin.uncertainty.budget import BudgetRow, PartialErrors, error_budget, random_approach, volume_inside_domains
@@ -84,6 +85,7 @@ class Budget:
         classes: contributions of classes, largest first.
         total: contribution of all errors together.
         without_uncertainty: names of the errors with a value but no uncertainty.
+        not_identified: names of the errors left out because they could not be determined; U of total and classes includes them.
     """
 
     kinematics: Kinematics
@@ -95,6 +97,7 @@ class Budget:
     classes: tuple[Contribution, ...]
     total: Contribution
     without_uncertainty: tuple[str, ...]
+    not_identified: tuple[str, ...]
 
     @property
     def worst(self) -> dict[str, float]:
@@ -141,7 +144,8 @@ def nominal_machine(real: Kinematics) -> Kinematics:
 def budget(kinematics: Kinematics) -> Budget:
     """Return the error budget over the volume, with U of every contribution.
 
-    U of one error includes the uncertainty of its own parameters only; U of a class includes the covariance between its errors. First
+    U of one error includes the uncertainty of its own parameters only; U of a class includes the covariance between its errors, and the
+    plausible size of those that could not be determined. First
     order (JCGM 100, 5.2.2), as in `twin.uncertainty.at_tool`.
 
     Args:
@@ -157,8 +161,11 @@ def budget(kinematics: Kinematics) -> Budget:
     share = _Shares(kinematics, q, sides)
     acts = {effect.name: error_motion_of(effect, machine) for effect in calibration.effects}
     errors = [_contribution(row, share, [row.name], acts[row.name]) for row in rows]
+    uncertain = acts | {name: name for name in share.tool.unknown}
     by_class = [
-        _contribution(row, share, [name for name, motion in acts.items() if iso_class(motion, machine) == row.name], "")
+        _contribution(
+            row, share, [name for name, motion in uncertain.items() if iso_class(motion, machine) == row.name], ""
+        )
         for row in classes[:-1]
     ]
     return Budget(
@@ -169,8 +176,9 @@ def budget(kinematics: Kinematics) -> Budget:
         tilt_urad=reached.tilt_urad(meant),
         errors=tuple(sorted(errors, key=lambda one: -one.rms_um)),
         classes=tuple(sorted(by_class, key=lambda one: -one.rms_um)),
-        total=_contribution(classes[-1], share, list(acts), ""),
+        total=_contribution(classes[-1], share, list(uncertain), ""),
         without_uncertainty=share.tool.without_uncertainty,
+        not_identified=share.tool.unknown,
     )
 
 
@@ -180,10 +188,9 @@ class _Shares:
 
     def __init__(self, kinematics: Kinematics, q: np.ndarray, sides: np.ndarray) -> None:
         self.tool = ToolUncertainty(kinematics)
-        self._covariance = kinematics.calibration.covariance
         self._numbers = {
             effect.name: [parameter.name for parameter in effect.parameters]
-            for effect in kinematics.calibration.effects
+            for effect in (*unknown_effects(kinematics.calibration), *kinematics.calibration.effects)
         }
         self._place = {name: i for i, name in enumerate(self.tool.parameters)}
         self._rates = self.tool.point_rates(q, sides)
@@ -196,7 +203,7 @@ class _Shares:
             # An effect without parameters (a table in the control) has no uncertainty.
             return (np.nan, np.nan, False) if wanted else (0.0, 0.0, True)
         rates = self._rates[:, :, [self._place[number] for number in known]]
-        u = radius_95(rates @ self._covariance.of(known).matrix @ rates.transpose(0, 2, 1))
+        u = radius_95(rates @ self.tool.covariance.of(known).matrix @ rates.transpose(0, 2, 1))
         return float(np.sqrt(np.mean(u**2))), float(u.max()), len(known) == len(wanted)
 
 

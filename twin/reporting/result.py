@@ -18,6 +18,7 @@ from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, wa
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
+from twin.machine.calibration_file import NotIdentifiable
 from twin.machine.conditions import Conditions
 from twin.machine.control import ControlSection
 from twin.machine.datum import EXPLANATION, MEAN_LINES
@@ -94,19 +95,22 @@ class Gaps:
 
     Attributes:
         absent: error motions, squareness and locations that are not in the calibration and count as zero.
+        not_identified: errors that the readings could not determine, and why.
         without_uncertainty: errors with a value but no uncertainty.
         left_out: effects omitted because no value was given for their channel, by channel.
         unused: channels that were given but that no effect needs.
     """
 
     absent: tuple[str, ...]
+    not_identified: tuple[NotIdentifiable, ...]
     without_uncertainty: tuple[str, ...]
     left_out: Mapping[str, tuple[str, ...]]
     unused: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
-        return json_form(self, rename={"absent": "absent_counted_as_zero"})
+        found = json_form(self, rename={"absent": "absent_counted_as_zero"}, leave_out=("not_identified",))
+        return found | {"not_identified": [one.model_dump() for one in self.not_identified]}
 
 
 @final
@@ -196,6 +200,9 @@ class MachineReport:
                     "datum": calibration.datum,
                     "illustrative": self.illustrative,
                     "simulated_readings": self.simulated,
+                    "instruments": calibration.instruments,
+                    "set_up": None if calibration.set_up is None else calibration.set_up.model_dump(),
+                    "misfit": None if calibration.misfit is None else calibration.misfit.model_dump(),
                     "warnings": warnings_to_json(self.warnings),
                 },
                 "tool_length_mm": self.kinematics.tool_length_mm,
@@ -265,7 +272,9 @@ def machine_report(
     real = Kinematics(machine, known, tool_length_mm=tool_length_mm, conditions=at)
     error_budget, error_motions, error_field, outcome = _over_the_volume(real, seed, progress)
     found = tuple(_comparisons(measured, known, progress))
-    gaps = Gaps(_absent(known), error_budget.without_uncertainty, left_out, at.unused(calibration))
+    gaps = Gaps(
+        _absent(known), known.not_identifiable, error_budget.without_uncertainty, left_out, at.unused(calibration)
+    )
     progress("control's tables", 0.9)
     tables = tables_left(real, calibration, left_out)
     progress("words", 0.95)
@@ -360,6 +369,6 @@ def _square_to(machine: Machine, axis: Axis, about: int) -> tuple[str, float]:
 
 def _absent(calibration: Calibration) -> tuple[str, ...]:
     machine = calibration.machine
-    named_ = {effect.name for effect in calibration.effects}
+    named_ = {effect.name for effect in calibration.effects} | {one.name for one in calibration.not_identifiable}
     every = (*machine.motion_names, *machine.squareness_names, *machine.location_names)
     return tuple(name for name in every if name not in named_)

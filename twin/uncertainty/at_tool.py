@@ -8,9 +8,10 @@ U is the radius about the estimated point within which the true point lies with 
 is not k = 2 times one standard deviation: twice the standard deviation in the largest direction covers 95.4 % of an error along one
 line, but only 73.9 % of an error equal in all three directions. The standard uncertainties u_x, u_y, u_z (k = 1) are given too.
 
-U includes the uncertainty of the calibration's parameters only. Errors with a value but no covariance are named in every result. If
-none has a covariance the result is unknown: NaN, never zero. Error motions missing from the calibration, repeatability, temperature
-and rounding are not included.
+U includes the uncertainty of the calibration's parameters, and the plausible size of the errors that the calibration says it could not
+determine (`twin.machine.unknown_errors`). Errors with a value but no covariance are named in every result. If none has a covariance the
+result is unknown: NaN, never zero. Other error motions missing from the calibration, repeatability, temperature and rounding are not
+included.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any, Final, final
+from typing import Any, Final, Literal, final
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from twin._common.errors import InputError, closest_name
 from twin.display import UNKNOWN, Html, card, histogram, note, pairs
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
+from twin.machine.unknown_errors import prior_covariance, unknown_effects
 from twin.numerics.covariance import Covariance, symmetric_root
 from twin.uncertainty.budget import POSES, inside_domains, random_approach, state_at, volume
 
@@ -208,24 +210,45 @@ class ToolUncertainty:
 
     Args:
         kinematics: machine, calibration and tool.
+        errors: ``all``; ``identified``: those that the calibration determined, on which its corrections are based; ``unknown``: those
+            that it left out because it could not determine them (`twin.machine.unknown_errors`).
 
     Attributes:
         kinematics: machine, calibration and tool.
-        parameters: names of the calibration's parameters that have an uncertainty.
+        covariance: covariance of the parameters, those of unknown errors last.
+        unknown: names of the errors left out of the calibration whose plausible size is included.
         without_uncertainty: names of errors, or of single parameters of a curve, with a value but no uncertainty.
     """
 
-    def __init__(self, kinematics: Kinematics) -> None:
+    def __init__(self, kinematics: Kinematics, errors: Literal["all", "identified", "unknown"] = "all") -> None:
         self.kinematics = kinematics
         calibration = kinematics.calibration
         named = {parameter.name for effect in calibration.effects for parameter in effect.parameters}
-        covariance = calibration.covariance.where(lambda name: name in named)
-        self.parameters = covariance.names
-        self.without_uncertainty = _without(calibration, set(covariance.names))
+        covariance = calibration.covariance.where(lambda name: errors != "unknown" and name in named)
+        absent = unknown_effects(calibration) if errors != "identified" else ()
+        self.unknown = tuple(effect.name for effect in absent)
+        if absent:
+            covariance = Covariance.of_blocks([covariance, prior_covariance(calibration)])
+        self.covariance = covariance
+        self._effects = (*(() if errors == "unknown" else calibration.effects), *absent)
+        self.without_uncertainty = (
+            tuple(
+                name
+                for name in _without(calibration, set(covariance.names))
+                if name.partition("[")[0] not in self.unknown
+            )
+            if errors != "unknown"
+            else ()
+        )
         self._index = {name: i for i, name in enumerate(covariance.names)}
         self._factor = _factor(covariance)
         frames = kinematics.machine.frames
         self._start = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(frames)}
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters that have an uncertainty."""
+        return self.covariance.names
 
     def _repr_html_(self) -> str:
         known = (
@@ -236,6 +259,7 @@ class ToolUncertainty:
         rows = [
             ("from", f"{known} of the calibration" if self.parameters else known),
             ("unknown uncertainty of", ", ".join(self.without_uncertainty)),
+            ("not identified, plausible size", ", ".join(self.unknown)),
             ("tool length", f"{self.kinematics.tool_length_mm:g} mm"),
         ]
         hint = note("`.over_volume()`, `.on_grid(…)` and `.at(…)` give U in µm")
@@ -261,7 +285,7 @@ class ToolUncertainty:
                 error = self.kinematics.sensitivities(step, sides[start : start + POSES_PER_STEP]).error
                 for first in range(0, len(step), POSES_PER_CHUNK):
                     part = slice(first, first + POSES_PER_CHUNK)
-                    rows, spread = self._spread(step[part], sides[start : start + POSES_PER_STEP][part])
+                    rows, spread = self.frame_factors(step[part], sides[start : start + POSES_PER_STEP][part])
                     # Metres per metre and radian equal µm per µm and µrad; the product is a factor, so no variance is negative.
                     root = error[part][:, :, rows] @ spread
                     covariance[start:][part] = root @ root.transpose(0, 2, 1)
@@ -331,7 +355,7 @@ class ToolUncertainty:
             self.kinematics.machine, positions, approach, self.kinematics.conditions, self.kinematics.by_pose
         )
         moved: dict[int, list[tuple[int, Any]]] = {}
-        for effect in self.kinematics.calibration.effects:
+        for effect in self._effects:
             start = self._start[effect.frame.axis, effect.frame.role]
             for parameter, rates in zip(effect.parameters, effect.derivatives(state), strict=True):
                 column = self._index.get(parameter.name)
@@ -367,11 +391,15 @@ class ToolUncertainty:
         """Draw deviations (parameters, count) of the uncertain parameters, µm and µrad: normal, with their covariance."""
         return np.asarray(self._factor @ rng.standard_normal((count, self._factor.shape[1])).T)
 
-    def _spread(self, q: np.ndarray, sides: np.ndarray) -> tuple[list[int], np.ndarray]:
+    def frame_factors(self, q: np.ndarray, sides: np.ndarray) -> tuple[list[int], np.ndarray]:
         """Return a factor of the covariance of the error frames' components that have an uncertainty.
 
+        Args:
+            q: (n, axes) commands, mm and degrees, checked.
+            sides: (n, axes) directions of approach, see `at`.
+
         Returns:
-            Their indices into the (6·frames,) vector, and the factor (n, indices, r), µm and µrad.
+            Their indices into the (6·frames,) vector, and the factor F (n, indices, r), µm and µrad: their covariance is F Fᵀ.
         """
         moved = self.rates(q, sides)
         spread = np.empty((len(moved), len(q), self._factor.shape[1]))

@@ -12,7 +12,7 @@ machines: distributions are stored as counts over fine bins.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final, final
 
 import numpy as np
@@ -29,7 +29,7 @@ from twin.compute.parallel import Workers, map_in_order
 from twin.display import card, histogram, note, pairs, table
 from twin.display.numbers import COVERAGE, COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
-from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty
+from twin.uncertainty.at_tool import DEFINITION, PoseUncertainty, ToolUncertainty
 from twin.uncertainty.budget import inside_domains, random_approach, volume
 from twin.uncertainty.draws import NUMERICAL_UM, Draws
 from twin.uncertainty.tally import Counts, Tally
@@ -47,7 +47,18 @@ UNDECIDED: Final = 3.5
 """Standard errors of an interval's limit within which first order is neither sufficient nor insufficient. A pose has six limits, and
 their standard errors are estimates: with two, one pose in four was called insufficient where first order is exact."""
 
-LEADING_KEYS: Final = ("machines", "seed", "as_it_is", "compensated", "without_uncertainty", "warnings")
+LEADING_KEYS: Final = (
+    *(
+        "machines",
+        "seed",
+        "as_it_is",
+        "compensated",
+        "without_uncertainty",
+        "warnings",
+        "not_identified",
+        "identified_um",
+    ),
+)
 """Attributes that come before the poses in JSON."""
 
 
@@ -94,6 +105,8 @@ class Population:
         compensated: the same for the error that remains when the estimated errors are compensated exactly.
         without_uncertainty: errors with a value but no uncertainty, which are therefore the same for all machines.
         warnings: warnings about the origin of the calibration.
+        not_identified: errors that could not be determined; each machine has its own, drawn from their plausible size.
+        identified_um: (n,) U by first-order propagation without these errors.
     """
 
     axes: tuple[str, ...]
@@ -112,6 +125,8 @@ class Population:
     compensated: tuple[Spread, Spread]
     without_uncertainty: tuple[str, ...]
     warnings: tuple[SourceWarning, ...] = ()
+    not_identified: tuple[str, ...] = ()
+    identified_um: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def _repr_html_(self) -> str:
         spread = [
@@ -128,6 +143,7 @@ class Population:
             ("U by Monte Carlo", f"{np.sqrt(np.mean(u**2)):.3g} µm RMS, {u.max():.3g} µm largest at {place}"),
             ("U to first order", f"{np.sqrt(np.mean(self.first_order_um**2)):.3g} µm RMS"),
             ("first order sufficient (JCGM 101, 8.1)", _sufficiency_text(self.validated)),
+            ("not identified, drawn from the plausible size", ", ".join(self.not_identified)),
             (
                 "the same in all machines",
                 f"{', '.join(self.without_uncertainty)} (no covariance)" if self.without_uncertainty else "",
@@ -167,6 +183,8 @@ class Population:
             "definition": DEFINITION,
             "warnings": warnings_to_json(self.warnings),
             "without_uncertainty": list(self.without_uncertainty),
+            "not_identified": list(self.not_identified),
+            "first_order_identified_errors": summary(self.identified_um) if len(self.identified_um) else None,
             "by_draws": summary(self.by_draws_um),
             "first_order": summary(self.first_order_um),
             "where": self.where,
@@ -296,7 +314,19 @@ def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) 
         compensated=(spreads[2], spreads[3]),
         without_uncertainty=tool.without_uncertainty,
         warnings=draws.calibration.warnings,
+        not_identified=tool.unknown,
+        identified_um=_identified_u(draws, tool, first),
     )
+
+
+def _identified_u(draws: Draws, tool: ToolUncertainty, first: PoseUncertainty) -> np.ndarray:
+    """Return (n,) U without the errors that could not be determined, to first order; zero without other uncertain parameters."""
+    if not tool.unknown:
+        return first.expanded_um
+    alone = ToolUncertainty(tool.kinematics, "identified")
+    if not alone.parameters:
+        return read_only(np.zeros(len(draws.positions)))
+    return alone.at(draws.positions, draws.sides).expanded_um
 
 
 def _sufficiency_text(validated: Sequence[bool | None]) -> str:

@@ -16,7 +16,7 @@ from twin.compensation.account.report import ClassShare, ControlNote, Deviation,
 from twin.compensation.account.sample import Sample, SimulatedPoints
 from twin.compensation.account.shortfalls import Shortfall, ShortfallTally
 from twin.compensation.account.tally import CompensationTally
-from twin.compensation.account.uncertainty import Corrections, CorrectionTally
+from twin.compensation.account.uncertainty import Corrections, CorrectionTally, UnknownErrors
 from twin.compensation.account.uncorrected import hinted, of_unknown, uncorrected
 from twin.compensation.comparison import Commands
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
@@ -61,6 +61,7 @@ class CompensationAccount:
         self._prepared, self._aim, self._source = prepared, aim, source
         self._before, self._after = CompensationTally(4, 4), CompensationTally(4, 4)
         self._point, self._axis = CorrectionTally("tool point", "um"), CorrectionTally("tool axis", "urad")
+        self._with_unknown = CompensationTally(1, 1)
         self._samples: dict[CorrectionAim, Sample] = {}
         self._shortfalls = ShortfallTally()
         self._residual_um = {"rounding": 0.0, "solver": 0.0}
@@ -149,7 +150,7 @@ class CompensationAccount:
             classes=tuple(self._classes(all_corrected=not not_corrected)),
             not_corrected=not_corrected,
             notes=notes,
-            uncertainty=Corrections(self._point.correction(), self._axis.correction()),
+            uncertainty=Corrections(self._point.correction(), self._axis.correction(), self._unknown_errors()),
             cutting=self._cutting + sum(one.cutting for one in unknown),
             idle=self._idle,
             conditions=prepared.constant,
@@ -241,6 +242,11 @@ class CompensationAccount:
         if not aim.point.calibration.empty:
             at_point = _uncertainty(aim.at_point, pieces, rows)
             self._point.add(line_of, rows.motion, moved.distance_mm[keep] * 1e3, at_point[:, 0], aim.at_point)
+        if prepared.at_unknown.unknown:
+            squares = _uncertainty(prepared.at_unknown, pieces, rows)[:, 0, 0] ** 2
+            # Independent of the identified errors: the radii add in squares, or less.
+            squares += 0.0 if at_point is None else np.nan_to_num(at_point[:, 0, 0]) ** 2
+            self._with_unknown.add(np.sqrt(squares)[None], np.array([squares.sum()]), line_of)
         turned = ~rows.singular  # the others are listed as not corrected
         orientation_corrected = aim.scope.orientation and prepared.thesis is None
         if orientation_corrected and aim.at_axis is not None and np.any(turned):
@@ -263,6 +269,14 @@ class CompensationAccount:
             for found in of_unknown(unknown):
                 self._shortfalls.add(found)
         return tuple(hinted(one, text_of) for one in self._shortfalls.shortfalls())
+
+    def _unknown_errors(self) -> UnknownErrors | None:
+        """Return U with the errors that the calibration could not determine; None if there are none, or nothing was corrected."""
+        found = self._with_unknown
+        if not found.count:
+            return None
+        (rms,), largest, line = found.rms, float(found.largest[0, 0]), int(found.lines[0])
+        return UnknownErrors(self._prepared.at_unknown.unknown, rms, largest, line)
 
     # --- results -----------------------------------------------------------------------------------------------------
 

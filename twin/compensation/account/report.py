@@ -303,6 +303,7 @@ class Report:
             ("calibration", self.calibration_source if self.calibration == "none" else self.calibration),
             *((one.label, one.headline) for one in self.uncertainty),
             ("", self.uncertainty.unknown or ""),
+            ("not known", "" if self.uncertainty.not_identified is None else self.uncertainty.not_identified.text),
             ("control", "" if self.control is None else self.control.sentence),
             ("method", self._how),
             ("program", f"{count_with_noun(self.moves, 'move')}: {blocks}"),
@@ -323,7 +324,7 @@ class Report:
 
     def to_text(self) -> str:
         """Return the report as text."""
-        unknown = self.uncertainty.unknown
+        unknown, not_identified = self.uncertainty.unknown, self.uncertainty.not_identified
         tilts = [f"{' / '.join(f'{about:.1f}' for about in one.tilt_rms_urad)}" for _, one in self._errors]
         out = [
             f"{self.program} on {self.machine}: {self.headline}",
@@ -331,6 +332,7 @@ class Report:
             *(f"                {text}" for text in warning_texts(self.warnings)),
             *(f"  {one.label:<14}{one.headline}" for one in self.uncertainty),
             *([] if unknown is None else [f"  {unknown}"]),
+            *([] if not_identified is None else [f"  not known     {not_identified.text}"]),
             *([] if self.control is None else [f"  control       {self.control.sentence}"]),
             f"  method        {self._how}",
             f"  program       {self.lines} lines, {self.moves} moves: {self.rewritten} rewritten, "

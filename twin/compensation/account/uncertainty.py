@@ -206,11 +206,45 @@ class CorrectionTally:
 
 @final
 @dataclass(frozen=True)
+class UnknownErrors:
+    """Errors that the calibration could not determine: no program corrects them, and they limit how well the result is known.
+
+    Attributes:
+        names: ISO 230-1 names.
+        expanded_rms_um: U of the tool point from their plausible size and the corrected errors together, RMS over the program.
+        expanded_max_um, expanded_max_line: the largest such U, and its line.
+    """
+
+    names: tuple[str, ...]
+    expanded_rms_um: float
+    expanded_max_um: float
+    expanded_max_line: int
+
+    @property
+    def text(self) -> str:
+        """The errors and U with them, as a sentence."""
+        names = ", ".join(self.names[:NAMED]) + (
+            f" and {len(self.names) - NAMED} more" if len(self.names) > NAMED else ""
+        )
+        return (
+            f"{names}: not corrected, because not identified. With their plausible size, U of the tool point is "
+            f"{self.expanded_rms_um:.0f} µm RMS, at most {self.expanded_max_um:.0f} µm (line {self.expanded_max_line})"
+        )
+
+
+@final
+@dataclass(frozen=True)
 class Corrections:
-    """Corrections of tool point and tool axis; None for one that is not in scope."""
+    """Corrections of tool point and tool axis; None for one that is not in scope.
+
+    Attributes:
+        point, axis: the corrections, with the uncertainty of the corrected errors.
+        not_identified: errors that the calibration could not determine; None if there are none.
+    """
 
     point: ToolCorrection | None
     axis: ToolCorrection | None
+    not_identified: UnknownErrors | None = None
 
     def __iter__(self) -> Iterator[ToolCorrection]:
         """Iterate over those that are in scope."""

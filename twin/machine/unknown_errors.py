@@ -1,0 +1,47 @@
+"""Errors of a calibration that are not known, as effects with a prior.
+
+An error that the readings did not determine is not zero. If the estimate kept it, because other errors refer to it, the covariance of
+the calibration contains its prior already, with all correlations: what the readings did determine stays determined, and a combination
+that moves no tool contributes nothing. If the estimate left it out, no other number of the calibration depends on it
+(`twin.identification.determined`): it is independent of them, with mean zero and the plausible size of the machine file as standard
+deviation. An unknown error motion has that standard deviation at every position of its axis.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin._common.arrays import read_only
+from twin.machine.calibration import Calibration
+from twin.machine.effects import AxisLocation, Effect, ErrorMotion, Squareness, split_name
+from twin.machine.machine import Machine
+from twin.numerics.covariance import Covariance
+from twin.numerics.curves import basis_named
+
+
+def unknown_effects(calibration: Calibration) -> tuple[Effect, ...]:
+    """Return an effect for every error of ``not_identifiable`` that the calibration's covariance does not contain.
+
+    Its value is that of the calibration, or zero, and its first parameter stands for the unknown.
+    """
+    known = {name.partition("[")[0] for name in calibration.covariance.names}
+    return tuple(
+        _effect(one.name, calibration.machine) for one in calibration.not_identifiable if one.name not in known
+    )
+
+
+def prior_covariance(calibration: Calibration) -> Covariance:
+    """Return the covariance of the parameters of `unknown_effects`: independent, the plausible sizes of the machine file."""
+    effects = unknown_effects(calibration)
+    sizes = [calibration.machine.plausible(effect.name) for effect in effects]
+    names = tuple(effect.parameters[0].name for effect in effects)
+    return Covariance(names, read_only(np.diag(np.square(sizes)) if sizes else np.zeros((0, 0))))
+
+
+def _effect(name: str, machine: Machine) -> Effect:
+    if name in machine.squareness_names:
+        return Squareness(name, 0.0, machine.by_name[split_name(name)[2]])
+    if name in machine.location_names:
+        return AxisLocation(name, 0.0)
+    axis = machine.by_name[split_name(name)[2]]
+    return ErrorMotion(name, basis_named("power")(()), axis.domain, (0.0,), wrapped=axis.lower is None)
