@@ -1,0 +1,34 @@
+"""Measurement noise of a diagnosis: from repeats of a table that has nothing but commands and readings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.identification.plans import read_by_truth, table
+from tests.truth.machine import written
+from twin._common.arrays import read_only
+from twin.diagnosis import diagnose
+from twin.machine.calibration import Calibration
+from twin.machine.machine import Machine
+
+SIGMA_MM = 3e-3
+
+
+def test_repeats_without_optional_columns_give_the_noise(dmu50: Machine, tmp_path: Path) -> None:
+    """18 positions twice, x, y and z alone: no effect can change between the repeats, so nothing is regressed on."""
+    rng = np.random.default_rng(5)
+    positions = np.zeros((18, 5))
+    positions[:, :3] = np.round(rng.uniform([20.0, 20.0, -380.0], [480.0, 430.0, -20.0], (18, 3)), 3)
+    twice = np.concatenate([positions, positions])
+    plan = table(dmu50, twice, np.full(36, "K"), np.full(36, "1"))
+    exact = read_by_truth(plan, written(tmp_path / "t.yaml", {}))
+    points = exact.point_mm + SIGMA_MM * rng.standard_normal((36, 3))
+    found = diagnose(replace(exact, point_mm=read_only(points)), dmu50, Calibration.zero(dmu50))
+    assert found.verdict == "consistent"
+    assert found.noise_source.startswith("repeats")
+    # 54 degrees of freedom: one standard deviation of the noise is a tenth of it; four.
+    assert found.expected_rms_um == pytest.approx(1e3 * SIGMA_MM, rel=0.4)
