@@ -18,7 +18,7 @@ from twin.machine.machine import Machine
 SIGMA_MM = 3e-3
 
 
-@pytest.mark.parametrize(("count", "source"), [(18, "the residuals of a fit"), (40, "repeats")])
+@pytest.mark.parametrize(("count", "source"), [(18, "the noise model of the tracker"), (40, "repeats")])
 def test_repeats_without_optional_columns_give_the_noise(
     dmu50: Machine, tmp_path: Path, count: int, source: str
 ) -> None:

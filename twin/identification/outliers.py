@@ -53,6 +53,7 @@ class RowAssessment:
         beyond: (n,) rows beyond the limit: outliers, and rows that no gap separates from the others of a misfitting model.
         weight: (n,) robust weights: one for a good point.
         noise: size of the whitened residuals of most rows, root of the mean over the groups of their squares; one if the model fits.
+        size_m: (n,) standard deviation of the misfit per coordinate; zero if the model fits.
         misfit_um: by target and station, standard deviation of the model's misfit per coordinate; only if it is not zero.
     """
 
@@ -60,6 +61,7 @@ class RowAssessment:
     beyond: np.ndarray
     weight: np.ndarray
     noise: float
+    size_m: np.ndarray
     misfit_um: dict[tuple[str, str], float]
 
 
@@ -80,7 +82,7 @@ def assess_rows(network: Network, whitened: np.ndarray) -> RowAssessment:
     # In the eigenvectors of W Wᵀ an isotropic misfit of size t adds t²·λ to a variance of one.
     values, vectors = np.linalg.eigh(network.whitening @ network.whitening.transpose(0, 2, 1))
     squares = np.einsum("nij,ni->nj", vectors, whitened) ** 2
-    groups, names = _groups(network)
+    groups, names = row_groups(network)
     size = np.zeros(len(count))
     noise = np.ones(len(count))
     misfit: dict[tuple[str, str], float] = {}
@@ -104,6 +106,7 @@ def assess_rows(network: Network, whitened: np.ndarray) -> RowAssessment:
         beyond=read_only(beyond),
         weight=read_only((1.0 - share) * redescending + share * convex),
         noise=overall if overall > NOISE_OF_FIT else 1.0,
+        size_m=read_only(size if overall > NOISE_OF_FIT else np.zeros_like(size)),
         misfit_um=misfit,
     )
 
@@ -118,7 +121,7 @@ def _separated(squares: np.ndarray, bad: np.ndarray) -> np.ndarray:
     return found
 
 
-def _groups(network: Network) -> tuple[np.ndarray, list[list[tuple[str, str]]]]:
+def row_groups(network: Network) -> tuple[np.ndarray, list[list[tuple[str, str]]]]:
     """Return (n,) the group of each row, and its targets and stations: one group for each pair with enough rows, one for all others."""
     keys = list(zip(network.data.target.tolist(), network.data.station.tolist(), strict=True))
     count: dict[tuple[str, str], int] = {}
