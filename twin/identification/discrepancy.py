@@ -123,17 +123,19 @@ def _groups(network: Network) -> Iterator[_Group]:
             yield _Group(pairs, rows, ("along the beam", "across the beam"), np.stack([along, every - along]))
 
 
-def updated(network: Network, discrepancy: Discrepancy, solution: FitSolution, used: np.ndarray) -> Discrepancy:
+def updated(
+    network: Network, discrepancy: Discrepancy, residual: np.ndarray, taken_up: np.ndarray, used: np.ndarray
+) -> Discrepancy:
     """Return the discrepancy that the residuals of an estimate show.
 
     Args:
         network: data and model, with their noise alone.
         discrepancy: the discrepancy with which the estimate was weighted.
-        solution: the estimate.
+        residual: (n, 3) residuals of the estimate, metres; zero where nothing was read.
+        taken_up: (n, 3, 3) covariance that the estimate takes up of each reading, m².
         used: (n,) the points that were used.
     """
     weighted = network.with_discrepancy(discrepancy.root)
-    residual, taken_up = _residuals(weighted, solution)
     every = list(_groups(network))
     level = SIGNIFICANCE / max(sum(len(group.directions) for group in every), 1)
     parts: list[DiscrepancyPart] = []
@@ -171,7 +173,7 @@ def change(network: Network, before: Discrepancy, after: Discrepancy) -> float:
     return float(np.max(np.abs(total[1] / total[0] - 1.0), initial=0.0))
 
 
-def _residuals(network: Network, solution: FitSolution) -> tuple[np.ndarray, np.ndarray]:
+def residuals_of_estimate(network: Network, solution: FitSolution) -> tuple[np.ndarray, np.ndarray]:
     """Return (n, 3) residuals, metres, and (n, 3, 3) the covariance that the estimate takes up of each reading, m²."""
     residual = np.zeros((len(network.data), 3))
     taken_up = np.zeros((len(network.data), 3, 3))

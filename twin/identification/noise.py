@@ -13,7 +13,7 @@ from twin.identification.network import stated_covariance
 from twin.identification.spread import Repeats, Spread, covariance_from_repeats, noise_text, repeats_of
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
-from twin.measurement.instruments import INSTRUMENTS, Instrument
+from twin.measurement.instruments import Instrument, others_alike
 
 
 @final
@@ -70,7 +70,8 @@ def reading_noise(machine: Machine, placed: PreparedData, spread: Spread, *, nam
             assumed.append(instrument.name)
             notices.append(
                 f"{ASSUMED}the readings are those of a {instrument.specification.title}, "
-                f"{noise_text(instrument, point, stated[rows])}: the table names no instrument and has too few repeats to test this{_others(instrument)}"
+                f"{noise_text(instrument, point, stated[rows])}: the table names no instrument and has too few repeats "
+                f"to test this{_others(instrument)}"
             )
     return NoiseOfReadings(
         read_only(covariance),
@@ -94,10 +95,5 @@ def _contradiction(repeats: Repeats, *, of_table: bool, point: np.ndarray, state
 
 def _others(instrument: Instrument) -> str:
     """Return the names of the other instruments with such readings, as a clause; empty if there is none."""
-    own = instrument.specification
-    names = [
-        one.name
-        for one in INSTRUMENTS
-        if one.name != own.name and one.specification.reads == own.reads and one.specification.columns == own.columns
-    ]
+    names = others_alike(instrument)
     return f". If it was another one, name it: {', '.join(names)}" if names else ""

@@ -33,14 +33,14 @@ from twin.machine.calibration import Calibration
 from twin.machine.datum.conditions import EXPLANATION
 from twin.machine.display import errors_html, standard_uncertainty
 from twin.machine.effects import unit_of
-from twin.measurement.checks import ASSUMED, assumptions, grouped_notes
+from twin.measurement.checks import assumptions, grouped_notes
 from twin.measurement.table import Measurements, RowNote
 from twin.numerics.curves import basis_named
 
 SCHEMA = "twin.identification/1"
 SIGNIFICANCE = 1e-3
 """Significance level of the tests for a misfit."""
-CONSISTENT = "consistent with the stated uncertainty of the readings"
+CONSISTENT = "consistent with the noise of the readings"
 FEWEST_DOF = 10
 """Degrees of freedom below which chi² is not informative: at ten, a misfit as large as the noise gives p = 0.03."""
 POOR_PREDICTION = 2.0
@@ -283,7 +283,7 @@ class Identification:
         errors = errors_html(self.calibration.machine, self.calibration.effects, self.calibration.covariance)
         hidden = [(", ".join(names), why) for why, names in self._by_reason().items()]
         aside = [note(f"set aside: {one}", loud=True) for one in grouped_notes(self.set_aside)]
-        notes = [*aside, *(note(notice, loud=notice.startswith(ASSUMED)) for notice in self.notices)]
+        notes = [*aside, *(note(notice, loud=notice in self._loud) for notice in self.notices)]
         if not self.converged:
             notes.insert(0, note("THE ESTIMATE DID NOT CONVERGE: do not use it", loud=True))
         if self.held_by_prior:
@@ -303,7 +303,7 @@ class Identification:
             f"{count_with_noun(len(self.setup.targets), 'target')} from {count_with_noun(stations, 'station')}, "
             f"{self.solution.determined:.0f} parameters determined",
             *warning_texts(self.calibration.warnings),
-            *assumptions(self.notices),
+            *self._loud,
             "",
             f"residuals: {self._rms_text()}; {_fit_text(fit)}",
         ]
@@ -342,10 +342,15 @@ class Identification:
         if self.set_aside:
             lines += ["", f"set aside ({len(self.set_aside)}):"]
             lines += [f"  {one}" for one in grouped_notes(self.set_aside)]
-        lines += [f"note: {notice}" for notice in self.notices if not notice.startswith(ASSUMED)]
+        lines += [f"note: {notice}" for notice in self.notices if notice not in self._loud]
         if not self.converged:
             lines.append("THE ESTIMATE DID NOT CONVERGE: do not use it")
         return "\n".join(lines) + "\n"
+
+    @property
+    def _loud(self) -> list[str]:
+        """Notices that are printed before any result: assumptions, and what the repeats contradict."""
+        return list(dict.fromkeys((*assumptions(self.notices), *self.noise.notices)))
 
     def _rms_text(self) -> str:
         """Return the RMS of the rows used, and of all rows if some were not used."""

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twin.identification.discrepancy import Discrepancy, change, isotropic, updated
+from twin.identification.discrepancy import Discrepancy, change, isotropic, residuals_of_estimate, updated
 from twin.identification.network import Network
 from twin.identification.outliers import RowAssessment, assess_rows
 from twin.identification.setup import SetUp
@@ -147,7 +147,7 @@ def without_outliers(network: Network, start: RobustStart, precision: np.ndarray
                 triangle=triangle,
             )
             triangle = None
-            further = updated(network, discrepancy, solution, ~bad)
+            further = updated(network, discrepancy, *residuals_of_estimate(weighted, solution), ~bad)
             if change(network, discrepancy, further) <= SETTLED:
                 break
             discrepancy = further

@@ -14,11 +14,9 @@ from twin._common.units import MM
 from twin.identification.start import nominal_carriers
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, StationInstruments
-from twin.measurement.state import at_origin
+from twin.measurement.state import FEWEST_REPEATS, at_origin, repeat_groups
 from twin.measurement.table import Measurements
 
-FEWEST_DOF: Final = 10
-"""Degrees of freedom of repeats below which they do not decide on the noise."""
 SIGNIFICANCE: Final = 1e-3
 """Level at which repeats contradict the stated noise."""
 FALSE_ALARM: Final = 0.01
@@ -91,20 +89,6 @@ def misfit(
     return FitStatistics(chi2, max(dof, 0.0), p_value, pure_chi2, pure_dof, lack_p)
 
 
-def repeat_groups(data: Measurements) -> np.ndarray:
-    """Return (n,) the index of the point that each row repeats: same command, target, station and directions of approach.
-
-    A probe finds the same point again at slightly other positions of the axes.
-    """
-    positions = np.where(at_origin(data)[:, None], np.round(data.positions, 0), np.round(data.positions, 6))
-    keys = np.concatenate([positions, data.approach], axis=1)
-    _, pose = np.unique(keys, axis=0, return_inverse=True)
-    _, target = np.unique(data.target.astype(str), return_inverse=True)
-    _, station = np.unique(data.station.astype(str), return_inverse=True)
-    _, group = np.unique(np.stack([pose.reshape(-1), target, station], axis=1), axis=0, return_inverse=True)
-    return np.asarray(group.reshape(-1))
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class Repeats:
@@ -129,7 +113,7 @@ class Repeats:
     @property
     def decide(self) -> bool:
         """Whether the repeats are enough to test the stated covariance."""
-        return self.dof >= FEWEST_DOF
+        return self.dof >= FEWEST_REPEATS
 
     @property
     def contradict(self) -> bool:
@@ -229,7 +213,7 @@ def covariance_from_repeats(
     by_instrument = {id(one.instrument): one for one in repeats}
     for instrument, rows in instruments.groups(data.station):
         own = by_instrument.get(id(instrument))
-        if own is None or own.dof < FEWEST_DOF:
+        if own is None or own.dof < FEWEST_REPEATS:
             raise data.error(
                 f"too few repeats to estimate the noise of the {instrument.name}",
                 expected="at least ten repeated readings",

@@ -17,8 +17,8 @@ from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.signature_products import signatures_of
 from twin.identification.network import LinearisedReadings, Network
 from twin.identification.setup import SetUp
-from twin.identification.spread import repeat_groups
 from twin.measurement.instruments.base import along_and_across
+from twin.measurement.state import repeat_groups
 from twin.measurement.table import Measurements
 
 LEAST_DOF: Final = 20

@@ -20,11 +20,11 @@ from twin.identification.network import Network, stated_covariance
 from twin.identification.outliers import outlier_notes, outliers
 from twin.identification.setup import SetUp
 from twin.identification.solve import solve
-from twin.identification.spread import repeat_groups
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
+from twin.measurement.state import repeat_groups
 from twin.measurement.table import Measurements, RowNote
 
 ITERATIONS: Final = 4
