@@ -34,6 +34,8 @@ LEAST_REDUNDANCY: Final = 5.0
 """Redundancy of a component below which its variance cannot be estimated; its residuals are mostly fitted away."""
 SCORING_STEPS: Final = 60
 TOLERANCE: Final = 1e-3
+SETTLED: Final = 0.05
+"""Relative change of a reading's variance, noise included, up to which the weights need no further estimate."""
 GROUPS_AT_ONCE: Final = 256
 """Number of repeated points in a chunk of the covariance."""
 
@@ -167,10 +169,12 @@ def updated(
     return Discrepancy(tuple(parts), read_only(root))
 
 
-def change(network: Network, before: Discrepancy, after: Discrepancy) -> float:
-    """Return the largest relative change of a reading's variance from one discrepancy to another."""
+def settled(network: Network, before: Discrepancy, after: Discrepancy) -> bool:
+    """Return whether an estimate with the first discrepancy needs no other with the second."""
+    if bool(before.parts) != bool(after.parts):
+        return False
     total = [np.einsum("nii->n", network.with_discrepancy(one.root).covariance) for one in (before, after)]
-    return float(np.max(np.abs(total[1] / total[0] - 1.0), initial=0.0))
+    return float(np.max(np.abs(total[1] / total[0] - 1.0), initial=0.0)) <= SETTLED
 
 
 def residuals_of_estimate(network: Network, solution: FitSolution) -> tuple[np.ndarray, np.ndarray]:

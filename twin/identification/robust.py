@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twin.identification.discrepancy import Discrepancy, change, isotropic, residuals_of_estimate, updated
+from twin.identification.discrepancy import Discrepancy, isotropic, residuals_of_estimate, settled, updated
 from twin.identification.network import Network
 from twin.identification.outliers import RowAssessment, assess_rows
 from twin.identification.setup import SetUp
@@ -20,8 +20,6 @@ TRIAL_STEPS: Final = 8
 """Number of steps of that trial."""
 REWEIGHTINGS: Final = 6
 """Number of estimates with other weights, at most."""
-SETTLED: Final = 0.05
-"""Relative change of the variances, noise included, up to which the weights need no further estimate."""
 
 
 class RobustStart(NamedTuple):
@@ -93,9 +91,9 @@ def _robust(network: Network, setup: SetUp, triangle: np.ndarray, *, separated: 
         if not np.any(bad) and np.all(weight == 1.0) and fits and solution.converged:
             return RobustStart(solution, weight, isotropic(network, used.size_m), found.noise, gaps)
         new_weight = found.weight if np.any(bad) or np.any(weight < 1.0) else weight
-        settled = float(np.abs(new_weight - weight).max()) < 0.01 and fits
+        steady = float(np.abs(new_weight - weight).max()) < 0.01 and fits
         weight = new_weight
-        if settled:
+        if steady:
             break
         had_prior = used.noise > found.noise == 1.0
         used = found
@@ -135,7 +133,7 @@ def without_outliers(network: Network, start: RobustStart, precision: np.ndarray
     seen: set[bytes] = set()
     triangle: np.ndarray | None = solution.triangle
     while True:
-        for _ in range(REWEIGHTINGS):
+        for attempt in range(REWEIGHTINGS):
             weighted = network.with_discrepancy(discrepancy.root)
             solution = solve(
                 weighted,
@@ -148,7 +146,7 @@ def without_outliers(network: Network, start: RobustStart, precision: np.ndarray
             )
             triangle = None
             further = updated(network, discrepancy, *residuals_of_estimate(weighted, solution), ~bad)
-            if change(network, discrepancy, further) <= SETTLED:
+            if settled(network, discrepancy, further) or attempt == REWEIGHTINGS - 1:
                 break
             discrepancy = further
         found = _assessed(network, solution)

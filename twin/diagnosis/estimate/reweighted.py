@@ -17,12 +17,10 @@ from twin.diagnosis.estimate.estimate import Estimate, RandomEffects, estimate
 from twin.diagnosis.estimate.misfit import lacks_fit
 from twin.diagnosis.problem.forms import Form
 from twin.diagnosis.problem.problem import Problem, unwhiten
-from twin.identification.discrepancy import Discrepancy, change, isotropic, updated
+from twin.identification.discrepancy import Discrepancy, isotropic, settled, updated
 
 REWEIGHTINGS: Final = 4
 """Number of estimates with other weights, at most."""
-SETTLED: Final = 0.05
-"""Relative change of the variances, noise included, up to which the weights need no further estimate."""
 
 
 def reweighted(
@@ -50,12 +48,12 @@ def reweighted(
         return by_noise, discrepancy
     share = min((problem.readings - problem.dof + width) / problem.readings, 1.0)
     found, weighted = by_noise, problem
-    for _ in range(REWEIGHTINGS):
+    for attempt in range(REWEIGHTINGS):
         left = weighted.project(weighted.residual - found.signature.sum(axis=1))
         residual = unwhiten(weighted.network, left.reshape(-1, 3)[:, :, None])[:, :, 0]
         taken_up = share * weighted.network.covariance
         further = updated(network, discrepancy, residual, taken_up, np.ones(len(residual), dtype=bool))
-        if change(network, discrepancy, further) <= SETTLED:
+        if settled(network, discrepancy, further) or attempt == REWEIGHTINGS - 1:
             break
         discrepancy = further
         weighted = Problem(network.with_discrepancy(discrepancy.root), problem.setup, problem.calibration)
