@@ -324,5 +324,5 @@ def test_enough_data_are_consistent(dmu50: Machine) -> None:
     rng = np.random.default_rng(SEED)
     data = simulate(thesis_plan.plan(dmu50), dmu50, Calibration.default(dmu50), LaserTracker(), rng)[0]
     found = identify(data, dmu50)
-    assert found.verdict == "consistent with the stated uncertainty of the readings"
+    assert found.verdict == "consistent with the noise of the readings"
     assert found.choice.held_out == pytest.approx(1.0, abs=0.1)

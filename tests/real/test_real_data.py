@@ -14,9 +14,10 @@ from tests.real import plates, ur10
 from twin._common.errors import InputError
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification import Identification, identify
+from twin.identification.discrepancy import covariance_of
 from twin.identification.network import Network
 from twin.identification.solve import FitSolution, solve
-from twin.identification.spread import Spread, covariance_of
+from twin.identification.spread import Spread
 from twin.identification.start import initial_setup
 from twin.identification.unknowns import Unknowns
 from twin.kinematics.forward import Kinematics

@@ -96,12 +96,12 @@ NOMINAL_KINEMATICS: Final = SourceWarning(
 SYSTEMATIC_RESIDUALS: Final = SourceWarning(
     "misfit",
     "SYSTEMATIC RESIDUALS",
-    "the readings contain a repeatable part that the calibration does not describe and its uncertainties do not cover.",
+    "the readings contain a repeatable part that the calibration does not describe; its uncertainties count it as random.",
 )
 NOISE_CONTRADICTED: Final = SourceWarning(
     "misfit",
     "RESIDUALS LARGER THAN THE STATED UNCERTAINTY",
-    "the readings contradict the noise on which the uncertainties of the calibration are based.",
+    "the residuals contradict the noise stated for the readings: the model is incomplete, or the noise is larger.",
 )
 MODEL_NOT_TESTED: Final = SourceWarning(
     "misfit", "MODEL NOT TESTED", "the readings were too few to test the calibration against them."

@@ -44,8 +44,8 @@ UncertaintyOption = Annotated[
     UncertaintyChoice,
     typer.Option(
         "--uncertainty",
-        help="Noise that the uncertainties are computed from: as stated, of repeats, or between poses or rounds, which includes "
-        "what the model does not describe.",
+        help="Noise that the uncertainties are computed from: as stated, unless repeats contradict it; of repeats; or between poses or "
+        "rounds, which includes what the model does not describe.",
     ),
 ]
 OnlyOption = Annotated[
@@ -125,6 +125,9 @@ def identify(
 
         write_atomic(html_file, identification_html(found))
     text = found.to_text()
+    if found.noise.contradicted or found.noise.assumed:
+        text += "\nThe instrument is named by --instrument or the table's column instrument; the noise of repeats alone is taken with "
+        text += "--uncertainty repeats.\n"
     if tables is not None:
         text += "\nThese errors were measured with the control's tables active: keep them active, and add new tables to them "
         text += "(twin control --add).\n"

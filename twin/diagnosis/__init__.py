@@ -3,9 +3,9 @@
     twin diagnose measured.csv --calibration mine.yaml --json diagnosis.json --html diagnosis.html --extended better.yaml
 
 **Residuals.** The positions of stations and targets are fitted, nothing else. The residuals are compared with measurement noise: the
-table's `u_x_mm …`, else the noise model of the named instrument, else the spread of repeats (after removing everything that may
-differ between them), else the residuals that no simple form of any cause explains. Outliers are listed and set aside, unless one of the
-causes explains them.
+table's `u_x_mm …`, else the noise model of the named instrument unless repeats contradict it, else the spread of repeats (after
+removing everything that may differ between them), else the residuals that no simple form of any cause explains. Outliers are listed
+and set aside, unless one of the causes explains them.
 
 **Causes.** Every effect of a catalogue is tested wherever the machine can have it: reversal, constant or along the travel; pitch
 errors; squareness; axis locations; curves of the linear axes; harmonics of the rotary axes; thermal expansion, growth and drift; an
@@ -98,11 +98,12 @@ On the simulated truth machine (a product of short waves in X and Y, 20 µm; 160
 +10 µm over Z: 5.1 → 0.8 µm. On the plate of 2003, held-out poses: 4.77 µm with the named causes, 4.31 µm with the effect added, 6.41 µm
 with neither.
 
-If the residuals exceed the noise, sizes carry the larger of two uncertainties: that from the noise, and that from the variation of
-the residuals between rounds or positions. `--html` writes one page: its first screen gives the error, its effect at the tool, what to
-do and what to avoid; then residuals, causes tested, evidence, alternatives, gain, and what to measure next.
-`notebooks/02_diagnose.ipynb` follows one case from faulty parts to the measurement that separates two causes;
-`twin.diagnosis.wording.plots` (extra `plots`) has the pictures.
+If the causes leave more than the noise, their sizes are estimated again with weights of noise and discrepancy (`twin doc identify`),
+so that the written file does not fit what is left along a tracker's beam; which causes there are is decided against the noise alone.
+Sizes then carry the larger of two uncertainties: that from the noise, and that from the variation of the residuals between rounds or
+positions. `--html` writes one page: its first screen gives the error, its effect at the tool, what to do and what to avoid; then
+residuals, causes tested, evidence, alternatives, gain, and what to measure next. `notebooks/02_diagnose.ipynb` follows one case from
+faulty parts to the measurement that separates two causes; `twin.diagnosis.wording.plots` (extra `plots`) has the pictures.
 
 **Success rates**, on 200 simulated data sets per row (`python -m tests.diagnosis.battery ROW --poses 100 --seed 11`; effects drawn from
 the whole catalogue and scaled to a noncentrality λ after projection; isotropic noise, or that of a tracker):

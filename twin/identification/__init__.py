@@ -9,10 +9,9 @@ shows the result in plots (`twin.identification.plots`, extra `plots`).
 
 **The report, from top to bottom.**
 
-1. Residuals compared with the measurement uncertainty. The reduced chi² is one if the model and the stated uncertainty hold. The
-   reduced chi² of repeats alone shows whether the instrument is as good as stated. The lack-of-fit test shows whether there are
-   residuals that repeat, which the model does not describe. One line gives the verdict; if it reports a misfit, the intervals below do
-   not cover it.
+1. Residuals compared with the noise. The reduced chi² is one if the model and the noise hold; the lack-of-fit test shows whether there
+   are residuals that repeat, which the model does not describe. One line gives the RMS at held-out poses, in micrometres: every fifth
+   pose is predicted from the others. If the model leaves more than the noise, one line gives its size. One line gives the verdict.
 2. Each error with its peak value, the half width of its widest 95 % interval, the degree of its curve, and the held-out error next to
    that of degree 8 (for this curve, with the other curves as chosen).
 3. Errors that are not identifiable, with the reason, and every row that was set aside, with its line and reason (exit status 3).
@@ -22,6 +21,20 @@ the stations and places of the targets. Every reading is weighted with its own u
 model). Derivatives are analytic. No covariance is scaled by chi². A station may ride on the tool or the table (column
 `station_carrier`: `base`, `tool` or `work`); its readings are then in the frame of that side. The datum is the machine's own: x is the
 mean line of X, and the xy-plane contains the mean line of Y.
+
+**The noise.** A tracker that measures absolute lengths is ten times worse along its beam than one that counts fringes, and air in a
+workshop can be worse than both. Where repeats vary more than the noise that the instrument or the table states (chi² of repeats,
+p < 0.001, ten degrees of freedom or more; lost readings left out), their standard deviation is taken for the weights and the
+intervals, and the report says so. If there are too few repeats, and neither the table (column `instrument`) nor `--instrument` names
+the instrument, the report states the one that is assumed. Repeats that vary less than stated change nothing.
+
+**A model that is wrong** leaves a *discrepancy* beyond the noise. With the weights of a tracker's noise (up to 625 : 1 in variance
+along and across the beam) the errors would be fitted along the beam at the expense of the others. The discrepancy is a variance for
+each target and station, along and across the beam (for other instruments: per coordinate), estimated by restricted maximum
+likelihood; the readings are weighted by the inverse of noise plus discrepancy (`twin.identification.discrepancy`). It is zero where
+the residuals do not show it (score test, 0.1 % for all together), so a model that fits has the weights of its noise. It counts in the
+intervals, as random from pose to pose: repeats and targets of a pose share it. The tests of the model compare the residuals with the
+noise alone.
 
 **Several instruments.** `twin identify probe.csv tracker.csv -o mine.yaml` fits the readings of several tables at once, each station
 with the noise of its own instrument; the report gives the residuals of each instrument and what it determines alone. A probe that finds
@@ -47,9 +60,9 @@ squares without them. Each point is compared with the other points of its target
 larger than the instrument's noise, the model is wrong, not the readings: they stay in, and only points that differ from them are set
 aside. The report gives the RMS over all rows next to that over the rows used.
 
-`--uncertainty` selects the noise on which the intervals are based: the stated uncertainty of the readings, the standard deviation of
-`repeats`, or the variation `'between poses'` or `'between rounds'` for data that the model does not describe completely. `--only`
-sets all errors that it does not name to zero.
+`--uncertainty` selects the noise on which the intervals are based: the stated uncertainty of the readings (unless repeats contradict
+it), the standard deviation of `repeats`, or the variation `'between poses'` or `'between rounds'` for data that the model does not
+describe completely. `--only` sets all errors that it does not name to zero.
 
 **The file is the fit.** The calibration is written, read back and evaluated on the rows; the residuals in the report are those of the
 file. Where the model is incomplete, an error that the readings hardly determine would be fitted to the misfit. It therefore has a weak
@@ -75,13 +88,13 @@ calibration has no covariance, U is unknown, never zero. U covers the calibratio
 **The stages**, in `twin.identification.identify`; each takes the results of the stages before it.
 
 1. `inputs.prepared`: measurements → `PreparedData`: rows that agree with their commands, the instrument, and initial values of stations
-   and targets.
+   and targets. `noise.reading_noise`: → `NoiseOfReadings`: their noise, as stated or from repeats.
 2. `determined.determined_models`: → `DeterminedModel`: the unknowns that the data determine, one model for each family of curves.
 3. `robust.robust_start`: → `RobustStart`: an estimate that is not affected by a few wrong points.
 4. `orders.choose`: → `Choice`: the number of functions of each curve that the held-out readings support.
 5. `priors.prior_precision`: → the precision of each function's prior about zero.
-6. `robust.without_outliers`: → `FinalEstimate`: least squares (`solve.solve`) without the outliers.
-7. `spread.covariance_of`: → its covariance.
+6. `robust.without_outliers`: → `FinalEstimate`: least squares (`solve.solve`) without the outliers, weighted by noise and discrepancy.
+7. `discrepancy.covariance_of`: → its covariance; `held_out.held_out_residuals`: residuals at held-out poses.
 8. → `Identification`: the calibration, the errors that are not identifiable, and the residuals of the calibration.
 """
 

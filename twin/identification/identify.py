@@ -14,15 +14,18 @@ from twin._common.threads import one_blas_thread
 from twin._common.units import MM
 from twin.identification.constant_errors import constant_errors
 from twin.identification.determined import DeterminedModel, Wanted, determined_models
+from twin.identification.discrepancy import covariance_of
+from twin.identification.held_out import held_out_residuals
 from twin.identification.inputs import PreparedData, implausible_tips, prepare
 from twin.identification.network import Network
+from twin.identification.noise import NoiseOfReadings, reading_noise
 from twin.identification.orders import Choice, choose
 from twin.identification.outliers import many_outliers_notice, outlier_notes
 from twin.identification.priors import prior_precision
 from twin.identification.result import Identification, misfit_entry, residuals_of, rms_um
 from twin.identification.robust import FinalEstimate, RobustStart, robust_start, without_outliers
 from twin.identification.shares import instrument_shares
-from twin.identification.spread import Spread, covariance_from_repeats, covariance_of, misfit
+from twin.identification.spread import Spread, misfit
 from twin.identification.unidentified import held_by_prior, unidentified, unknown_reference
 from twin.machine.calibration_file import MeasuredWith, NotIdentifiable
 from twin.machine.machine import Machine
@@ -73,39 +76,38 @@ def identify(
     with one_blas_thread():
         progress("placing the stations", 0.0)
         placed = prepare(machine, data, instrument)
-        from_repeats = (
-            covariance_from_repeats(machine, placed.data, placed.instruments) if spread == "repeats" else None
-        )
+        noise = reading_noise(machine, placed, spread, named=instrument is not None)
         progress("choosing the curves", 0.1)
-        model = _best([_model(one, placed) for one in determined_models(machine, placed, wanted, from_repeats)])
+        model = _best(determined_models(machine, placed, wanted, noise.covariance), placed)
         progress("estimating", 0.75)
         precision = prior_precision(model.determined.network, model.start)
         estimate = without_outliers(model.determined.network, model.start, precision)
         progress("uncertainty", 0.9)
-        used = (~estimate.rows.bad).astype(float)
-        covariance = covariance_of(model.determined.network, estimate.solution, used, spread)
-        return _result(model, estimate, covariance, spread, wanted)
+        return _result(model, estimate, noise, wanted)
 
 
-def _model(of: DeterminedModel, placed: PreparedData) -> _Model:
-    start = robust_start(of.network, placed.setup, of.triangle)
-    return _Model(of, start, choose(of.network, start, of.confounded))
+def _best(candidates: list[DeterminedModel], placed: PreparedData) -> _Model:
+    """Return the model that predicts held-out readings best; the first of equally good ones.
 
-
-def _best(models: list[_Model]) -> _Model:
-    """Return the model that predicts held-out readings best; the first of equally good ones."""
-    best, *others = models
+    All are compared with the weights of the one that leaves least: a discrepancy of its own would excuse a model that is wrong.
+    """
+    starts = [robust_start(of.network, placed.setup, of.triangle) for of in candidates]
+    root = min(starts, key=lambda start: start.noise).discrepancy.root
+    best, *others = [
+        _Model(of, start, choose(of.network.with_discrepancy(root), start, of.confounded))
+        for of, start in zip(candidates, starts, strict=True)
+    ]
     for other in others:
         if other.choice.held_out < best.choice.held_out * (1.0 - 1e-6):
             best = other
     return best
 
 
-def _result(
-    model: _Model, estimate: FinalEstimate, covariance: np.ndarray, spread: Spread, wanted: Wanted
-) -> Identification:
-    network, (solution, rows) = model.determined.network, estimate
+def _result(model: _Model, estimate: FinalEstimate, noise: NoiseOfReadings, wanted: Wanted) -> Identification:
+    network, (solution, discrepancy, rows) = model.determined.network, estimate
     data, unknowns, machine, used = network.data, network.unknowns, network.machine, ~rows.bad
+    weighted = network.with_discrepancy(discrepancy.root)
+    covariance = covariance_of(weighted, solution, used.astype(float), noise.spread, discrepancy)
     count = len(unknowns)
     source = f"identified by twin from {data.source}: {int(used.sum())} points"
     found, _ = unknowns.calibration(solution.theta, range(count), source, covariance[:count, :count])
@@ -116,10 +118,11 @@ def _result(
     statistics = misfit(whitened, network.read, data, solution.determined, used)
     residual_mm = read_only(np.where(network.read, residual / MM, np.nan))
     unknown = unidentified(machine, data, model.determined, wanted, solution.setup, held)
+    held_out = held_out_residuals(weighted, solution, used)
     calibration = replace(
         found,
         not_identifiable=tuple(NotIdentifiable(name=one.name, why=one.reason) for one in unknown),
-        misfit=misfit_entry(statistics, model.choice.held_out, rms_um(residual_mm[used])),
+        misfit=misfit_entry(statistics, model.choice.held_out, rms_um(residual_mm[used]), held_out),
         **_measured_with(network, used, wanted),
     )
     return Identification(
@@ -131,8 +134,10 @@ def _result(
         shares=instrument_shares(network, solution.setup, used, residual_mm, whitened),
         setup_u=dict(zip(solution.setup.names, (float(v) for v in u), strict=True)),
         misfit=statistics,
+        held_out=held_out,
+        discrepancy=discrepancy,
         choice=model.choice,
-        spread=spread,
+        noise=noise,
         data=data,
         used=read_only(used),
         residual_mm=residual_mm,
@@ -140,6 +145,7 @@ def _result(
         set_aside=(*data.set_aside, *outlier_notes(network, residual, whitened, rows.bad)),
         notices=(
             *data.notices,
+            *noise.notices,
             *implausible_tips(data, solution.setup),
             *overstated_noise(rms_um(residual_mm[used]), statistics.chi2, statistics.dof),
             *many_outliers_notice(rows),

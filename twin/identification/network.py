@@ -179,6 +179,19 @@ class Network:
         other.whitening = read_only(self.whitening / np.sqrt(factor))
         return other
 
+    def with_discrepancy(self, root: np.ndarray) -> Network:
+        """Return the same problem weighted by noise and discrepancy.
+
+        Args:
+            root: (n, 3, 3) symmetric square root of the covariance by the discrepancy, metres; zero where nothing was read.
+        """
+        if not np.any(root):
+            return self
+        other = copy(self)
+        other.covariance = read_only(self.covariance + root @ root)
+        other.whitening = read_only(_whitening(other.covariance, self.read))
+        return other
+
     def _order(self, setup: SetUp) -> tuple[np.ndarray, np.ndarray]:
         """Return (n,) station and (n,) target of each row as indices of a set-up, which may come from other rows."""
         names = setup.stations, setup.targets

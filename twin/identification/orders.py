@@ -88,7 +88,7 @@ class Choice:
 
     Attributes:
         counts: number of functions by curve, those excluded by the datum counted; 0 for a curve left out.
-        held_out: RMS of the whitened residuals held out.
+        held_out: RMS of the whitened residuals held out; whitened by noise and discrepancy.
         by_curve: for every curve, held-out RMS by number of functions, the others as chosen.
         uniform: held-out RMS with the same number for all curves, by that number.
         readings: number of readings held out, all folds together.
@@ -105,7 +105,7 @@ def choose(network: Network, start: RobustStart, whole: Sequence[str] = ()) -> C
     """Return the model that predicts held-out readings best.
 
     Args:
-        network: data and the largest model.
+        network: data and the largest model, with the weights of the comparison.
         start: a robust estimate of it.
         whole: curves that keep all their functions.
     """
@@ -298,15 +298,15 @@ def _cells(network: Network, solution: FitSolution, weight: np.ndarray, folds: F
 def _folds(network: Network, solution: FitSolution, normal: np.ndarray, folds: Folds) -> list[_Fold]:
     free = solution.free
     origin = np.concatenate([solution.theta / network.unknowns.plausible, np.zeros(len(solution.setup))])
-    total, variance = normal.sum(axis=(0, 1)), solution.noise**2
+    total = normal.sum(axis=(0, 1))
     found = []
     for mask in folds.held_out():
         held = normal[mask].sum(axis=0)
         train = total - held
-        inner = free.T @ train[:-1, :-1] @ free / variance
+        inner = free.T @ train[:-1, :-1] @ free
         # The prior affects only what the remaining data do not determine.
         inverse = np.linalg.inv(inner + np.eye(len(inner)))
         covariance = free @ inverse @ free.T
-        theta = origin + covariance @ train[:-1, -1] / variance
+        theta = origin + covariance @ train[:-1, -1]
         found.append(_Fold(theta, covariance, held, origin))
     return found

@@ -11,6 +11,7 @@ outliers.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -21,8 +22,8 @@ from twin._common.counts import count_with_noun
 from twin._common.distributions import chi2_isf
 from twin._common.units import MM
 from twin.identification.network import Network
-from twin.identification.spread import repeat_groups
 from twin.measurement.checks import RowNote
+from twin.measurement.state import repeat_groups
 
 FALSE_ALARM: Final = 0.01
 """Probability that a data set without any outlier has a point classified as one."""
@@ -33,7 +34,7 @@ GAP: Final = 2.0
 MISFIT_SHARE: Final = 0.5
 """Share of the misfit in the variance above which a row's deviation is mostly the model's."""
 GROUP_ROWS: Final = 30
-"""Number of rows of one target from one station above which it has its own misfit; smaller groups share one."""
+"""Number of rows of one target from one station, or of one station, from which on it has its own misfit; smaller groups share one."""
 HUBER: Final = 2.0
 """Distance, in standard deviations of a coordinate, above which a row's influence no longer increases if the model has a misfit."""
 NOISE_OF_FIT: Final = 1.1
@@ -53,6 +54,7 @@ class RowAssessment:
         beyond: (n,) rows beyond the limit: outliers, and rows that no gap separates from the others of a misfitting model.
         weight: (n,) robust weights: one for a good point.
         noise: size of the whitened residuals of most rows, root of the mean over the groups of their squares; one if the model fits.
+        size_m: (n,) standard deviation of the misfit per coordinate; zero if the model fits.
         misfit_um: by target and station, standard deviation of the model's misfit per coordinate; only if it is not zero.
     """
 
@@ -60,6 +62,7 @@ class RowAssessment:
     beyond: np.ndarray
     weight: np.ndarray
     noise: float
+    size_m: np.ndarray
     misfit_um: dict[tuple[str, str], float]
 
 
@@ -80,7 +83,7 @@ def assess_rows(network: Network, whitened: np.ndarray) -> RowAssessment:
     # In the eigenvectors of W Wᵀ an isotropic misfit of size t adds t²·λ to a variance of one.
     values, vectors = np.linalg.eigh(network.whitening @ network.whitening.transpose(0, 2, 1))
     squares = np.einsum("nij,ni->nj", vectors, whitened) ** 2
-    groups, names = _groups(network)
+    groups, names = row_groups(network)
     size = np.zeros(len(count))
     noise = np.ones(len(count))
     misfit: dict[tuple[str, str], float] = {}
@@ -104,6 +107,7 @@ def assess_rows(network: Network, whitened: np.ndarray) -> RowAssessment:
         beyond=read_only(beyond),
         weight=read_only((1.0 - share) * redescending + share * convex),
         noise=overall if overall > NOISE_OF_FIT else 1.0,
+        size_m=read_only(size if overall > NOISE_OF_FIT else np.zeros_like(size)),
         misfit_um=misfit,
     )
 
@@ -118,16 +122,26 @@ def _separated(squares: np.ndarray, bad: np.ndarray) -> np.ndarray:
     return found
 
 
-def _groups(network: Network) -> tuple[np.ndarray, list[list[tuple[str, str]]]]:
-    """Return (n,) the group of each row, and its targets and stations: one group for each pair with enough rows, one for all others."""
+def row_groups(network: Network) -> tuple[np.ndarray, list[list[tuple[str, str]]]]:
+    """Return (n,) the group of each row, and its targets and stations.
+
+    A pair of target and station with enough rows is a group; the other rows of a station are one, if they are enough, and all that then
+    remain are one.
+    """
     keys = list(zip(network.data.target.tolist(), network.data.station.tolist(), strict=True))
-    count: dict[tuple[str, str], int] = {}
-    for key in keys:
-        count[key] = count.get(key, 0) + 1
-    large = [key for key, number in count.items() if number >= GROUP_ROWS]
-    place = {key: k for k, key in enumerate(large)}
-    small = [key for key in count if key not in place]
-    return np.array([place.get(key, len(large)) for key in keys]), [[key] for key in large] + [small]
+    count = Counter(keys)
+    small = Counter(station for target, station in keys if count[target, station] < GROUP_ROWS)
+
+    def group_of(key: tuple[str, str]) -> tuple[str, ...]:
+        if count[key] >= GROUP_ROWS:
+            return key
+        return (key[1],) if small[key[1]] >= GROUP_ROWS else ()
+
+    members: dict[tuple[str, ...], list[tuple[str, str]]] = {}
+    for key in count:
+        members.setdefault(group_of(key), []).append(key)
+    place = {key: k for k, own in enumerate(members.values()) for key in own}
+    return np.array([place[key] for key in keys]), list(members.values())
 
 
 def _misfit(squares: np.ndarray, values: np.ndarray, median: np.ndarray) -> float:

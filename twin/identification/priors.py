@@ -37,7 +37,7 @@ FREE: Final = 1.0
 
 
 def prior_precision(network: Network, start: RobustStart) -> np.ndarray:
-    """Return (columns,) the precision of each unknown's prior about zero, for the noise `FitSolution.noise`, one over µm² or µrad².
+    """Return (columns,) the precision of each unknown's prior about zero, one over µm² or µrad².
 
     Zero for unknowns without a prior.
 
@@ -67,15 +67,15 @@ def prior_precision(network: Network, start: RobustStart) -> np.ndarray:
             precision[columns] = 1.0 / mean_variance(mean[columns], covariance, precision[columns])
     found = np.zeros(machine)
     for columns in own.values():
-        found[columns] = precision[columns] / unknowns.plausible[columns] ** 2 * (noise / solution.noise) ** 2
+        found[columns] = precision[columns] / unknowns.plausible[columns] ** 2 * noise**2
     return found
 
 
 def _noise(solution: FitSolution, readings: int) -> float:
     """Return the size of the whitened residuals of an estimate: less than one if the stated uncertainties are too large."""
     dof = readings - solution.determined
-    if solution.noise > 1.0 or dof < FEWEST_DOF:
-        return solution.noise
+    if solution.incomplete or dof < FEWEST_DOF:
+        return 1.0
     return float(np.clip(np.sqrt(solution.chi2 / dof), LEAST_NOISE, 1.0))
 
 

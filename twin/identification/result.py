@@ -17,12 +17,15 @@ from twin._common.units import MM
 from twin.display import card, note, pairs, table
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification.constant_errors import ConstantErrors
+from twin.identification.discrepancy import Discrepancy
+from twin.identification.held_out import HeldOutResiduals
 from twin.identification.network import Network
+from twin.identification.noise import NoiseOfReadings
 from twin.identification.orders import Choice
 from twin.identification.setup import SetUp
 from twin.identification.shares import InstrumentShare
 from twin.identification.solve import FitSolution
-from twin.identification.spread import FitStatistics, misfit
+from twin.identification.spread import FitStatistics, Spread, misfit
 from twin.identification.table import TableTilt
 from twin.identification.unidentified import Unidentified
 from twin.identification.unknowns import Unknowns
@@ -31,14 +34,14 @@ from twin.machine.calibration_file import Misfit
 from twin.machine.datum.conditions import EXPLANATION
 from twin.machine.display import errors_html, standard_uncertainty
 from twin.machine.effects import unit_of
-from twin.measurement.checks import ASSUMED, assumptions, grouped_notes
+from twin.measurement.checks import assumptions, grouped_notes
 from twin.measurement.table import Measurements, RowNote
 from twin.numerics.curves import basis_named
 
 SCHEMA = "twin.identification/1"
 SIGNIFICANCE = 1e-3
 """Significance level of the tests for a misfit."""
-CONSISTENT = "consistent with the stated uncertainty of the readings"
+CONSISTENT = "consistent with the noise of the readings"
 FEWEST_DOF = 10
 """Degrees of freedom below which chi² is not informative: at ten, a misfit as large as the noise gives p = 0.03."""
 POOR_PREDICTION = 2.0
@@ -62,8 +65,10 @@ class Identification:
         shares: the part of each instrument; empty if there is only one.
         setup_u: standard uncertainty of each of their parameters, by name; metres and radians.
         misfit: chi², lack of fit, pure error.
+        held_out: residuals at held-out poses; None if there are too few poses.
+        discrepancy: what the model leaves beyond the noise; it is in the weights and in the covariance.
         choice: number of functions of each curve, and prediction errors of the alternatives.
-        spread: noise on which the covariance is based: ``stated``, ``repeats``, ``between poses`` or ``between rounds``.
+        noise: noise of the readings.
         data: the rows used and the outliers.
         used: (n,) which rows were used.
         residual_mm: (n, 3) measured minus predicted, in each station's frame; NaN where nothing was read.
@@ -81,8 +86,10 @@ class Identification:
     shares: tuple[InstrumentShare, ...]
     setup_u: Mapping[str, float]
     misfit: FitStatistics
+    held_out: HeldOutResiduals | None
+    discrepancy: Discrepancy
     choice: Choice
-    spread: str
+    noise: NoiseOfReadings
     data: Measurements
     used: np.ndarray
     residual_mm: np.ndarray
@@ -97,6 +104,16 @@ class Identification:
     def complete(self) -> bool:
         """Whether every row was used and the estimate converged."""
         return self.converged and not self.set_aside
+
+    @property
+    def spread(self) -> Spread:
+        """Noise on which the covariance is based: ``stated``, ``repeats``, ``between poses`` or ``between rounds``."""
+        return self.noise.spread
+
+    @property
+    def held_out_rms_um(self) -> float | None:
+        """RMS of the residuals per coordinate at held-out poses; None if there are too few poses."""
+        return None if self.held_out is None else self.held_out.rms_um
 
     @property
     def verdict(self) -> str:
@@ -225,7 +242,19 @@ class Identification:
                 "p_value": fit.p_value,
                 "pure_error": {"chi2": fit.pure_chi2, "dof": fit.pure_dof, "reduced": fit.pure_reduced},
                 "lack_of_fit_p_value": fit.lack_p_value,
+                "held_out_rms_um": self.held_out_rms_um,
+                "held_out": self.held_out,
+                "discrepancy": [
+                    {
+                        "of": [{"target": target, "station": station} for target, station in part.of],
+                        "direction": part.direction,
+                        "size_um": part.size_um,
+                        "redundancy": part.redundancy,
+                    }
+                    for part in self.discrepancy.parts
+                ],
             },
+            "noise": {"contradicted_by_repeats": self.noise.contradicted, "assumed": self.noise.assumed},
             "orders": {
                 "held_out_rms": self.choice.held_out,
                 "uniform": self.choice.uniform,
@@ -245,7 +274,9 @@ class Identification:
             ("data", self.data.source),
             ("points", f"{int(self.used.sum()):,} used, {len(self.set_aside):,} set aside"),
             ("residuals", residuals),
-            ("intervals from", _spread_text(self.spread)),
+            ("held-out poses", "" if self.held_out is None else self.held_out.text),
+            ("beyond the noise", self.discrepancy.text),
+            ("intervals from", self._spread_text()),
             ("stations", ", ".join(self.setup.stations)),
             ("targets", ", ".join(self.setup.targets)),
             ("", "" if tilt is None else tilt.to_text(COVERAGE_FACTOR)),
@@ -253,7 +284,7 @@ class Identification:
         errors = errors_html(self.calibration.machine, self.calibration.effects, self.calibration.covariance)
         hidden = [(", ".join(names), why) for why, names in self._by_reason().items()]
         aside = [note(f"set aside: {one}", loud=True) for one in grouped_notes(self.set_aside)]
-        notes = [*aside, *(note(notice, loud=notice.startswith(ASSUMED)) for notice in self.notices)]
+        notes = [*aside, *(note(notice, loud=notice in self._loud) for notice in self.notices)]
         if not self.converged:
             notes.insert(0, note("THE ESTIMATE DID NOT CONVERGE: do not use it", loud=True))
         if self.held_by_prior:
@@ -273,7 +304,7 @@ class Identification:
             f"{count_with_noun(len(self.setup.targets), 'target')} from {count_with_noun(stations, 'station')}, "
             f"{self.solution.determined:.0f} parameters determined",
             *warning_texts(self.calibration.warnings),
-            *assumptions(self.notices),
+            *self._loud,
             "",
             f"residuals: {self._rms_text()}; {_fit_text(fit)}",
         ]
@@ -282,8 +313,13 @@ class Identification:
                 f"repeats: reduced chi² {fit.pure_reduced:.3f} ({fit.pure_dof} degrees of freedom); lack of fit "
                 + ("cannot be tested" if np.isnan(fit.lack_p_value) else f"p = {fit.lack_p_value:.2g}")
             )
+        lines += [] if self.held_out is None else [f"at held-out poses: {self.held_out.text}"]
+        if self.discrepancy.parts:
+            lines.append(
+                f"beyond the noise, the model leaves {self.discrepancy.text}: the readings are weighted with it"
+            )
         lines += [f"  {one.text}" for one in self.shares]
-        lines += [self.verdict, "", f"error motions (95 % intervals from {_spread_text(self.spread)}):"]
+        lines += [self.verdict, "", f"error motions (95 % intervals from {self._spread_text()}):"]
         lines += [_row_text(row) for row in self.rows()]
         table = TableTilt.of(self.calibration)
         lines += [] if table is None else [f"  {table.to_text(COVERAGE_FACTOR)}"]
@@ -302,19 +338,36 @@ class Identification:
         degree8 = _score_up_to(self.choice.uniform, THESIS_FUNCTIONS)
         if degree8 is not None:
             text = f"{self.choice.held_out:.4f} as chosen, {degree8:.4f} with degree 8 everywhere"
-            lines += ["", f"RMS of held-out residuals, in standard deviations: {text}"]
+            of = " of noise and what the model leaves" if self.discrepancy.parts else ""
+            lines += ["", f"RMS of held-out residuals, in standard deviations{of}: {text}"]
         if self.set_aside:
             lines += ["", f"set aside ({len(self.set_aside)}):"]
             lines += [f"  {one}" for one in grouped_notes(self.set_aside)]
-        lines += [f"note: {notice}" for notice in self.notices if not notice.startswith(ASSUMED)]
+        lines += [f"note: {notice}" for notice in self.notices if notice not in self._loud]
         if not self.converged:
             lines.append("THE ESTIMATE DID NOT CONVERGE: do not use it")
         return "\n".join(lines) + "\n"
+
+    @property
+    def _loud(self) -> list[str]:
+        """Notices that are printed before any result: assumptions, and what the repeats contradict."""
+        return list(dict.fromkeys((*assumptions(self.notices), *self.noise.notices)))
 
     def _rms_text(self) -> str:
         """Return the RMS of the rows used, and of all rows if some were not used."""
         text = f"{self.rms_um:.3g} µm RMS per coordinate"
         return text if self.used.all() else f"{text} over the rows used, {self.rms_all_um:.3g} µm over all"
+
+    def _spread_text(self) -> str:
+        """Return on which noise the intervals are based."""
+        text = {
+            "stated": "the stated uncertainty of the readings",
+            "repeats": "the standard deviation of repeats",
+            "between poses": "the variation between poses",
+            "between rounds": "the variation between rounds",
+        }[self.spread]
+        between = self.spread.startswith("between")
+        return text if between or not self.discrepancy.parts else f"{text} and what the model leaves"
 
     def _prior_text(self) -> str:
         """Return a sentence on the confounded errors in the calibration and their priors."""
@@ -382,10 +435,15 @@ def _judged(fit: FitStatistics, held_out: float) -> tuple[Verdict, str]:
     if fit.lack_p_value == fit.lack_p_value and fit.lack_p_value < SIGNIFICANCE:
         return (
             "systematic",
-            "SYSTEMATIC RESIDUALS, not covered by the intervals below: the model is incomplete. Run `twin diagnose`.",
+            "SYSTEMATIC RESIDUALS: the model is incomplete. The intervals below count them as random from pose to pose. "
+            "Run `twin diagnose`.",
         )
     if fit.p_value < SIGNIFICANCE:
-        return "larger", "RESIDUALS LARGER THAN THE STATED UNCERTAINTY, on which the intervals below are based."
+        return (
+            "larger",
+            "RESIDUALS LARGER THAN THE STATED UNCERTAINTY: the model is incomplete, or the uncertainty is too small. "
+            "The intervals below count them as random from pose to pose.",
+        )
     if fit.dof < FEWEST_DOF:
         return (
             "untested",
@@ -400,13 +458,14 @@ def _judged(fit: FitStatistics, held_out: float) -> tuple[Verdict, str]:
     return "consistent", CONSISTENT
 
 
-def misfit_entry(fit: FitStatistics, held_out: float, rms: float) -> Misfit:
+def misfit_entry(fit: FitStatistics, held_out: float, rms: float, at_poses: HeldOutResiduals | None) -> Misfit:
     """Return the misfit as it is written into the calibration.
 
     Args:
         fit: misfit of the rows used.
         held_out: RMS of the held-out residuals, in standard deviations.
         rms: RMS of the residuals of a coordinate, µm.
+        at_poses: residuals at held-out poses; None if there are too few poses.
     """
     verdict, says = _judged(fit, held_out)
     numbers = {
@@ -414,18 +473,10 @@ def misfit_entry(fit: FitStatistics, held_out: float, rms: float) -> Misfit:
         "p_value": fit.p_value,
         "lack_of_fit_p_value": fit.lack_p_value,
         "rms_um": rms,
+        "held_out_rms_um": np.nan if at_poses is None else at_poses.rms_um,
     }
     known = {name: value for name, value in numbers.items() if np.isfinite(value)}
     return Misfit(verdict=verdict, says=says, dof=fit.dof, **known)
-
-
-def _spread_text(spread: str) -> str:
-    return {
-        "stated": "the stated uncertainty of the readings",
-        "repeats": "the standard deviation of repeats",
-        "between poses": "the variation between poses",
-        "between rounds": "the variation between rounds",
-    }[spread]
 
 
 def _score_up_to(scores: Mapping[int, float], size: int) -> float | None:

@@ -1,13 +1,14 @@
 """Whitened nonlinear least squares with a weak prior, which acts only where the readings determine little.
 
 Every unknown is scaled by its prior standard deviation: errors by `Machine.plausible`, stations and targets by `setup`. In these units
-each singular direction of the derivatives has a strength σ, the signal-to-noise ratio. The noise s is one if the model fits within
-the stated uncertainty. If the model is incomplete, s is the size of the whitened residuals, because a direction weaker than the misfit
-would be fitted to the misfit.
+each singular direction of the derivatives has a strength σ, the signal-to-noise ratio. The residuals are whitened by the noise of the
+readings and, if the model is incomplete, by the discrepancy (`twin.identification.discrepancy`) as well: a direction weaker than the
+misfit would be fitted to the misfit.
 
-Every error has a Gaussian prior about zero, stations and targets about their initial values. If the model fits, s = 1, the prior acts
-only on directions with σ ≤ 1, which keep their initial values: nothing that the readings determine is biased, and noise-free readings
-give the errors to the last digits. The covariance is that of this estimator, from the readings and from the prior.
+Every error has a Gaussian prior about zero, stations and targets about their initial values. If the model fits, the prior acts only on
+directions with σ ≤ 1, which keep their initial values: nothing that the readings determine is biased, and noise-free readings give the
+errors to the last digits. If it is incomplete, the prior acts on all. The covariance is that of this estimator, from the readings and
+from the prior.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class FitSolution:
         determined: number of parameters determined by the readings: the trace of their share in the estimate.
         converged: whether the iteration converged.
         steps: number of steps.
-        noise: size of the whitened residuals used for the weight of the prior; one if the model fits.
+        incomplete: whether the model does not fit, so that the prior acts on every direction.
         precision: (columns,) further priors of the machine's unknowns about zero, one over µm² or µrad².
         free: (p, f) orthonormal directions that fulfil the datum's conditions.
     """
@@ -84,7 +85,7 @@ class FitSolution:
     determined: float
     converged: bool
     steps: int
-    noise: float
+    incomplete: bool
     precision: np.ndarray
     free: np.ndarray
 
@@ -96,12 +97,17 @@ class FitSolution:
     @cached_property
     def stiffness(self) -> np.ndarray:
         """Precision of the estimate along each direction, (f,), prior included."""
-        return read_only(self.spectrum.values**2 + self.noise**2 * _with_prior(self.spectrum.values, self.noise))
+        return read_only(self.spectrum.values**2 + _with_prior(self.spectrum.values, incomplete=self.incomplete))
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """Deviation of each unknown from its prior mean, (p,), in prior standard deviations."""
+        return np.asarray(_Iterate(self.theta, self.setup).deviation / self.spectrum.scale)
 
     @property
     def unseen(self) -> np.ndarray:
         """Share of each unknown's prior variance that remains after readings with this noise, (p,)."""
-        return np.asarray(self.basis**2 @ (self.noise**2 / (self.spectrum.values**2 + self.noise**2)))
+        return np.asarray(self.basis**2 @ (1.0 / (self.spectrum.values**2 + 1.0)))
 
     def covariance(self, score_covariance: np.ndarray | None = None) -> np.ndarray:
         """Return the (p, p) covariance of the estimate, propagated from the readings and the priors.
@@ -109,15 +115,15 @@ class FitSolution:
         A⁻¹ (M + P) A⁻¹ with the estimator's matrix A, the covariance M of the normal equations' right side, and the priors' part P.
 
         Args:
-            score_covariance: (p, p) M in the derivatives' units; if None, that of the stated uncertainty, JᵀJ.
+            score_covariance: (p, p) M in the derivatives' units; if None, that of readings with the covariance of the weights, JᵀJ.
         """
         scale = self.spectrum.scale
         j = self.triangle[:, :-1]
         middle = (j.T @ j if score_covariance is None else score_covariance) * np.outer(scale, scale)
         held = np.zeros(len(scale))
-        held[: len(self.precision)] = self.noise**2 * self.precision * scale[: len(self.precision)] ** 2
+        held[: len(self.precision)] = self.precision * scale[: len(self.precision)] ** 2
         inner = self.basis.T @ (middle + np.diag(held)) @ self.basis
-        inner += np.diag(self.noise**4 * _with_prior(self.spectrum.values, self.noise))
+        inner += np.diag(_with_prior(self.spectrum.values, incomplete=self.incomplete))
         root = self.basis * scale[:, None] / self.stiffness
         return np.asarray(root @ inner @ root.T)
 
@@ -181,7 +187,7 @@ def solve(
     weight: np.ndarray,
     *,
     precision: np.ndarray | None = None,
-    noise: float = 1.0,
+    incomplete: bool = False,
     steps: int = STEPS,
     triangle: np.ndarray | None = None,
 ) -> FitSolution:
@@ -193,11 +199,11 @@ def solve(
         setup: initial stations and targets; their deviation from the prior is in it (`SetUp.shift`).
         weight: (n,) weight of each point.
         precision: (columns,) priors of the machine's unknowns about zero, one over µm² or µrad²; none if None.
-        noise: size of the whitened residuals that this model leaves, at least one; see the module.
+        incomplete: whether the model does not fit within the noise; see the module.
         steps: largest number of steps.
         triangle: factor of [J | r] at the initial value; computed if None.
     """
-    problem = _Problem.of(network, setup, noise, precision)
+    problem = _Problem.of(network, setup, precision, incomplete=incomplete)
     iterate = _Iterate(theta, setup)
     weakest = LEAST_STRENGTH if precision is not None else SINGULAR_VALUE_TOLERANCE
     taken, halved, before, last = 0, 0, np.inf, iterate
@@ -217,8 +223,8 @@ def solve(
         if taken == steps:
             return problem.solution(iterate, found, spectrum, taken, converged=False)
         along = left.T @ np.concatenate([found[:, -1], -problem.root @ iterate.theta])
-        step, change = _newton(spectrum, along, iterate.deviation / problem.near, noise, weakest)
-        converged = change <= CONVERGED_CHANGE * noise or bool(np.abs(step).max(initial=0.0) < 1e-14)
+        step, change = _newton(spectrum, along, iterate.deviation / problem.near, weakest, incomplete=incomplete)
+        converged = change <= CONVERGED_CHANGE or bool(np.abs(step).max(initial=0.0) < 1e-14)
         newton_steps.append(step)
         if taken >= PLAIN_STEPS and not converged:
             step = _anderson_step(newton_steps, steps_taken, spectrum)
@@ -259,15 +265,15 @@ class _Problem:
     """Constants of the iteration.
 
     Attributes:
-        noise: see `solve`.
+        incomplete: see `solve`.
         precision: (columns,) priors of the machine's unknowns about zero.
-        root: (columns, columns) root of it, times the noise.
+        root: (columns, columns) root of it.
         free: (p, f) orthonormal directions that fulfil the datum's conditions.
         scale: (p,) prior standard deviations.
         near: (p,) prior standard deviations during the iteration (`SETUP_SHARE`).
     """
 
-    noise: float
+    incomplete: bool
     precision: np.ndarray
     root: np.ndarray
     free: np.ndarray
@@ -275,20 +281,20 @@ class _Problem:
     near: np.ndarray
 
     @classmethod
-    def of(cls, network: Network, setup: SetUp, noise: float, precision: np.ndarray | None) -> _Problem:
+    def of(cls, network: Network, setup: SetUp, precision: np.ndarray | None, *, incomplete: bool) -> _Problem:
         """Return the constants of an estimate; arguments as of `solve`."""
         machine = len(network.unknowns)
         held = np.zeros(machine) if precision is None else precision
         scale = np.concatenate([network.unknowns.plausible, setup.plausible])
         near = np.array(scale)
-        near[machine:] *= SETUP_SHARE if noise > 1.0 else 1.0
+        near[machine:] *= SETUP_SHARE if incomplete else 1.0
         free = free_directions(network.unknowns.datum, machine, len(setup))
-        return cls(noise, held, np.diag(noise * np.sqrt(held)), free, scale, near)
+        return cls(incomplete, held, np.diag(np.sqrt(held)), free, scale, near)
 
     def cost(self, iterate: _Iterate, triangle: np.ndarray) -> float:
         """Return the sum of squares of readings and priors."""
         cost = float(np.sum(triangle[:, -1] ** 2) + np.sum((self.root @ iterate.theta) ** 2))
-        return cost + (float(self.noise**2 * np.sum((iterate.deviation / self.near) ** 2)) if self.noise > 1.0 else 0.0)
+        return cost + (float(np.sum((iterate.deviation / self.near) ** 2)) if self.incomplete else 0.0)
 
     def decomposed(self, triangle: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, Spectrum]:
         """Return the left singular vectors of all directions that contribute to the step, and the spectrum split at the noise.
@@ -300,12 +306,12 @@ class _Problem:
         prior = np.zeros((len(self.root), len(scale)))
         prior[:, : len(self.root)] = self.root
         matrix = np.concatenate([triangle[:, :-1], prior]) * scale
-        if self.noise <= 1.0:
+        if not self.incomplete:
             return decompose(matrix, scale, free=self.free)
         # Here the prior limits the step, so even weakly determined directions count; otherwise no step reaches the minimum.
         left, all_directions = decompose(matrix, scale, free=self.free, tolerance=0.0)
         basis = np.concatenate([all_directions.directions, all_directions.null_space], axis=1)
-        seen = int(np.count_nonzero(all_directions.values > self.noise))
+        seen = int(np.count_nonzero(all_directions.values > 1.0))
         return left, Spectrum(
             all_directions.scale, all_directions.values, read_only(basis[:, :seen]), read_only(basis[:, seen:])
         )
@@ -314,7 +320,7 @@ class _Problem:
         self, iterate: _Iterate, triangle: np.ndarray, spectrum: Spectrum, taken: int, *, converged: bool
     ) -> FitSolution:
         """Return the estimate at the last iterate."""
-        if self.noise > 1.0:
+        if self.incomplete:
             _, spectrum = self.decomposed(triangle, self.scale)
         found = FitSolution(
             theta=iterate.theta,
@@ -324,7 +330,7 @@ class _Problem:
             determined=0.0,
             converged=converged,
             steps=taken,
-            noise=self.noise,
+            incomplete=self.incomplete,
             precision=self.precision,
             free=self.free,
         )
@@ -332,9 +338,9 @@ class _Problem:
         return replace(found, determined=float(share))
 
 
-def _with_prior(strength: np.ndarray, noise: float) -> np.ndarray:
+def _with_prior(strength: np.ndarray, *, incomplete: bool) -> np.ndarray:
     """Return (f,) one for each direction on which the prior acts: if the model fits, those that the readings do not determine."""
-    return np.ones_like(strength) if noise > 1.0 else (strength <= SINGULAR_VALUE_TOLERANCE).astype(float)
+    return np.ones_like(strength) if incomplete else (strength <= SINGULAR_VALUE_TOLERANCE).astype(float)
 
 
 def factor(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray) -> np.ndarray:
@@ -372,7 +378,7 @@ def _append_rows(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def _newton(
-    spectrum: Spectrum, along: np.ndarray, deviation: np.ndarray, noise: float, weakest: float
+    spectrum: Spectrum, along: np.ndarray, deviation: np.ndarray, weakest: float, *, incomplete: bool
 ) -> tuple[np.ndarray, float]:
     """Return the Gauss-Newton step for readings and prior, and the change of the residuals, root of the sum of squares.
 
@@ -380,15 +386,15 @@ def _newton(
         spectrum: spectrum of the derivatives, with the null directions.
         along: (d,) residuals along the directions that contribute, strongest first.
         deviation: (p,) deviation of every unknown from its prior mean, in prior standard deviations.
-        noise: see `solve`.
         weakest: strength up to which a direction keeps its value, if the model fits.
+        incomplete: see `solve`.
     """
     basis = np.concatenate([spectrum.directions, spectrum.null_space], axis=1)
     values = spectrum.values
-    prior = noise**2 * _with_prior(values, noise)
-    right = -prior * (basis.T @ deviation) if noise > 1.0 else np.zeros(len(values))
+    prior = _with_prior(values, incomplete=incomplete)
+    right = -prior * (basis.T @ deviation) if incomplete else np.zeros(len(values))
     right[: len(along)] += values[: len(along)] * along
-    if noise <= 1.0:
+    if not incomplete:
         # Hardly determined directions keep their values: derivatives across a plane of points hold over a short distance only.
         right[values <= weakest] = 0.0
     stiffness = values**2 + prior

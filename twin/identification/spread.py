@@ -1,23 +1,28 @@
-"""Noise of the readings: estimates from repeats, and the covariance of an estimate whose model is incomplete."""
+"""Residuals and repeats compared with the noise that is stated."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import Final, Literal, final
 
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.distributions import chi2_sf, f_sf
+from twin._common.distributions import chi2_isf, chi2_sf, f_sf
 from twin._common.units import MM
-from twin.identification.network import Network
-from twin.identification.solve import FitSolution
 from twin.identification.start import nominal_carriers
 from twin.machine.machine import Machine
-from twin.measurement.instruments import StationInstruments
-from twin.measurement.state import at_origin
+from twin.measurement.instruments import Instrument, StationInstruments
+from twin.measurement.state import FEWEST_REPEATS, at_origin, repeat_groups
 from twin.measurement.table import Measurements
 
+SIGNIFICANCE: Final = 1e-3
+"""Level at which repeats contradict the stated noise."""
+FALSE_ALARM: Final = 0.01
+"""Probability that repeats without any outlier contain a reading that is left out."""
+ITERATIONS: Final = 6
+"""Repetitions of the search for outliers among the repeats, at most."""
 Spread = Literal["stated", "repeats", "between poses", "between rounds"]
 
 
@@ -84,92 +89,135 @@ def misfit(
     return FitStatistics(chi2, max(dof, 0.0), p_value, pure_chi2, pure_dof, lack_p)
 
 
-def repeat_groups(data: Measurements) -> np.ndarray:
-    """Return (n,) the index of the point that each row repeats: same command, target, station and directions of approach.
+@final
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """Repeated readings of one instrument, without outliers.
 
-    A probe finds the same point again at slightly other positions of the axes.
+    Attributes:
+        instrument: the instrument.
+        rows: (k,) its rows in the data.
+        covariance: (k, 3, 3) of all its readings, from the repeats, m²: the instrument's model, pooled.
+        dof: degrees of freedom of one coordinate.
+        reduced_chi2: mean square of the repeats in units of the stated covariance.
+        p_value: probability of one at least as large if the stated covariance holds.
     """
-    positions = np.where(at_origin(data)[:, None], np.round(data.positions, 0), np.round(data.positions, 6))
-    keys = np.concatenate([positions, data.approach], axis=1)
-    _, pose = np.unique(keys, axis=0, return_inverse=True)
-    _, target = np.unique(data.target.astype(str), return_inverse=True)
-    _, station = np.unique(data.station.astype(str), return_inverse=True)
-    _, group = np.unique(np.stack([pose.reshape(-1), target, station], axis=1), axis=0, return_inverse=True)
-    return np.asarray(group.reshape(-1))
+
+    instrument: Instrument
+    rows: np.ndarray
+    covariance: np.ndarray
+    dof: int
+    reduced_chi2: float
+    p_value: float
+
+    @property
+    def decide(self) -> bool:
+        """Whether the repeats are enough to test the stated covariance."""
+        return self.dof >= FEWEST_REPEATS
+
+    @property
+    def contradict(self) -> bool:
+        """Whether the repeats vary more than the stated covariance allows."""
+        return self.decide and self.p_value < SIGNIFICANCE
 
 
-def covariance_from_repeats(machine: Machine, data: Measurements, instruments: StationInstruments) -> np.ndarray:
-    """Return (n, 3, 3) the covariance of the readings from repeats, m²: each instrument's model, pooled over all its points.
+def noise_text(instrument: Instrument, readings: np.ndarray, covariance: np.ndarray) -> str:
+    """Return the median standard deviations of an instrument's readings in words.
+
+    Args:
+        instrument: the instrument.
+        readings: (k, 3) metres; NaN where nothing was read.
+        covariance: (k, 3, 3) of them, m².
+    """
+    read = np.isfinite(readings)
+    variance = np.where(read, np.einsum("nii->ni", covariance), 0.0)
+    if instrument.specification.beam and read.all():
+        beam = readings / np.linalg.norm(readings, axis=1, keepdims=True)
+        along = np.einsum("ni,nij,nj->n", beam, covariance, beam)
+        across = (variance.sum(axis=1) - along) / 2.0
+        sizes = [f"{1e6 * np.sqrt(np.median(own)):.2g} µm" for own in (along, across)]
+        return f"{sizes[0]} along the beam, {sizes[1]} across"
+    each = variance.sum(axis=1)[read.any(axis=1)] / np.count_nonzero(read[read.any(axis=1)], axis=1)
+    return f"{1e6 * np.sqrt(np.median(each)):.2g} µm"
+
+
+def repeats_of(
+    machine: Machine, data: Measurements, instruments: StationInstruments, stated: np.ndarray
+) -> tuple[Repeats, ...]:
+    """Return the repeats of each instrument that has any.
 
     Args:
         machine: the machine.
         data: the measurements.
         instruments: those of their stations.
-
-    Raises:
-        InputError: fewer than ten degrees of freedom of repeats of an instrument.
+        stated: (n, 3, 3) stated covariance of the readings, m².
     """
     points = np.where(np.isfinite(data.point_mm), data.point_mm, 0.0) * MM
     # A probe reads zero: its repeats differ in the axis positions.
     points = np.where(at_origin(data)[:, None], nominal_carriers(machine, data).points, points)
-    every = repeat_groups(data)
-    found = np.zeros((len(data), 3, 3))
+    every, read = repeat_groups(data), np.isfinite(data.point_mm)
+    found = []
     for instrument, rows in instruments.groups(data.station):
         group, own = every[rows], points[rows]
-        size = np.bincount(group)
-        dof = int(np.sum(np.maximum(size - 1, 0)))
-        if dof < 10:
+        kept = np.ones(len(rows), dtype=bool)
+        for _ in range(ITERATIONS):
+            size = np.bincount(group[kept], minlength=group.max() + 1)
+            again = kept & (size[group] > 1)
+            dof = int(np.sum(np.maximum(size - 1, 0)))
+            if dof == 0:
+                break
+            total = np.stack([np.bincount(group[kept], own[kept, i], minlength=len(size)) for i in range(3)], axis=1)
+            deviations = np.where(again[:, None], own - (total / np.maximum(size, 1)[:, None])[group], 0.0)
+            pooled = instrument.pooled(own, deviations, dof)
+            each = deviations / np.sqrt(1.0 - 1.0 / np.maximum(size, 2))[group, None]
+            square, count = _squares(pooled, each, read[rows]), np.count_nonzero(read[rows], axis=1)
+            if not np.any(square[again] > 0.0):
+                break
+            median = np.array([chi2_isf(0.5, k) if k else 1.0 for k in range(4)])[count]
+            limit = np.array([chi2_isf(FALSE_ALARM / len(rows), k) if k else np.inf for k in range(4)])[count]
+            wrong = again & (square > limit * float(np.median(square[again] / median[again])))
+            if not np.any(wrong):
+                break
+            kept &= ~wrong
+        if dof > 0:
+            chi2 = float(np.sum(_squares(stated[rows], deviations, read[rows])))
+            free = dof * int(np.count_nonzero(read[rows].any(axis=0)))
+            found.append(Repeats(instrument, rows, pooled, dof, chi2 / free, float(chi2_sf(chi2, free))))
+    return tuple(found)
+
+
+def _squares(covariance: np.ndarray, deviations: np.ndarray, read: np.ndarray) -> np.ndarray:
+    """Return (k,) squared deviations in units of their covariance, over the coordinates that were read."""
+    both = read[:, :, None] & read[:, None, :]
+    safe = np.where(both, covariance, 0.0) + np.eye(3) * ~read[:, None, :]
+    if not np.all(np.linalg.eigvalsh(safe)[:, 0] > 0.0):
+        return np.zeros(len(read))
+    kept = np.where(read, deviations, 0.0)
+    return np.asarray(np.einsum("ni,ni->n", kept, np.linalg.solve(safe, kept[:, :, None])[:, :, 0]))
+
+
+def covariance_from_repeats(
+    data: Measurements, instruments: StationInstruments, repeats: Sequence[Repeats]
+) -> np.ndarray:
+    """Return (n, 3, 3) the covariance of the readings from repeats, m²: each instrument's model, pooled over all its points.
+
+    Args:
+        data: the measurements.
+        instruments: those of their stations.
+        repeats: their repeats.
+
+    Raises:
+        InputError: fewer than ten degrees of freedom of repeats of an instrument.
+    """
+    found = np.zeros((len(data), 3, 3))
+    by_instrument = {id(one.instrument): one for one in repeats}
+    for instrument, rows in instruments.groups(data.station):
+        own = by_instrument.get(id(instrument))
+        if own is None or own.dof < FEWEST_REPEATS:
             raise data.error(
                 f"too few repeats to estimate the noise of the {instrument.name}",
                 expected="at least ten repeated readings",
-                value=dof,
+                value=0 if own is None else own.dof,
             )
-        mean = np.stack([np.bincount(group, own[:, i]) / np.maximum(size, 1) for i in range(3)], axis=1)
-        deviations = np.where(size[group, None] > 1, own - mean[group], 0.0)
-        found[rows] = instrument.pooled(own, deviations, dof)
+        found[rows] = own.covariance
     return read_only(found)
-
-
-def covariance_of(network: Network, solution: FitSolution, weight: np.ndarray, spread: Spread) -> np.ndarray:
-    """Return the (p, p) covariance of an estimate, of the machine's unknowns and the set-up's.
-
-    ``between poses`` is for a model that lacks an influence which changes from pose to pose. It holds for independent poses that
-    represent those of later use. If neighbouring poses were measured together, their misfits are correlated, and ``between rounds`` is
-    valid: the points of a round share the influence (poses near one place, one warm-up).
-
-    Args:
-        network: data and model.
-        solution: the estimate.
-        weight: (n,) weight of each point; zero for one that was not used.
-        spread: noise on which it is based.
-
-    Raises:
-        InputError: fewer rounds than parameters determined.
-    """
-    data = network.data
-    if spread == "between poses":
-        _, group = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
-    elif spread == "between rounds":
-        names, group = np.unique(data.round.astype(str), return_inverse=True)
-        if len(names) <= len(solution.spectrum.singular_values):
-            raise data.error(
-                "too few rounds to estimate their variation",
-                expected=f"more than the {len(solution.spectrum.singular_values)} parameters determined",
-                value=len(names),
-            )
-    else:
-        return solution.covariance()
-    return _sandwich(network, solution, weight, group.reshape(-1))
-
-
-def _sandwich(network: Network, solution: FitSolution, weight: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Return A⁻¹ (Σ g gᵀ) A⁻¹ with one score g per group (Huber 1967; White 1982, eq. 3.2; clusters as Liang and Zeger 1986).
-
-    It holds for any variation between groups, provided that the groups are many and represent those of later use.
-    """
-    scores = np.zeros((group.max() + 1, len(solution.spectrum.scale)))
-    for piece in network.chunks(solution.theta, solution.setup):
-        own = np.einsum("nki,nk,n->ni", piece.jacobian, piece.residual, weight[piece.rows])
-        np.add.at(scores, group[piece.rows], own)
-    count = len(scores)
-    return solution.covariance(scores.T @ scores * (count / max(count - 1, 1)))

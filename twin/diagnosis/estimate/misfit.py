@@ -13,7 +13,7 @@ import numpy as np
 
 from twin._common.distributions import chi2_sf, f_sf
 from twin.diagnosis.problem.problem import Problem
-from twin.identification.spread import repeat_groups
+from twin.measurement.state import repeat_groups
 
 LACK_OF_FIT: Final = 0.01
 """p-value below which there is a lack of fit."""

@@ -60,7 +60,7 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
     changed = bool(sized.forms or extended is not calibration)
     instrument = sized.estimate.signature[:, [not own for own in sized.estimate.effects]].sum(axis=1)
     residual = unwhitened_um(problem, problem.residual)
-    after = residuals_as_written(problem, extended, instrument) if changed else residual
+    after = residuals_as_written(problem, extended, instrument, sized.discrepancy.root) if changed else residual
     hidden = _unidentifiable(found)
     weights = network.whitening
     stated = not np.isfinite(found.task.noise.dof)
@@ -90,7 +90,7 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
         data=replace(network.data, notices=(*network.data.notices, *overstated, *reported.notices)),
         residual_um=read_only(residual),
         after_um=read_only(after),
-        directions=read_only(unwhiten(problem, problem.view.by_base)),
+        directions=read_only(unwhiten(problem.network, problem.view.by_base)),
         precision=read_only(np.einsum("nki,nkj->nij", weights, weights) * UM**2),
     )
 

@@ -11,7 +11,7 @@ from twin.diagnosis.judgement.extend import EmpiricalExtension
 from twin.diagnosis.judgement.held_out import held_out
 from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.nuisance import setup_basis
-from twin.diagnosis.problem.problem import Problem, rms, unwhitened_um
+from twin.diagnosis.problem.problem import Problem, in_um, rms, unwhiten, unwhitened_um
 from twin.diagnosis.result import Gain, Unexplained
 from twin.identification.network import Network
 from twin.identification.solve import solve
@@ -84,15 +84,18 @@ def _plausible(before: float, after: float) -> tuple[float, float]:
     return (float(before), float(after)) if known else (float("nan"), float("nan"))
 
 
-def residuals_as_written(problem: Problem, extended: Calibration, instrument: np.ndarray) -> np.ndarray:
+def residuals_as_written(
+    problem: Problem, extended: Calibration, instrument: np.ndarray, root: np.ndarray
+) -> np.ndarray:
     """Return the (n, 3) residuals in µm with a calibration as written, the set-up refitted; NaN where no coordinate was measured.
 
     Args:
         problem: the data.
         extended: the calibration.
         instrument: (3n,) whitened effect of the instrument errors found, subtracted from the readings first.
+        root: (n, 3, 3) square root of the covariance by the discrepancy, metres, for the weights of the set-up.
     """
-    network = problem.network
+    network = problem.network.with_discrepancy(root)
     as_written = Network(
         network.machine,
         network.data,
@@ -108,9 +111,10 @@ def residuals_as_written(problem: Problem, extended: Calibration, instrument: np
         columns[:, chunk.rows] = chunk.columns
     columns[:-1] *= setup.plausible[:, None, None]
     *_, residual = flat = columns.reshape(len(columns), -1)
-    residual -= instrument
+    moved = unwhiten(problem.network, instrument.reshape(-1, 3)[:, :, None])
+    residual -= (network.whitening @ moved).reshape(-1)
     basis, _ = setup_basis(flat[:-1].T)
-    return unwhitened_um(problem, residual - basis @ (basis.T @ residual))
+    return in_um(as_written, residual - basis @ (basis.T @ residual))
 
 
 def tool_length_of(machine: Machine) -> float:

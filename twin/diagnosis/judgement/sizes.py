@@ -12,9 +12,11 @@ from twin._common.arrays import read_only
 from twin._common.distributions import f_log_sf
 from twin.diagnosis.estimate.estimate import Estimate, estimate
 from twin.diagnosis.estimate.misfit import MANY_ROUNDS
+from twin.diagnosis.estimate.reweighted import reweighted
 from twin.diagnosis.judgement.evidence import between_positions
 from twin.diagnosis.problem.forms import Form, log_p_value
 from twin.diagnosis.selection.structure import Findings
+from twin.identification.discrepancy import Discrepancy
 from twin.machine.effects import Effect
 from twin.numerics.covariance import Covariance
 
@@ -31,6 +33,7 @@ class SizedCauses:
         estimate: their sizes, fitted without the patterns.
         dropped: causes that are not significant against the variation between groups of readings.
         doubts: for each cause, why it is not valid between the measured positions; empty if it is.
+        discrepancy: what the causes leave beyond the noise; it is in the weights of their sizes.
     """
 
     found: Findings
@@ -39,6 +42,7 @@ class SizedCauses:
     estimate: Estimate
     dropped: tuple[Form, ...]
     doubts: tuple[str, ...]
+    discrepancy: Discrepancy
 
     @property
     def excess(self) -> float:
@@ -100,7 +104,8 @@ def estimate_sizes(found: Findings) -> SizedCauses:
         forms = [form for form in forms if form is not worst[1]]
     beside = tuple(found.beside.forms[form.index] for form in forms)
     doubts = tuple(between_positions(found.candidates, forms, form) for form in forms)
-    return SizedCauses(found, tuple(forms), beside, estimated, tuple(dropped), doubts)
+    sizes, discrepancy = reweighted(found.problem, forms, estimated, found.task.noise.dof, found.structure.beside)
+    return SizedCauses(found, tuple(forms), beside, sizes, tuple(dropped), doubts, discrepancy)
 
 
 def log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:

@@ -17,8 +17,8 @@ from twin.diagnosis.candidates.signatures import Column
 from twin.diagnosis.problem.signature_products import signatures_of
 from twin.identification.network import LinearisedReadings, Network
 from twin.identification.setup import SetUp
-from twin.identification.spread import repeat_groups
 from twin.measurement.instruments.base import along_and_across
+from twin.measurement.state import repeat_groups
 from twin.measurement.table import Measurements
 
 LEAST_DOF: Final = 20
@@ -175,7 +175,7 @@ def _estimated(
 
 
 def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Regress the first of (n, 3, k) columns on the others: return residuals (n, 3) and an orthonormal basis (n, 3, m)."""
+    """Regress the first of (n, 3, k) columns on the others, if any: return residuals (n, 3) and an orthonormal basis (n, 3, m)."""
     flat = values.reshape(-1, values.shape[2])
     scale = np.maximum(np.linalg.norm(flat[:, 1:], axis=0), 1e-30)
     others = flat[:, 1:] / scale
@@ -184,4 +184,4 @@ def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # Orthonormalised again by QR: the normal matrix loses half the digits.
     basis, _ = np.linalg.qr(others @ (vectors[:, seen] / np.sqrt(eigenvalues[seen])))
     residual = flat[:, 0] - basis @ (basis.T @ flat[:, 0])
-    return residual.reshape(-1, 3), basis.reshape(-1, 3, basis.shape[1])
+    return residual.reshape(len(values), 3), basis.reshape(len(values), 3, basis.shape[1])

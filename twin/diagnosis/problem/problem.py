@@ -72,6 +72,7 @@ class Problem:
     ) -> None:
         self.network = network
         self.setup = setup
+        self.calibration = calibration
         self.view: LinearisedReadings = network.view(np.zeros(0), setup, np.arange(len(network.data)))
         self.residual = self.view.residual.reshape(-1)
         by_setup = np.zeros((len(setup), len(network.data), 3))
@@ -291,14 +292,19 @@ def _root(gram: np.ndarray) -> np.ndarray:
 
 def unwhitened_um(problem: Problem, residual: np.ndarray) -> np.ndarray:
     """Return a (3n,) whitened residual in µm (n, 3); NaN where a coordinate was not measured."""
-    found = unwhiten(problem, residual.reshape(-1, 3)[:, :, None])[:, :, 0]
-    return np.where(problem.network.read, found * 1e6, np.nan)
+    return in_um(problem.network, residual)
 
 
-def unwhiten(problem: Problem, whitened: np.ndarray, rows: Rows = slice(None)) -> np.ndarray:
+def in_um(network: Network, residual: np.ndarray) -> np.ndarray:
+    """Return a (3n,) residual whitened by a network's weights in µm (n, 3); NaN where a coordinate was not measured."""
+    found = unwhiten(network, residual.reshape(-1, 3)[:, :, None])[:, :, 0]
+    return np.where(network.read, found * 1e6, np.nan)
+
+
+def unwhiten(network: Network, whitened: np.ndarray, rows: Rows = slice(None)) -> np.ndarray:
     """Undo the whitening of (rows, 3, k) values; zero where a coordinate was not measured."""
-    read = problem.network.read[rows]
-    safe = np.where(read[:, :, None] & read[:, None, :], problem.network.whitening[rows], np.eye(3))
+    read = network.read[rows]
+    safe = np.where(read[:, :, None] & read[:, None, :], network.whitening[rows], np.eye(3))
     return np.asarray(np.linalg.solve(safe, np.where(read[:, :, None], whitened, 0.0)))
 
 

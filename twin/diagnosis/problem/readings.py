@@ -9,7 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.distributions import chi2_isf
+from twin._common.distributions import chi2_isf, chi2_sf
 from twin._common.units import MM
 from twin.diagnosis.candidates.candidate import Catalogue
 from twin.diagnosis.candidates.catalogue import catalogue
@@ -20,11 +20,12 @@ from twin.identification.network import Network, stated_covariance
 from twin.identification.outliers import outlier_notes, outliers
 from twin.identification.setup import SetUp
 from twin.identification.solve import solve
-from twin.identification.spread import repeat_groups
+from twin.identification.spread import SIGNIFICANCE, repeats_of
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.instruments import Instrument
+from twin.measurement.instruments import Instrument, StationInstruments
+from twin.measurement.state import repeat_groups
 from twin.measurement.table import Measurements, RowNote
 
 ITERATIONS: Final = 4
@@ -110,7 +111,8 @@ def readings(
         data: the measurements.
         machine: the machine.
         calibration: the model under test.
-        instrument: instrument whose noise model is used; None to take the table's uncertainties, or to estimate from repeats.
+        instrument: instrument whose noise model is used unless repeats contradict it; None to take the table's uncertainties, or to
+            estimate from repeats.
 
     Raises:
         InputError: data that cannot be a measurement of this machine.
@@ -119,10 +121,10 @@ def readings(
     no_unknowns = Unknowns(machine, (), ())
     covariance = stated_covariance(data, reader)
     has_u = bool(np.isfinite(data.u_mm).any())
-    stated = has_u or instrument is not None
+    doubted = instrument is not None and not has_u and _contradicted(machine, data, reader, covariance)
+    stated = has_u or (instrument is not None and not doubted)
     preliminary = None if stated else _isotropic_from_repeats(data, covariance)
-    if preliminary is not None:
-        covariance = preliminary
+    by_model, covariance = covariance, covariance if preliminary is None else preliminary
     figures = f"the noise model of the {reader.name}" + (
         "" if instrument is not None else ", assumed: no uncertainties stated, too few repeats"
     )
@@ -136,11 +138,29 @@ def readings(
         estimated = from_repeats(data.select(~bad), view, network.read[~bad], known, seen)
         if estimated is None:
             estimated = from_residuals(network, setup, view, known, seen)
+        if doubted and estimated is not None and not _larger(estimated, by_model, network.read):
+            # Only a known effect that changes between repeats made them vary.
+            estimated = ReadingNoise(by_model, np.inf, figures)
+        elif doubted and estimated is not None:
+            estimated = replace(estimated, source=f"{estimated.source}; they contradict {figures}")
         if estimated is not None:
             noise = estimated
             network = Network(machine, data, reader, no_unknowns, calibration, estimated.covariance)
             setup, bad = _setup_without_outliers(network, setup)
     return Readings(network, setup, noise, calibration, bad)
+
+
+def _contradicted(machine: Machine, data: Measurements, reader: StationInstruments, covariance: np.ndarray) -> bool:
+    """Return whether repeats vary more than a stated covariance (n, 3, 3) allows."""
+    return any(one.contradict for one in repeats_of(machine, data, reader, covariance))
+
+
+def _larger(estimated: ReadingNoise, stated: np.ndarray, read: np.ndarray) -> bool:
+    """Return whether an estimated noise is larger than the stated (n, 3, 3) covariance by more than its own uncertainty."""
+    safe = stated + np.eye(3) * ~read[:, None, :]
+    ratio = np.einsum("nii->n", np.linalg.solve(safe, np.where(read[:, None, :], estimated.covariance, 0.0)))
+    mean = float(np.sum(ratio) / np.count_nonzero(read))
+    return float(chi2_sf(mean * estimated.dof, estimated.dof)) < SIGNIFICANCE
 
 
 def _isotropic_from_repeats(data: Measurements, stated: np.ndarray) -> np.ndarray | None:

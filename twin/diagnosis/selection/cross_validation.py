@@ -142,7 +142,7 @@ def held_out_squares(
             return None
         small = candidates.on_part(part)
         left = part.refitted_at_held_out(problem.residual[:, None] - np.stack(predict(small), axis=1))
-        squares = np.sum((unwhiten(problem, left, rows) * 1e6) ** 2, axis=1)
+        squares = np.sum((unwhiten(problem.network, left, rows) * 1e6) ** 2, axis=1)
         read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
         counted = np.column_stack([squares, read])
         table = np.zeros((int(split.group.max()) + 1, counted.shape[1])) if table is None else table

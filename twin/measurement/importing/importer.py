@@ -29,6 +29,8 @@ from twin.measurement.importing.mapping import ColumnMapping, OriginEntry
 from twin.measurement.importing.plan_rows import PlanPoints
 from twin.measurement.importing.proposal import Proposal
 from twin.measurement.importing.propose import proposed
+from twin.measurement.instruments import default_instrument, others_alike
+from twin.measurement.state import FEWEST_REPEATS, repeats_dof
 from twin.measurement.table import Measurements
 
 PREVIEW_ROWS: Final = 5
@@ -183,6 +185,22 @@ def origin_text(entry: OriginEntry | None) -> str:
     return text + (f", form {entry.format}" if entry.format else "")
 
 
+def _instrument_note(data: Measurements) -> tuple[str, ...]:
+    """Return a note of the instrument whose noise the weights of the readings are taken from, if nothing else shows the noise."""
+    read = np.isfinite(data.point_mm).any(axis=0)
+    shown = np.isfinite(data.u_mm).any() or all(data.instrument) or repeats_dof(data) >= FEWEST_REPEATS
+    if shown or np.count_nonzero(read) < 2:
+        return ()
+    instrument = default_instrument("point", str(data.station_carrier[0]), float(np.nanmax(np.abs(data.point_mm))))
+    names = others_alike(instrument)
+    other = f", or {' or '.join(names)}" if names else ""
+    return (
+        f"the file names no instrument and has too few repeats to show the noise: identification will assume a "
+        f"{instrument.specification.title}. Name the instrument in the mapping, under columns: "
+        f"instrument: {{value: {instrument.name}}}{other}",
+    )
+
+
 def import_table(
     path: str | Path,
     machine: Machine,
@@ -267,6 +285,7 @@ def _finished(applied: Applied, machine: Machine, plan: PlanPoints | None, propo
     if measurements is not None:
         notes += [
             *measurements.notices,
+            *_instrument_note(measurements),
             *(f"line {one.line}: set aside, {one.text}" for one in measurements.set_aside[:5]),
         ]
     raw = layout.raw

@@ -55,6 +55,18 @@ def default_instrument(reads: Reads, side: str = SIDES[0], largest_mm: float = n
     return min(fitting, key=lambda one: one.specification.range_mm)
 
 
+def others_alike(instrument: Instrument) -> tuple[str, ...]:
+    """Return the names of the other instruments whose readings look the same: same columns, same kind, same side."""
+    own = instrument.specification
+    return tuple(
+        one.name
+        for one in INSTRUMENTS
+        if one.name != own.name
+        and (one.specification.reads, one.specification.columns, one.specification.rides_on)
+        == (own.reads, own.columns, own.rides_on)
+    )
+
+
 __all__ = [
     "INSTRUMENTS",
     "SIDES",
@@ -77,5 +89,6 @@ __all__ = [
     "instrument_named",
     "length_scale",
     "measure",
+    "others_alike",
     "refractive_index",
 ]

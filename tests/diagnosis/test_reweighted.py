@@ -1,0 +1,73 @@
+"""Sizes of causes beside which the model is wrong, with a tracker's stated noise: as plain least squares, and unchanged if it fits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.identification.test_discrepancy import machine, measured
+from twin._common.arrays import read_only
+from twin.diagnosis.estimate.estimate import Estimate, estimate
+from twin.diagnosis.estimate.reweighted import reweighted
+from twin.diagnosis.problem.problem import Problem
+from twin.diagnosis.problem.readings import readings
+from twin.diagnosis.selection.search import candidates_of
+from twin.identification.discrepancy import Discrepancy
+from twin.machine.calibration import Calibration
+from twin.measurement.instruments import instrument_named
+from twin.measurement.table import Measurements
+
+KEYS = (("squareness", "E_C0Y"), ("squareness", "E_A0Z"), ("axis_location", "E_A0C"))
+DRAWS = 20
+
+
+def sized(data: Measurements) -> tuple[Problem, Estimate, Estimate, Discrepancy]:
+    """Return the data, and three causes estimated with the weights of the noise alone and with those of the discrepancy."""
+    placed = readings(data, machine(), Calibration.zero(machine()), instrument_named("tracker"))
+    task = placed.without(np.zeros(len(data), dtype=bool))
+    every = candidates_of(task).forms
+    forms = [next(form for form in every if form.key == key) for key in KEYS]
+    found = estimate(task.problem, forms)
+    return task.problem, found, *reweighted(task.problem, forms, found, np.inf, None)
+
+
+def values(found: Estimate) -> np.ndarray:
+    return np.array([own[0].value for own in found.quantities])
+
+
+def test_causes_that_fit_keep_their_estimate() -> None:
+    _, by_noise, again, discrepancy = sized(measured(1))
+    assert again is by_noise and not np.any(discrepancy.root)
+
+
+def test_a_wrong_model_has_sizes_of_plain_least_squares() -> None:
+    """RMS errors within 5 % of equal weights on the same draws, 20 of three sizes; with the weights of the noise they are larger."""
+    by_noise, ours, plain = [], [], []
+    for seed in range(DRAWS):
+        data = measured(seed, along=0.3, across=0.3)
+        problem, first, found, discrepancy = sized(data)
+        by_noise.append(values(first))
+        ours.append(values(found))
+        assert discrepancy.parts and found.explained == first.explained
+        equal = replace(data, u_mm=read_only(np.full((len(data), 3), 0.3)))
+        plain.append(values(sized(equal)[1]))
+        # The contribution to the readings is in the units of the problem, whose weights are those of the noise.
+        assert found.signature.shape == first.signature.shape == (len(problem.residual), len(KEYS))
+        for k in range(len(KEYS)):
+            grown = found.signature[:, k] * values(first)[k] / values(found)[k]
+            np.testing.assert_allclose(grown, first.signature[:, k], rtol=1e-6, atol=1e-9 * np.abs(grown).max())
+    scale = np.std(plain, axis=0)
+    size = [float(np.sqrt(np.mean((np.array(own) / scale) ** 2))) for own in (by_noise, ours, plain)]
+    assert size[1] < 1.05 * size[2]
+    assert size[0] > 1.3 * size[2]
+
+
+def test_the_uncertainty_counts_what_is_left() -> None:
+    """The standard uncertainty is that of readings with 0.3 mm, within 20 %: 150 poses."""
+    _, _, found, _ = sized(measured(3, along=0.3, across=0.3))
+    equal = measured(3, along=0.3, across=0.3)
+    _, plain, _, _ = sized(replace(equal, u_mm=read_only(np.full((len(equal), 3), 0.3))))
+    for ours, other in zip(found.quantities, plain.quantities, strict=True):
+        assert ours[0].u == pytest.approx(other[0].u, rel=0.2)

@@ -1,0 +1,351 @@
+"""Discrepancy: what a model leaves of the readings beyond their noise, as a variance for each target, station and direction.
+
+A tracker is 25 times better along its beam than across. If the model is wrong by more than the noise, weights from the noise alone
+fit the error along the beam at the expense of the others. So the covariance that weights the readings is that of the noise and of the
+discrepancy, whose variances are estimated by restricted maximum likelihood (Patterson and Thompson 1971; in geodesy, variance
+components after Helmert and Förstner): for each component the sum of squared residuals is compared with its expectation, the sum of the
+redundancies. A component that its score test does not confirm is zero, so that a model that fits has the weights of its noise.
+
+Tests of consistency do not use it: they compare the residuals with the noise.
+
+H. D. Patterson, R. Thompson: Recovery of inter-block information when block sizes are unequal, Biometrika 58 (1971) 545-554.
+W. Förstner: Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten, AVN 86 (1979) 446-453.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import read_only
+from twin._common.distributions import chi2_sf
+from twin.identification.network import Network
+from twin.identification.outliers import row_groups
+from twin.identification.solve import FitSolution
+from twin.identification.spread import Spread
+from twin.measurement.table import Measurements
+
+SIGNIFICANCE: Final = 1e-3
+"""Level of the score tests of all components together: models that fit get a discrepancy once in a thousand data sets."""
+LEAST_REDUNDANCY: Final = 5.0
+"""Redundancy of a component below which its variance cannot be estimated; its residuals are mostly fitted away."""
+SCORING_STEPS: Final = 60
+TOLERANCE: Final = 1e-3
+SETTLED: Final = 0.05
+"""Relative change of a reading's variance, noise included, up to which the weights need no further estimate."""
+GROUPS_AT_ONCE: Final = 256
+"""Number of repeated points in a chunk of the covariance."""
+
+
+@final
+@dataclass(frozen=True)
+class DiscrepancyPart:
+    """The discrepancy of one direction of some targets and stations.
+
+    Attributes:
+        of: (target, station) pairs.
+        direction: ``along the beam``, ``across the beam``, or ``per coordinate``.
+        size_um: standard deviation of one coordinate in this direction.
+        redundancy: number of readings less what the model takes up of them.
+    """
+
+    of: tuple[tuple[str, str], ...]
+    direction: str
+    size_um: float
+    redundancy: float
+
+
+@final
+@dataclass(frozen=True)
+class Discrepancy:
+    """The discrepancy of a model.
+
+    Attributes:
+        parts: the components that are not zero.
+        root: (n, 3, 3) symmetric square root of each reading's covariance by it, metres; zero where nothing was read.
+    """
+
+    parts: tuple[DiscrepancyPart, ...]
+    root: np.ndarray
+
+    @property
+    def text(self) -> str:
+        """What the model leaves, in words; empty if nothing."""
+        sizes: dict[str, list[float]] = {}
+        for part in self.parts:
+            sizes.setdefault(part.direction, []).append(part.size_um)
+        return ", ".join(
+            f"{min(own):.3g} µm {direction}" if len(own) == 1 else f"{min(own):.3g} to {max(own):.3g} µm {direction}"
+            for direction, own in sizes.items()
+        )
+
+
+def isotropic(network: Network, size_m: np.ndarray) -> Discrepancy:
+    """Return the same discrepancy in all directions, (n,) standard deviations per coordinate, metres; it has no named parts."""
+    return Discrepancy((), read_only(size_m[:, None, None] * np.eye(3) * network.read[:, None, :]))
+
+
+@final
+@dataclass(frozen=True)
+class _Group:
+    """Rows that share their variances: one for each direction.
+
+    Attributes:
+        of: their (target, station) pairs.
+        rows: (k,) their numbers.
+        directions: names of the directions.
+        projections: (directions, k, 3, 3) projection of a reading on each.
+    """
+
+    of: tuple[tuple[str, str], ...]
+    rows: np.ndarray
+    directions: tuple[str, ...]
+    projections: np.ndarray
+
+
+def _groups(network: Network) -> Iterator[_Group]:
+    """Yield the groups: along and across the beam of an instrument that has one and reads points, else all coordinates alike."""
+    numbers, names = row_groups(network)
+    read = network.read
+    for instrument, of_instrument in network.instruments.groups(network.data.station):
+        for k in np.unique(numbers[of_instrument]).tolist():
+            rows = of_instrument[(numbers[of_instrument] == k) & read[of_instrument].any(axis=1)]
+            if not len(rows):
+                continue
+            pairs = tuple(name for name in names[k] if network.instruments.by_station[name[1]] is instrument)
+            every = np.eye(3) * read[rows][:, None, :]
+            if not (instrument.specification.beam and read[rows].all()):
+                yield _Group(pairs, rows, ("per coordinate",), every[None])
+                continue
+            beam = network.readings[rows] / np.linalg.norm(network.readings[rows], axis=1, keepdims=True)
+            along = beam[:, :, None] * beam[:, None, :]
+            yield _Group(pairs, rows, ("along the beam", "across the beam"), np.stack([along, every - along]))
+
+
+def updated(
+    network: Network, discrepancy: Discrepancy, residual: np.ndarray, taken_up: np.ndarray, used: np.ndarray
+) -> Discrepancy:
+    """Return the discrepancy that the residuals of an estimate show.
+
+    Args:
+        network: data and model, with their noise alone.
+        discrepancy: the discrepancy with which the estimate was weighted.
+        residual: (n, 3) residuals of the estimate, metres; zero where nothing was read.
+        taken_up: (n, 3, 3) covariance that the estimate takes up of each reading, m².
+        used: (n,) the points that were used.
+    """
+    weighted = network.with_discrepancy(discrepancy.root)
+    every = list(_groups(network))
+    level = SIGNIFICANCE / max(sum(len(group.directions) for group in every), 1)
+    parts: list[DiscrepancyPart] = []
+    root = np.zeros((len(used), 3, 3))
+    for group in every:
+        kept = used[group.rows]
+        rows, projections = group.rows[kept], group.projections[:, kept]
+        if not len(rows):
+            continue
+        unread = np.eye(3) * ~network.read[rows][:, None, :]
+        scores = _Scores.of(
+            network.covariance[rows] + unread,
+            projections,
+            residual[rows],
+            taken_up[rows],
+            weighted.covariance[rows] + unread,
+        )
+        count = np.einsum("knii->k", projections)
+        redundancy = scores.share * count
+        before = np.einsum("nij,knji->k", discrepancy.root[rows], projections) / count
+        variance = scores.most_likely(before**2)
+        for k in range(len(variance)):
+            if redundancy[k] < LEAST_REDUNDANCY or scores.p_value(variance, k) > level:
+                variance[k] = 0.0
+        for k in np.flatnonzero(variance).tolist():
+            size = float(np.sqrt(variance[k]))
+            root[group.rows] += size * group.projections[k]
+            parts.append(DiscrepancyPart(group.of, group.directions[k], size * 1e6, float(redundancy[k])))
+    return Discrepancy(tuple(parts), read_only(root))
+
+
+def settled(network: Network, before: Discrepancy, after: Discrepancy) -> bool:
+    """Return whether an estimate with the first discrepancy needs no other with the second."""
+    if bool(before.parts) != bool(after.parts):
+        return False
+    total = [np.einsum("nii->n", network.with_discrepancy(one.root).covariance) for one in (before, after)]
+    return float(np.max(np.abs(total[1] / total[0] - 1.0), initial=0.0)) <= SETTLED
+
+
+def residuals_of_estimate(network: Network, solution: FitSolution) -> tuple[np.ndarray, np.ndarray]:
+    """Return (n, 3) residuals, metres, and (n, 3, 3) the covariance that the estimate takes up of each reading, m²."""
+    residual = np.zeros((len(network.data), 3))
+    taken_up = np.zeros((len(network.data), 3, 3))
+    root = solution.basis * solution.spectrum.scale[:, None] / np.sqrt(solution.stiffness)
+    for piece in network.chunks(solution.theta, solution.setup):
+        rows = piece.rows
+        safe = network.whitening[rows] + np.eye(3) * ~network.read[rows][:, None, :]
+        residual[rows] = np.linalg.solve(safe, piece.residual[:, :, None])[:, :, 0]
+        taken = np.linalg.solve(safe, piece.jacobian @ root)
+        taken_up[rows] = taken @ taken.transpose(0, 2, 1)
+    return residual, taken_up
+
+
+@final
+@dataclass(frozen=True)
+class _Scores:
+    """Scores of the variances of one group in the restricted likelihood.
+
+    Attributes:
+        noise: (k, 3, 3) covariance of the readings, m²; one on the diagonal for coordinates that were not read.
+        projections: (directions, k, 3, 3) projections on the directions.
+        residual: (k, 3) metres.
+        share: (directions,) redundancy: share of the weighted readings that the estimate does not take up.
+    """
+
+    noise: np.ndarray
+    projections: np.ndarray
+    residual: np.ndarray
+    share: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        noise: np.ndarray,
+        projections: np.ndarray,
+        residual: np.ndarray,
+        taken_up: np.ndarray,
+        weighted: np.ndarray,
+    ) -> _Scores:
+        """Return the scores at an estimate.
+
+        Args:
+            noise: as above.
+            projections: as above.
+            residual: as above.
+            taken_up: (k, 3, 3) covariance that the estimate takes up of each reading, m².
+            weighted: (k, 3, 3) covariance of the readings in the weights of the estimate, m².
+        """
+        weight = np.linalg.inv(weighted)
+        both = projections @ weight
+        taken = np.einsum("knij,nji->k", weight @ both, taken_up) / np.einsum("knii->k", both)
+        return cls(noise, projections, residual, np.clip(1.0 - taken, 0.0, 1.0))
+
+    def most_likely(self, variance: np.ndarray) -> np.ndarray:
+        """Return the variances (directions,), m², by Fisher scoring from an initial value; none is negative."""
+        variance = np.array(variance)
+        for _ in range(SCORING_STEPS):
+            before = variance.copy()
+            for k in range(len(variance)):
+                square, expected, information = self._score(variance, k)
+                if information > 0.0:
+                    variance[k] = max(0.0, variance[k] + (square - expected) / information)
+            if np.all(np.abs(variance - before) <= TOLERANCE * variance):
+                break
+        return variance
+
+    def p_value(self, variance: np.ndarray, k: int) -> float:
+        """Return the p-value of the residuals if one of the variances were zero (score test; Satterthwaite's degrees of freedom)."""
+        square, expected, information = self._score(np.where(np.arange(len(variance)) == k, 0.0, variance), k)
+        if information <= 0.0:
+            return 1.0
+        return float(chi2_sf(square * expected / information, expected**2 / information))
+
+    def _score(self, variance: np.ndarray, k: int) -> tuple[float, float, float]:
+        """Return the sum of squares rᵀWPWr, its expectation, and the derivative of the expectation by the variance."""
+        weight = np.linalg.inv(self.noise + np.einsum("k,knij->nij", variance, self.projections))
+        both = self.projections[k] @ weight
+        along = np.einsum("nij,nj->ni", both, self.residual)
+        square = float(np.sum(along**2))
+        expected = float(np.einsum("nii->", both)) * self.share[k]
+        return square, expected, float(np.einsum("nij,nji->", both, both)) * self.share[k]
+
+
+def _shared_score(network: Network, discrepancy: Discrepancy, solution: FitSolution, weight: np.ndarray) -> np.ndarray:
+    """Return the (p, p) covariance of the normal equations' right side, by noise and discrepancy.
+
+    All readings of a pose share its discrepancy (one vector in the machine's frame), so that repeats and targets do not average it.
+
+    Args:
+        network: data and model with the weights of the estimate, discrepancy included.
+        discrepancy: the discrepancy in these weights.
+        solution: the estimate.
+        weight: (n,) weight of each point; zero for one that was not used.
+    """
+    j = solution.triangle[:, :-1]
+    found = j.T @ j
+    if not np.any(discrepancy.root):
+        return found
+    group = _pose_of(network.data)
+    rotation = solution.setup.rotation[[solution.setup.stations.index(name) for name in network.data.station]]
+    size = np.bincount(group[weight > 0.0], minlength=group.max() + 1)
+    order = np.argsort(group, kind="stable")
+    order = order[(size[group[order]] > 1) & (weight[order] > 0.0)]
+    starts = np.flatnonzero(np.diff(group[order], prepend=-1))
+    for first in range(0, len(starts), GROUPS_AT_ONCE):
+        some = starts[first : first + GROUPS_AT_ONCE]
+        end = starts[first + GROUPS_AT_ONCE] if first + GROUPS_AT_ONCE < len(starts) else len(order)
+        rows = order[some[0] : end]
+        piece = network.chunk(solution.theta, solution.setup, rows)
+        root = network.whitening[rows] @ discrepancy.root[rows] @ rotation[rows].transpose(0, 2, 1)
+        each = np.einsum("nki,nkj->nji", piece.jacobian, root)
+        summed = np.add.reduceat(each, some - some[0], axis=0).reshape(-1, each.shape[2])
+        each = each.reshape(-1, each.shape[2])
+        found += summed.T @ summed - each.T @ each
+    return np.asarray(found)
+
+
+def covariance_of(
+    network: Network, solution: FitSolution, weight: np.ndarray, spread: Spread, discrepancy: Discrepancy | None = None
+) -> np.ndarray:
+    """Return the (p, p) covariance of an estimate, of the machine's unknowns and the set-up's.
+
+    By default that of the noise and of the discrepancy, which counts as random from point to point.
+    ``between poses`` is for a model that lacks an influence which changes from pose to pose. It holds for independent poses that
+    represent those of later use. If neighbouring poses were measured together, their misfits are correlated, and ``between rounds`` is
+    valid: the points of a round share the influence (poses near one place, one warm-up).
+
+    Args:
+        network: data and model, with the weights of the estimate.
+        solution: the estimate.
+        weight: (n,) weight of each point; zero for one that was not used.
+        spread: noise on which it is based.
+        discrepancy: the discrepancy in these weights; none if None.
+
+    Raises:
+        InputError: fewer rounds than parameters determined.
+    """
+    data = network.data
+    if spread == "between poses":
+        group = _pose_of(data)
+    elif spread == "between rounds":
+        names, group = np.unique(data.round.astype(str), return_inverse=True)
+        if len(names) <= len(solution.spectrum.singular_values):
+            raise data.error(
+                "too few rounds to estimate their variation",
+                expected=f"more than the {len(solution.spectrum.singular_values)} parameters determined",
+                value=len(names),
+            )
+    else:
+        return solution.covariance(
+            None if discrepancy is None else _shared_score(network, discrepancy, solution, weight)
+        )
+    return _sandwich(network, solution, weight, group.reshape(-1))
+
+
+def _pose_of(data: Measurements) -> np.ndarray:
+    """Return (n,) the number of each row's pose."""
+    return np.asarray(np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)[1].reshape(-1))
+
+
+def _sandwich(network: Network, solution: FitSolution, weight: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return A⁻¹ (Σ g gᵀ) A⁻¹ with one score g per group (Huber 1967; White 1982, eq. 3.2; clusters as Liang and Zeger 1986).
+
+    It holds for any variation between groups, provided that the groups are many and represent those of later use.
+    """
+    scores = np.zeros((group.max() + 1, len(solution.spectrum.scale)))
+    for piece in network.chunks(solution.theta, solution.setup):
+        own = np.einsum("nki,nk,n->ni", piece.jacobian, piece.residual, weight[piece.rows])
+        np.add.at(scores, group[piece.rows], own)
+    count = len(scores)
+    return solution.covariance(scores.T @ scores * (count / max(count - 1, 1)))
