@@ -118,7 +118,8 @@ class ModalProgram:
         words = []
         if self.rng.random() < 0.12:
             self.unit = self.rng.choice([1.0, 25.4])
-            words.append("G21" if self.unit == 1.0 else "G20")
+            names = (["G21"], ["G20"]) if self.judge == "linuxcnc" else (["G21", "G71", "G710"], ["G20", "G70", "G700"])
+            words.append(self.rng.choice(names[self.unit != 1.0]))
         if self.rng.random() < 0.12:
             self.relative = self.rng.random() < 0.5
             words.append("G91" if self.relative else "G90")

@@ -95,10 +95,11 @@ def test_full_circles(sense, angle):
     assert moves[3].arc.angle_rad == pytest.approx(3 * angle)  # P needs no axis word
 
 
-def test_a_full_circle_from_a_place_reached_by_increments():
+@pytest.mark.parametrize(("sense", "angle"), [("G2", -2 * math.pi), ("G3", 2 * math.pi)])
+def test_a_full_circle_from_a_place_reached_by_increments(sense, angle):
     """0.1 + 0.1 + 0.1 is not 0.3 in binary numbers: the circle is still a full one, not a point."""
-    text = "G0 X0 Y0 Z0\nG91 X0.1\nX0.1\nX0.1\nG90 G2 X0.3 Y0 I5\n"
-    assert read_moves(ISO, text).moves[-1].arc.angle_rad == pytest.approx(-2 * math.pi)
+    text = f"G0 X0 Y0 Z0\nG91 X0.1\nX0.1\nX0.1\nG90 {sense} X0.3 Y0 I0.05\n"
+    assert read_moves(ISO, text).moves[-1].arc.angle_rad == pytest.approx(angle)
 
 
 def test_plain_centre_arcs():

@@ -239,8 +239,8 @@ def test_vectors_are_normalised_and_noted():
 
 
 def test_rotary_the_short_way():
-    text = "G0 X0 Y0 Z0 B0 C350\nC=DC(10)\nC=ACN(350)\nC=ACP(10)\nG91 C=AC(5)\n"
-    assert [m.position[4] for m in read_moves(ISO, text).moves] == [350, 370, 350, 370, 5]
+    text = "G0 X0 Y0 Z0 B0 C350\nC=DC(10)\nC=ACN(350)\nC=ACP(10)\nG91 C=AC(5)\nC=DC(125)\nC=DC(350)\n"
+    assert [m.position[4] for m in read_moves(ISO, text).moves] == [350, 370, 350, 370, 5, 125, -10]
 
 
 def test_drilling_written_out():
