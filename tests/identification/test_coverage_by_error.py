@@ -141,8 +141,8 @@ def test_the_covariance_between_groups_is_that_of_their_scores(dmu50: Machine, s
     rng = np.random.default_rng(3)
     plan = volumetric(dmu50, rng, 24)
     positions = np.repeat(plan.positions[:6], 4, axis=0)
-    positions[8:12] += [0.002, 0.0, 0.0, 0.0, 0.0]
-    positions[4:8] = positions[8:12] - [0.002, 0.0, 0.0, 0.0, 0.0]
+    positions[4:8] = positions[8:12]
+    positions[4:8, 0], positions[8:12, 0] = 100.001, 100.003
     plan = replace(
         plan,
         positions=read_only(positions),

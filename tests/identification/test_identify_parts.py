@@ -220,6 +220,9 @@ def test_p_values_of_a_right_model_are_uniform(dmu50: Machine) -> None:
         p.append((found.p_value, found.lack_p_value))
     assert found.dof == np.count_nonzero(read[used])
     assert misfit(np.ones((n, 3)), read, data, 7.5, used).dof == found.dof - 7.5
+    lack = found.dof - found.pure_dof
+    ratio = (found.chi2 - found.pure_chi2) / lack / found.pure_reduced
+    assert found.lack_p_value == pytest.approx(stats.f.sf(ratio, lack, found.pure_dof), rel=1e-9)
     for column in np.array(p).T:
         assert stats.kstest(column, "uniform").pvalue > RARE
 

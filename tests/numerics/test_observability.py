@@ -11,7 +11,7 @@ import statsmodels.api as sm
 
 from tests.numerics.independence import independence_factors
 from twin._common.errors import InputError
-from twin.numerics.observability import Determinability, Unknown, determinability, observability
+from twin.numerics.observability import Determinability, Unknown, decompose, determinability, observability
 
 
 def plain(count: int, plausible: float = 1.0) -> list[Unknown]:
@@ -241,3 +241,10 @@ def test_unknown_name() -> None:
     found: Determinability = determinability(np.eye(1), plain(1))
     with pytest.raises(KeyError):
         found.null_direction_of("p7")
+
+
+def test_a_signal_as_large_as_the_noise_is_not_observable() -> None:
+    """Singular values at the tolerance count as zero, those above it do not."""
+    _, spectrum = decompose(np.diag([2.0, 1.0, 1.0 + 1e-9]), np.ones(3))
+    assert spectrum.rank == 2 and spectrum.null_space.shape == (3, 1)
+    assert abs(spectrum.null_space[1, 0]) == pytest.approx(1.0)

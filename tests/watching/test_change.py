@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import t as student_t
 
 from twin.watching.change import ErrorSeries, WatchedError, examine, lag_correlation
 
@@ -135,3 +136,33 @@ def test_the_correlation_from_check_to_check_is_estimated(wanted: float) -> None
         noise[:, 1] += 4.0 * degrees
         found.append(lag_correlation([series(noise[:, k], days, u=0.01, bed=degrees) for k in range(6)]))
     assert np.mean(found) == pytest.approx(wanted, abs=0.1)
+
+
+def test_a_step_has_the_size_and_the_interval_of_least_squares() -> None:
+    """Two means of six checks, their difference, Student's t with the degrees of freedom that level, step and date leave."""
+    rng, count = np.random.default_rng(8), 12
+    value = rng.normal(0.0, 1.0, count) + 9.0 * (np.arange(count) >= 6)
+    days = 20500.0 + 3.0 * np.arange(count)
+    change = examine(series(value, days), LIMIT).change
+    assert change is not None and change.shape == "step" and change.after == 5
+    rss = sum(float(np.sum((part - part.mean()) ** 2)) for part in (value[:6], value[6:]))
+    dof = count - 3
+    assert change.size == pytest.approx(value[6:].mean() - value[:6].mean(), rel=1e-9)
+    expected = student_t.ppf(0.975, dof) * np.sqrt(rss / dof * (1.0 / 6.0 + 1.0 / 6.0))
+    assert change.expanded == pytest.approx(expected, rel=1e-9)
+    # Dates whose profile is within 7.35 of the best, with these degrees of freedom (Hansen 2000).
+    profile = []
+    for after in range(1, count):
+        first, second = value[:after], value[after:]
+        profile.append(np.sum((first - first.mean()) ** 2) + np.sum((second - second.mean()) ** 2))
+    inside = np.flatnonzero(dof * (np.array(profile) / rss - 1.0) <= 7.35)
+    assert change.earliest_day == days[inside[0]] and change.latest_day == days[inside[-1] + 1]
+
+
+def test_the_standard_deviation_of_a_check_is_that_of_the_first_ones() -> None:
+    """Instrument noise and what the first six checks vary beyond it; never less than the instrument's."""
+    rng, days = np.random.default_rng(9), 20500.0 + 3.0 * np.arange(10)
+    value = rng.normal(0.0, 2.0, 10)
+    between = np.var(value[:6], ddof=1) - 0.4**2
+    assert series(value, days).sd == pytest.approx(np.full(10, np.sqrt(0.4**2 + between)), rel=1e-9)
+    assert series(0.01 * value, days).sd == pytest.approx(np.full(10, 0.4))

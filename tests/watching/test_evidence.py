@@ -14,6 +14,7 @@ from twin.watching.evidence import (
     PRIOR_VARIANCES,
     log_evidence,
     spent_share,
+    whitening,
 )
 
 LOOKS = 30
@@ -142,3 +143,12 @@ def test_the_unit_of_the_deviations_does_not_matter() -> None:
     x[12:] += 12.0
     plain = log_evidence(x, days, np.ones((LOOKS, 1)))
     assert log_evidence(1e3 * x, days, np.ones((LOOKS, 1)), np.full(LOOKS, 70.0)) == pytest.approx(plain, rel=1e-9)
+
+
+def test_whitening_undoes_the_correlation_from_check_to_check() -> None:
+    correlation = 0.45
+    lag = np.abs(np.subtract.outer(np.arange(7), np.arange(7)))
+    white = whitening(7, correlation)
+    np.testing.assert_allclose(white @ correlation**lag @ white.T, np.eye(7), atol=1e-12)
+    # Each check beside earlier ones only: later checks do not change what is known.
+    np.testing.assert_array_equal(np.triu(white, 1), 0.0)
