@@ -24,7 +24,7 @@ from twin.identification.robust import FinalEstimate, RobustStart, robust_start,
 from twin.identification.shares import instrument_shares
 from twin.identification.spread import Spread, covariance_from_repeats, covariance_of, misfit
 from twin.identification.unidentified import held_by_prior, unidentified, unknown_reference
-from twin.machine.calibration_file import MeasuredWith, NotIdentifiable
+from twin.machine.calibration_file import MeasuredWith, UnidentifiedEntry
 from twin.machine.machine import Machine
 from twin.measurement.checks import overstated_noise
 from twin.measurement.instruments import Instrument
@@ -118,7 +118,7 @@ def _result(
     unknown = unidentified(machine, data, model.determined, wanted, solution.setup, held)
     calibration = replace(
         found,
-        not_identifiable=tuple(NotIdentifiable(name=one.name, why=one.reason) for one in unknown),
+        not_identifiable=tuple(UnidentifiedEntry(name=one.name, why=one.reason) for one in unknown),
         misfit=misfit_entry(statistics, model.choice.held_out, rms_um(residual_mm[used])),
         **_measured_with(network, used, wanted),
     )
