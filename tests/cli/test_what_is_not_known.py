@@ -1,4 +1,4 @@
-"""What an identification could not determine is said by every command that uses its calibration, and counted."""
+"""Every command repeats what an identification could not determine, and counts it in U."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from twin._common.errors import InputError
 from twin._common.provenance import NOT_IDENTIFIABLE, SYSTEMATIC_RESIDUALS, merge_warnings
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.calibration_file import MeasuredWith, Misfit, NotIdentifiable
+from twin.machine.calibration_file import MeasuredWith, MisfitEntry, UnidentifiedEntry
 from twin.machine.effects import AxisLocation
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
@@ -30,8 +30,8 @@ SIZE = st.floats(0.0, 1e6, allow_subnormal=False)
 SHARE = st.floats(0.0, 1.0, allow_subnormal=False)
 
 
-def unknown(*names: str) -> tuple[NotIdentifiable, ...]:
-    return tuple(NotIdentifiable(name=name, why="cannot be separated from station 1") for name in names)
+def unknown(*names: str) -> tuple[UnidentifiedEntry, ...]:
+    return tuple(UnidentifiedEntry(name=name, why="cannot be separated from station 1") for name in names)
 
 
 def known_calibration(machine: Machine) -> Calibration:
@@ -51,7 +51,7 @@ def test_round_trip_of_what_is_not_known(
     every = (*dmu50.motion_names, *dmu50.squareness_names, *dmu50.location_names)
     names = data.draw(st.lists(st.sampled_from(every), unique=True, max_size=5))
     given_misfit = st.builds(
-        Misfit,
+        MisfitEntry,
         verdict=st.sampled_from(["consistent", "systematic", "larger", "untested"]),
         says=TEXT,
         **{name: st.none() | SIZE for name in ("rms_um", "reduced_chi2", "dof", "held_out_rms_um")},
@@ -60,7 +60,7 @@ def test_round_trip_of_what_is_not_known(
     count = st.integers(0, 10**6)
     first = replace(
         known_calibration(dmu50),
-        not_identifiable=tuple(NotIdentifiable(name=name, why=data.draw(TEXT)) for name in names),
+        not_identifiable=tuple(UnidentifiedEntry(name=name, why=data.draw(TEXT)) for name in names),
         not_estimated=tuple(data.draw(st.lists(st.sampled_from(every), unique=True, max_size=3))),
         misfit=data.draw(st.none() | given_misfit),
         instruments=tuple(data.draw(st.lists(TEXT, max_size=2))),

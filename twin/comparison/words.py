@@ -58,7 +58,7 @@ def meaning_of(found: Changes) -> tuple[str, ...]:
     if found.not_identified:
         sentences.append(
             f"Nothing is known of {_list([one.name for one in found.not_identified], MOST_NAMED)}: neither calibration could determine "
-            "them. A change of them is not seen; U of what remains includes their plausible size."
+            "them. A change of them is not seen; U of the remaining error includes their plausible size."
         )
     sentences += _verdict_on_tolerance(found)
     return tuple(sentences)

@@ -27,7 +27,7 @@ from twin.identification.robust import FinalEstimate, RobustStart, robust_start,
 from twin.identification.shares import instrument_shares
 from twin.identification.spread import Spread, misfit
 from twin.identification.unidentified import held_by_prior, unidentified, unknown_reference
-from twin.machine.calibration_file import MeasuredWith, NotIdentifiable
+from twin.machine.calibration_file import MeasuredWith, UnidentifiedEntry
 from twin.machine.machine import Machine
 from twin.measurement.checks import overstated_noise
 from twin.measurement.instruments import Instrument
@@ -121,7 +121,7 @@ def _result(model: _Model, estimate: FinalEstimate, noise: NoiseOfReadings, want
     held_out = held_out_residuals(weighted, solution, used)
     calibration = replace(
         found,
-        not_identifiable=tuple(NotIdentifiable(name=one.name, why=one.reason) for one in unknown),
+        not_identifiable=tuple(UnidentifiedEntry(name=one.name, why=one.reason) for one in unknown),
         misfit=misfit_entry(statistics, model.choice.held_out, rms_um(residual_mm[used]), held_out),
         **_measured_with(network, used, wanted),
     )

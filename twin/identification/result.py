@@ -30,7 +30,7 @@ from twin.identification.table import TableTilt
 from twin.identification.unidentified import Unidentified
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
-from twin.machine.calibration_file import Misfit
+from twin.machine.calibration_file import MisfitEntry
 from twin.machine.datum.conditions import EXPLANATION
 from twin.machine.display import errors_html, standard_uncertainty
 from twin.machine.effects import unit_of
@@ -458,7 +458,7 @@ def _judged(fit: FitStatistics, held_out: float) -> tuple[Verdict, str]:
     return "consistent", CONSISTENT
 
 
-def misfit_entry(fit: FitStatistics, held_out: float, rms: float, at_poses: HeldOutResiduals | None) -> Misfit:
+def misfit_entry(fit: FitStatistics, held_out: float, rms: float, at_poses: HeldOutResiduals | None) -> MisfitEntry:
     """Return the misfit as it is written into the calibration.
 
     Args:
@@ -476,7 +476,7 @@ def misfit_entry(fit: FitStatistics, held_out: float, rms: float, at_poses: Held
         "held_out_rms_um": np.nan if at_poses is None else at_poses.rms_um,
     }
     known = {name: value for name, value in numbers.items() if np.isfinite(value)}
-    return Misfit(verdict=verdict, says=says, dof=fit.dof, **known)
+    return MisfitEntry(verdict=verdict, says=says, dof=fit.dof, **known)
 
 
 def _score_up_to(scores: Mapping[int, float], size: int) -> float | None:

@@ -33,8 +33,8 @@ from twin.machine.calibration_file import (
     CovarianceEntry,
     CurveEntry,
     MeasuredWith,
-    Misfit,
-    NotIdentifiable,
+    MisfitEntry,
+    UnidentifiedEntry,
     covariance_of,
     covariance_text,
     effects_of,
@@ -108,9 +108,9 @@ class Calibration:
     transformation: tuple[ControlCorrection, ...] = ()
     settled: bool = True
     simulated: bool = False
-    not_identifiable: tuple[NotIdentifiable, ...] = ()
+    not_identifiable: tuple[UnidentifiedEntry, ...] = ()
     not_estimated: tuple[str, ...] = ()
-    misfit: Misfit | None = None
+    misfit: MisfitEntry | None = None
     instruments: tuple[str, ...] = ()
     set_up: MeasuredWith | None = None
 
@@ -518,7 +518,7 @@ class _Check:
             what = f"{self.machine.name} has no such entry under {place[0]}"
             raise self.fail(place, what, f"one of {', '.join(allowed)}", name, closest_name(name, allowed))
 
-    def not_identifiable(self, entries: CalibrationFile) -> tuple[NotIdentifiable, ...]:
+    def not_identifiable(self, entries: CalibrationFile) -> tuple[UnidentifiedEntry, ...]:
         every = (*self.machine.motion_names, *self.machine.squareness_names, *self.machine.location_names)
         named = [one.name for one in entries.not_identifiable]
         for kind, names in (("not_identifiable", named), ("not_estimated", entries.not_estimated)):

@@ -97,7 +97,7 @@ class ControlEntry(BaseModel):
         return self
 
 
-class NotIdentifiable(BaseModel):
+class UnidentifiedEntry(BaseModel):
     """An error that the readings did not determine.
 
     Attributes:
@@ -110,7 +110,7 @@ class NotIdentifiable(BaseModel):
     why: Annotated[str, Field(min_length=1)]
 
 
-class Misfit(BaseModel):
+class MisfitEntry(BaseModel):
     """Residuals of the identification, compared with the noise stated for the readings.
 
     Attributes:
@@ -176,8 +176,8 @@ class CalibrationFile(BaseModel):
     simulated: bool = False
     instruments: tuple[str, ...] = ()
     set_up: MeasuredWith | None = None
-    misfit: Misfit | None = None
-    not_identifiable: tuple[NotIdentifiable, ...] = ()
+    misfit: MisfitEntry | None = None
+    not_identifiable: tuple[UnidentifiedEntry, ...] = ()
     not_estimated: tuple[str, ...] = ()
     curves: dict[str, CurveEntry] = {}
     squareness: dict[str, float] = {}
@@ -243,8 +243,8 @@ def _effect(entry: EffectEntry, machine: Machine, payloads: Sequence[Payload]) -
 def measurement_entries(
     instruments: Sequence[str],
     set_up: MeasuredWith | None,
-    misfit: Misfit | None,
-    not_identifiable: Sequence[NotIdentifiable],
+    misfit: MisfitEntry | None,
+    not_identifiable: Sequence[UnidentifiedEntry],
     not_estimated: Sequence[str],
 ) -> dict[str, Any]:
     """Return the entries on how a calibration was measured and what is not known; those without content are left out."""

@@ -18,7 +18,7 @@ from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, wa
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
-from twin.machine.calibration_file import NotIdentifiable
+from twin.machine.calibration_file import UnidentifiedEntry
 from twin.machine.conditions import Conditions
 from twin.machine.control import ControlSection
 from twin.machine.datum import EXPLANATION, MEAN_LINES
@@ -102,7 +102,7 @@ class Gaps:
     """
 
     absent: tuple[str, ...]
-    not_identified: tuple[NotIdentifiable, ...]
+    not_identified: tuple[UnidentifiedEntry, ...]
     without_uncertainty: tuple[str, ...]
     left_out: Mapping[str, tuple[str, ...]]
     unused: tuple[str, ...]
