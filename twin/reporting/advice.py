@@ -185,8 +185,8 @@ def _incomplete(
     fit = identified.file.misfit
     if fit.lack_of_fit_p_value is not None and fit.lack_of_fit_p_value < REPEATS:
         text = (
-            f"The residuals contain a repeatable part (reduced chi² {fit.reduced_chi2:.3g}) that the uncertainties do not "
-            "cover. `twin diagnose` looks for its cause."
+            f"The residuals contain a repeatable part (reduced chi² {fit.reduced_chi2:.3g}), which the uncertainties count as "
+            "random. `twin diagnose` looks for its cause."
         )
         yield Step("measure", "Find the cause of the lack of fit", text)
     elif identified.doubtful:
