@@ -141,7 +141,7 @@ def test_null_directions_in_any_basis() -> None:
 
 
 def test_the_sign_of_a_direction() -> None:
-    """Of an eigenvector in a file and of a direction in a message: the largest component is positive."""
+    """The largest component is positive, of an eigenvector in a file and of a direction in a message."""
     covariance = repeated(np.random.default_rng(14), [5.0, 3.0, 2.0, 1.0])
     rows = _directions(covariance, np.ones(4))
     assert np.all(np.take_along_axis(rows, np.abs(rows).argmax(axis=1)[:, None], axis=1) > 0.0)

@@ -226,7 +226,7 @@ def test_noise_is_that_of_the_tracker_through_the_six_equations(
     assert expected[1] < 0.6 * min(
         expected[0], expected[2]
     )  # thesis 5.1.1: E_YX has short error bars in Pos. 1, E_XX long ones
-    # The mean of one seed scatters by 30 %, as all its positions share the first: four standard errors of 20 seeds are 27 %.
+    # One seed has a standard deviation of 30 %, as all its positions share the first: four standard errors of 20 seeds are 27 %.
     deviations = np.array([[r.motions[f"E_{d}X"].deviation[1:].mean() for d in "XYZ"] for r in results]).mean(axis=0)
     assert deviations == pytest.approx(expected, rel=0.27)
 

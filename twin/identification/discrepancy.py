@@ -73,7 +73,7 @@ class Discrepancy:
 
     @property
     def text(self) -> str:
-        """What the model leaves, in words; empty if nothing."""
+        """The sizes by direction, in words; empty if there are none."""
         sizes: dict[str, list[float]] = {}
         for part in self.parts:
             sizes.setdefault(part.direction, []).append(part.size_um)
