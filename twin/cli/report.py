@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -120,12 +121,7 @@ def report(
     write_atomic(output, page)
     if pdf_file is not None and printed is not None:
         write_atomic(pdf_file, printed)
-    return CommandResult(
-        "\n".join([*_first_screen(found), *_verdict(front), *options.unused(at, errors), ""]),
-        lambda: found.to_dict() | {"first_page": front.to_dict()},
-        met=not found.unmet and not front.not_accepted,
-        after=[f"not met: {text}" for text in (*found.unmet, *_not_accepted(front))],
-    )
+    return _result(found, front, options.unused(at, errors))
 
 
 def _of_first_page(
@@ -138,6 +134,16 @@ def _of_first_page(
     limits = tolerances(tolerance)
     check_tolerances(machine, limits)
     return limits, None if job is None else load_job(job), "" if logo is None else logo_uri(logo)
+
+
+def _result(found: MachineReport, front: FrontPage, unused: Iterable[str]) -> CommandResult:
+    """Return what the command prints, with what was not met."""
+    return CommandResult(
+        "\n".join([*_first_screen(found), *_verdict(front), *unused, ""]),
+        lambda: found.to_dict() | {"first_page": front.to_dict()},
+        met=not found.unmet and not front.not_accepted,
+        after=[f"not met: {text}" for text in (*found.unmet, *_not_accepted(front))],
+    )
 
 
 def _verdict(front: FrontPage) -> list[str]:
