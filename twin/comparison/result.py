@@ -123,8 +123,8 @@ class Changes:
         first, second: names of the two (their files).
         errors: change of each error that both contain, tested by itself.
         not_compared: errors that could not be compared, with the reason.
-        not_identified: errors that neither contains, because they could not be determined; U of the remaining error includes their plausible
-            size.
+        not_identified: errors that neither contains, because they could not be determined; U of the remaining error includes them with
+            their plausible size.
         joint_p_value, joint_dof: of the χ² of all known changes together; NaN and 0 if none is known.
         culprits: the smallest set of errors that explains the change.
         tool: the change at the tool.
