@@ -146,7 +146,8 @@ def test_u_covers_machines_drawn_from_the_plausible_range(names: tuple[str, ...]
     inside = np.zeros(len(q))
     for known in identified:
         location = dict(zip(("E_X0C", "E_B0C"), known.tolist(), strict=True))
-        squareness, text = {}, ""
+        squareness: dict[str, float] = {}
+        motion: tuple[str, float] | None = None
         for name in tool.unknown:
             size = float(rng.normal(0.0, dmu50.plausible(name)))
             if name in dmu50.location_names:
@@ -154,19 +155,19 @@ def test_u_covers_machines_drawn_from_the_plausible_range(names: tuple[str, ...]
             elif name in dmu50.squareness_names:
                 squareness[name] = size
             else:
-                text = name, size
+                motion = name, size
         machine = replace(
             first, location=MappingProxyType(location), squareness=MappingProxyType(squareness), joint=None
         )
-        reached = _with_motion(machine, text).forward(q).point_mm
+        reached = _with_motion(machine, motion).forward(q).point_mm
         inside += np.linalg.norm(reached - estimate, axis=1) * 1e3 <= u
     # Four standard deviations of a binomial share of 0.95 in 1500 draws: 0.0225. Radius and first order are right within 0.003.
     assert np.all(np.abs(inside / draws - 0.95) < 0.0255), inside / draws
 
 
-def _with_motion(calibration: Calibration, motion: tuple[str, float] | str) -> Kinematics:
+def _with_motion(calibration: Calibration, motion: tuple[str, float] | None) -> Kinematics:
     """Return the kinematics with a constant error motion in addition."""
-    if motion:
+    if motion is not None:
         name, size = motion
         axis = calibration.machine.by_name[name[3]]
         curve = Curve(name, "um" if name[2] in "XYZ" else "urad", axis.domain, "power", (size,))
