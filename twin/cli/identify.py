@@ -32,7 +32,10 @@ class UncertaintyChoice(StrEnum):
     between_rounds = "between rounds"
 
 
-INSTRUMENT_OPTIONS = "\nThe instrument is named by --instrument, or in the table's column instrument; --uncertainty repeats takes the noise of repeats.\n"
+INSTRUMENT_OPTIONS = (
+    "\nThe instrument is named by --instrument, or in the table's column instrument; "
+    "the noise comes from repeats with --uncertainty repeats.\n"
+)
 InstrumentOption = Annotated[
     str | None,
     typer.Option(

@@ -74,7 +74,7 @@ class Identification:
         whitened: (n, 3) residuals divided by the stated standard deviations.
         set_aside, notices: facts to know before using the result.
         converged: whether the estimate converged.
-        network, solution: the least-squares problem and its solution, for further computations.
+        network, solution: the least-squares problem and its solution.
     """
 
     calibration: Calibration
@@ -106,12 +106,12 @@ class Identification:
 
     @property
     def spread(self) -> Spread:
-        """Noise on which the covariance is based: ``stated``, ``repeats``, ``between poses`` or ``between rounds``."""
+        """Noise on which the covariance is based (`Spread`)."""
         return self.noise.spread
 
     @property
     def held_out_rms_um(self) -> float | None:
-        """RMS of the residuals per coordinate at held-out poses; None if there are too few poses."""
+        """RMS of the residuals per coordinate at held-out poses; None with fewer than two poses."""
         return None if self.held_out is None else self.held_out.rms_um
 
     @property
@@ -338,11 +338,9 @@ class Identification:
         degree8 = _score_up_to(self.choice.uniform, THESIS_FUNCTIONS)
         if degree8 is not None:
             text = f"{self.choice.held_out:.4f} as chosen, {degree8:.4f} with degree 8 everywhere"
-            of = " of noise and what the model leaves" if self.discrepancy.parts else ""
-            lines += ["", f"RMS of held-out residuals, in standard deviations{of}: {text}"]
+            lines += ["", f"RMS of held-out residuals, in standard deviations of the weights: {text}"]
         if self.set_aside:
-            lines += ["", f"set aside ({len(self.set_aside)}):"]
-            lines += [f"  {one}" for one in grouped_notes(self.set_aside)]
+            lines += ["", f"set aside ({len(self.set_aside)}):", *(f"  {one}" for one in grouped_notes(self.set_aside))]
         lines += [f"note: {notice}" for notice in self.notices if notice not in self._loud]
         if not self.converged:
             lines.append("THE ESTIMATE DID NOT CONVERGE: do not use it")
