@@ -32,6 +32,10 @@ class UncertaintyChoice(StrEnum):
     between_rounds = "between rounds"
 
 
+INSTRUMENT_OPTIONS = (
+    "\nThe instrument is named by --instrument, or in the table's column instrument; "
+    "the noise comes from repeats with --uncertainty repeats.\n"
+)
 InstrumentOption = Annotated[
     str | None,
     typer.Option(
@@ -124,10 +128,7 @@ def identify(
         from twin.identification.page import identification_html  # imports matplotlib, slow and needed only here
 
         write_atomic(html_file, identification_html(found))
-    text = found.to_text()
-    if found.noise.contradicted or found.noise.assumed:
-        text += "\nThe instrument is named by --instrument or the table's column instrument; the noise of repeats alone is taken with "
-        text += "--uncertainty repeats.\n"
+    text = found.to_text() + (INSTRUMENT_OPTIONS if found.noise.contradicted or found.noise.assumed else "")
     if tables is not None:
         text += "\nThese errors were measured with the control's tables active: keep them active, and add new tables to them "
         text += "(twin control --add).\n"

@@ -99,7 +99,8 @@ On the simulated truth machine (a product of short waves in X and Y, 20 µm; 160
 with neither.
 
 If the causes leave more than the noise, their sizes are estimated again with weights of noise and discrepancy (`twin doc identify`),
-so that the written file does not fit the residuals along a tracker's beam; which causes there are is decided against the noise alone.
+so that the written file does not fit the unexplained residuals along a tracker's beam; which causes there are is decided against the
+noise alone.
 Sizes then carry the larger of two uncertainties: that from the noise, and that from the variation of the residuals between rounds or
 positions. `--html` writes one page: its first screen gives the error, its effect at the tool, what to do and what to avoid; then
 residuals, causes tested, evidence, alternatives, gain, and what to measure next. `notebooks/02_diagnose.ipynb` follows one case from

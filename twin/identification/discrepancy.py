@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -71,9 +71,21 @@ class Discrepancy:
     parts: tuple[DiscrepancyPart, ...]
     root: np.ndarray
 
+    def to_dict(self) -> list[dict[str, Any]]:
+        """Return the components as JSON data."""
+        return [
+            {
+                "of": [{"target": target, "station": station} for target, station in part.of],
+                "direction": part.direction,
+                "size_um": part.size_um,
+                "redundancy": part.redundancy,
+            }
+            for part in self.parts
+        ]
+
     @property
     def text(self) -> str:
-        """The sizes by direction, in words; empty if there are none."""
+        """Return the sizes by direction, in words; empty if there is none."""
         sizes: dict[str, list[float]] = {}
         for part in self.parts:
             sizes.setdefault(part.direction, []).append(part.size_um)

@@ -75,7 +75,7 @@ class Identification:
         whitened: (n, 3) residuals divided by the stated standard deviations.
         set_aside, notices: facts to know before using the result.
         converged: whether the estimate converged.
-        network, solution: the least-squares problem and its solution, for further computations.
+        network, solution: the least-squares problem and its solution.
     """
 
     calibration: Calibration
@@ -107,12 +107,12 @@ class Identification:
 
     @property
     def spread(self) -> Spread:
-        """Noise on which the covariance is based: ``stated``, ``repeats``, ``between poses`` or ``between rounds``."""
+        """Noise on which the covariance is based (`Spread`)."""
         return self.noise.spread
 
     @property
     def held_out_rms_um(self) -> float | None:
-        """RMS of the residuals per coordinate at held-out poses; None if there are too few poses."""
+        """RMS of the residuals per coordinate at held-out poses; None with fewer than two poses."""
         return None if self.held_out is None else self.held_out.rms_um
 
     @property
@@ -197,7 +197,7 @@ class Identification:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as JSON (``schema: twin.identification/1``)."""
-        fit, order, table = self.misfit, self.setup, TableTilt.of(self.calibration)
+        order, table = self.setup, TableTilt.of(self.calibration)
         stations = {}
         for i, name in enumerate(order.stations):
             stations[name] = {
@@ -233,27 +233,7 @@ class Identification:
                 name: {"place_mm": order.place[i] / MM, "known": order.target_known[i]}
                 for i, name in enumerate(order.targets)
             },
-            "misfit": {
-                "rms_um": self.rms_um,
-                "rms_all_um": self.rms_all_um,
-                "chi2": fit.chi2,
-                "dof": fit.dof,
-                "reduced_chi2": fit.reduced,
-                "p_value": fit.p_value,
-                "pure_error": {"chi2": fit.pure_chi2, "dof": fit.pure_dof, "reduced": fit.pure_reduced},
-                "lack_of_fit_p_value": fit.lack_p_value,
-                "held_out_rms_um": self.held_out_rms_um,
-                "held_out": self.held_out,
-                "discrepancy": [
-                    {
-                        "of": [{"target": target, "station": station} for target, station in part.of],
-                        "direction": part.direction,
-                        "size_um": part.size_um,
-                        "redundancy": part.redundancy,
-                    }
-                    for part in self.discrepancy.parts
-                ],
-            },
+            "misfit": self._misfit(),
             "noise": {"contradicted_by_repeats": self.noise.contradicted, "assumed": self.noise.assumed},
             "orders": {
                 "held_out_rms": self.choice.held_out,
@@ -267,6 +247,23 @@ class Identification:
         }
         return dict(json_form(found))
 
+    def _misfit(self) -> dict[str, Any]:
+        """Return the residuals compared with the noise, at held-out poses, and beyond the noise."""
+        fit = self.misfit
+        return {
+            "rms_um": self.rms_um,
+            "rms_all_um": self.rms_all_um,
+            "chi2": fit.chi2,
+            "dof": fit.dof,
+            "reduced_chi2": fit.reduced,
+            "p_value": fit.p_value,
+            "pure_error": {"chi2": fit.pure_chi2, "dof": fit.pure_dof, "reduced": fit.pure_reduced},
+            "lack_of_fit_p_value": fit.lack_p_value,
+            "held_out_rms_um": self.held_out_rms_um,
+            "held_out": self.held_out,
+            "discrepancy": self.discrepancy.to_dict(),
+        }
+
     def _repr_html_(self) -> str:
         fit, tilt = self.misfit, TableTilt.of(self.calibration)
         residuals = f"{self._rms_text()}; {_fit_text(fit)}"
@@ -276,7 +273,7 @@ class Identification:
             ("residuals", residuals),
             ("held-out poses", "" if self.held_out is None else self.held_out.text),
             ("beyond the noise", self.discrepancy.text),
-            ("intervals from", self._spread_text()),
+            ("intervals from", self._based_on),
             ("stations", ", ".join(self.setup.stations)),
             ("targets", ", ".join(self.setup.targets)),
             ("", "" if tilt is None else tilt.to_text(COVERAGE_FACTOR)),
@@ -319,7 +316,11 @@ class Identification:
                 f"beyond the noise, the model leaves {self.discrepancy.text}: the readings are weighted with it"
             )
         lines += [f"  {one.text}" for one in self.shares]
-        lines += [self.verdict, "", f"error motions (95 % intervals from {self._spread_text()}):"]
+        lines += [
+            self.verdict,
+            "",
+            f"error motions (95 % intervals from {self._based_on}):",
+        ]
         lines += [_row_text(row) for row in self.rows()]
         table = TableTilt.of(self.calibration)
         lines += [] if table is None else [f"  {table.to_text(COVERAGE_FACTOR)}"]
@@ -338,15 +339,18 @@ class Identification:
         degree8 = _score_up_to(self.choice.uniform, THESIS_FUNCTIONS)
         if degree8 is not None:
             text = f"{self.choice.held_out:.4f} as chosen, {degree8:.4f} with degree 8 everywhere"
-            of = " of noise and what the model leaves" if self.discrepancy.parts else ""
-            lines += ["", f"RMS of held-out residuals, in standard deviations{of}: {text}"]
+            lines += ["", f"RMS of held-out residuals, in standard deviations of the weights: {text}"]
         if self.set_aside:
-            lines += ["", f"set aside ({len(self.set_aside)}):"]
-            lines += [f"  {one}" for one in grouped_notes(self.set_aside)]
+            lines += ["", f"set aside ({len(self.set_aside)}):", *(f"  {one}" for one in grouped_notes(self.set_aside))]
         lines += [f"note: {notice}" for notice in self.notices if notice not in self._loud]
         if not self.converged:
             lines.append("THE ESTIMATE DID NOT CONVERGE: do not use it")
         return "\n".join(lines) + "\n"
+
+    @property
+    def _based_on(self) -> str:
+        """Noise on which the intervals are based, in words."""
+        return self.noise.interval_text(incomplete=bool(self.discrepancy.parts))
 
     @property
     def _loud(self) -> list[str]:
@@ -357,17 +361,6 @@ class Identification:
         """Return the RMS of the rows used, and of all rows if some were not used."""
         text = f"{self.rms_um:.3g} µm RMS per coordinate"
         return text if self.used.all() else f"{text} over the rows used, {self.rms_all_um:.3g} µm over all"
-
-    def _spread_text(self) -> str:
-        """Return on which noise the intervals are based."""
-        text = {
-            "stated": "the stated uncertainty of the readings",
-            "repeats": "the standard deviation of repeats",
-            "between poses": "the variation between poses",
-            "between rounds": "the variation between rounds",
-        }[self.spread]
-        between = self.spread.startswith("between")
-        return text if between or not self.discrepancy.parts else f"{text} and what the model leaves"
 
     def _prior_text(self) -> str:
         """Return a sentence on the confounded errors in the calibration and their priors."""

@@ -1,4 +1,4 @@
-"""Sizes of causes beside which the model is wrong: weights from the noise and from the discrepancy.
+"""Sizes of causes beside which the model is wrong: weighted by the noise and by the remaining discrepancy.
 
 Which causes there are is decided against the noise alone. Their sizes go into a file, and weights of the noise alone (25 times better
 along a tracker's beam than across) would make that file fit the unexplained residuals along the beam at the expense of the others.
