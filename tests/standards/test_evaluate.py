@@ -333,10 +333,15 @@ def test_rotary_positioning_and_error_motion(dmu50: Machine, tmp_path: Path) -> 
             motions.seen(points),
             carrier="work",
             time_s=range(len(c)),
+            **{f"u_{letter}_mm": ["0.0005"] * len(c) for letter in "xyz"},
         ),
         dmu50,
     )
     found = twin.evaluate(data, dmu50)
+    # 0.5 µm a coordinate: at 200 mm an angle to 2.5 µrad, a mean of two readings to 2.5/√2; a range is the difference of two.
+    (angle_test,), (face_test,) = found.named("C", "positioning"), found.named("C face")
+    assert {one.key: one.u for one in angle_test.values}["B"] == pytest.approx(2.5, rel=1e-3)
+    assert [one.u for one in face_test.values] == pytest.approx([0.5 * np.sqrt(2.0)] * len(face_test.values))
     ours = values(found, "C", "positioning")
     assert ours["B"] == pytest.approx(20.0, abs=0.05) and ours["B_mean"] == pytest.approx(20.0, abs=0.05)
     assert ours["E_forward"] == pytest.approx(80.0, abs=0.1) and ours["E"] == pytest.approx(100.0, abs=0.1)

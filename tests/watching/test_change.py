@@ -166,3 +166,18 @@ def test_the_standard_deviation_of_a_check_is_that_of_the_first_ones() -> None:
     between = np.var(value[:6], ddof=1) - 0.4**2
     assert series(value, days).sd == pytest.approx(np.full(10, np.sqrt(0.4**2 + between)), rel=1e-9)
     assert series(0.01 * value, days).sd == pytest.approx(np.full(10, 0.4))
+
+
+def test_a_drift_has_the_size_and_the_interval_of_least_squares() -> None:
+    """The change until the last check is the rate times the time since the date, and so is its U."""
+    rng, days = np.random.default_rng(2), 20500.0 + 3.0 * np.arange(CHECKS)
+    value = rng.normal(0.0, 0.5, CHECKS) + 8.0 * np.maximum(days - days[AFTER], 0.0) / 30.0
+    change = examine(series(value, days), LIMIT).change
+    assert change is not None and change.shape == "drift"
+    months = np.maximum(days - days[change.after], 0.0) / 30.0
+    design = np.column_stack([np.ones(CHECKS), months])
+    found, (rss,), *_ = np.linalg.lstsq(design, value, rcond=None)
+    u = np.sqrt(rss / (CHECKS - 3) * np.linalg.inv(design.T @ design)[1, 1])
+    assert change.per_month == pytest.approx(found[1], rel=1e-9)
+    assert change.size == pytest.approx(found[1] * months[-1], rel=1e-9)
+    assert change.expanded == pytest.approx(student_t.ppf(0.975, CHECKS - 3) * u * months[-1], rel=1e-9)
