@@ -107,7 +107,7 @@ def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) ->
     # With a noise of twenty degrees of freedom the same score is less significant.
     (estimated,) = scan_patterns(problem, [pattern], [form], 20.0)
     assert estimated.log_p > pattern_test.log_p + 1e-4
-    # Bonferroni: every level in every direction, and all three together, is a test that the smallest p-value pays for.
+    # Bonferroni: every level in every direction, and all three together, counts for the correction.
     assert pattern_test.log_price == pytest.approx(np.log(4 * len(pattern.levels)))
     assert pattern_test.log_p_corrected == min(pattern_test.log_p + pattern_test.log_price, 0.0)
 
