@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from statsmodels.stats.multitest import multipletests
 from typer.testing import CliRunner
 
 import twin
@@ -432,3 +433,11 @@ def test_an_effect_without_its_temperature_leaves_no_verdict_on_the_tool() -> No
     x = volume(MACHINE, 20)[:, 0]
     assert found.tool.everything.max_um == pytest.approx(3.0 * 10.0 * x.max() * 1e-3, rel=1e-3)
     assert found.good_enough is True and not found.unjudged
+
+
+def test_p_values_are_adjusted_as_holm_did() -> None:
+    """The same as statsmodels, for p-values in any order, with equal ones and with some near one."""
+    rng = np.random.default_rng(3)
+    for count in (1, 2, 7, 30):
+        p_values = np.round(rng.uniform(0.0, 1.0, count) ** 4, 3)
+        assert holm_adjusted(p_values.tolist()) == pytest.approx(multipletests(p_values, method="holm")[1].tolist())

@@ -14,7 +14,7 @@ from twin.diagnosis.candidates.signatures import base_column
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import readings
 from twin.diagnosis.selection.likelihood import Likelihood
-from twin.diagnosis.selection.pattern_test import log_tail, scan_patterns
+from twin.diagnosis.selection.pattern_test import _two_moments, log_tail, scan_patterns
 from twin.diagnosis.selection.patterns import Pattern, patterns
 from twin.diagnosis.selection.searcher import Searcher, without_variants_in_time
 from twin.machine.calibration import Calibration
@@ -104,6 +104,12 @@ def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) ->
     slope = phi.T @ problem.residual
     score = slope @ np.linalg.solve(gram + np.eye(len(gram)), slope)
     assert pattern_test.log_p == pytest.approx(log_tail(np.sort(weights.real), float(score)), abs=1e-3)
+    # With a noise of twenty degrees of freedom the same score is less significant.
+    (estimated,) = scan_patterns(problem, [pattern], [form], 20.0)
+    assert estimated.log_p > pattern_test.log_p + 1e-4
+    # Bonferroni: every level in every direction, and all three together, counts for the correction.
+    assert pattern_test.log_price == pytest.approx(np.log(4 * len(pattern.levels)))
+    assert pattern_test.log_p_corrected == min(pattern_test.log_p + pattern_test.log_price, 0.0)
 
 
 @pytest.mark.parametrize(("draws", "allowed"), [(24, 1), pytest.param(200, 5, marks=pytest.mark.slow)])
@@ -118,6 +124,13 @@ def test_false_alarms_of_patterns_are_rare(searched: Searcher, draws: int, allow
     finally:
         problem.set_residual(before)
     assert found <= allowed
+
+
+def test_two_moments_give_a_scaled_chi2() -> None:
+    """Mean and variance of a·χ²_k: k = 2 m²/v and a = v/(2 m); exact where all weights are equal."""
+    score, mean, variance = np.array([9.0, 30.0]), np.array([3.0, 10.0]), np.array([6.0, 40.0])
+    expected = [stats.chi2.logsf(9.0, 3), stats.chi2.logsf(15.0, 5)]
+    np.testing.assert_allclose(_two_moments(score, mean, variance), expected, rtol=1e-9)
 
 
 def found_pattern(searched: Searcher, pattern: Pattern, size: float) -> Likelihood:

@@ -173,6 +173,14 @@ def test_uncertainty_of_means(lines: tuple[EvaluationResult, dict[str, np.ndarra
     assert by_key["B"].u == pytest.approx(np.sqrt(2.0 / 5.0)) and by_key["R_forward"].u == pytest.approx(
         4.0 / np.sqrt(8.0)
     )
+    # s of five readings: 1/√8; two edges, two means, or 2 s↑ + 2 s↓ + |B|; B̄ is a mean over eleven targets.
+    edge_u, mean_u = np.sqrt(2.0 * (1.0 / 5.0 + 4.0 / 8.0)), np.sqrt(2.0 / 5.0)
+    expected = dict.fromkeys(("A", "A_forward", "A_backward"), edge_u)
+    expected |= dict.fromkeys(("E", "E_forward", "E_backward", "B"), mean_u) | {"B_mean": mean_u / np.sqrt(11.0)}
+    expected |= {"M": 1.0 / np.sqrt(5.0), "R": np.sqrt(8.0 / 8.0 + 2.0 / 5.0), "R_backward": 4.0 / np.sqrt(8.0)}
+    assert {key: by_key[key].u for key in expected} == pytest.approx(expected)
+    (bow,) = found.named("E_YX")
+    assert [one.u for one in bow.values] == pytest.approx([np.sqrt(2.0 / 10.0)] * 3), "ten readings at each position"
     assert "does not contain the scale error" in found.uncertainty
     # By simulation: the same readings with new noise of 1 µm. B is a maximum over targets: its spread is smaller, not larger.
     draws = np.random.default_rng(2).normal(0.0, 1.0, (4000, 2, 11, 5)).mean(axis=3)
@@ -325,10 +333,15 @@ def test_rotary_positioning_and_error_motion(dmu50: Machine, tmp_path: Path) -> 
             motions.seen(points),
             carrier="work",
             time_s=range(len(c)),
+            **{f"u_{letter}_mm": ["0.0005"] * len(c) for letter in "xyz"},
         ),
         dmu50,
     )
     found = twin.evaluate(data, dmu50)
+    # 0.5 µm a coordinate: at 200 mm an angle to 2.5 µrad, a mean of two readings to 2.5/√2; a range is the difference of two.
+    (angle_test,), (face_test,) = found.named("C", "positioning"), found.named("C face")
+    assert {one.key: one.u for one in angle_test.values}["B"] == pytest.approx(2.5, rel=1e-3)
+    assert [one.u for one in face_test.values] == pytest.approx([0.5 * np.sqrt(2.0)] * len(face_test.values))
     ours = values(found, "C", "positioning")
     assert ours["B"] == pytest.approx(20.0, abs=0.05) and ours["B_mean"] == pytest.approx(20.0, abs=0.05)
     assert ours["E_forward"] == pytest.approx(80.0, abs=0.1) and ours["E"] == pytest.approx(100.0, abs=0.1)

@@ -139,23 +139,23 @@ def test_the_correlation_from_check_to_check_is_estimated(wanted: float) -> None
 
 
 def test_a_step_has_the_size_and_the_interval_of_least_squares() -> None:
-    """Two means of six checks, their difference, Student's t with the degrees of freedom that level, step and date leave."""
-    rng, count = np.random.default_rng(8), 12
-    value = rng.normal(0.0, 1.0, count) + 9.0 * (np.arange(count) >= 6)
-    days = 20500.0 + 3.0 * np.arange(count)
+    """Two means, their difference, Student's t with the degrees of freedom that level, step and date leave; dates by the profile."""
+    rng, days = np.random.default_rng(1), 20500.0 + 3.0 * np.arange(CHECKS)
+    value = rng.normal(0.0, 1.0, CHECKS) + 2.2 * (np.arange(CHECKS) >= AFTER)
     change = examine(series(value, days), LIMIT).change
-    assert change is not None and change.shape == "step" and change.after == 5
-    rss = sum(float(np.sum((part - part.mean()) ** 2)) for part in (value[:6], value[6:]))
-    dof = count - 3
-    assert change.size == pytest.approx(value[6:].mean() - value[:6].mean(), rel=1e-9)
-    expected = student_t.ppf(0.975, dof) * np.sqrt(rss / dof * (1.0 / 6.0 + 1.0 / 6.0))
+    assert change is not None and change.shape == "step"
+    profile, dof = [], CHECKS - 3
+    for after in range(1, CHECKS):
+        parts = value[:after], value[after:]
+        profile.append(sum(float(np.sum((part - part.mean()) ** 2)) for part in parts))
+    rss, split = min(profile), int(np.argmin(profile)) + 1
+    assert change.after == split - 1
+    assert change.size == pytest.approx(value[split:].mean() - value[:split].mean(), rel=1e-9)
+    expected = student_t.ppf(0.975, dof) * np.sqrt(rss / dof * (1.0 / split + 1.0 / (CHECKS - split)))
     assert change.expanded == pytest.approx(expected, rel=1e-9)
     # Dates whose profile is within 7.35 of the best, with these degrees of freedom (Hansen 2000).
-    profile = []
-    for after in range(1, count):
-        first, second = value[:after], value[after:]
-        profile.append(np.sum((first - first.mean()) ** 2) + np.sum((second - second.mean()) ** 2))
     inside = np.flatnonzero(dof * (np.array(profile) / rss - 1.0) <= 7.35)
+    assert inside[0] < change.after < inside[-1], "the interval is longer than its middle on both sides"
     assert change.earliest_day == days[inside[0]] and change.latest_day == days[inside[-1] + 1]
 
 
@@ -166,3 +166,18 @@ def test_the_standard_deviation_of_a_check_is_that_of_the_first_ones() -> None:
     between = np.var(value[:6], ddof=1) - 0.4**2
     assert series(value, days).sd == pytest.approx(np.full(10, np.sqrt(0.4**2 + between)), rel=1e-9)
     assert series(0.01 * value, days).sd == pytest.approx(np.full(10, 0.4))
+
+
+def test_a_drift_has_the_size_and_the_interval_of_least_squares() -> None:
+    """The change until the last check is the rate times the time since the date, and so is its U."""
+    rng, days = np.random.default_rng(2), 20500.0 + 3.0 * np.arange(CHECKS)
+    value = rng.normal(0.0, 0.5, CHECKS) + 8.0 * np.maximum(days - days[AFTER], 0.0) / 30.0
+    change = examine(series(value, days), LIMIT).change
+    assert change is not None and change.shape == "drift"
+    months = np.maximum(days - days[change.after], 0.0) / 30.0
+    design = np.column_stack([np.ones(CHECKS), months])
+    found, (rss,), *_ = np.linalg.lstsq(design, value, rcond=None)
+    u = np.sqrt(rss / (CHECKS - 3) * np.linalg.inv(design.T @ design)[1, 1])
+    assert change.per_month == pytest.approx(found[1], rel=1e-9)
+    assert change.size == pytest.approx(found[1] * months[-1], rel=1e-9)
+    assert change.expanded == pytest.approx(student_t.ppf(0.975, CHECKS - 3) * u * months[-1], rel=1e-9)
