@@ -329,3 +329,15 @@ def test_poses_with_some_errors_are_those_of_the_calibration_with_them_alone(
         alone = Kinematics(dmu50, with_reversal.where(some.__contains__), tool_length_mm=LENGTH).forward(q, sides)
         assert found.point_mm == pytest.approx(alone.point_mm, abs=1e-10)
         assert found.rotation == pytest.approx(alone.rotation, abs=1e-13)
+
+
+def test_the_uncertainty_of_the_tool_axis_is_that_of_its_turned_direction(
+    dmu50: Machine, uncertain: Calibration
+) -> None:
+    """A rotation vector ω moves the axis a by ω × a: one column of the lever for each unit vector."""
+    found = ToolUncertainty(Kinematics(dmu50, uncertain, tool_length_mm=LENGTH)).at(volume(dmu50, 20, seed=8))
+    for i, axis in enumerate(found.axis):
+        lever = np.stack([np.cross(unit, axis) for unit in np.eye(3)], axis=1)
+        expected = radius_95((lever @ found.covariance[i, 3:, 3:] @ lever.T)[None])[0]
+        assert found.axis_expanded_urad[i] == pytest.approx(expected, rel=1e-9)
+    assert np.ptp(found.axis[:, :2]) > 1.0, "the axis is tilted, so that every element of the lever counts"
