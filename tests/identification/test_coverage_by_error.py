@@ -21,12 +21,13 @@ from twin._common.arrays import read_only
 from twin.identification import identify
 from twin.identification import priors as priors_module
 from twin.identification.determined import DeterminedModel, determined_models
+from twin.identification.discrepancy import covariance_of
 from twin.identification.inputs import prepare
 from twin.identification.network import Network
 from twin.identification.priors import prior_precision
 from twin.identification.robust import RobustStart, robust_start
 from twin.identification.solve import solve
-from twin.identification.spread import Spread, covariance_of
+from twin.identification.spread import Spread
 from twin.identification.start import initial_setup
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration

@@ -20,7 +20,7 @@ from twin.identification import Identification, identify
 from twin.identification.network import Network, stated_covariance
 from twin.identification.outliers import RowAssessment, assess_rows
 from twin.identification.priors import DECAYS, SIZES, mean_variance
-from twin.identification.spread import covariance_from_repeats, misfit, repeat_groups
+from twin.identification.spread import covariance_from_repeats, misfit, repeats_of
 from twin.identification.start import initial_setup
 from twin.identification.unknowns import Unknowns
 from twin.machine.calibration import Calibration
@@ -33,6 +33,7 @@ from twin.measurement.instruments import (
     TrackingInterferometer,
 )
 from twin.measurement.simulate import simulate
+from twin.measurement.state import repeat_groups
 from twin.measurement.table import Measurements
 
 RARE = 1e-4
@@ -227,6 +228,12 @@ def test_p_values_of_a_right_model_are_uniform(dmu50: Machine) -> None:
         assert stats.kstest(column, "uniform").pvalue > RARE
 
 
+def noise_of_repeats(machine: Machine, data: Measurements, instrument: Instrument) -> np.ndarray:
+    """Return (n, 3, 3) the covariance of readings of one instrument from their repeats, m²."""
+    readers = StationInstruments.same(instrument, data.station)
+    return covariance_from_repeats(data, readers, repeats_of(machine, data, readers, stated_covariance(data, readers)))
+
+
 @pytest.mark.parametrize("each", [2, 5])
 @pytest.mark.parametrize("instrument", [LaserTracker(), TrackingInterferometer()], ids=lambda one: one.name)
 def test_the_noise_of_repeats_has_its_own_size(dmu50: Machine, instrument: Instrument, each: int) -> None:
@@ -249,7 +256,7 @@ def test_the_noise_of_repeats_has_its_own_size(dmu50: Machine, instrument: Instr
     for k in range(draws):
         noise = np.einsum("nij,nj->ni", lower, rng.standard_normal(points.shape))
         data = table({"X": np.repeat(np.arange(places), each), "point_mm": (exact + noise) * 1e3}, dmu50)
-        found = covariance_from_repeats(dmu50, data, StationInstruments.same(instrument, data.station))
+        found = noise_of_repeats(dmu50, data, instrument)
         for i, of in enumerate((found, truth)):
             along = np.einsum("ni,nij,nj->n", beam, of, beam)
             whole = np.trace(of, axis1=1, axis2=2)
@@ -268,12 +275,11 @@ def test_ten_repeats_are_needed(dmu50: Machine) -> None:
     rng = np.random.default_rng(3)
     for rows, enough in ((11, True), (10, False)):
         data = table({"X": np.zeros(rows), "point_mm": 1000.0 + rng.normal(size=(rows, 3))}, dmu50)
-        readers = StationInstruments.same(LaserTracker(), data.station)
         if enough:
-            assert np.isfinite(covariance_from_repeats(dmu50, data, readers)).all()
+            assert np.isfinite(noise_of_repeats(dmu50, data, LaserTracker())).all()
             continue
         with pytest.raises(InputError, match="too few repeats") as caught:
-            covariance_from_repeats(dmu50, data, readers)
+            noise_of_repeats(dmu50, data, LaserTracker())
         assert caught.value.value == 9
 
 

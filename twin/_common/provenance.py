@@ -96,7 +96,7 @@ NOMINAL_KINEMATICS: Final = SourceWarning(
 SYSTEMATIC_RESIDUALS: Final = SourceWarning(
     "misfit",
     "SYSTEMATIC RESIDUALS",
-    "the readings contain a repeatable part that the calibration does not describe; its uncertainties count it as random.",
+    "the readings contain a repeatable part that the calibration does not describe. Its uncertainties count it as random.",
 )
 NOISE_CONTRADICTED: Final = SourceWarning(
     "misfit",

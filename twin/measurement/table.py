@@ -165,7 +165,12 @@ class Measurements:
                 not a number, an unknown carrier, a target that changes sides or has two places, a station with two poses, an incomplete
                 place or pose, positions with a constant offset or in another unit.
         """
-        path = Path(path)
+        table, unknown_cells = cls._read(Path(path), machine, plan=plan)
+        return without_unusable_rows(_with_known_places(table), machine, unknown_cells)
+
+    @classmethod
+    def _read(cls, path: Path, machine: Machine, *, plan: bool) -> tuple[Measurements, Sequence[str]]:
+        """Return a table with all rows, usable or not, and the cells of unknown columns in each row; errors as `load`."""
         header, rows, comments = read_table(path)
         simulated_notes, parts = simulated_comments(comments), table_columns(machine)
         columns = {name: i for i, name in enumerate(header)}
@@ -210,7 +215,7 @@ class Measurements:
         unknown_cells = (
             ["\0".join(row[columns[name]] for name in unknown_columns) for _, row in rows] if unknown_columns else ()
         )
-        return without_unusable_rows(_with_known_places(table), machine, unknown_cells)
+        return table, unknown_cells
 
     @classmethod
     def join(cls, tables: Sequence[Measurements]) -> Measurements:
@@ -309,13 +314,14 @@ class Measurements:
         """Write the table atomically, after it was read back; columns without any value are left out. Arguments as `to_csv`.
 
         Raises:
-            InputError: it cannot be written, or `load` would refuse it.
+            InputError: it cannot be written, or is not a table that `load` reads. Too few rows, and rows that `load` would leave out,
+                are written: they are what was measured.
         """
         plan = not np.isfinite(self.point_mm).any()
         write_atomic(
             Path(path),
             self.to_csv(machine, comment=comment, planned=planned),
-            check=lambda written: Measurements.load(written, machine, plan=plan),
+            check=lambda written: Measurements._read(written, machine, plan=plan),
         )
 
     def to_csv(self, machine: Machine, *, comment: str = "", planned: Collection[str] = ()) -> str:
