@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -95,7 +96,7 @@ class _PlanFiller:
         Raises:
             InputError: the time budget is too short.
         """
-        found = []
+        found, least = [], math.inf
         plan = problem.plan
         names = tuple(dict.fromkeys(plan.station))
         order = self.task.rng.permutation(len(plan))
@@ -109,13 +110,13 @@ class _PlanFiller:
                     each = self._seconds_per_reading(problem, stations, inside)
                 points = self._affordable_readings(stations, problem, each)
                 if points < FEWEST:
+                    least = min(least, self._set_up(stations, problem) + FEWEST * each)
                     break
                 found.append(StationChoice(problem, stations, points, problem.value(np.resize(inside, points))))
         if not found:
-            least = (self._set_up(names[:1], problem) + FEWEST * self.task.kit.seconds.point) / 60.0
             raise InputError(
                 "the time budget is too short for a measurement",
-                expected=f"{least:.0f} minutes or more",
+                expected=f"{math.ceil(least / 60.0)} minutes or more",
                 value=f"{self.task.minutes:g} minutes",
             )
         return found
@@ -178,9 +179,7 @@ class _PlanFiller:
         """Return the seconds per reading including travel, for a route as dense as the plan's will be."""
         each = self.task.kit.seconds.point
         for _ in range(2):
-            points = self._affordable_readings(stations, problem, each)
-            if points < FEWEST:
-                break
+            points = max(FEWEST, self._affordable_readings(stations, problem, each))
             way = route(self.task, problem.candidates.select(np.resize(inside, points)), stations, clear=False)
             each = (way.seconds - self._set_up(stations, problem)) / len(way.plan)
         return each
