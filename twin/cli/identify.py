@@ -120,9 +120,10 @@ def identify(
         )
     calibration = found.calibration.with_control(tables)
     with scratch_folder() as folder:
-        # The report describes the written file: save, read back and evaluate it before it replaces the output.
-        calibration.save(folder / output.name)
-        found = found.evaluated_with(replace(Calibration.load(folder / output.name, loaded), path=None))
+        # The report describes the written file: it is read back and evaluated before it replaces the output.
+        copy = folder / output.name
+        write_atomic(copy, calibration.to_yaml(folder))
+        found = found.evaluated_with(replace(Calibration.load(copy, loaded), path=None))
     calibration.save(output)
     if html_file is not None:
         from twin.identification.page import identification_html  # imports matplotlib, slow and needed only here
