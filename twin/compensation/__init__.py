@@ -51,6 +51,10 @@ rounding of the linear words remains (≤ 0.9 µm).
 that tolerance. A straight block that leaves an axis's range is left as written and listed. An arc that does so is an error, because
 it cannot be left as written between compensated neighbours.
 
+**Limits.** Where the compensated position is beyond an axis's range, the axis stops at its limit. If the point is nearer with the
+rotary axes as programmed, these stay so and the tool axis is listed as not corrected; if no position is nearer than the programmed one,
+the block stays as programmed. So no point is farther off than before, apart from the least increment (`--method thesis` excepted).
+
 **Singular poses.** Near B = 0, turning C does not change the orientation. No rotary axis moves by more than `--rotary-limit`
 (0.5°) to correct an orientation, and C stays continuous. The point is still reached; the remaining orientation error is listed.
 
@@ -66,16 +70,16 @@ case. Exit status 3: the point of a cutting block remains out of `--tolerance` (
 |---|---|---|---|---|
 | X = 50 … 450 at Y 225, Z −200, tool 120 mm | 82.95 / 115.96 | 68.54 / 103.57 | 0.53 / 0.96 | ≤ 0.74 |
 | cone frustum, tool 120 mm | 67.68 / 83.60 | 58.28 / 81.59 | 0.43 / 1.22 | ≤ 0.81 |
-| X = 50 … 500 at Y = Z = 0 (figure 3.11) | 28.30 / 36.81 | 23.38 / 36.34 | 74.05 / 160.68 | – |
+| X = 50 … 500 at Y = Z = 0 (figure 3.11) | 28.30 / 36.81 | 23.38 / 36.34 | 21.59 / 30.95 | – |
 | errors identified first: 27 points over X, Y, Z | 78.1 / 145.3 | 91.2 / 162.3 | 11.3 / 26.8 | – |
 | errors identified first: 40 poses of five axes | 65.7 / 147.7 | 86.3 / 161.2 | 9.2 / 19.9 | – |
 
-The third row is at the limits of Y and Z: the correction needs Y < 0 and Z > 0, which the axes do not have. The tool axis is corrected
-there, and the point is then off by more than without compensation; the report lists each such block, and the exit status is 3. In the
-first three rows the errors are known. The thesis's method has no locations of rotary axes and uses the curves as
-drawn (`twin.samples.dmu50_calibration.as_drawn`); `twin` uses them in the datum of mean lines. In the last two rows each method
-identified the errors from one simulated laser tracker measurement (`thesis_plan.csv`, seed 7). These rows are evaluated at the block
-end points by an independent machine model that shares no code with `twin`, tool 120 mm, after touching off tool and workpiece.
+The third row is at the limits of Y and Z: the correction needs Y < 0 and Z > 0, which the axes do not have; the report lists each such
+block, and the exit status is 3. In the first three rows the errors are known. The thesis's method has no locations of rotary axes and
+uses the curves as drawn (`twin.samples.dmu50_calibration.as_drawn`); `twin` uses them in the datum of mean lines. In the last two rows
+each method identified the errors from one simulated laser tracker measurement (`thesis_plan.csv`, seed 7). These rows are evaluated at
+the block end points by an independent machine model that shares no code with `twin`, tool 120 mm, after touching off tool and
+workpiece.
 """
 
 # Stages of a compensation; `Compensator.compensate` runs them on a program in memory, `stream` on one of any length.

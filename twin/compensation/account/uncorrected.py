@@ -83,7 +83,7 @@ def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundSho
     ranges = machine.limits / machine.scale[:, None]
     for mask, requested, limits in (
         (rows.untouched, rows.nominal, ranges),
-        (rows.clamped, rows.exact, prepared.limits),
+        (rows.clamped & ~rows.as_programmed, rows.exact, prepared.limits),
     ):
         at = np.flatnonzero(mask)
         if not at.size:
@@ -95,7 +95,7 @@ def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundSho
             names = " ".join(axis.name for axis, out in zip(machine.axes, axes, strict=True) if out)
             motion = rows.motion[at[which]]
             lines, cuts = corrected.lines[motion], _cutting(corrected)[motion]
-            if mask is rows.clamped:
+            if limits is prepared.limits:
                 off = off_um[at[which]]
                 reason = f"the compensated position is beyond the range of {names or 'an axis'}: stopped at the limit"
                 yield FoundShortfalls("range", reason, "um", lines, off, cuts & (off > _allowed_um(prepared)))
@@ -103,12 +103,20 @@ def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundSho
                 what = f"outside the range of {names}" if names else "outside the range of an axis between end points"
                 unit = machine.axes[int(np.argmax(axes))].unit
                 yield FoundShortfalls("range", f"{what}: left as written", unit, lines, beyond[which].max(axis=1), cuts)
+    at = np.flatnonzero(rows.as_programmed)
+    motion, off = rows.motion[at], off_um[at]
+    reason = (
+        "no position within the ranges of the axes is nearer to the point than the programmed one: left as programmed"
+    )
+    cuts = _cutting(corrected)[motion] & (off > _allowed_um(prepared))
+    yield FoundShortfalls("range", reason, "um", corrected.lines[motion], off, cuts)
 
 
 def _off_in_orientation(corrected: Corrected) -> Iterator[FoundShortfalls]:
     rows, scope = corrected.own, corrected.pieces.aim.scope
     at = np.flatnonzero(rows.singular & ~rows.untouched)
     why = _why_not(corrected.pieces.prepared, rows.commands[at])
+    why[rows.relaxed[at]] = "a linear axis is at its limit, and the point would be farther off"
     for reason in dict.fromkeys(why.tolist()):
         which = at[why == reason]
         motion = rows.motion[which]
@@ -144,7 +152,7 @@ def _off_between(corrected: Corrected) -> Iterator[FoundShortfalls]:
     """Yield blocks whose error between end points exceeds the tolerance."""
     pieces, rows = corrected.pieces, corrected.rows
     error_um, count = corrected.path_errors.motion_errors_mm(rows) * 1e3, pieces.count(rows)
-    error_um[rows.motion[rows.clamped | rows.untouched]] = 0.0
+    error_um[rows.motion[rows.as_programmed | rows.untouched]] = 0.0
     error_um[: corrected.context] = 0.0
     over = np.flatnonzero(error_um > 1e3 * pieces.prepared.options.tolerance_mm)
     for pieces_each in distinct(count[over]):

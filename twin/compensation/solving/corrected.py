@@ -146,7 +146,7 @@ def _split(pieces: Pieces, path_errors: PathErrors, rows: Rows, progress: Progre
         progress("splitting", min(0.7, 0.2 + 0.05 * step))
         worst = path_errors.leg_errors_mm(candidates, rows)
         stuck = np.zeros(len(pieces.start), dtype=bool)
-        stuck[rows.motion[rows.clamped | rows.untouched]] = True
+        stuck[rows.motion[rows.as_programmed | rows.untouched]] = True
         failing = (worst > tolerance) & ~stuck[legs.motion[candidates]] & (legs.count[candidates] < LARGEST_SPLIT)
         candidates = candidates[failing]
         if not candidates.size:

@@ -2,6 +2,9 @@
 
 For each end point: nominal pose → commands that reach it → rotary words rounded to the least increment → linear axes solved again for
 the rounded rotary axes → linear words rounded.
+
+Where a limit stops an axis, the position nearest to the point is taken: with the corrected tool axis, else with the rotary axes as
+programmed, else the programmed position itself.
 """
 
 from __future__ import annotations
@@ -14,13 +17,14 @@ import numpy as np
 
 from twin._common.arrays import all_within, rows_all_true
 from twin.compensation.block_conditions import CONSTANT, BlockConditions
+from twin.compensation.comparison import Commands
 from twin.compensation.one_mode import check_one_mode
 from twin.compensation.prepared import CorrectionAim, PreparedMachine
 from twin.compensation.solving.legs import Legs, turning_points
 from twin.compensation.solving.rows import Rows, taken
 from twin.compensation.toolpath import ToolPath
 from twin.kinematics.forward import Poses, angle_between_rad
-from twin.kinematics.inverse import SLACK
+from twin.kinematics.inverse import SLACK, Status
 from twin.nc.dialect import Dialect
 
 ORIENTATION_NOISE_RAD: Final = 1e-9
@@ -155,12 +159,13 @@ class Pieces:
         target = self.space.nominal.forward(safe)
         vectors, orientation_residual_rad = np.full((len(of), 3), np.nan), np.zeros(len(of))
         if self.prepared.thesis is not None:
-            exact = self.prepared.thesis.commands(safe)
+            exact, unsolved = self.prepared.thesis.commands(safe), np.zeros(len(of), dtype=bool)
         else:
             state = self.conditions.at(sides, of, fraction)
             commands, orientation_residual_rad = self.oriented(target, safe, state)
             commands, vectors = self._rotary_as_printed(commands, of)
-            exact = self.aim.point_inverse.solve(target, commands, rotary=False, approach=state).positions
+            solution = self.aim.point_inverse.solve(target, commands, rotary=False, approach=state)
+            exact, unsolved = solution.positions, solution.where(Status.OUT_OF_RANGE)
         no, nowhere = np.zeros(len(of), dtype=bool), np.zeros(sides.shape)
         rows = Rows(
             leg=leg,
@@ -181,18 +186,20 @@ class Pieces:
             orientation_residual_rad=orientation_residual_rad,
             singular=orientation_residual_rad > 0.0,
             clamped=no,
+            relaxed=no,
+            as_programmed=no,
             untouched=untouched,
         )
-        return self.printed(rows)
+        return self.printed(rows, unsolved)
 
     def oriented(self, target: Poses, start: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (n, axes) start commands with the rotary axes turned to correct the orientation, and (n,) the residual in radians.
 
-        The rotary axes do so wherever they can, even if a linear axis lacks the travel that the point would then need.
+        Whether a linear axis has the travel that the point then needs is decided later (`printed`).
         """
         commands = np.array(start)
-        inverse, real = self.aim.orientation_inverse, self.aim.orientation
-        if inverse is None or real is None:
+        inverse = self.aim.orientation_inverse
+        if inverse is None:
             return commands, np.zeros(len(start))
         solution = inverse.solve(target, start, approach=state)
         rotary = list(self.prepared.machine.rotary)
@@ -205,12 +212,27 @@ class Pieces:
         )
         unable = np.flatnonzero(~able)
         if unable.size:
-            reached = real.forward(commands[unable], state[unable])
-            left[unable] = angle_between_rad(reached.axis, target.axis[unable])
+            target = Poses(target.point_mm[unable], target.rotation[unable])
+            left[unable] = self._orientation_residual_rad(target, commands[unable], state[unable])
         return commands, left
 
-    def printed(self, rows: Rows) -> Rows:
-        """Return the rows with ``exact`` converted to words and rounded to their increments."""
+    def printed(self, rows: Rows, unsolved: np.ndarray | None = None) -> Rows:
+        """Return the rows with ``exact`` converted to words and rounded, none farther from its point than as programmed.
+
+        Args:
+            rows: as solved.
+            unsolved: (n,) whether the solver did not reach the point within the limits.
+        """
+        found = self._rounded(rows)
+        stopped = found.clamped & ~found.as_programmed & ~rows.overshoot.any(axis=1)
+        if unsolved is not None:
+            stopped |= unsolved & ~rows.untouched
+        if not stopped.any() or self.prepared.thesis is not None:
+            return found
+        return found.put(stopped, self._nearest(found.where(stopped)))
+
+    def _rounded(self, rows: Rows) -> Rows:
+        """Return the rows with ``exact`` stopped at the limits, converted to words and rounded to their increments."""
         limits, increment = self.prepared.limits, self.increment
         wanted = rows.exact + rows.overshoot
         clipped, clamped = wanted, np.zeros(len(wanted), dtype=bool)
@@ -226,8 +248,47 @@ class Pieces:
         left = rows.untouched
         if left.any():
             printed[left] = self.space.words(rows.nominal, tcp_out)[left] if self.posted else rows.words[left]
-        return replace(
-            rows, printed=printed, commands=self.space.commands(printed, tcp_out), clamped=clamped & ~rows.untouched
+        commands = self.space.commands(printed, tcp_out)
+        return replace(rows, printed=printed, commands=commands, clamped=(clamped | rows.as_programmed) & ~left)
+
+    def _nearest(self, stopped: Rows) -> Rows:
+        """Return rows stopped at a limit, each with the position that puts the tool nearest to its point.
+
+        Among equally near ones, apart from rounding, the tool axis is corrected rather than not, and the point rather than nothing.
+        """
+        state, target = self.state(stopped), stopped.target
+        commands, vectors = self._rotary_as_printed(stopped.nominal, stopped.motion)
+        residual_rad = self._orientation_residual_rad(target, np.clip(stopped.nominal, *self.prepared.limits.T), state)
+        yes = np.ones(len(commands), dtype=bool)
+        as_programmed = replace(
+            stopped,
+            exact=commands,
+            vectors=vectors,
+            orientation_residual_rad=residual_rad,
+            singular=residual_rad > ORIENTATION_NOISE_RAD,
+            relaxed=yes,
+            as_programmed=yes,
+        )
+        exact = self.aim.point_inverse.solve(target, commands, rotary=False, approach=state).positions
+        relaxed = replace(as_programmed, exact=exact, as_programmed=stopped.as_programmed)
+        best, rounding_mm = stopped, 0.5 * float(np.linalg.norm(self.increment[:3]))
+        for other in map(self._rounded, (relaxed, as_programmed)):
+            nearer = self._off_mm(best, state) > self._off_mm(other, state) + rounding_mm
+            best = best.put(nearer, other.where(nearer))
+        return best
+
+    def _off_mm(self, rows: Rows, state: np.ndarray) -> np.ndarray:
+        """Return (n,) the distance of the tool point from its target; infinite for commands that are no numbers."""
+        distance = self.aim.comparison.distance_mm(Commands(rows.nominal), Commands(rows.commands), state)
+        return np.nan_to_num(distance, nan=np.inf)
+
+    def _orientation_residual_rad(self, target: Poses, commands: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """Return (n,) the angle between the tool axis and its target; 0 if the rotary axes do not move for it."""
+        real = self.aim.orientation
+        return (
+            np.zeros(len(commands))
+            if real is None
+            else angle_between_rad(real.forward(commands, state).axis, target.axis)
         )
 
     def _rotary_as_printed(self, commands: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

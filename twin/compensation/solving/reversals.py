@@ -13,6 +13,7 @@ import numpy as np
 
 from twin.compensation.solving.pieces import Pieces
 from twin.compensation.solving.rows import Rows
+from twin.kinematics.inverse import Status
 
 OVERSHOOT: Final = 3.0
 """Least increments by which an axis is moved beyond a position and back so that it has reversed; rounding may remove one of them."""
@@ -73,6 +74,7 @@ def _intended(pieces: Pieces, rows: Rows) -> np.ndarray:
     state = pieces.state(replace(rows, approach=np.zeros_like(rows.approach)))
     commands, _ = pieces.oriented(rows.target, start, state)
     solved = pieces.aim.point_inverse.solve(rows.target, commands, rotary=False, approach=state).positions
+    solved = np.where(rows.relaxed[:, None], rows.exact, solved)
     return np.where(rows.untouched[:, None], rows.nominal, solved)
 
 
@@ -88,8 +90,9 @@ def _linear_axes_solved_again(pieces: Pieces, rows: Rows) -> Rows:
         sides[there, axis] = real[there, axis]
         start[:, axis] = (rows.commands - rows.overshoot)[:, axis]
     rows = replace(rows, approach=sides)
-    exact = pieces.aim.point_inverse.solve(rows.target, start, rotary=False, approach=pieces.state(rows)).positions
-    return pieces.printed(replace(rows, exact=exact))
+    solution = pieces.aim.point_inverse.solve(rows.target, start, rotary=False, approach=pieces.state(rows))
+    rows = replace(rows, exact=solution.positions, as_programmed=np.zeros_like(rows.as_programmed))
+    return pieces.printed(rows, solution.where(Status.OUT_OF_RANGE))
 
 
 def _without_steps_back(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tuple[int, ...]) -> Rows:

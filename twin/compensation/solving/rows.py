@@ -35,6 +35,8 @@ class Rows:
         orientation_residual_rad: (n,) orientation residual in radians that the rotary axes do not correct.
         singular: (n,) whether that residual exceeds the solver's numerical noise.
         clamped: (n,) whether an axis stops at its limit.
+        relaxed: (n,) whether the rotary axes stay as programmed, because with the corrected tool axis the point would be farther off.
+        as_programmed: (n,) whether all axes stay as programmed, because no other position is nearer; such a row is also clamped.
         untouched: (n,) whether it is left as written because it is out of range.
     """
 
@@ -56,6 +58,8 @@ class Rows:
     orientation_residual_rad: np.ndarray
     singular: np.ndarray
     clamped: np.ndarray
+    relaxed: np.ndarray
+    as_programmed: np.ndarray
     untouched: np.ndarray
 
     @property
@@ -66,6 +70,16 @@ class Rows:
     def where(self, keep: np.ndarray | slice) -> Rows:
         """Return a selection of the rows: (n,) booleans or a slice."""
         return _of_each(lambda column: column[keep], self)
+
+    def put(self, which: np.ndarray, new: Rows) -> Rows:
+        """Return the rows with some of them, (n,) booleans, replaced."""
+
+        def put(mine: np.ndarray, others: np.ndarray) -> np.ndarray:
+            found = np.array(mine)
+            found[which] = others
+            return found
+
+        return _of_each(put, self, new)
 
     def replaced(self, legs: np.ndarray, new: Rows) -> Rows:
         """Return the rows with those of some legs replaced, still in order."""
