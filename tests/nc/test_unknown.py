@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from tests.machine.errors import random_calibration
 from tests.nc.nc_support import AXES, read_moves
 from twin._common.errors import InputError
 from twin.compensation import Compensator, Options, Report
+from twin.compensation.execute import execute_file
+from twin.compensation.fewer_blocks import Refitter
 from twin.compensation.toolpath import Setup
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -339,3 +342,33 @@ def test_increments_are_hinted_at(dmu50: Machine, errors: Calibration, tmp_path:
     text = "increments? (no decimal point, outside the axis's range)"
     assert [text in one.reason for one in report.not_corrected if one.kind == "range"] == [hinted]
     assert not report.complete
+
+
+@pytest.mark.parametrize(
+    ("block", "what", "suffix"),
+    [
+        ("G2 X100500 Y0 I10000 J0", "off its circle", ".nc"),
+        ("G3 X5 Y600000 R300000", "the arc ends at Y 600225", ".nc"),
+        ("G2 X100500. Y0 I10000 J0", "", ".nc"),
+        ("G2 X100 Y0 I1000 J0", "", ".nc"),
+        ("C X+100500 Y+0 DR+", "", ".h"),
+    ],
+)
+def test_increments_are_hinted_at_where_a_motion_is_refused(
+    dmu50: Machine, errors: Calibration, tmp_path: Path, block: str, what: str, suffix: str
+) -> None:
+    head = "G0 X0 Y0 Z100 B10 C0\nG1 X5 F500\n" if suffix == ".nc" else "L X+5 Y+0 Z+100 B+10 C+0 F500\nCC X+9 Y+0\n"
+    source, compensator = tmp_path / f"a{suffix}", Compensator(dmu50, errors, OPTIONS)
+    source.write_text(f"{head}{block}\n")
+    every: list[Callable[[], object]] = [
+        lambda: compensator.compensate_file(source, tmp_path / f"o{suffix}", into=dialect_for(source)),
+        lambda: compensator.compensate(*read_program(source)),
+    ]
+    if "circle" in what:  # the others run it, beyond the range
+        every.append(lambda: execute_file(source, dmu50, errors, setup=SETUP))
+        every.append(lambda: Refitter(dmu50, errors, OPTIONS).refit(*read_program(source)))
+    for run in every:
+        with pytest.raises(InputError, match=what or None) as caught:
+            run()
+        assert ("; increments? (no decimal point, outside the axis's range)" in str(caught.value)) is bool(what)
+        assert caught.value.line == 3

@@ -28,6 +28,7 @@ from twin.compensation.toolpath import (
     SectionMotions,
     ToolPath,
     follow,
+    increments_hinted,
     motionless,
     motions_of,
     sections,
@@ -117,7 +118,10 @@ class Compensator:
             InputError: the program cannot be read, or contains something that must not pass uncompensated.
             OutputError: the output, read back, differs from the intended positions; nothing was written.
         """
-        with errors_in_files(program):
+        with (
+            errors_in_files(program),
+            increments_hinted(self.prepared.machine, dialect, lambda line: "".join(program.texts[line - 1 : line])),
+        ):
             return self._compensate(program, dialect, progress, into, reading)
 
     def _compensate(
@@ -168,7 +172,9 @@ class Compensator:
             notices=notices,
             unknown=[one._replace(line=int(numbers[one.line]) - 1) for one in path.unknown],
             frames=frame_uses(parts, numbers),
-            text_of=lambda number: program.texts[int(np.flatnonzero(numbers == number)[0])],
+            text_of=lambda number: (
+                program.texts[int(np.flatnonzero(numbers == number)[0])] if dialect.has_increments else ""
+            ),
         )
         progress("done", 1.0)
         columns = [np.concatenate(column) for column in zip(*map(_columns, found), strict=True)]

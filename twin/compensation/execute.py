@@ -24,6 +24,7 @@ from twin.compensation.toolpath import (
     by_reason,
     check_domains,
     follow,
+    increments_hinted,
     motionless,
     motions_of,
     outside_range,
@@ -135,7 +136,7 @@ def execute_file(
     at.require(errors)
     read, dialect = read_program(program)
     space = WordSpace(machine, Setup() if setup is None else setup, tool_length_mm)
-    with errors_in_files(read):
+    with errors_in_files(read), increments_hinted(machine, dialect, lambda line: "".join(read.texts[line - 1 : line])):
         reading = dialect.moves(read, space.axes, tcp=tcp)
         found = sections(space, read.source, reading)
         path = follow(read, reading, *spaces(found))

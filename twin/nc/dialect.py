@@ -31,6 +31,7 @@ class Dialect(ABC):
         linear_increment_mm: least increment of the linear words, None for that of the machine's axes.
         cutter_locations: whether its programs are cutter locations, which can be posted to a language with axis words.
         in_chunks: whether `twin.nc.iso.stream` can process its programs in chunks.
+        has_increments: whether controls exist that count numbers without a decimal point in least increments.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Dialect(ABC):
     linear_increment_mm: float | None = None
     cutter_locations: bool = False
     in_chunks: bool = False
+    has_increments: bool = False
 
     @abstractmethod
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
@@ -13,13 +12,9 @@ from twin._common.arrays import distinct
 from twin.compensation.account.shortfalls import FoundShortfalls, Shortfall
 from twin.compensation.prepared import PreparedMachine
 from twin.compensation.solving import Corrected
-from twin.compensation.toolpath import LostBlock, by_reason
+from twin.compensation.toolpath import INCREMENTS, LostBlock, by_reason, numbers_of_increments
 from twin.kinematics.inverse import SLACK
 
-_INCREMENTS: Final = re.compile(r"[XYZABCUVW][ \t]*=?[ \t]*[+-]?[ \t]*(\d+)(?![\d.,])", re.ASCII | re.IGNORECASE)
-"""A word of an axis whose number has no decimal point."""
-FEWEST_INCREMENTS: Final = 1000.0
-"""Least number without a decimal point outside the range of an axis that is taken for increments: 1 mm in micrometres."""
 UNSOLVED_UM: Final = 0.01
 """Largest residual (µm) accepted as a solution; the solver usually leaves a thousandth of it."""
 
@@ -48,18 +43,17 @@ def of_unknown(moves: Sequence[LostBlock]) -> Iterator[FoundShortfalls]:
 
 
 def hinted(shortfall: Shortfall, text_of: Callable[[int], str]) -> Shortfall:
-    """Return blocks outside the range of an axis with a hint if the worst one has a whole number that may count increments.
+    """Return blocks outside the range of an axis with a hint if a number of the worst one may count increments.
 
     Args:
         shortfall: the blocks.
-        text_of: function that returns the text of a line by its number.
+        text_of: function that returns the text of a line by its number; empty where numbers never count increments.
     """
     if shortfall.kind != "range" or shortfall.unit not in ("mm", "deg"):
         return shortfall
-    words = _INCREMENTS.findall(text_of(shortfall.worst_line).split(";")[0])
-    if not any(float(digits) >= max(shortfall.worst, FEWEST_INCREMENTS) for digits in words):
+    if not any(number >= shortfall.worst for _, number in numbers_of_increments(text_of(shortfall.worst_line))):
         return shortfall
-    return replace(shortfall, reason=f"{shortfall.reason}; increments? (no decimal point, outside the axis's range)")
+    return replace(shortfall, reason=f"{shortfall.reason}; {INCREMENTS}")
 
 
 def _allowed_um(prepared: PreparedMachine) -> float:

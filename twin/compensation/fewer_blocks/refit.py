@@ -25,7 +25,7 @@ from twin.compensation.fewer_blocks.report import PathReport, ToleranceShares
 from twin.compensation.fewer_blocks.run_refitter import RunRefitter
 from twin.compensation.fewer_blocks.runs import Run, find_runs
 from twin.compensation.prepared import Options, PreparedMachine
-from twin.compensation.toolpath import ToolPath, follow, motionless
+from twin.compensation.toolpath import ToolPath, follow, increments_hinted, motionless
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.nc import DIALECTS, dialect_for, read_program
@@ -96,6 +96,12 @@ class Refitter:
             InputError: the program cannot be read, or contains something that must not pass; rounding alone exceeds the tolerance.
             OutputError: the output, read back, differs from the intended positions.
         """
+        with increments_hinted(self.prepared.machine, dialect, lambda line: "".join(program.texts[line - 1 : line])):
+            return self._refit(program, dialect, progress, into, printed=printed)
+
+    def _refit(
+        self, program: Program, dialect: Dialect, progress: Progress, into: Dialect | None, *, printed: bool
+    ) -> Refit:
         progress("reading", 0.0)
         space = self.prepared.space
         written_in = dialect if into is None else into

@@ -26,7 +26,7 @@ from twin.compensation.solving import Corrected, EndState, Pieces, correct, new_
 from twin.compensation.solving.rows import even_cuts
 from twin.compensation.stream.parts import PART_LINES, PartReader, ProgramFile, ProgramPart
 from twin.compensation.stream.writer import ISO, PartWriter
-from twin.compensation.toolpath import SAMPLES_A_PIECE, MotionColumns, ToolPath, motionless
+from twin.compensation.toolpath import SAMPLES_A_PIECE, MotionColumns, ToolPath, increments_hinted, motionless
 from twin.compute.native import equal_portions
 from twin.nc.columns import NewPositions
 
@@ -79,6 +79,10 @@ class Streamed:
                 errors, the one in the first stretch is raised.
             OutputError: the output, read back, differs from the intended positions.
         """
+        with increments_hinted(self._prepared.machine, ISO, self._source.line):
+            return self._run(out)
+
+    def _run(self, out: BinaryIO) -> Report | None:
         for turns in (None, True):
             _empty(out)
             self._account = self._end = None

@@ -2,6 +2,7 @@
 
 from twin.compensation.toolpath.follow import Follower, follow, motionless
 from twin.compensation.toolpath.frames import FrameSpaces
+from twin.compensation.toolpath.increments import INCREMENTS, increments_hinted, numbers_of_increments
 from twin.compensation.toolpath.motions import LostBlock, MotionColumns, Passage, PathMotion, ToolPath, by_reason
 from twin.compensation.toolpath.samples import CHORD_MM, SAMPLES_A_PIECE, spacings
 from twin.compensation.toolpath.sections import Section, SectionMotions, motions_of, sections, spaces
@@ -9,6 +10,7 @@ from twin.compensation.toolpath.words import Setup, WordSpace, axis_words, check
 
 __all__ = [
     "CHORD_MM",
+    "INCREMENTS",
     "SAMPLES_A_PIECE",
     "Follower",
     "FrameSpaces",
@@ -25,8 +27,10 @@ __all__ = [
     "by_reason",
     "check_domains",
     "follow",
+    "increments_hinted",
     "motionless",
     "motions_of",
+    "numbers_of_increments",
     "outside_range",
     "sections",
     "spaces",

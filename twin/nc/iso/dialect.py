@@ -50,6 +50,7 @@ class Iso(Dialect):
     name = "iso"
     suffixes = PROGRAM_SUFFIXES["iso"]
     in_chunks = True
+    has_increments = True
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
         """See `Dialect.moves`."""
