@@ -77,6 +77,10 @@ class PlainProgram:
         self.plane = TOOL_PLANES[axis]
         number = self.rng.choice(["3 ", "", '"MILL X" '])
         self.lines.append(f"TOOL CALL {number}{axis} S4000")
+        if number:  # the position along another tool is given anew
+            words = [self.word(axis, self.place(axis), relative=False) for axis in range(3)]
+            self.lines.append(f"L {' '.join(words)} FMAX")
+            self.events.append(Event(0, tuple(self.at)))
 
     def pole_block(self) -> None:
         """A pole somewhere, given in part or relative to the position; it holds until the next."""

@@ -20,12 +20,13 @@ PECK_MM = 0.254
 """Height above the bottom at which LinuxCNC begins to feed again after a retract for chips: 0.010 inch."""
 
 
-def events(text: str, folder: Path) -> list[Event]:
+def events(text: str, folder: Path, tools: Path | None = None) -> list[Event]:
     """Return the motions of a program by LinuxCNC's interpreter, X, Y, Z, B, C in mm and degrees, 4 decimals of a program unit."""
     assert PROGRAM is not None
     path = folder / "program.ngc"
     path.write_bytes(text.encode("latin-1"))
-    done = subprocess.run([PROGRAM, "-g", str(path)], capture_output=True, text=True, check=False, cwd=folder)
+    table = [] if tools is None else ["-t", str(tools)]
+    done = subprocess.run([PROGRAM, "-g", *table, str(path)], capture_output=True, text=True, check=False, cwd=folder)
     found: list[Event] = []
     unit, plane, at = 1.0, (0, 1, 2), (0.0,) * 5
     said = [line for line in (done.stdout + done.stderr).splitlines() if not _CALL.search(line)]

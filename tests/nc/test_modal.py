@@ -15,6 +15,7 @@ from tests.nc import rs274
 from tests.nc.modal_programs import Event, ModalProgram, difference
 from tests.nc.nc_support import AXES
 from tests.nc.other_programs import CutterLocations, PlainProgram
+from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
@@ -109,3 +110,38 @@ def test_the_same_word_twice_stays_one_meaning(dmu50: Machine, errors: Calibrati
     assert read(twice) == read(once)
     texts = [compensated(text, dmu50, errors).text for text in (once, twice)]
     assert read(texts[0]) == read(texts[1])
+
+
+LENGTHS = ["T1 M6", "T2 M6", "G43 H1", "G43 H2", "G43", "G49", "G43.1 Z5", "G43.2 H1"]
+OFFSETS = ["G54", "G55", "G92 X3 Z4", "G92.1", "G92.3", "G52 X2 Y1", "G10 L2 P1 Z7", "G10 L20 P1 X0", "G10 L1 P1 Z9"]
+
+
+@rs274.needed
+@pytest.mark.parametrize("seed", range(4))
+def test_an_incremental_word_after_another_length_or_offset(tmp_path: Path, seed: int) -> None:
+    """Every position read after such a change is that of LinuxCNC, with or without tables; others are refused."""
+    (tmp_path / "tool.tbl").write_text("T1 P1 Z1.5\nT2 P2 Z2.5\n")
+    rng, read, refused = Random(4600 + seed), 0, 0
+    for _ in range(15):
+        lines = ["G90 G21 G54", f"{rng.choice(['', 'T1 M6', 'T1 M6 G43 H1'])} G0 X100 Y100 Z-100 B10 C20"]
+        for _ in range(rng.choice([1, 1, 2, 4])):
+            lines += rng.sample([*LENGTHS, *OFFSETS], rng.choice([0, 1, 1]))
+            axes = sorted(rng.sample("XYZBC", rng.choice([1, 2, 3])))
+            mode = rng.choice(["G90 ", "G91 ", "G91 "])
+            lines.append(f"{mode}G1 {' '.join(f'{axis}{rng.uniform(5, 9):.2f}' for axis in axes)} F500")
+        text = "\n".join([*lines, "M2", ""])
+        judged = rs274.events(text, tmp_path, tools=tmp_path / "tool.tbl")
+        for known in (False, True):
+            axes_of = replace(AXES, tools_known=known, offsets_known=known)
+            try:
+                moves = ISO.moves(ISO.read(text.encode(), "t"), axes_of, tcp=False).moves
+            except InputError as error:
+                assert error.line is not None
+                refused += 1
+                continue
+            assert len(moves) == len(judged)
+            for move, event in zip(moves, judged, strict=True):
+                there = [i for i, value in enumerate(move.position) if value == value]
+                assert [move.position[i] for i in there] == pytest.approx([event.end[i] for i in there], abs=1e-3), text
+                read += len(there)
+    assert read > 20 and refused

@@ -169,15 +169,12 @@ def test_a_second_work_offset_is_refused_where_it_is_chosen():
             "COMPOF",
             "G4 X5",
             "G4 F2",
-            'T="X5;Y" D1',
-            "T1 M6",
             "G54",
             "S1000 M3",
             "TRANS",
             "ROT",
         ),
         *(
-            "G43 H1",
             "M8 (X5 Y5)",
             ";X5",
             "/M1",
@@ -321,7 +318,7 @@ def test_plain(block, what):
 @pytest.mark.parametrize(
     "block",
     [
-        *("; X+5", "* - structure", "BLK FORM 0.1 Z X+0 Y+0 Z-20", "TOOL CALL 5 Z S5000", "TOOL DEF 5 L+0 R+5", "STOP"),
+        *("; X+5", "* - structure", "BLK FORM 0.1 Z X+0 Y+0 Z-20", "TOOL DEF 5 L+0 R+5", "STOP"),
         *(
             "CYCL DEF 32.0 TOLERANCE\nCYCL DEF 32.1 T0.05",
             "CYCL DEF 9.0 DWELL TIME\nCYCL DEF 9.1 DWELL 1",
@@ -335,7 +332,7 @@ def test_plain(block, what):
             "TRANS DATUM RESET",
             "M129",
         ),
-        *('TOOL CALL "D10E5" Z S5000', "FN 16: F-PRINT TNC:\\10E5.A"),
+        "FN 16: F-PRINT TNC:\\10E5.A",
         *("END PGM A MM", "L R0 FMAX M3", "CC X+5 Y+5", "M126"),
     ],
 )

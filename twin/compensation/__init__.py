@@ -32,11 +32,11 @@ above, offsets that the control adds (`G54`, `G43 H`) belong in `--work-offset`.
 on (`G43.4`, `G43.5`, `G234` of Haas, `TRAORI`, `M128`, `FUNCTION TCPM`, words named in the machine file), the words are tool-tip
 coordinates in the work frame (origin at the table centre, moved by `--work-origin`), with B and C or a tool vector.
 
-**What is not known.** A statement of unknown effect (`TRAOOF`, a G or M code of the machine's builder, a call of an unknown name)
-makes positions, frame, offsets and modes unknown until every axis has an absolute position in machine coordinates (`G53`, `SUPA`,
-`M91`). Blocks in between are left as written and listed; a feed among them is exit status 3. Harmless words of the builder belong
-in the machine file (`programs: {harmless: [M51, AIRBLAST]}`). Without `--offsets` and `--tools` a second work offset, tool or
-tool length is refused.
+**What is not known.** A statement of unknown effect (`TRAOOF`, a G or M code of the machine's builder, a call of an unknown name) makes
+positions, frame, offsets and modes unknown until every axis has an absolute position in machine coordinates (`G53`, `SUPA`, `M91`).
+Blocks in between are left as written and listed; a feed among them is exit status 3. Harmless words of the builder belong in the
+machine file (`programs: {harmless: [M51, AIRBLAST]}`). Without `--offsets` and `--tools` a second work offset, tool or tool length is
+refused. Where the tool or its length changes, the position along the tool is unknown until an absolute word.
 
 **Scope.** `--scope` takes classes of ISO/TR 16907: `L-POS L-STR L-SQU L-ANG L-VOL L-VOL+ R-POS R-RAX R-POR R-ANG R-VOL R-VOL+ FOR`.
 The linear axes correct the functional point, the rotary axes the functional orientation (`FOR`), and each rotary axis its own

@@ -245,8 +245,21 @@ class Interpreter(ABC):
             raise self.error("second work offset", expected, self.offset, self._offset_line + 1)
         self.used_offset = self.offset
 
-    def hold_tool(self, tool: str, length: str) -> None:
-        """Record the tool in the spindle and the one whose length is in force, empty for none, where lengths are not known."""
+    def hold_tool(self, block: Block, tool: str, length: str, *, along: int | None = None) -> None:
+        """Record the tool in the spindle and the one whose length is in force, empty for none, where lengths are not known.
+
+        After a change the axis along the tool is at an unknown position: its words then count with another length, and on some controls
+        an incremental word moves by the difference, too.
+
+        Args:
+            block: the block.
+            tool: the tool.
+            length: the tool whose length is in force.
+            along: the linear axis along the tool, the third one if None.
+        """
+        if (tool, length) != (self._held_tool, self._held_length):
+            axis = self.linear - 1 if along is None else along
+            self.mark_unknown(block, range(self.linear) if self.tcp else (axis,), moved=None)
         if tool != self._held_tool:
             self._held_tool, self._tool_line, self._tool_chosen = tool, self._line, True
         if length != self._held_length:

@@ -75,7 +75,10 @@ class HeidenhainFrame(Interpreter):
         if not self.tools_known:
             row = self.value_of(tool)
             held = "" if row == 0.0 else f"{row:g}" if row == row else tool
-            self.hold_tool(held, held and f"{held}{'' if delta is None else f' DL{delta.group(1)}'}")
+            axis = vocabulary.TOOL_AXIS.match(body)
+            along = None if axis is None else self.index.get(axis.group(1).upper())
+            length = held and f"{held}{'' if delta is None else f' DL{delta.group(1)}'}"
+            self.hold_tool(block, held, length, along=along)
             return
         if tool[:1] in "qQ":
             tool = f"{self.known('TOOL CALL', tool):g}"

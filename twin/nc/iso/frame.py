@@ -8,7 +8,7 @@ from twin.nc.iso import vocabulary
 from twin.nc.iso.block import IsoBlock, Item
 from twin.nc.modal import Interpreter
 
-_LENGTH_ON: Final = frozenset({"43", "43.4", "43.5", "234"})
+_LENGTH_ON: Final = frozenset({"43", "44", "43.4", "43.5", "234"})
 _OF_TOOL: Final = frozenset("THD")
 TOOL_CHANGE: Final = "M6"
 
@@ -57,12 +57,12 @@ class IsoFrame(Interpreter):
             self.select(block, **changes)
         elif changes:
             length = changes.get("length", self._held_length)
-            self.hold_tool("" if tool == "0" else tool, "" if length == "0" else length)
+            self.hold_tool(block, "" if tool == "0" else tool, "" if length == "0" else length)
 
     def _length(self, said: dict[str, Item], codes: set[str], tool: str) -> dict[str, str]:
         """Return the change of the length in force, empty if there is none."""
-        if codes & {"44", "43.1"} and self.tools_known:
-            raise self.error("tool length by G44 or G43.1", "G43 with an H word, whose length is in the table of tools")
+        if "44" in codes and self.tools_known:
+            raise self.error("tool length by G44", "G43 with an H word, whose length is in the table of tools")
         height = self._name_of(said["H"]) if "H" in said else None
         in_force = self._length_by_h and (self.frame.length or self._held_length) and "49" not in codes
         if codes & _LENGTH_ON or (in_force and height not in (None, "0")):
@@ -74,7 +74,13 @@ class IsoFrame(Interpreter):
             return {"length": ""}
         if "D" in said and not self._length_by_h:
             edge = self._name_of(said["D"])
-            return {"length": "" if edge == "0" else tool if edge == "1" else f"{tool} D{edge}"}
+            return {
+                "length": ""
+                if edge == "0"
+                else tool
+                if edge == "1" and (tool or self.tools_known)
+                else f"{tool} D{edge}"
+            }
         return {}
 
     def _name_of(self, item: Item) -> str:

@@ -53,7 +53,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "feed": ("93", "94", "95"),
     "spindle": ("96", "97", "961", "962", "971", "972"),
     "radius": ("40",),
-    "length": ("43", "43.1", "43.4", "43.5", "44", "49", "234"),
+    "length": ("43", "43.4", "43.5", "44", "49", "234"),
     "return": ("98", "99"),
     "offset": (
         *("54", "55", "56", "57", "58", "59", "54.1", "59.1", "59.2", "59.3", "154", "500"),
@@ -117,6 +117,7 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
         code: (f"tool centre point control of Okuma (G{code})", "G43.4 or G43.5, or axis positions without it")
         for code in ("169", "170")
     },
+    "43.1": ("tool length by G43.1, given by the block or along the tool axis", "G43 with an H word"),
     "254": ("dynamic work offset G254", "axis positions, or tool centre point control (G234)"),
     "255": ("end of a dynamic work offset G255", "axis positions, or tool centre point control (G234)"),
     "29": ("return from the reference point G29", "a G0 block with the position"),
