@@ -326,6 +326,23 @@ def test_one_tool_is_enough(text: str) -> None:
     assert not any(move.unknown for move in read_moves(ISO, text).moves)
 
 
+@pytest.mark.parametrize("change", ["G43 H1", "T1 M6", "G49", "D1", "TOOL CALL 1 Z"])
+def test_the_position_along_the_tool_is_unknown_after_another_length(
+    dmu50: Machine, errors: Calibration, tmp_path: Path, change: str
+) -> None:
+    """A rapid of other axes keeps its words, a feed is refused, and an absolute word makes the position known."""
+    plain = change.startswith("TOOL")
+    form = (lambda word: f"L {word[0]}+{word[1:]} F500\n") if plain else (lambda word: f"G1 {word} F500\n")
+    rapid, suffix = ("L X+20 FMAX\n", ".h") if plain else ("G0 X20\n", ".nc")
+    head = BLOCKS[PLAIN if plain else ISO][0].replace("B4", "B30").replace("B+4", "B+30") + "\n"
+    head += "G43 H1 Z3\n" if change == "G49" else ""
+    text, report = compensated(tmp_path, f"{head}{change}\n{rapid}{form('Z5')}{form('X30')}", dmu50, errors, suffix)
+    assert f"{change}\n{rapid}" in text and report.complete
+    with pytest.raises(InputError, match="position of Z") as caught:
+        compensated(tmp_path, f"{head}{change}\n{form('X20')}", dmu50, errors, suffix)
+    assert caught.value.line == head.count("\n") + 2
+
+
 def test_tool_centre_point_control_of_haas(dmu50: Machine, errors: Calibration, tmp_path: Path) -> None:
     """G234 keeps the coordinates fixed to the table, as G43.4 does; G49 ends it."""
     text = "G54\nG0 X0 Y0 Z100 B10 C0\n{} H1\nG1 X10 B20 C10 F500\nG49\nG0 X20 Y0 Z50\n"

@@ -249,7 +249,7 @@ class Interpreter(ABC):
         """Record the tool in the spindle and the one whose length is in force, empty for none, where lengths are not known.
 
         After a change the axis along the tool is at an unknown position: its words then count with another length, and on some controls
-        an incremental word moves by the difference, too.
+        an incremental word moves by the difference, too. A switch of tool centre point control is another matter (`switch`).
 
         Args:
             block: the block.
@@ -257,9 +257,10 @@ class Interpreter(ABC):
             length: the tool whose length is in force.
             along: the linear axis along the tool, the third one if None.
         """
-        if (tool, length) != (self._held_tool, self._held_length):
-            axis = self.linear - 1 if along is None else along
-            self.mark_unknown(block, range(self.linear) if self.tcp else (axis,), moved=None)
+        if (tool, length) != (self._held_tool, self._held_length) and not block.tcp_switched:
+            axes = tuple(range(self.linear)) if self.tcp else (self.linear - 1 if along is None else along,)
+            self.lost_positions.append(LostPositions(self._line - 1, axes, True))  # before the words of this block
+            self.mark_unknown(block, axes, moved=None)
         if tool != self._held_tool:
             self._held_tool, self._tool_line, self._tool_chosen = tool, self._line, True
         if length != self._held_length:
