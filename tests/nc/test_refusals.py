@@ -387,3 +387,25 @@ def test_apt_modality():
     assert reading.moves[3].position[0] == pytest.approx(76.2)
     assert all(m.tcp and math.isnan(m.position[3]) for m in reading.moves)
     assert [n.line for n in reading.notices] == [1, 12, 13]
+
+
+@pytest.mark.parametrize(
+    ("blocks", "line", "noted"),
+    [
+        ("L C+350 FMAX M126\nL C+10 F500\n", 3, 0),
+        ("L C+350 FMAX M126\n" + "L C+340 F500\nL C+350\n" * 20 + "L IC-200 F500\n", 43, 0),
+        ("L M126\nL C+350 FMAX\nL X+1 F500\nL C+370\nL C+20 FMAX\n", 0, 2),
+        ("L C+350 FMAX M126\nL M127\nL C+10 F500\n", 0, 1),
+        ("L C+350 FMAX\nL C+10 F500\nL M126\nL C+190\n", 0, 0),
+    ],
+)
+def test_the_shortest_way_of_a_rotary_axis(blocks: str, line: int, noted: int) -> None:
+    """With M126 a feed from 350° to 10° turns by 20°; the pieces of the long way would turn by 340°."""
+    text = f"{PLAIN_START}{blocks}"
+    if line:
+        with pytest.raises(InputError, match="the other way round") as caught:
+            read_moves(PLAIN, text)
+        assert caught.value.line == line + PLAIN_START.count("\n") - 1
+    else:
+        notices = [one for one in read_moves(PLAIN, text).notices if "on this rapid" in one.text]
+        assert len(notices) == noted

@@ -10,8 +10,9 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.errors import InputError
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.nc.blocks import AxisWords, Interpretation, Program
+from twin.nc.blocks import AxisWords, Interpretation, Notice, Program
 from twin.nc.columns import NewPositions, as_columns
 from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
 from twin.nc.header import first_lines, insert_comments, missing_comments
@@ -30,6 +31,10 @@ from twin.nc.text import Style, newline_of, style_in
 _REMARK: Final = re.compile(r"[ \t]*+(?:\d++[ \t]*+)?+(?:[;*][^\r\n~]*+)?+[\r\n]*+", re.ASCII)
 
 
+LONGEST_TURN_DEG: Final = 180.5
+"""Turn of a rotary axis up to which its shortest way is that of its words; a correction may turn half a turn a little further."""
+
+
 @final
 class Heidenhain(Dialect):
     """Heidenhain plain language."""
@@ -41,8 +46,9 @@ class Heidenhain(Dialect):
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
         """See `Dialect.moves`."""
-        reader = ChunkReader(HeidenhainInterpreter(program.source, axes, tcp=tcp))
-        return reader.whole(chunks(program, axes.names, scan))
+        interpreter = HeidenhainInterpreter(program.source, axes, tcp=tcp)
+        reading = ChunkReader(interpreter).whole(chunks(program, axes.names, scan))
+        return _without_long_ways(program, axes, reading, interpreter.shortest_way)
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, new: NewPositions) -> str:
         """See `Dialect.rewrite`."""
@@ -171,3 +177,39 @@ def _first_number(program: Program) -> int | None:
     numbers = [int(head[1][:15]) for head in map(HEAD.match, program.texts) if head is not None and head[1]]
     consecutive = bool(numbers) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     return numbers[0] if consecutive else None
+
+
+def _without_long_ways(
+    program: Program, axes: AxisWords, reading: Interpretation, shortest_way: Sequence[tuple[int, bool]]
+) -> Interpretation:
+    """Return a reading with a notice on rapids on which ``M126`` turns a rotary axis the other way round.
+
+    Args:
+        program: the program.
+        axes: axis words.
+        reading: its moves.
+        shortest_way: lines of ``M126`` (True) and ``M127``, in order.
+
+    Raises:
+        InputError: a feed that it turns so: the blocks that it is split into would turn the axis the long way.
+    """
+    if not shortest_way:
+        return reading
+    moves, linear = as_columns(axes.names, reading.moves), len(axes.linear)
+    lines, on = (np.array(column) for column in zip(*shortest_way, strict=True))
+    last = np.searchsorted(lines, moves.line, side="right") - 1
+    in_force = (last >= 0) & on[last]
+    turn = np.abs(np.diff(moves.position[:, linear:], axis=0, prepend=np.nan))
+    far = np.flatnonzero((turn > LONGEST_TURN_DEG).any(axis=1) & in_force)
+    fed = far[~moves.rapid[far]]
+    if fed.size:
+        raise InputError(
+            "a rotary axis turns by more than half a turn, or the other way round (M126)",
+            expected="M127, or positions within half a turn of each other, such as C+370 after C+350",
+            file=program.source,
+            line=int(moves.line[fed[0]]) + 1,
+            value=program.texts[moves.line[fed[0]]].strip(),
+        )
+    text = "M126: a rotary axis turns the other way round on this rapid; its end point is the same"
+    notices = [Notice(int(line), text) for line in moves.line[far]]
+    return replace(reading, notices=(*reading.notices, *notices))

@@ -30,6 +30,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self.plane = _PLANES["Z"]
         self._simple = vocabulary.simple_pattern(self.names)
+        self.shortest_way: list[tuple[int, bool]] = []
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
         """Interpret one line.
@@ -306,6 +307,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if code in vocabulary.LAST_M:
             block.end_m_words.append(Span(match.start("misc"), match.end()))
         self.switch_by(block, word)
+        if code in (126, 127):
+            self.shortest_way.append((self._line, code == 126))
         if not (code in vocabulary.HARMLESS_M or word in self.tcp_on | self.tcp_off):
             turned = [position for position in self.position[self.linear :] if not 0.0 <= position < 360.0]
             if code != 94 or turned:
