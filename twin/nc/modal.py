@@ -258,7 +258,7 @@ class Interpreter(ABC):
             along: the linear axis along the tool, the third one if None.
         """
         if (tool, length) != (self._held_tool, self._held_length) and not block.tcp_switched:
-            axes = tuple(range(self.linear)) if self.tcp else (self.linear - 1 if along is None else along,)
+            axes = (self.linear - 1 if along is None else along,)
             self.lost_positions.append(LostPositions(self._line - 1, axes, True))  # before the words of this block
             self.mark_unknown(block, axes, moved=None)
         if tool != self._held_tool:
