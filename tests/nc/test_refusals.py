@@ -403,7 +403,7 @@ def test_the_shortest_way_of_a_rotary_axis(blocks: str, line: int, noted: int) -
     """With M126 a feed from 350° to 10° turns by 20°; the pieces of the long way would turn by 340°."""
     text = f"{PLAIN_START}{blocks}"
     if line:
-        with pytest.raises(InputError, match="the other way round") as caught:
+        with pytest.raises(InputError, match="opposite direction") as caught:
             read_moves(PLAIN, text)
         assert caught.value.line == line + PLAIN_START.count("\n") - 1
     else:

@@ -182,7 +182,7 @@ def _first_number(program: Program) -> int | None:
 def _without_long_ways(
     program: Program, axes: AxisWords, reading: Interpretation, shortest_way: Sequence[tuple[int, bool]]
 ) -> Interpretation:
-    """Return a reading with a notice on rapids on which ``M126`` turns a rotary axis the other way round.
+    """Return a reading with a notice on rapids on which ``M126`` turns a rotary axis in the opposite direction.
 
     Args:
         program: the program.
@@ -204,12 +204,12 @@ def _without_long_ways(
     fed = far[~moves.rapid[far]]
     if fed.size:
         raise InputError(
-            "a rotary axis turns by more than half a turn, or the other way round (M126)",
+            "a rotary axis turns by more than half a turn, or in the opposite direction (M126)",
             expected="M127, or positions within half a turn of each other, such as C+370 after C+350",
             file=program.source,
             line=int(moves.line[fed[0]]) + 1,
             value=program.texts[moves.line[fed[0]]].strip(),
         )
-    text = "M126: a rotary axis turns the other way round on this rapid; its end point is the same"
+    text = "M126: a rotary axis turns in the opposite direction on this rapid; its end point is the same"
     notices = [Notice(int(line), text) for line in moves.line[far]]
     return replace(reading, notices=(*reading.notices, *notices))
