@@ -241,6 +241,13 @@ def test_terms_by_hand() -> None:
     assert (bed.share, speed.share) == (0.4, 0.7)
     # All models without the bed follow the speed, of those with it one in four; the converse holds for the bed.
     assert bed.alternatives == ("speed",) and speed.alternatives == ("bed",)
+    # Four inputs: those followed more often without the first come by how much more, and not those less than 0.15 more.
+    models = ((0,),) * 10 + ((2, 1),) * 4 + ((2, 3), (2,)) * 2 + ((2, 1, 3),)
+    others = [replace(LAG, sensors=(name,)) for name in "bcd"]
+    some = named_terms(
+        "Z", (LAG, *others), np.ones((2, 4)), DrawnModels(models, ()), Average(np.ones(5), np.eye(5), 1.0), 1.0
+    )
+    assert some[0].share == 10 / 19 and some[0].alternatives == ("c", "b", "d")
 
 
 def by_hand() -> ThermalModel:
