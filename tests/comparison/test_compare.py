@@ -22,6 +22,7 @@ from twin.comparison.significance import FALSE_ALARMS, SHARE, holm_adjusted, sim
 from twin.machine.control import ControlSection, TableEntry
 from twin.machine.effects.entries import effect_named
 from twin.numerics.covariance import Covariance
+from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.budget import volume
 
 MACHINE = twin.Machine.load("dmu50")
@@ -413,6 +414,33 @@ def test_all_four_tests_together_raise_at_most_one_false_alarm_in_twenty() -> No
     )
     # At most 10 expected, standard deviation 3.1.
     assert alarms <= 10 + 3 * 3.1
+
+
+def test_draws_do_not_depend_on_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draws at the tool in steps of 20 and in one: the same machines, the same limits and probabilities, of every class."""
+    generators: dict[int, list[tuple[ToolUncertainty, np.random.Generator]]] = {}
+
+    def drawn_alike(tool: ToolUncertainty, rng: np.random.Generator, count: int) -> np.ndarray:
+        own = generators.setdefault(id(rng), [])
+        known = next((one for one in own if one[0] is tool), None)
+        if known is None:
+            own.append(known := (tool, np.random.default_rng(len(own))))
+        return tool._factor @ known[1].standard_normal((count, tool._factor.shape[1])).T
+
+    monkeypatch.setattr(ToolUncertainty, "draw", drawn_alike)
+    monkeypatch.setattr("twin.comparison.tool.DRAWS", 60)
+    few = {name: CURVES[name] for name in ("E_XX", "E_BX")}
+    older, newer = (made(curves=few, mixing=k, location={"E_X0C": float(k)}) for k in (3, 4))
+    found = []
+    for step in (20, 60):
+        generators.clear()
+        monkeypatch.setattr("twin.comparison.tool.DRAWS_A_STEP", step)
+        tool = twin.compare(older, newer, tool_length_mm=120.0, poses=20).tool
+        sizes = [tool.everything, tool.everything_aligned, tool.judged, *tool.by_class.values()]
+        found.append([(one.u_max_um, one.limit_um, one.p_value) for one in sizes])
+        found[-1].append((tool.left.u_max_um, tool.left.surely_um, tool.left.at_least_um))
+    assert len(found[0]) > 4
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-5)
 
 
 def test_an_effect_without_its_temperature_leaves_no_verdict_on_the_tool() -> None:

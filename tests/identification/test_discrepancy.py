@@ -16,7 +16,7 @@ from tests.truth.machine import TruthMachine
 from twin._common.arrays import read_only
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification import Identification, identify
-from twin.identification.discrepancy import Discrepancy
+from twin.identification.discrepancy import Discrepancy, _shared_score
 from twin.identification.held_out import FOLDS
 from twin.identification.solve import solve
 from twin.machine.machine import Machine
@@ -96,6 +96,28 @@ def test_the_discrepancy_of_each_direction_and_station() -> None:
     assert len(found.to_dict()["misfit"]["discrepancy"]) == len(found.discrepancy.parts)
     # The test of the model does not use it.
     assert found.misfit.p_value < 1e-6 and found.misfit.reduced > 100.0
+
+
+@pytest.mark.parametrize("at_once", [2, 256])
+def test_repeats_of_a_pose_share_its_discrepancy(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The covariance pose by pose; poses are summed whole, however many at once, and one reading is not used."""
+    monkeypatch.setattr("twin.identification.discrepancy.GROUPS_AT_ONCE", at_once)
+    data = measured(1, points=40, repeats=2, along=0.3, across=0.3)
+    found, weight = identified(data), np.ones(len(data))
+    weight[3] = 0.0
+    network = found.network.with_discrepancy(found.discrepancy.root)
+    solution = solve(network, np.zeros(len(network.unknowns)), found.setup, weight)
+    j = solution.triangle[:, :-1]
+    expected, scale = j.T @ j, np.linalg.norm(j, axis=0)
+    turn = found.setup.rotation[0]
+    jacobian = network.chunk(solution.theta, solution.setup, np.arange(len(data))).jacobian
+    shared = jacobian.transpose(0, 2, 1) @ network.whitening @ found.discrepancy.root @ turn.T
+    for k in range(40):
+        if k != 3:
+            expected += shared[k] @ shared[k + 40].T + shared[k + 40] @ shared[k].T
+    own = _shared_score(network, found.discrepancy, solution, weight)
+    np.testing.assert_allclose((own - expected) / np.outer(scale, scale), 0.0, atol=1e-9)
+    assert np.abs((expected - j.T @ j) / np.outer(scale, scale)).max() > 0.1
 
 
 @pytest.fixture(scope="module")
