@@ -289,6 +289,19 @@ def test_an_error_in_only_one_calibration_is_listed_and_not_taken_as_zero() -> N
     assert "E_X0C" not in {error.name for error in found.errors}
 
 
+def test_equal_coefficients_over_another_range_are_another_curve() -> None:
+    """E_XX = 11.4 u + … over 500 mm and over 480 mm differ; over the same range nothing changed, without rounding."""
+    one = made(curves={"E_XX": CURVES["E_XX"]}, squareness={}, location={})
+    other = made(curves={"E_XX": ((0.0, 480.0), *CURVES["E_XX"][1:])}, squareness={}, location={})
+    (same,), _ = pair_errors(one, one)
+    (changed,), _ = pair_errors(one, other)
+    assert not np.any(same.change)
+    q, shapes = changed.positions, changed.shape @ changed.change
+    curves = [side.curves["E_XX"] for side in (one, other)]
+    assert shapes == pytest.approx(curves[1](q) - curves[0](q), abs=1e-9)
+    assert np.abs(shapes).max() > 0.3
+
+
 def test_effects_are_compared_by_their_numbers_a_wave_by_its_shape() -> None:
     def with_wave(amplitude: float, phase: float, size: float) -> twin.Calibration:
         extra = (
