@@ -22,6 +22,7 @@ from twin.comparison.significance import FALSE_ALARMS, SHARE, holm_adjusted, sim
 from twin.machine.control import ControlSection, TableEntry
 from twin.machine.effects.entries import effect_named
 from twin.numerics.covariance import Covariance
+from twin.uncertainty.at_tool import ToolUncertainty
 from twin.uncertainty.budget import volume
 
 MACHINE = twin.Machine.load("dmu50")
@@ -288,6 +289,19 @@ def test_an_error_in_only_one_calibration_is_listed_and_not_taken_as_zero() -> N
     assert "E_X0C" not in {error.name for error in found.errors}
 
 
+def test_equal_coefficients_over_another_range_are_another_curve() -> None:
+    """E_XX = 11.4 u + … over 500 mm and over 480 mm differ; over the same range nothing changed, without rounding."""
+    one = made(curves={"E_XX": CURVES["E_XX"]}, squareness={}, location={})
+    other = made(curves={"E_XX": ((0.0, 480.0), *CURVES["E_XX"][1:])}, squareness={}, location={})
+    (same,), _ = pair_errors(one, one)
+    (changed,), _ = pair_errors(one, other)
+    assert not np.any(same.change)
+    q, shapes = changed.positions, changed.shape @ changed.change
+    curves = [side.curves["E_XX"] for side in (one, other)]
+    assert shapes == pytest.approx(curves[1](q) - curves[0](q), abs=1e-9)
+    assert np.abs(shapes).max() > 0.3
+
+
 def test_effects_are_compared_by_their_numbers_a_wave_by_its_shape() -> None:
     def with_wave(amplitude: float, phase: float, size: float) -> twin.Calibration:
         extra = (
@@ -413,6 +427,33 @@ def test_all_four_tests_together_raise_at_most_one_false_alarm_in_twenty() -> No
     )
     # At most 10 expected, standard deviation 3.1.
     assert alarms <= 10 + 3 * 3.1
+
+
+def test_draws_do_not_depend_on_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draws at the tool in steps of 20 and in one: the same machines, the same limits and probabilities, of every class."""
+    generators: dict[int, list[tuple[ToolUncertainty, np.random.Generator]]] = {}
+
+    def drawn_alike(tool: ToolUncertainty, rng: np.random.Generator, count: int) -> np.ndarray:
+        own = generators.setdefault(id(rng), [])
+        known = next((one for one in own if one[0] is tool), None)
+        if known is None:
+            own.append(known := (tool, np.random.default_rng(len(own))))
+        return tool._factor @ known[1].standard_normal((count, tool._factor.shape[1])).T
+
+    monkeypatch.setattr(ToolUncertainty, "draw", drawn_alike)
+    monkeypatch.setattr("twin.comparison.tool.DRAWS", 60)
+    few = {name: CURVES[name] for name in ("E_XX", "E_BX")}
+    older, newer = (made(curves=few, mixing=k, location={"E_X0C": float(k)}) for k in (3, 4))
+    found = []
+    for step in (20, 60):
+        generators.clear()
+        monkeypatch.setattr("twin.comparison.tool.DRAWS_A_STEP", step)
+        tool = twin.compare(older, newer, tool_length_mm=120.0, poses=20).tool
+        sizes = [tool.everything, tool.everything_aligned, tool.judged, *tool.by_class.values()]
+        found.append([(one.u_max_um, one.limit_um, one.p_value) for one in sizes])
+        found[-1].append((tool.left.u_max_um, tool.left.surely_um, tool.left.at_least_um))
+    assert len(found[0]) > 4
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-5)
 
 
 def test_an_effect_without_its_temperature_leaves_no_verdict_on_the_tool() -> None:

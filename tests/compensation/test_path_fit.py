@@ -124,6 +124,11 @@ def test_distances_are_never_too_small(seed: int, vertices: int, count: int) -> 
     points = places + rng.normal(size=places.shape) * rng.choice([1e-3, 0.3])
     exact = from_line(points, line)
     assert distances_anywhere(points, line) == pytest.approx(exact, abs=1e-9)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("twin.compensation.fewer_blocks.distance.MOST_PAIRS", 3 * vertices)
+        assert distances_anywhere(points[::-1], line) == pytest.approx(exact[::-1], abs=1e-9)
+        few = distances_near(points, at, line, np.arange(vertices, dtype=float), 0.0, np.inf)
     near = distances_near(points, at, line, np.arange(vertices, dtype=float), 0.0, np.inf)
+    assert few == pytest.approx(near, abs=1e-12)
     assert np.all(near >= exact - 1e-9)
     assert near == pytest.approx(exact, abs=1e-9)  # the widest window is wider than the line

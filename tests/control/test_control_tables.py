@@ -109,6 +109,11 @@ def test_over_the_volume(
     calibration, machine = truth[rotary]
     made = make(dmu50, calibration, Request(kind, tool_length_mm=LENGTH))
     assert made.unmet == ()
+    assert dict(made.required.at) == {"X": 250.0, "Y": 225.0, "Z": -200.0, "B": 0.0, "C": 0.0}
+    for table in made.tables:
+        # Read back at random positions, of which some are near the largest deviation between the nodes.
+        largest = table.deviation + table.rounding
+        assert 0.5 * table.deviation - table.rounding < table.read_back_deviation < 1.01 * largest + 1e-6
     put(tmp_path, made.files)
     q = positions(dmu50, 150)
     before, _ = machine.deviations(q, q)
@@ -117,6 +122,7 @@ def test_over_the_volume(
     # Three axes, each within its tolerance between the nodes, in each direction: √9 · 1 µm · √(8/15) RMS of a parabola.
     assert rms(after) < 1.7
     account = account_of(made, calibration, calibration, {})
+    assert account.to_dict()["illustrative"] is False
     assert account.remains.before.rms_um == pytest.approx(rms(before), rel=0.15)  # other places
     assert account.remains.tables.rms_um == pytest.approx(rms(after), rel=0.25)
     assert account.remains.program.max_um < 0.01
@@ -391,7 +397,9 @@ def test_the_command(dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def test_illustrative_is_in_every_file(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert run(["control", "--to", "heidenhain", "-o", str(out), "--tool-length", "120"]) == 0
+    account = tmp_path / "account.json"
+    assert run(["control", "--to", "heidenhain", "-o", str(out), "--tool-length", "120", "--json", str(account)]) == 0
+    assert json.loads(account.read_text())["illustrative"] is True
     for file in out.iterdir():
         if file.suffix != ".CMA":
             assert "illustrative" in file.read_text().lower(), file.name

@@ -10,17 +10,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.identification.plans import STATIONS, read_by_truth, volumetric
+from tests.identification.plans import PLACES, STATIONS, four_stations, read_by_truth, volumetric
 from tests.truth import hidden
 from tests.truth.machine import TruthMachine
 from twin._common.arrays import read_only
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification import Identification, identify
-from twin.identification.discrepancy import Discrepancy
+from twin.identification.discrepancy import Discrepancy, _shared_score
 from twin.identification.held_out import FOLDS
 from twin.identification.solve import solve
+from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.measurement.instruments import instrument_named
+from twin.measurement.instruments import LaserTracker, instrument_named
+from twin.measurement.simulate import Placement, Station, simulate
 from twin.measurement.table import Measurements
 
 WANTED = ("E_C0Y", "E_B0Z", "E_A0Z", "E_A0B", "E_B0B", "E_A0C", "E_B0C")
@@ -96,6 +98,37 @@ def test_the_discrepancy_of_each_direction_and_station() -> None:
     assert len(found.to_dict()["misfit"]["discrepancy"]) == len(found.discrepancy.parts)
     # The test of the model does not use it.
     assert found.misfit.p_value < 1e-6 and found.misfit.reduced > 100.0
+
+
+@pytest.mark.parametrize("at_once", [2, 256])
+def test_readings_of_a_pose_share_its_discrepancy(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The covariance pose by pose, in the machine's frame, from four stations; one pose and one reading are not used."""
+    monkeypatch.setattr("twin.identification.discrepancy.GROUPS_AT_ONCE", at_once)
+    plan = four_stations(machine(), np.random.default_rng(4), 7)
+    setting = Placement(
+        {name: Station(pose[:3], pose[3:]) for name, pose in STATIONS.items()},
+        {name: place for name, (_, place) in PLACES.items()},
+    )
+    rng = np.random.default_rng(5)
+    data, _ = simulate(plan, machine(), Calibration.zero(machine()), LaserTracker(), rng, setting=setting)
+    data = replace(data, point_mm=read_only(data.point_mm + rng.normal(0.0, 0.3, data.point_mm.shape)))
+    found, weight = identified(data), np.ones(len(data))
+    pose = np.unique(data.positions, axis=0, return_inverse=True)[1].reshape(-1)
+    weight[3], weight[pose == 2] = 0.0, 0.0
+    network = found.network.with_discrepancy(found.discrepancy.root)
+    solution = solve(network, np.zeros(len(network.unknowns)), found.setup, weight)
+    j = solution.triangle[:, :-1]
+    expected, scale = j.T @ j, np.linalg.norm(j, axis=0)
+    turn = solution.setup.rotation[[solution.setup.stations.index(name) for name in data.station]]
+    jacobian = network.chunk(solution.theta, solution.setup, np.arange(len(data))).jacobian
+    # Whitened derivatives by the discrepancy: one vector in the machine's frame, whose covariance is the unit matrix.
+    by = jacobian.transpose(0, 2, 1) @ network.whitening @ found.discrepancy.root @ turn.transpose(0, 2, 1)
+    for one in np.flatnonzero(weight):
+        for other in np.flatnonzero(weight * (pose == pose[one])):
+            expected += by[one] @ by[other].T if other != one else 0.0
+    own = _shared_score(network, found.discrepancy, solution, weight)
+    np.testing.assert_allclose((own - expected) / np.outer(scale, scale), 0.0, atol=1e-9)
+    assert np.abs((expected - j.T @ j) / np.outer(scale, scale)).max() > 0.1
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,7 +16,7 @@ from twin._common.errors import InputError
 from twin.kinematics.branches import Branches
 from twin.kinematics.forward import Kinematics, Poses
 from twin.kinematics.inverse import Inverse, Status
-from twin.kinematics.newton import Steps
+from twin.kinematics.newton import Steps, _bounded_move
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 
@@ -82,6 +85,23 @@ def test_a_step_has_the_derivatives_of_the_residual(name: str) -> None:
         np.testing.assert_allclose(by[3:, linear], coupling, atol=3e-5)
         system = by[3:, rotary] - coupling @ slope
         np.testing.assert_allclose(turns @ system @ turns, turns, atol=3e-4 * np.abs(turns).max() ** 2)
+
+
+@pytest.mark.parametrize("axes", [1, 2])
+def test_a_limited_correction_against_the_singular_value_decomposition(axes: int) -> None:
+    """Each singular direction in full up to the limit, beyond it less by the cube; nothing without influence."""
+    rng = np.random.default_rng(18)
+    for _ in range(60):
+        matrix, right, limit = rng.normal(size=(2, axes)), rng.normal(size=2), rng.uniform(0.1, 1.0)
+        matrix[:, 0] *= rng.choice([1.0, 1e-3, 0.0])
+        left, sizes, directions = np.linalg.svd(matrix, full_matrices=False)
+        wanted = np.zeros(axes)
+        for u, sigma, v in zip(left.T, sizes, directions, strict=True):
+            if sigma > 1e-12:
+                move = -float(u @ right) / sigma
+                wanted += v * (move if abs(move) <= limit else limit * (limit / move) ** 3)
+        found = np.array(ca.DM(_bounded_move(ca.SX(matrix), ca.SX(right), limit))).ravel()
+        assert found == pytest.approx(wanted, abs=1e-9)
 
 
 def test_linear_axes_only_keep_the_rotary_positions(dmu50: Machine) -> None:
@@ -243,9 +263,13 @@ def test_positions_along_a_path_are_those_found_one_by_one(
         np.testing.assert_array_equal(branches.along(solutions, np.array([3.0, 400.0]), offset), found)
 
 
-def test_the_nearest_position_has_the_smallest_largest_travel() -> None:
+@pytest.mark.parametrize("c_range", ["unlimited", "[-185, 185]", "[-30, 700]"])
+def test_the_nearest_position_has_the_smallest_largest_travel(c_range: str, tmp_path: Path) -> None:
     """Compare with all solutions and whole turns within the ranges, by the larger of the two axes' travels, not their sum."""
-    machine = Machine.load("xyzbc_trunnion")
+    source = Machine.load("xyzbc_trunnion")
+    text = source.path.read_text().replace("range: unlimited", f"range: {c_range}")
+    (tmp_path / "m.yaml").write_text(text.replace("urdf: xyzbc_trunnion.urdf", f"urdf: {source.urdf}"))
+    machine = Machine.load(tmp_path / "m.yaml")
     branches = Branches(Kinematics(machine, Calibration.zero(machine)))
     rng = np.random.default_rng(17)
     tilt, turn = rng.uniform(0.05, 0.6, 400), rng.uniform(-np.pi, np.pi, 400)
@@ -261,4 +285,4 @@ def test_the_nearest_position_has_the_smallest_largest_travel() -> None:
     found = branches.nearest(solutions, before)
     assert np.abs(found - before).max(axis=1) == pytest.approx(largest.min(axis=1), abs=1e-9)
     by_sum = np.where(within, travel.sum(axis=2), np.inf)
-    assert np.count_nonzero(by_sum.argmin(axis=1) != largest.argmin(axis=1)) > 5  # the two rules differ
+    assert np.count_nonzero(by_sum.argmin(axis=1) != largest.argmin(axis=1)) > 2  # the two rules differ

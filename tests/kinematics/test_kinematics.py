@@ -174,6 +174,20 @@ def test_sensitivities_are_the_derivatives(dmu50: Machine, calibration: Calibrat
                 assert np.abs(column - np.concatenate([linear, spin])).max() < 1e-12
 
 
+@pytest.mark.parametrize("name", ["dmu50", "xyzbc_trunnion"])
+def test_travel_is_the_point_with_its_derivatives(name: str) -> None:
+    """Both as by the functions for whole poses; a reversal and the tool's length count."""
+    machine = Machine.load(name)
+    rng = np.random.default_rng(12)
+    own = Calibration.zero(machine)
+    kinematics = Kinematics(machine, replace(own, extra=(Reversal(machine.by_name["Y"], 30.0),)), tool_length_mm=80.0)
+    q = random_commands(machine, 40, rng)
+    sides = rng.choice([-1.0, 0.0, 1.0], q.shape)
+    point, by = kinematics.travel(q, sides)
+    assert point == pytest.approx(kinematics.forward(q, sides).point_mm, abs=1e-9)
+    assert by == pytest.approx(kinematics.sensitivities(q, sides).command[:, :3], abs=1e-12)
+
+
 def test_positions_are_checked(dmu50: Machine, calibration: Calibration) -> None:
     kinematics = Kinematics(dmu50, calibration)
     good = [250.0, 225.0, -200.0, 30.0, 1000.0]

@@ -282,6 +282,15 @@ def test_the_covariance_is_that_of_bayes(spread_out: tuple[Measurements, PlanMod
     assert np.abs(ratio - 1.0).max() < 0.1
 
 
+def test_information_does_not_depend_on_chunks(
+    spread_out: tuple[Measurements, PlanModel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows in chunks of 1024; the derivatives of 90 readings are the same in chunks of seven."""
+    _, model = spread_out
+    monkeypatch.setattr("twin.planning.model.CHUNK", 7)
+    np.testing.assert_allclose(replace(model).rows, model.rows, rtol=1e-9, atol=1e-12)
+
+
 def test_a_length_is_less_informative_than_three_coordinates(
     spread_out: tuple[Measurements, PlanModel], dmu50: Machine
 ) -> None:

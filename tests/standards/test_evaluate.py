@@ -18,6 +18,7 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments.tracker import AT960
 from twin.measurement.table import Measurements
 from twin.standards import EvaluationResult
+from twin.standards.linear import _approaches
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
@@ -148,6 +149,35 @@ def test_positioning_by_a_second_formulation(lines: tuple[EvaluationResult, dict
     # The line through the points is tilted by up to 3e-5 against the axis: 500 mm · (3e-5)² / 2.
     assert ours == pytest.approx(expected, abs=1e-3)
     assert ours["B_mean"] == pytest.approx(4.0, abs=3.0 * np.sqrt(2.0 / 55.0))
+
+
+def test_one_cycle_gives_no_repeatability(lines: tuple[EvaluationResult, dict[str, np.ndarray]]) -> None:
+    """X runs five times, Y twice, to and fro, and Z once."""
+    for name, cycles in zip("XYZ", (2, 1, 1), strict=True):
+        (test,) = lines[0].named(name, "positioning")
+        assert any("a single cycle" in text for text in test.remarks) == (cycles == 1)
+        assert all(np.isfinite(one.value) == (cycles > 1) for one in test.values if one.key in ("R", "A")), test.values
+
+
+def test_cycles_of_targets_by_hand() -> None:
+    """As many cycles as every target has in both directions; a target that lacks a direction is left out, and so is a short side."""
+    q = np.array([0.0, 0.0, 0.0, 0.0, 10.0, 10.0, 10.0, 10.0, 10.0, 20.0])
+    side = np.array([1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0, 1.0])
+    notes: list[str] = []
+    targets, up, down = _approaches(q, np.arange(10.0), side, notes)
+    assert targets.tolist() == [0.0, 10.0] and up.tolist() == [[0.0, 1.0], [4.0, 5.0]]
+    assert down.tolist() == [[2.0, 3.0], [7.0, 8.0]]
+    assert notes == [
+        "targets without all directions of approach are left out: 20",
+        "2 approaches of each target are used; some targets have more",
+    ]
+    notes = []
+    targets, up, down = _approaches(q[:7], np.arange(7.0), side[:7], notes)
+    assert targets.tolist() == [0.0, 10.0] and up.tolist() == [[0.0, 1.0], [4.0, 5.0]] and down.shape == (2, 0)
+    assert [text.split(":")[0] for text in notes] == [
+        "approaches from the other direction are left out",
+        "2 approaches of each target are used; some targets have more",
+    ]
 
 
 def test_straightness_and_squareness(lines: tuple[EvaluationResult, dict[str, np.ndarray]]) -> None:

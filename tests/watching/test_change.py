@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import t as student_t
 
 from twin.watching.change import ErrorSeries, WatchedError, examine, lag_correlation
+from twin.watching.result import date_text
 
 LIMIT = float(np.log(2 * 14 / 0.05))
 CHECKS = 26
@@ -24,6 +25,10 @@ def series(
 
 def dates(rng: np.random.Generator, count: int = CHECKS) -> np.ndarray:
     return 20500.0 + np.cumsum(rng.uniform(2.0, 5.0, count))
+
+
+def test_days_are_those_of_the_calendar() -> None:
+    assert [date_text(day) for day in (0.0, 20_000.0, 20_000.9)] == ["1970-01-01", "2024-10-04", "2024-10-04"]
 
 
 def test_date_and_size_of_steps_are_covered() -> None:

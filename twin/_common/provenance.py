@@ -117,13 +117,14 @@ PARTLY_UNKNOWN_UNCERTAINTY: Final = SourceWarning(
 def merge_warnings(*lists: Iterable[SourceWarning]) -> tuple[SourceWarning, ...]:
     """Return the warnings of several sources, the most serious first.
 
-    Each name appears once, with the title of its first occurrence and the errors of all.
+    Each name appears once, with the title of its first occurrence and the errors of all; a warning about all errors includes those
+    about some.
     """
     first: dict[str, SourceWarning] = {}
     for warning in (warning for each in lists for warning in each):
         same = first.setdefault(warning.name, warning)
-        if warning.errors and same.errors:
-            first[warning.name] = same.about((*same.errors, *warning.errors))
+        if same.errors:
+            first[warning.name] = same.about((*same.errors, *warning.errors)) if warning.errors else warning
     return tuple(first[name] for name in ORDER if name in first)
 
 

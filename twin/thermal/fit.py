@@ -43,7 +43,7 @@ KEPT_VARIANCE: Final = 0.99
 @final
 @dataclass(frozen=True)
 class AveragedRecord:
-    """A record in the form that is fitted, averaged to fewer rows."""
+    """A record in the form that is fitted, averaged to fewer rows; the white noise is that of the averages."""
 
     record: ThermalRecord
     terms: tuple[TermCandidate, ...]
@@ -139,7 +139,7 @@ def _problem(record: ThermalRecord) -> AveragedRecord:
         averaged(features(record, terms, inputs), length),
         y,
         averaged(record.time_s[:, None], length)[:, 0],
-        np.diff(record.displacement_um, 2, axis=0).std(axis=0) / np.sqrt(6.0),
+        np.diff(record.displacement_um, 2, axis=0).std(axis=0) / np.sqrt(6.0 * length),
         duration,
         (*record.notices, *notices),
     )

@@ -28,7 +28,8 @@ most significant tests. The scores themselves are those of all readings.
 """
 SEED: Final = 4712
 SEEN: Final = 1e-10
-"""Share of the largest eigenvalue below which a direction counts as zero."""
+"""Share of the largest eigenvalue below which a direction counts as zero, and share of a function's square that the projection must
+leave: what is less is rounding."""
 PLAUSIBLE: Final = 100.0
 """Noncentrality along a direction for which the test is most powerful: the score is taken at that variance, not at zero."""
 TOGETHER: Final = 512
@@ -108,8 +109,10 @@ class PatternScores:
             self._latest = pattern.derivative, self._side(self._by_side[pattern.derivative])
         side = self._latest[1]
         own = side.own[pattern]
-        lost = side.lost[:, own]
-        return side.slope[:, own], (side.grams[pattern] - lost @ lost.transpose(0, 2, 1)) / side.share
+        lost, whole = side.lost[:, own], side.grams[pattern]
+        gram = (whole - lost @ lost.transpose(0, 2, 1)) / side.share
+        seen = _seen(gram, whole / side.share)
+        return side.slope[:, own] * seen, gram * (seen[:, :, None] & seen[:, None, :])
 
     def _side(self, alike: Sequence[Pattern]) -> _Side:
         """Return the inner products of all patterns of one side and frame."""
@@ -179,12 +182,15 @@ class PatternScores:
         found = []
         for pattern, level, directions in tests:
             own = [at[column] for column in pattern.columns(level, directions)]
-            gram = self._gram(pattern, level, directions) - lost[own] @ lost[own].T
+            whole = self._gram(pattern, level, directions)
+            gram = whole - lost[own] @ lost[own].T
+            seen = _seen(gram, whole)
+            gram *= seen[:, None] & seen
             size = np.diag(gram).reshape(len(directions), -1).sum(axis=1)
             deviation = np.repeat(np.sqrt(PLAUSIBLE / np.where(size > 0.0, size, np.inf)), len(own) // len(directions))
             values, vectors = np.linalg.eigh(gram * np.outer(deviation, deviation))
             values = np.maximum(values, 0.0)
-            score = float(np.sum((vectors.T @ (slope[own] * deviation)) ** 2 / (1.0 + values)))
+            score = float(np.sum((vectors.T @ (slope[own] * seen * deviation)) ** 2 / (1.0 + values)))
             found.append((values / (1.0 + values), score))
         return found
 
@@ -261,6 +267,11 @@ class PatternScores:
 
     def _fields(self, pattern: Pattern, rows: Rows) -> np.ndarray:
         return ReadingDerivatives(self._view, rows).of(pattern.derivative) * UM
+
+
+def _seen(gram: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """Return (…, m) which functions the projection leaves, from Gram matrices (…, m, m) with and without it."""
+    return np.asarray(np.diagonal(gram, axis1=-2, axis2=-1) > SEEN * np.diagonal(whole, axis1=-2, axis2=-1))
 
 
 def _along_functions(

@@ -123,7 +123,7 @@ def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:
     """Return (3, d): score, and its mean and variance for noise alone, along each of d directions."""
     count = slope.shape[1]
     size = np.einsum("dii->d", gram)
-    seen = size > SEEN
+    seen = size > 0.0
     # (G + 1/τ)⁻¹; the weights of the χ² are the eigenvalues of 1 − (G + 1/τ)⁻¹/τ.
     by_prior = np.where(seen, size / PLAUSIBLE, 1.0)
     inverse = np.linalg.inv(np.where(seen[:, None, None], gram, 0.0) + by_prior[:, None, None] * np.eye(count))
