@@ -77,7 +77,9 @@ class CarriedOut:
         return self._kinematics(one).forward(self.predicted.positions).point_mm * 1e3
 
     def _stated(self, one: Identification) -> float:
-        return rms(ToolUncertainty(self._kinematics(one)).at(self.predicted.positions).standard_um)
+        # The forecast names the errors that its readings cannot determine (`hidden`) and does not count them.
+        found = ToolUncertainty(self._kinematics(one), errors="identified")
+        return rms(found.at(self.predicted.positions).standard_um)
 
     def _u(self, one: Identification, name: str) -> float:
         row = next(row for row in one.rows() if row["name"] == name)
