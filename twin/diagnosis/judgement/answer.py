@@ -21,6 +21,7 @@ from twin.diagnosis.diagnosis import Diagnosis
 from twin.diagnosis.judgement.causes import ReportedCauses
 from twin.diagnosis.judgement.extend import EmpiricalExtension, extend
 from twin.diagnosis.judgement.gain import gain, residuals_as_written
+from twin.diagnosis.judgement.limits import with_limits
 from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.forms import LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.problem.noise import ReadingNoise
@@ -65,7 +66,7 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
     weights = network.whitening
     stated = not np.isfinite(found.task.noise.dof)
     overstated = overstated_noise(rms(residual, network.read), problem.chi2, problem.dof) if stated else ()
-    return Diagnosis(
+    answer = Diagnosis(
         verdict=_verdict(reported, left),
         rms_um=rms(residual, network.read),
         absorbed_rms_um=rms(unwhitened_um(problem, problem.projected), network.read),
@@ -93,6 +94,7 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
         directions=read_only(unwhiten(problem.network, problem.view.by_base)),
         precision=read_only(np.einsum("nki,nkj->nij", weights, weights) * UM**2),
     )
+    return with_limits(answer, network)
 
 
 def _extended(
@@ -107,6 +109,10 @@ def _extended(
         covariance = Covariance.of_blocks([covariance, empirical_extension.covariance])
     if not effects:
         return calibration
+    # An error that was unknown and cannot be separated from others stays unknown: it has a value, and its plausible range.
+    unclear = {cause.where for cause in reported.causes if cause.equivalent}
+    unclear &= {one.name for one in calibration.not_identifiable}
+    covariance = covariance.where(lambda name: name.partition("[")[0] not in unclear)
     data = reported.sized.found.problem.network.data
     source = "extended by twin diagnose from " + data.source
     return calibration.extended(effects, covariance, source, simulated=data.simulated)
