@@ -195,7 +195,7 @@ def test_a_curve_that_predicts_held_out_positions_is_promised(tmp_path: Path) ->
 
 
 def test_the_extended_calibration_states_its_limits(tmp_path: Path) -> None:
-    """What the given file did not know stays; what these readings could not show, or leave, is added."""
+    """Errors unknown to the given file stay unknown; errors that these readings could not show, and their residuals, are added."""
     machine = Machine.load(write_stage(tmp_path))
     positions = np.linspace(0.0, 500.0, 6)
     rough = np.array([-12.0, 21.0, 2.0, -17.0, 15.0, -9.0])

@@ -1,4 +1,4 @@
-"""What the extended calibration says about its own limits: errors that remain unknown, residuals, instruments and set-up.
+"""The limits of the extended calibration, as it states them: errors that remain unknown, residuals, instruments and set-up.
 
 The entries of the given calibration stay. The readings of the diagnosis add what they could not determine, and their residuals replace
 the stated ones if they test the whole calibration, that is if every axis moved, or if they are worse.
