@@ -245,6 +245,20 @@ def test_a_load_is_named_by_few_loaded_poses(
     assert off < 0.03 * before
 
 
+def test_causes_of_an_impossible_size_are_left_out_with_the_reason(unloaded: tuple[Path, Machine, Calibration]) -> None:
+    """An arm lighter than its calibration knows asks for joints that rise under their load: text and JSON say that they are left out."""
+    folder, machine, known = unloaded
+    q = np.round(np.random.default_rng(3).uniform(-HIGH, HIGH, (40, 6)), 3)
+    at_flange = links(sagged(np.radians(q), COMPLIANCE, Carried(-0.05, (10.0, 0.0, 60.0))))[-1]
+    data = Measurements.load(table(folder / "lighter.csv", q, at_flange, np.random.default_rng(3)), machine)
+    found = diagnose(data, machine, known)
+    assert ("gravity_compliance", "J3") not in by_name(found)
+    said = (
+        "not named, because they fit only with a negative size, which is physically impossible: gravity_compliance J3"
+    )
+    assert said in found.to_dict()["notices"] and said in " ".join(found.to_text().split())
+
+
 @pytest.mark.parametrize("carried", [Carried(0.01, (2e4, 0.0, 0.0)), Carried(0.005, (0.0, 1e4, 3e4))])
 def test_a_moment_without_mass_is_a_possible_load(
     unloaded: tuple[Path, Machine, Calibration], carried: Carried

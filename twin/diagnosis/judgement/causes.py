@@ -10,7 +10,7 @@ Payloads under which joints were found to deflect are causes of their own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
 
@@ -28,6 +28,7 @@ from twin.diagnosis.problem.forms import Candidates, Form, log_p_value
 from twin.diagnosis.problem.problem import unwhitened_um
 from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
 from twin.diagnosis.selection.payload import CARRY, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
+from twin.diagnosis.selection.search import TOO_LARGE
 from twin.machine.calibration import Calibration
 from twin.machine.effects import Payload
 from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, payloads_of
@@ -71,6 +72,8 @@ def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCause
         calibration: the calibration tested.
     """
     found, forms = sized.found, sized.forms
+    # Evaluated first: later steps reset the pool.
+    impossible = _impossible_notices(sized)
     causes = [_cause(sized, k, calibration) for k in range(len(forms))]
     # With unnamed patterns the selection was made by likelihood, and no posterior probability is given.
     comparison = None if found.structure.pattern_tests else _second_method(sized, causes)
@@ -94,6 +97,7 @@ def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCause
         *_insignificant_notice(sized),
         *(_further(effect) for effect in further),
         *_rejected_notices(sized),
+        *impossible,
     )
     disagree = comparison is not None and comparison.disagree
     return ReportedCauses(sized, (*ordered, *also, *loads), wanted, notices, disagree)
@@ -105,7 +109,8 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     others, rest = sized.others(form), [one for one in sized.beside if one is not sized.beside[k]]
     explained = found.candidates.scores(others, [form.index])[0, 0]
     doubt, quantities = sized.doubts[k], sized.estimate.quantities[k]
-    text = evidence(form, sized.estimate, k) + curve_flaw(found.candidates, sized.forms, form, calibration) + doubt
+    text = evidence(form, sized.estimate, k) + curve_flaw(found.candidates, sized.forms, form, calibration)
+    text += _fixed_centre(form) + doubt
     equal = equivalent(found, sized.beside[k], rest)
     if why := _approach_doubt(sized, form):
         text, equal = f"{text}; {why}", (*equal, (READ_BACK.name, form.candidate.where))
@@ -124,6 +129,13 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         bounded=_bounded(form, quantities),
         rivals=ruled_out(found.beside, sized.beside[k], rest, sized.excess),
     )
+
+
+def _fixed_centre(form: Form) -> str:
+    """Return that the readings do not determine the centre of a load with the known compliances; empty if they do."""
+    if form.candidate.specification not in (PAYLOAD, CARRIED_LOAD) or not form.variant.fixed:
+        return ""
+    return f"; the readings do not determine its centre of mass: the most likely one within ±{CENTRE_RANGE_MM:g} mm is taken"
 
 
 def _assumed_approach(sized: SizedCauses) -> list[str]:
@@ -178,10 +190,25 @@ def _rejected_notices(sized: SizedCauses) -> list[str]:
     part = "they explain only part of a pattern that no known effect explains as a whole"
     few = "they increase the residuals of held-out readings: too few readings for this number of causes"
     return [
-        f"not named, because {why}: {', '.join(sorted({' '.join(form.key) for form in forms}))}"
+        _not_named(why, [form.key for form in forms])
         for why, forms in ((part, sized.found.structure.rejected), (few, sized.found.refuted))
         if forms
     ]
+
+
+def _impossible_notices(sized: SizedCauses) -> list[str]:
+    """Return a notice for each reason for which causes were left out although the readings speak for them."""
+    by_reason: dict[str, list[tuple[str, str]]] = {}
+    named = {form.key for form in sized.forms}
+    reasons = sized.found.candidates.impossible | {form.key: TOO_LARGE for form in sized.found.structure.impossible}
+    for key, why in reasons.items():
+        if key not in named:
+            by_reason.setdefault(why, []).append(key)
+    return [_not_named(why, keys) for why, keys in by_reason.items()]
+
+
+def _not_named(why: str, keys: Iterable[tuple[str, str]]) -> str:
+    return f"not named, because {why}: {', '.join(sorted({' '.join(key) for key in keys}))}"
 
 
 def _second_method(sized: SizedCauses, causes: Sequence[Cause]) -> Comparison:

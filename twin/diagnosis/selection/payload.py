@@ -56,6 +56,8 @@ CARRY: Final = 4
 """Index of a share: 1 if the side carries the load of the readings, else 0. Shares of a payload are before it, of the centre behind."""
 STEPS: Final = 200
 """Largest number of iterations of a fit."""
+NO_MASS: Final = "they fit only with a mass that is not positive, or a centre of mass beyond its range"
+"""Reason for which a load is left out, in words."""
 LOST: Final = 1e-9
 """Relative size below which a direction is not determined."""
 
@@ -230,7 +232,7 @@ def _bounded_load(candidates: Candidates, form: Form, forms: Sequence[Form]) -> 
     heaviest = LARGEST_RATIO if added.carried else max_payload_kg(machine)
     centre, mass = _bounded_centre(*_projected(candidates, free, [one for one in forms if one is not form]), heaviest)
     if mass <= 0.0:
-        candidates.exclude({form.key})
+        candidates.exclude({form.key}, NO_MASS)
         return None
     candidates.exclude_forms([free])
     single = next(one for one in candidates.forms if one.key == form.key and len(one.variant.columns) == 1)

@@ -40,6 +40,12 @@ ROUGHLY: Final = 0.2
 """Deviation from one allowed for the parameter of an effect that is either completely present or absent."""
 LEAST: Final = 0.01
 """Smallest share of a pliable effect in the χ² explained by all causes: a smaller one only fits the residual of a larger cause."""
+CANCELLED: Final = "they fit only together with another cause that cancels them"
+PART_OF_ANOTHER: Final = "they only fit the residuals of a larger cause"
+TOO_LARGE: Final = "they fit only with a size that is physically impossible"
+NEGATIVE: Final = "they fit only with a negative size, which is physically impossible"
+PARTIAL: Final = "they are either there completely or not at all, and fit only in part"
+"""Reasons for which causes are left out, in words."""
 LIKELY: Final = 12
 """Number of forms whose inner products with all others are evaluated together."""
 
@@ -124,6 +130,8 @@ def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Select
             # Exclude all of them; causes they displaced return.
             candidates.critical_table = allowed
             candidates.exclude({form.key for form in candidates.forms if form.candidate.specification.flexible})
+            small = {form.key for form in best.forms if form.candidate.specification.flexible}
+            candidates.exclude(small, PART_OF_ANOTHER)
             allowed = candidates.critical_table
             best = select(candidates, () if anew else [f for f in best.forms if not f.candidate.specification.flexible])
             continue
@@ -131,9 +139,9 @@ def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Select
         if not excess or max(excess) <= 1.0:
             return best
         # One at a time: another cause that it compensated may be possible without it.
-        worst = best.forms[int(np.argmax(excess))].key
-        candidates.exclude({worst})
-        best = select(candidates, () if anew else [form for form in best.forms if form.key != worst])
+        worst = best.forms[int(np.argmax(excess))]
+        candidates.exclude({worst.key}, max(_excesses(candidates, worst, best.forms), key=lambda one: one[0])[1])
+        best = select(candidates, () if anew else [form for form in best.forms if form.key != worst.key])
 
 
 def excess_ratio(candidates: Candidates, form: Form, forms: Sequence[Form]) -> float:
@@ -146,10 +154,7 @@ def excess_ratio(candidates: Candidates, form: Form, forms: Sequence[Form]) -> f
         form: one of ``forms``.
         forms: the selected forms.
     """
-    columns, values, inverse = candidates.fitted(forms)
-    at = np.searchsorted(columns, form.columns)
-    u = np.sqrt(np.maximum(np.diag(inverse)[at], 0.0))
-    return excess_ratio_of(form, values[at], u, candidates.gram([form]), float(candidates.slope[columns] @ values))
+    return max(ratio for ratio, _ in _excesses(candidates, form, forms))
 
 
 def excess_ratio_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float) -> float:
@@ -162,17 +167,33 @@ def excess_ratio_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndar
         gram: (w, w) inner products of its columns.
         explained: χ² explained by all causes together.
     """
-    own = float(values @ gram @ values)
-    if form.candidate.specification.flexible and own < LEAST * explained:
-        return np.inf
-    found = own / (CANCELS * (explained + FEWEST))
+    return max(ratio for ratio, _ in _excesses_of(form, values, u, gram, explained))
+
+
+def _excesses(candidates: Candidates, form: Form, forms: Sequence[Form]) -> list[tuple[float, str]]:
+    """Return the ratios of a form's size to each of its limits, each with the words for a size beyond it."""
+    columns, values, inverse = candidates.fitted(forms)
+    at = np.searchsorted(columns, form.columns)
+    u = np.sqrt(np.maximum(np.diag(inverse)[at], 0.0))
+    return _excesses_of(form, values[at], u, candidates.gram([form]), float(candidates.slope[columns] @ values))
+
+
+def _excesses_of(
+    form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float
+) -> list[tuple[float, str]]:
+    own, specification = float(values @ gram @ values), form.candidate.specification
+    found = [(own / (CANCELS * (explained + FEWEST)), CANCELLED)]
+    if specification.flexible and own < LEAST * explained:
+        found.append((np.inf, PART_OF_ANOTHER))
     scale = np.array([column.scale for column in form.variant.columns])
     if np.isfinite(form.candidate.largest):
-        found = max(found, float(np.max((np.abs(values) - DOUBTED * u) * scale)) / form.candidate.largest)
-    if form.candidate.specification.non_negative and values[0] < -DOUBTED * u[0]:
-        return np.inf
-    if form.candidate.specification.all_or_nothing:
-        found = max(found, abs(float(values[0] * scale[0]) - 1.0) / max(ROUGHLY, DOUBTED * float(u[0] * scale[0])))
+        size = float(np.max((np.abs(values) - DOUBTED * u) * scale))
+        found.append((size / form.candidate.largest, TOO_LARGE))
+    if specification.non_negative and values[0] < -DOUBTED * u[0]:
+        found.append((np.inf, NEGATIVE))
+    if specification.all_or_nothing:
+        off = abs(float(values[0] * scale[0]) - 1.0)
+        found.append((off / max(ROUGHLY, DOUBTED * float(u[0] * scale[0])), PARTIAL))
     return found
 
 

@@ -9,7 +9,7 @@ of a pattern is not.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
@@ -55,6 +55,7 @@ class Structure:
         problem: the data with patterns and set-up projected out.
         rejected: causes selected at first that are not kept with the patterns.
         patterned: whether the selection started from the patterns, not from the causes.
+        impossible: causes that would improve the fit with the patterns, but only with a size that is impossible.
     """
 
     forms: tuple[Form, ...]
@@ -63,6 +64,7 @@ class Structure:
     problem: Problem
     rejected: tuple[Form, ...]
     patterned: bool = False
+    impossible: tuple[Form, ...] = ()
 
     @property
     def pattern_tests(self) -> tuple[PatternTest, ...]:
@@ -147,7 +149,7 @@ def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequen
                 found, patterned = other, True
     keys = {form.key for form in found.forms}
     rejected = tuple(form for form in forms if form.key not in keys)
-    return Structure(found.forms, found.likelihood, found.model, found.problem, rejected, patterned)
+    return replace(found, rejected=rejected, patterned=patterned)
 
 
 def _not_imitable(found: Structure) -> bool:
@@ -238,7 +240,7 @@ def _from_pattern(candidates: Candidates, first: PatternTest, tried: Sequence[Pa
     barred: set[int] = set()
     while True:
         likelihood = Likelihood(candidates, pattern_tests)
-        forms, model = _stepwise(likelihood, forms, barred)
+        forms, model, impossible = _stepwise(likelihood, forms, barred)
         needed = [
             pattern_test
             for k, pattern_test in enumerate(pattern_tests)
@@ -249,7 +251,7 @@ def _from_pattern(candidates: Candidates, first: PatternTest, tried: Sequence[Pa
             if not pattern_tests:
                 return Structure(tuple(forms), None, None, candidates.problem, ())
             likelihood = Likelihood(candidates, pattern_tests)
-            forms, model = _stepwise(likelihood, forms, barred)
+            forms, model, impossible = _stepwise(likelihood, forms, barred)
         problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
         more = [
             pattern_test
@@ -265,21 +267,32 @@ def _from_pattern(candidates: Candidates, first: PatternTest, tried: Sequence[Pa
         whole = without_parts(likelihood, forms, model)
         if len(whole) == len(forms):
             forms, model = _simplified(likelihood, forms, model)
-            return Structure(tuple(forms), likelihood, model, problem, ())
+            return Structure(tuple(forms), likelihood, model, problem, (), impossible=impossible)
         barred |= {int(candidates.key_of[form.index]) for form in forms if form not in whole}
         forms = whole
 
 
-def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[int]) -> tuple[list[Form], Model]:
-    """Add causes while they are significant with the patterns in the model, and drop those that no longer are."""
+def _stepwise(
+    likelihood: Likelihood, forms: Sequence[Form], barred: Collection[int]
+) -> tuple[list[Form], Model, tuple[Form, ...]]:
+    """Add causes while they are significant with the patterns in the model, and drop those that no longer are.
+
+    Returns:
+        The causes; the model; causes that are significant in addition, but only with an impossible size.
+    """
+    impossible: list[Form] = []
     candidates = likelihood.candidates
     stand, model = _dropped(likelihood, list(forms), likelihood.fit(forms))
     while len(stand) < CAUSES:
         best: tuple[float, Form, Model] | None = None
+        impossible = []
         for form in _promising(likelihood, stand, model, barred):
             with_it = likelihood.fit([*stand, form], model)
             gained = with_it.twice_log_ratio - model.twice_log_ratio - _cost(candidates, form)
-            if gained > (best[0] if best else 0.0) and _possible(candidates, [*stand, form], with_it):
+            if gained > (best[0] if best else 0.0):
+                if not _possible(candidates, [*stand, form], with_it):
+                    impossible.append(form)
+                    continue
                 best = gained, form, with_it
                 if len(stand) >= FEW:
                     break  # a model with very many errors: the order does not matter
@@ -287,11 +300,11 @@ def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[
             fewer, model = _dropped(likelihood, stand, model)
             other = _exchanged(likelihood, fewer, model, barred) if len(fewer) <= FEW else None
             if other is None and len(fewer) == len(stand):
-                return stand, model
+                return stand, model, tuple(impossible)
             stand, model = (fewer, model) if other is None else other
             continue
         stand, model = [*stand, best[1]], best[2]
-    return _dropped(likelihood, stand, model)
+    return *_dropped(likelihood, stand, model), tuple(impossible)
 
 
 def _exchanged(

@@ -53,7 +53,7 @@ def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:
             return "The readings are noisier than stated", "unknown"
         return "There is an error that no known cause explains", "unknown"
     if diagnosis.verdict == "ambiguous":
-        if not diagnosis.causes[0].equivalent:
+        if diagnosis.causes and not diagnosis.causes[0].equivalent:
             return (
                 "There are errors: most causes are identified, but for some these readings cannot decide between alternatives",
                 "wrong",
