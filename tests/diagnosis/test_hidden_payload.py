@@ -246,7 +246,7 @@ def test_a_load_is_named_by_few_loaded_poses(
 
 
 def test_causes_of_an_impossible_size_are_left_out_with_the_reason(unloaded: tuple[Path, Machine, Calibration]) -> None:
-    """An arm lighter than its calibration knows asks for joints that rise under their load: text and JSON say that they are left out."""
+    """An arm lighter than in its calibration needs joints that rise under load: text and JSON say why they are left out."""
     folder, machine, known = unloaded
     q = np.round(np.random.default_rng(3).uniform(-HIGH, HIGH, (40, 6)), 3)
     at_flange = links(sagged(np.radians(q), COMPLIANCE, Carried(-0.05, (10.0, 0.0, 60.0))))[-1]
