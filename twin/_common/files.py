@@ -447,13 +447,18 @@ def write_atomic(path: Path, content: str | bytes, *, check: Callable[[Path], ob
         stream.write(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
-def write_json(path: Path, data: Any) -> None:
+def write_json(path: Path, data: Any, *, check: Callable[[Path], object] | None = None) -> None:
     """Write JSON atomically; a number that is not finite is written as null, meaning unknown.
 
+    Args:
+        path: the file.
+        data: its content.
+        check: as for `write_atomic`.
+
     Raises:
-        InputError: it cannot be written.
+        InputError: it cannot be written, or the check refuses it.
     """
-    write_atomic(path, json.dumps(_finite(data), indent=1, allow_nan=False) + "\n")
+    write_atomic(path, json.dumps(_finite(data), indent=1, allow_nan=False) + "\n", check=check)
 
 
 def _finite(data: Any) -> Any:

@@ -119,6 +119,12 @@ class ColumnMapping:
             found.check_entry(name, entry, machine)
         return found
 
+    def check_copy(self, path: Path) -> None:
+        """Raise `InputError` unless a file written from this mapping reads back as the same entries."""
+        entries, _ = load_yaml(path, ColumnsFile, SCHEMA)
+        if entries != self.entries:
+            raise InputError("the file reads back as another mapping", expected="the same entries", file=path)
+
     def check_entry(self, name: str, entry: OriginEntry, machine: Machine) -> None:
         """Raise `InputError` unless an entry names a column of a measurement table and has one origin and a unit that fits."""
         place = ("columns", name)
