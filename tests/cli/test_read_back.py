@@ -97,7 +97,7 @@ def run(line: str) -> int:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(one, marks=pytest.mark.slow if one == "plan" else ()) for one in COMMANDS]
+    "name", [pytest.param(one, marks=pytest.mark.slow if one in ("plan", "thermal") else ()) for one in COMMANDS]
 )
 def test_what_another_command_reads_is_read_back(
     name: str, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
