@@ -28,16 +28,17 @@ from twin.diagnosis.problem.forms import Candidates, Form, log_p_value
 from twin.diagnosis.problem.problem import unwhitened_um
 from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
 from twin.diagnosis.selection.payload import CARRY, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
-from twin.diagnosis.selection.search import TOO_LARGE
+from twin.diagnosis.selection.search import DOUBTED, TOO_LARGE
 from twin.machine.calibration import Calibration
-from twin.machine.effects import Payload
-from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, payloads_of
+from twin.machine.effects import Effect, Payload
+from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, AddedLoad, payloads_of
 from twin.machine.effects.payload import CENTRE_RANGE_MM, LOAD, SIDES
 from twin.machine.effects.waves import APPROACH
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
 from twin.measurement.table import Measurements
 
+IMPOSSIBLE: Final = "; this size is physically impossible, so the readings do not determine it"
 AT_BOUND: Final = 0.99
 """Ratio of a parameter to its bound from which on it counts as bounded."""
 UNDETERMINED: Final = 0.9 / np.sqrt(CENTRE_PRIOR)
@@ -71,6 +72,7 @@ def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCause
         sized: the causes with their sizes.
         calibration: the calibration tested.
     """
+    sized = _without_impossible(sized)
     found, forms = sized.found, sized.forms
     # Evaluated first: later steps reset the pool.
     impossible = _impossible_notices(sized)
@@ -103,6 +105,29 @@ def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCause
     return ReportedCauses(sized, (*ordered, *also, *loads), wanted, notices, disagree)
 
 
+def _without_impossible(sized: SizedCauses) -> SizedCauses:
+    """Return the causes, of which none with a size beyond its physical limits is promised.
+
+    The search keeps sizes within their limits, but its last steps and the final weights move them: a mass near zero gives any centre.
+    """
+    sizes = zip(sized.forms, sized.estimate.quantities, sized.estimate.effects, sized.doubts, strict=True)
+    doubts = tuple(
+        doubt or (IMPOSSIBLE if _is_impossible(form, own, effects) else "") for form, own, effects, doubt in sizes
+    )
+    return replace(sized, doubts=doubts)
+
+
+def _is_impossible(form: Form, quantities: Sequence[Quantity], effects: Sequence[Effect]) -> bool:
+    """Return whether a size is beyond its physical limit by more than its uncertainty allows, or a load is impossible."""
+    if any(isinstance(effect, AddedLoad) and not effect.payload.plausible for effect in effects):
+        return True
+    candidate = form.candidate
+    linear = [q for q in quantities if q.name not in {*candidate.specification.nonlinear, *form.variant.fixed}]
+    if candidate.reported is None and any(abs(q.value) > candidate.largest + DOUBTED * q.u for q in linear):
+        return True
+    return bool(candidate.specification.non_negative and linear and linear[0].value < -DOUBTED * linear[0].u)
+
+
 def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     """Return one cause; its share is relative to the other causes, its rivals also to the patterns."""
     found, form = sized.found, sized.forms[k]
@@ -126,7 +151,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         pattern_um=read_only(unwhitened_um(found.problem, sized.estimate.signature[:, k])),
         effects=() if doubt else sized.estimate.effects[k],
         promised=not doubt,
-        bounded=_bounded(form, quantities),
+        bounded=doubt == IMPOSSIBLE or _bounded(form, quantities),
         rivals=ruled_out(found.beside, sized.beside[k], rest, sized.excess),
     )
 

@@ -149,6 +149,8 @@ def to_do(cause: Cause) -> str:
     """Return what to do about a cause; one that is not in the extended calibration cannot be compensated."""
     if cause.promised:
         return advice(cause.effect, cause.where).do
+    if cause.bounded:
+        return "It is not compensated: its size is at or beyond a physical limit. Measure at other positions and loads."
     return (
         "It is not compensated: the error at these positions does not predict the error between them. Measure at more closely "
         "and unevenly spaced positions."
