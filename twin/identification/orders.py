@@ -120,7 +120,8 @@ def choose(network: Network, start: RobustStart, whole: Sequence[str] = ()) -> C
     search = _Search(network.unknowns, _folds(network, start.solution, triangles, folds), whole)
     readings = max(int(sum(count[mask].sum() for mask in folds.held_out())), 1)
     uniform = search.uniform()
-    best = min(uniform, key=lambda size: uniform[size][0], default=0)
+    least = min((score for score, _ in uniform.values()), default=0.0)
+    best = next((size for size, (score, _) in uniform.items() if score <= _equal(least, readings)), 0)
     sizes = dict(uniform[best][1]) if uniform else {}
     by_curve: dict[str, dict[int, float]] = {}
     for _ in range(SWEEPS):
@@ -129,7 +130,7 @@ def choose(network: Network, start: RobustStart, whole: Sequence[str] = ()) -> C
             if name in whole:
                 continue
             found = search.scores_of(name, sizes)
-            limit = min(found.values()) * (1.0 + 1e-6) + ROUNDING * readings
+            limit = _equal(min(found.values()), readings)
             sizes[name] = min(size for size, value in found.items() if value <= limit)
             by_curve[name] = found
         if sizes == before:
@@ -145,6 +146,11 @@ def choose(network: Network, start: RobustStart, whole: Sequence[str] = ()) -> C
         uniform={size: rms(score) for size, (score, _) in uniform.items()},
         readings=readings,
     )
+
+
+def _equal(least: float, readings: int) -> float:
+    """Return the largest held-out chi² that counts as equal to the least."""
+    return least * (1.0 + 1e-6) + ROUNDING * readings
 
 
 @final

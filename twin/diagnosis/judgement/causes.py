@@ -16,7 +16,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
+from twin._common.arrays import largest_first, read_only
 from twin._common.distributions import normal_sf
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.candidates.following_error import FOLLOWING_ERROR, READ_BACK
@@ -89,7 +89,7 @@ def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCause
         ]
     also, silent = readback_causes(found.candidates, forms)
     causes, loads = causes_with_payloads(found.candidates, forms, causes)
-    order = sorted(range(len(causes)), key=lambda k: -causes[k].share)
+    order = largest_first(np.array([cause.share for cause in causes])).tolist()
     ordered = [causes[k] for k in order]
     wanted = points_to_measure(found.beside, [sized.beside[k] for k in order], ordered)
     further = () if comparison is None else comparison.further

@@ -17,6 +17,7 @@ from typing import Final, final
 import numpy as np
 import scipy
 
+from twin._common.arrays import first_largest
 from twin.diagnosis.candidates.added_payload import with_centre
 from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
@@ -121,7 +122,7 @@ class Load:
             )
             for share in (FIRST if payload else FIRST[:1])
         ]
-        return np.asarray(min(fits, key=lambda fit: float(fit.fun)).x)
+        return np.asarray(fits[first_largest(np.array([-float(fit.fun) for fit in fits]))].x)
 
     def significant(self, critical: Callable[[float], float]) -> tuple[np.ndarray, float]:
         """Return the shares of the loads that are significant, and the χ² that the carried load explains; 0 if it is not significant.
@@ -278,7 +279,7 @@ def _bounded_centre(gram: np.ndarray, slope: np.ndarray, heaviest: float) -> tup
         )
         for start in (np.zeros(3), *np.concatenate([np.eye(3), -np.eye(3)]))
     ]
-    shares = np.asarray(min(fits, key=lambda fit: float(fit.fun)).x)
+    shares = np.asarray(fits[first_largest(np.array([-float(fit.fun) for fit in fits]))].x)
     return CENTRE_RANGE_MM * shares, mass_of(shares)[0]
 
 

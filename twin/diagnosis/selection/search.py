@@ -11,6 +11,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.arrays import first_largest, largest_first
 from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.problem.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
 from twin.diagnosis.problem.readings import DiagnosisTask
@@ -79,7 +80,7 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
         forms = forward_selection(candidates, list(begun))
         return Selection(tuple(forms), candidates.penalised_gain(forms))
     margin = candidates.margins([])
-    order = [int(i) for i in np.argsort(-margin, kind="stable") if margin[i] > 0.0]
+    order = [int(i) for i in largest_first(margin) if margin[i] > 0.0]
     first: dict[int, int] = {}
     for i in order:
         first.setdefault(int(candidates.key_of[i]), i)
@@ -110,7 +111,7 @@ def largest_causes(candidates: Candidates, most: int) -> tuple[Form, ...]:
     margin = candidates.margins([])
     if len(margin) == 0 or margin.max() <= 0.0:
         return ()
-    return tuple(forward_selection(candidates, [candidates.forms[int(np.argmax(margin))]], most=most))
+    return tuple(forward_selection(candidates, [candidates.forms[first_largest(margin)]], most=most))
 
 
 def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Selection:
@@ -139,7 +140,7 @@ def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Select
         if not excess or max(excess) <= 1.0:
             return best
         # One at a time: another cause that it compensated may be possible without it.
-        worst = best.forms[int(np.argmax(excess))]
+        worst = best.forms[first_largest(np.array(excess))]
         candidates.exclude({worst.key}, max(_excesses(candidates, worst, best.forms), key=lambda one: one[0])[1])
         best = select(candidates, () if anew else [form for form in best.forms if form.key != worst.key])
 
@@ -218,7 +219,7 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
         )
         if margin.max() <= 0.0:
             return forms
-        numbers.append(candidates.forms[int(np.argmax(margin))])
+        numbers.append(candidates.forms[first_largest(margin)])
         trial.append(numbers[-1])
     whole = candidates.explained_by(trial)
     for one in numbers:
@@ -253,12 +254,12 @@ def forward_selection(
     forms = _exchanged(candidates, list(forms), allowed)
     while len(forms) < most:
         now = candidates.penalised_gain(forms)
-        best = candidates.forms[int(np.argmax(candidates.margins(forms)))]
+        best = candidates.forms[first_largest(candidates.margins(forms))]
         if best.nonlinear and best.slot in {form.slot for form in forms}:
             # Most of the residual is due to a period or time constant between two tabulated ones; the estimate refines these.
             return forms
         margin = np.where(allowed, _free(candidates, forms), -np.inf)
-        for i in np.argsort(-margin, kind="stable")[:TRIED]:
+        for i in largest_first(margin)[:TRIED]:
             if margin[i] <= ADDITIONAL_CAUSE_PENALTY:
                 return _exchanged(candidates, forms, allowed) if len(forms) > FEW else forms
             larger = [*forms, candidates.forms[int(i)]]
@@ -298,7 +299,7 @@ def _better(
         if others and (worth := candidates.penalised_gain(others)) >= now:
             return others, worth
         margin = np.where(allowed, _free(candidates, others), -np.inf)
-        for i in np.argsort(-margin)[:TRIED]:
+        for i in largest_first(margin)[:TRIED]:
             trial = [*others, candidates.forms[int(i)]]
             if (
                 np.isfinite(margin[i])

@@ -14,6 +14,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.arrays import largest_first
 from twin.diagnosis.estimate.estimate import RandomEffects
 from twin.diagnosis.problem.forms import DEVIANCE_RULED_OUT, Candidates, Form, columns_of
 from twin.diagnosis.problem.problem import Problem
@@ -337,7 +338,9 @@ def _simplified(likelihood: Likelihood, forms: list[Form], model: Model) -> tupl
         numbers = [
             f for f in candidates.forms if f.candidate.specification.constant and f.key not in taken and dof[f.index]
         ]
-        for number in sorted(numbers, key=lambda one: -margin[one.index])[:1]:
+        for number in (
+            [numbers[i] for i in largest_first(margin[[one.index for one in numbers]])[:1]] if numbers else []
+        ):
             trial = [*others, number]
             found = likelihood.fit(trial, model)
             lost = model.twice_log_ratio - _cost(candidates, form) - found.twice_log_ratio + _cost(candidates, number)
@@ -356,7 +359,7 @@ def _promising(likelihood: Likelihood, stand: Sequence[Form], model: Model, barr
     )
     margin = np.where(out, -np.inf, explained - costs)
     found: dict[int, Form] = {}
-    for i in np.argsort(-margin, kind="stable").tolist():
+    for i in largest_first(margin).tolist():
         if len(found) == TRIED or not explained[i] > HOPEFUL * costs[i] or not np.isfinite(margin[i]):
             break
         found.setdefault(int(candidates.key_of[i]), candidates.forms[i])
@@ -369,7 +372,7 @@ def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
     while True:
         prices = {form.index: _cost(likelihood.candidates, form) for form in stand}
         gained = {form.index: likelihood.gain_bound(stand, model, form) for form in stand}
-        for form in sorted(stand, key=lambda one: gained[one.index] - prices[one.index]):
+        for form in [stand[i] for i in largest_first(np.array([prices[f.index] - gained[f.index] for f in stand]))]:
             if gained[form.index] > CLEAR * prices[form.index]:
                 continue
             others = [one for one in stand if one is not form]
