@@ -25,7 +25,7 @@ from twin.diagnosis.judgement.evidence import curve_flaw, evidence
 from twin.diagnosis.judgement.second_opinion import Comparison, SingleEffect, compare_with_search, second_opinion
 from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.forms import Candidates, Form, log_p_value
-from twin.diagnosis.problem.problem import unwhitened_um
+from twin.diagnosis.problem.problem import in_um
 from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
 from twin.diagnosis.selection.payload import CARRY, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
 from twin.diagnosis.selection.search import DOUBTED, TOO_LARGE
@@ -148,7 +148,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         share=float(np.clip(explained / sized.excess, 0.0, 1.0)),
         equivalent=equal,
         evidence=text,
-        pattern_um=read_only(unwhitened_um(found.problem, sized.estimate.signature[:, k])),
+        pattern_um=read_only(in_um(found.problem.network, sized.estimate.signature[:, k])),
         effects=() if doubt else sized.estimate.effects[k],
         promised=not doubt,
         bounded=doubt == IMPOSSIBLE or _bounded(form, quantities),
@@ -299,8 +299,8 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
                     equivalent=(),
                     evidence=f"{text}, and the readings follow the commands: positions were reported before {axis.name} had settled",
                     pattern_um=read_only(
-                        unwhitened_um(
-                            candidates.problem, candidates.problem.signature(form.variant.columns)[:, 0] / scale
+                        in_um(
+                            candidates.problem.network, candidates.problem.signature(form.variant.columns)[:, 0] / scale
                         )
                     ),
                 )
@@ -405,7 +405,7 @@ def _load_cause(
         share=float(np.clip((explained - own) / excess, 0.0, 1.0)),
         equivalent=(),
         evidence=_load_evidence(load, payload),
-        pattern_um=read_only(unwhitened_um(candidates.problem, (candidates.problem.signature(columns) / size) @ shape)),
+        pattern_um=read_only(in_um(candidates.problem.network, (candidates.problem.signature(columns) / size) @ shape)),
         bounded=_is_heaviest(load, payload),
     )
 

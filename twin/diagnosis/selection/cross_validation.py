@@ -18,7 +18,7 @@ from twin._common.arrays import first_largest
 from twin._common.distributions import student_isf
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, log_p_value
-from twin.diagnosis.problem.problem import Problem, rms, unwhiten, unwhitened_um
+from twin.diagnosis.problem.problem import Problem, in_um, rms, unwhiten
 from twin.diagnosis.problem.signature_products import Signatures
 from twin.diagnosis.selection.likelihood import Likelihood
 from twin.machine.effects.names import axis_of
@@ -305,4 +305,4 @@ def _in_fit(candidates: Candidates, forms: Sequence[Form]) -> float:
     """Return the RMS residual of the fit, µm."""
     problem = candidates.problem
     residual = problem.project(problem.residual - predicted_shift(problem, candidates, forms))
-    return rms(unwhitened_um(problem, residual), problem.network.read)
+    return rms(in_um(problem.network, residual), problem.network.read)
