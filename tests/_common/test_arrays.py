@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin._common.arrays import WIDE, all_within, outside_bounds
+from twin._common.arrays import WIDE, all_within, largest_first, outside_bounds
 
 
 @given(
@@ -34,3 +34,13 @@ def test_a_bound_that_is_reached_is_within() -> None:
     assert all_within(values, np.array([0.0, 5.0]), np.array([1.0, 6.0]))
     assert not all_within(values, np.array([0.0, 5.0]), np.array([1.0, 5.9]))
     assert not all_within(values, np.array([0.1, 5.0]), np.array([1.0, 6.0]))
+
+
+def test_values_equal_up_to_rounding_keep_their_order() -> None:
+    rng = np.random.default_rng(1)
+    values = rng.integers(0, 5, 200) / 3.0
+    last = values * (1.0 + np.finfo(float).eps * rng.choice([-2.0, 0.0, 2.0], 200))
+    expected = sorted(range(200), key=lambda i: (-values[i], i))
+    assert largest_first(values).tolist() == largest_first(last).tolist() == expected
+    assert largest_first(np.array([-np.inf, 1.0, np.inf, -np.inf, 2.0])).tolist() == [2, 4, 1, 0, 3]
+    assert largest_first(np.zeros(0)).tolist() == []

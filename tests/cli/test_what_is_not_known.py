@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from tests.cli.test_warnings_travel import PROGRAMS, run
+from twin.control.kinematics import nominal_locations
+from twin.identification.thesis.identify import identify_as_thesis
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
@@ -145,3 +147,42 @@ def test_locations_left_out_on_request_bar_kinematics(measured: Files, tmp_path:
     assert "not_estimated" in (tmp_path / "some.yaml").read_text()
     assert run("control", "--kinematics", "siemens-chain", "-c", tmp_path / "some.yaml", "-o", tmp_path / "k") == 2
     assert not (tmp_path / "k").exists()
+
+
+def test_an_axis_run_says_what_it_did_not_measure(
+    dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Six of the machine's errors are measured; every other one is unknown, of the size that the machine file states."""
+    layout, path, out = ("--layout", "nine_beams_x.yaml"), tmp_path / "x.yaml", tmp_path / "out.json"
+    assert run("simulate-run", *layout, "--positions", "0,500,21", "-o", tmp_path / "run.csv") == 0
+    assert run("axis-run", tmp_path / "run.csv", *layout, "-o", path) == 0
+    found = Calibration.load(path, dmu50)
+    every = {*dmu50.motion_names, *dmu50.squareness_names, *dmu50.location_names}
+    why = {entry.name: entry.why for entry in found.not_identifiable}
+    assert set(why) == every - {f"E_{letter}X" for letter in "XYZABC"}
+    assert why["E_XY"] == "Y did not move" and why["E_X0C"] == "C did not move"
+    assert found.misfit is not None and found.misfit.verdict == "consistent" and found.misfit.p_value is not None
+    assert found.set_up is not None and found.set_up.targets_on_tool > 0 == found.set_up.targets_on_work
+    assert found.set_up.points == 3 * 2 * 21  # rounds, directions, positions
+    capsys.readouterr()
+    assert run("control", "--kinematics", "siemens-chain", "-c", path, "-o", tmp_path / "k") == 2
+    assert "E_X0B: B did not move" in capsys.readouterr().err and not (tmp_path / "k").exists()
+    given = ("-c", path, "--tool-length", 120, "--json", out)
+    assert run("volume", "--trials", 1000, "--poses", 2, "--workers", 1, *given) == 0
+    budget = loaded(out)
+    assert set(budget["not_identified"]) == set(why)
+    # One location of 1 mm alone gives 1.96 mm.
+    assert budget["first_order"]["rms_um"] > 1960.0 > 10.0 > budget["first_order_identified_errors"]["rms_um"]
+
+
+def test_the_thesis_method_says_what_it_cannot_identify(
+    dmu50: Machine, calibration: Calibration, tmp_path: Path
+) -> None:
+    readings, _ = simulate(thesis_plan.plan(dmu50), dmu50, calibration, LaserTracker(), np.random.default_rng(3))
+    found = identify_as_thesis(readings, dmu50).calibration
+    assert {entry.name for entry in found.not_identifiable} == set(dmu50.location_names)
+    assert found.misfit is not None and found.misfit.verdict == "untested"
+    assert found.set_up is not None and found.set_up.points == len(readings)
+    found.save(tmp_path / "thesis.yaml")
+    assert Calibration.load(tmp_path / "thesis.yaml", dmu50).not_identifiable == found.not_identifiable
+    assert [one.errors for one in nominal_locations(found)] == [dmu50.location_names]  # bars kinematics

@@ -170,7 +170,7 @@ def check(result: Diagnosis, of: Plan, truth: Hidden, noise: str = "isotropic", 
         # No less where a rotation turns about the tool's own point.
         assert result.gain.tool_after_um <= result.gain.tool_before_um
     else:
-        assert result.extended is result.calibration
+        assert result.extended.source == result.calibration.source
 
 
 def check_held_out(result: Diagnosis, truth: Hidden, instrument: LaserTracker | None) -> None:
@@ -479,7 +479,7 @@ def test_which_of_command_and_report_the_measurement_follows(look: Callable[...,
     if follows == "command":
         assert (cause.effect, cause.where, cause.origin) == ("read_back", "Y", "instrument")
         assert "the readings follow the commands" in cause.evidence
-        assert result.extended is result.calibration and result.gain is None
+        assert result.extended.source == result.calibration.source and result.gain is None
     else:
         assert (cause.effect, cause.where) == ("following_error", "Y")
         assert abs(cause.parameters[0].value - 1.0) < 3.0 * cause.parameters[0].u

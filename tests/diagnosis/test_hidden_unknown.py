@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from tests.truth.few_axes import write_stage
 from tests.truth.hidden import Hidden, Plan
 from twin.diagnosis import Diagnosis, diagnose
 from twin.machine.calibration import Calibration
+from twin.machine.calibration_file import MeasuredWith, MisfitEntry, UnidentifiedEntry
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 
@@ -190,6 +192,43 @@ def test_a_curve_that_predicts_held_out_positions_is_promised(tmp_path: Path) ->
     assert held.ci95_um is not None and held.ci95_um[0] > 0.0
     assert held.after_um < 1.0
     assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["causes"][0]["promised"] is True
+
+
+def test_the_extended_calibration_states_its_limits(tmp_path: Path) -> None:
+    """Errors unknown to the given file stay unknown; errors that these readings could not show, and their residuals, are added."""
+    machine = Machine.load(write_stage(tmp_path))
+    positions = np.linspace(0.0, 500.0, 6)
+    rough = np.array([-12.0, 21.0, 2.0, -17.0, 15.0, -9.0])
+    table = stage_table(tmp_path / "rough.csv", positions, rough, -4.0, 0.6)
+    found = diagnose(Measurements.load(table, machine), machine, Calibration.zero(machine))
+    found.extended.save(tmp_path / "rough.yaml")
+    rewritten = Calibration.load(tmp_path / "rough.yaml", machine)
+    # One coordinate along X: the other five errors move no reading; the sixth is not known between six positions.
+    unknown = {one.name: one.why for one in rewritten.not_identifiable}
+    assert set(unknown) == {f"E_{letter}X" for letter in "XYZABC"}
+    assert "between the measured positions" in unknown["E_XX"] and "no motion" in unknown["E_YX"]
+    assert rewritten.misfit is not None and rewritten.misfit.verdict == "systematic"
+    assert "positioning E_XX" in rewritten.misfit.says
+    assert rewritten.set_up is not None and (rewritten.set_up.targets_on_tool, rewritten.set_up.points) == (1, 60)
+    names = {warning.name for warning in rewritten.warnings}
+    assert {"not_identifiable", "misfit"} <= names
+
+    positions = np.linspace(0.0, 500.0, 11)
+    bow = 20.0 * ((positions - 250.0) / 250.0) ** 2
+    data = Measurements.load(stage_table(tmp_path / "bow.csv", positions, bow, 0.0, 0.6), machine)
+    before = replace(
+        Calibration.zero(machine),
+        not_identifiable=tuple(UnidentifiedEntry(name=name, why="given") for name in ("E_XX", "E_YX")),
+        not_estimated=("E_AX",),
+        instruments=("r_test",),
+        set_up=MeasuredWith(stations=1, targets_on_tool=1, targets_on_work=0, points=9),
+        misfit=MisfitEntry(verdict="systematic"),
+    )
+    after = diagnose(data, machine, before).extended
+    # These readings determine E_XX. The file says how it was measured, so that an error without a value is none.
+    assert after.not_identifiable == before.not_identifiable[1:] and after.not_estimated == ("E_AX",)
+    assert after.misfit is not None and after.misfit.verdict == "consistent"
+    assert after.instruments[0] == "r_test" and len(after.instruments) == 2 and after.set_up == before.set_up
 
 
 def test_a_period_with_an_alias_is_not_promised(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The weights of an estimate: what the model leaves beyond the noise, and repeats that contradict the stated noise."""
+"""The weights of an estimate: residuals beyond the noise, and repeats that contradict the stated noise."""
 
 from __future__ import annotations
 

@@ -50,6 +50,16 @@ def first_largest(values: np.ndarray) -> int:
     return int(np.argmax(values >= largest - EQUAL * abs(largest))) if np.isfinite(largest) else int(np.argmax(values))
 
 
+def largest_first(values: np.ndarray) -> np.ndarray:
+    """Return the indices of (n,) values in descending order; those that are equal up to rounding in ascending order of their index."""
+    order = np.argsort(-values, kind="stable")
+    ranked = values[order]
+    with np.errstate(invalid="ignore"):
+        lower = ranked[:-1] - ranked[1:] > EQUAL * np.abs(ranked[:-1])
+    lower |= np.isinf(ranked[:-1]) & (ranked[:-1] != ranked[1:])
+    return order[np.lexsort((order, np.concatenate([[0], np.cumsum(lower)])))] if len(order) else order
+
+
 def rows_all_true(good: np.ndarray) -> np.ndarray:
     """Return (n,) whether each row of (n, k) booleans is true throughout; fast where all are, which is the usual case."""
     return np.ones(len(good), dtype=bool) if good.all() else np.asarray(good.all(axis=1))

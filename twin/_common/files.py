@@ -27,7 +27,7 @@ ungrouped bytes). It replaces the covariances of the curves. `settled: false` me
 no compensation table can be made from such a file. `simulated: true` means that some of the readings
 were simulated; `identify`, `axis-run` and `diagnose --extended` write it, even if only one of several tables was simulated.
 
-`identify` also writes what is not known:
+`identify`, `axis-run` and `diagnose --extended` also write what is not known:
 
     instruments: [tracker]
     set_up: {stations: 1, targets_on_tool: 3, targets_on_work: 3, points: 840}
@@ -39,7 +39,9 @@ were simulated; `identify`, `axis-run` and `diagnose --extended` write it, even 
 `verdict`: `consistent`, `systematic` (a repeatable part of the residuals is not described), `larger` (than the stated noise) or
 `untested` (too few readings). An error under `not_identifiable` has no value, and is not zero: U at the tool includes the `plausible`
 size of the machine file for it. One that has a value nevertheless, because other errors refer to it, has that size in the covariance.
-`not_estimated` only bars kinematics with such a location. All of these entries are optional.
+`not_estimated` only bars kinematics with such a location. `diagnose --extended` keeps the given entries. It adds errors that are
+confounded with a cause and, if the given file has no `set_up`, those that its readings could not show. Its `misfit` replaces the given
+one if all axes moved or if it is worse. All of these entries are optional.
 
 `illustrative`, `simulated`, `settled: false`, `not_identifiable`, a `misfit` that is not `consistent`, and errors without a covariance
 are warnings. Programs, control tables, reports and JSON (`warnings`: a list of `name` and `text`) made from the file repeat them.
@@ -445,13 +447,18 @@ def write_atomic(path: Path, content: str | bytes, *, check: Callable[[Path], ob
         stream.write(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
-def write_json(path: Path, data: Any) -> None:
+def write_json(path: Path, data: Any, *, check: Callable[[Path], object] | None = None) -> None:
     """Write JSON atomically; a number that is not finite is written as null, meaning unknown.
 
+    Args:
+        path: the file.
+        data: its content.
+        check: as for `write_atomic`.
+
     Raises:
-        InputError: it cannot be written.
+        InputError: it cannot be written, or the check refuses it.
     """
-    write_atomic(path, json.dumps(_finite(data), indent=1, allow_nan=False) + "\n")
+    write_atomic(path, json.dumps(_finite(data), indent=1, allow_nan=False) + "\n", check=check)
 
 
 def _finite(data: Any) -> Any:

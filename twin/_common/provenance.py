@@ -104,7 +104,9 @@ NOISE_CONTRADICTED: Final = SourceWarning(
     "the residuals contradict the noise stated for the readings: the model is incomplete, or the noise is larger.",
 )
 MODEL_NOT_TESTED: Final = SourceWarning(
-    "misfit", "MODEL NOT TESTED", "the readings were too few to test the calibration against them."
+    "misfit",
+    "MODEL NOT TESTED",
+    "the calibration was not tested against its readings: they were too few, or its method makes no such test.",
 )
 UNKNOWN_UNCERTAINTY: Final = SourceWarning(
     "unknown_uncertainty", "UNKNOWN UNCERTAINTY", "the calibration gives no uncertainty for its errors."

@@ -31,6 +31,7 @@ MAX_NUMBER_LENGTH: Final = 400
 """Most characters of a number, or of text that looks like one."""
 MAX_VALUE: Final = 1e15
 """Largest absolute value of a number in any unit; products such as its square stay finite."""
+_NUMBER: Final = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 _YAML: Final = "tag:yaml.org,2002:"
 _SCALARS: Final[Mapping[str, str]] = {
     f"{_YAML}str": "text",
@@ -297,10 +298,32 @@ class _NodeConverter:
 
 
 def _number(text: str) -> Any:
-    try:
-        return float(text) if len(text) <= MAX_NUMBER_LENGTH else text
-    except ValueError:
-        return text
+    return float(text) if len(text) <= MAX_NUMBER_LENGTH and _NUMBER.fullmatch(text) else text
+
+
+def yaml_text(data: Any) -> str:
+    """Return plain data as the text of a YAML file, which `read_yaml` reads as the same data; mappings keep their order.
+
+    A control character in a text is written too, but refused on reading.
+    """
+    return str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None))
+
+
+def quoted(text: str) -> str:
+    """Return a text in double quotes, on one line of a YAML file."""
+    return str(yaml.dump(text, allow_unicode=True, width=float("inf"), default_style='"')).rstrip("\n")
+
+
+class _Dumper(yaml.SafeDumper):
+    """A dumper that quotes every text which `read_yaml` takes for a number."""
+
+
+def _quoted_number(dumper: yaml.SafeDumper, text: str) -> yaml.Node:
+    style = None if _number(text) is text else "'"
+    return dumper.represent_scalar(f"{_YAML}str", text, style=style)
+
+
+_Dumper.add_representer(str, _quoted_number)
 
 
 def line_of(place: EntryPath, lines: Mapping[EntryPath, int]) -> int | None:

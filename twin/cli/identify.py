@@ -93,6 +93,7 @@ def identify(
     from twin.machine.calibration import Calibration
     from twin.measurement.instruments import instrument_named
     from twin.measurement.table import Measurements
+    from twin.reporting.identified import Identified
 
     if html_file is not None:
         options.need_pictures("the HTML report")
@@ -134,7 +135,9 @@ def identify(
         text += "\nThese errors were measured with the control's tables active: keep them active, and add new tables to them "
         text += "(twin control --add).\n"
         text += f"{tables.caution}\n" if tables.caution else ""
-    return CommandResult(text, found.to_dict, met=found.complete)
+    return CommandResult(
+        text, found.to_dict, met=found.complete, check_json=lambda path: Identified.load(path, found.calibration)
+    )
 
 
 def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:

@@ -36,14 +36,14 @@ class NoiseOfReadings:
     notices: tuple[str, ...]
 
     def interval_text(self, *, incomplete: bool) -> str:
-        """Return on which noise the intervals are based; ``incomplete``: whether the model leaves more than the noise."""
+        """Return on which noise the intervals are based; ``incomplete``: whether residuals exceed the noise."""
         text = {
             "stated": "the stated uncertainty of the readings",
             "repeats": "the standard deviation of repeats",
             "between poses": "the variation between poses",
             "between rounds": "the variation between rounds",
         }[self.spread]
-        return f"{text} and what the model leaves" if incomplete and not self.spread.startswith("between") else text
+        return f"{text} and the model discrepancy" if incomplete and not self.spread.startswith("between") else text
 
 
 def reading_noise(machine: Machine, placed: PreparedData, spread: Spread, *, named: bool) -> NoiseOfReadings:

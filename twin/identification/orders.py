@@ -1,9 +1,11 @@
 """Choice of the number of functions of each curve, by the prediction error on rounds and positions that were held out.
 
-Near one estimate with as many functions as the positions allow, the problem is linear, and a truncated curve is that estimate
-conditional on zero values of the truncated coefficients. So one factorisation for each fold serves all candidates: truncation is
-conditioning. The search starts at the best number that is the same for all curves and then tries every number for one curve after the
-other, until no curve changes.
+Near one estimate with as many functions as the positions allow, the problem is linear, and a truncated curve is the least-squares
+estimate without the truncated coefficients. One Cholesky factor of the normal matrix, with the columns of a curve last, serves all its
+truncations: each is a leading block. The set-up is eliminated before, by orthogonal transformations of the readings: it is determined
+10⁸ times better than its prior, so that in normal equations, whose condition is the square of that, rounding errors would decide
+between models that predict equally well. The search starts at the best number that is the same for all curves and then tries every
+number for one curve after the other, until no curve changes.
 
 A fold leaves out one round and some interior positions together: rounds alone repeat the same positions, and a curve that oscillates
 between them would not be detected (thesis: degree 8 on 11 points).
@@ -30,6 +32,10 @@ from twin.numerics.curves import CurveSpace
 POSE_FOLDS: Final = 5
 ROUND_FOLDS: Final = 8
 SWEEPS: Final = 6
+WAITING: Final = 2
+"""Rows that are collected before they are reduced to a triangle, in triangles."""
+DEPENDENT: Final = 1e-9
+"""Relative singular value below which the datum's conditions on a truncated model depend on each other."""
 ROUNDING: Final = 2e-15
 """Held-out chi² per reading that is rounding: of models that predict equally well the smallest is taken, so that noise-free data do not
 give functions that do not exist.
@@ -110,11 +116,12 @@ def choose(network: Network, start: RobustStart, whole: Sequence[str] = ()) -> C
         whole: curves that keep all their functions.
     """
     folds = Folds.of(network.data)
-    normal, count = _cells(network, start.solution, start.weight, folds)
-    search = _Search(network.unknowns, _folds(network, start.solution, normal, folds), whole)
+    triangles, count = _cells(network, start.solution, start.weight, folds)
+    search = _Search(network.unknowns, _folds(network, start.solution, triangles, folds), whole)
     readings = max(int(sum(count[mask].sum() for mask in folds.held_out())), 1)
     uniform = search.uniform()
-    best = min(uniform, key=lambda size: uniform[size][0], default=0)
+    least = min((score for score, _ in uniform.values()), default=0.0)
+    best = next((size for size, (score, _) in uniform.items() if score <= _equal(least, readings)), 0)
     sizes = dict(uniform[best][1]) if uniform else {}
     by_curve: dict[str, dict[int, float]] = {}
     for _ in range(SWEEPS):
@@ -123,7 +130,7 @@ def choose(network: Network, start: RobustStart, whole: Sequence[str] = ()) -> C
             if name in whole:
                 continue
             found = search.scores_of(name, sizes)
-            limit = min(found.values()) * (1.0 + 1e-6) + ROUNDING * readings
+            limit = _equal(min(found.values()), readings)
             sizes[name] = min(size for size, value in found.items() if value <= limit)
             by_curve[name] = found
         if sizes == before:
@@ -141,6 +148,11 @@ def choose(network: Network, start: RobustStart, whole: Sequence[str] = ()) -> C
     )
 
 
+def _equal(least: float, readings: int) -> float:
+    """Return the largest held-out chi² that counts as equal to the least."""
+    return least * (1.0 + 1e-6) + ROUNDING * readings
+
+
 @final
 class _Search:
     """Held-out chi² of truncated curves.
@@ -155,10 +167,12 @@ class _Search:
         self.curves = {c.name: c for c in unknowns.curves}
         self._columns = {name: unknowns.of(name) for name in self.curves}
         self._folds, self._whole = folds, whole
+        self._count = len(folds[0].slope) if folds else 0
 
     def score(self, sizes: Mapping[str, int]) -> float:
         """Return the held-out chi² with a number of functions for each curve."""
-        return sum(fold.score(fold.conditional(self._removed_columns(sizes), [])[0]) for fold in self._folds)
+        kept = self._kept_columns(sizes)
+        return sum(fold.score(theta) for fold in self._folds for theta in fold.truncated(kept, [len(kept)]))
 
     def uniform(self) -> dict[int, tuple[float, dict[str, int]]]:
         """Return the held-out chi² by number of functions, the same for all curves that have it, and the number of each curve."""
@@ -174,25 +188,24 @@ class _Search:
     def scores_of(self, name: str, sizes: Mapping[str, int]) -> dict[int, float]:
         """Return the held-out chi² by number of functions of one curve, the others as given."""
         curve, own = self.curves[name], self._columns[name]
-        found = dict.fromkeys(_sizes(curve), 0.0)
-        others = self._removed_columns({one: size for one, size in sizes.items() if one != name})
+        fewest, *more = sizes_of_curve = _sizes(curve)
+        kept = self._kept_columns({**sizes, name: fewest})
+        widths = [len(kept), *(len(kept) + size - curve.first for size in more)]
+        found = dict.fromkeys(sizes_of_curve, 0.0)
         for fold in self._folds:
-            theta, covariance = fold.conditional(others, own)
-            found[curve.count] += fold.score(theta)
-            for group in reversed(curve.groups()):
-                for k in reversed(group):
-                    theta, covariance = _with_zero(theta, covariance, own, k - curve.first)
-                found[_below(curve, group)] += fold.score(theta)
+            for size, theta in zip(sizes_of_curve, fold.truncated([*kept, *own], widths), strict=True):
+                found[size] += fold.score(theta)
         return found
 
-    def _removed_columns(self, sizes: Mapping[str, int]) -> list[int]:
-        """Return the columns that are zero, curve by curve."""
-        return [
+    def _kept_columns(self, sizes: Mapping[str, int]) -> list[int]:
+        """Return the columns that are not zero."""
+        removed = {
             i
             for name, curve in self.curves.items()
             if name in sizes
             for i in self._columns[name][max(sizes[name] - curve.first, 0) :]
-        ]
+        }
+        return [i for i in range(self._count) if i not in removed]
 
 
 def _sizes(curve: CurveSpace) -> list[int]:
@@ -200,60 +213,57 @@ def _sizes(curve: CurveSpace) -> list[int]:
     return [0, *(group[-1] + 1 for group in curve.groups())]
 
 
-def _below(curve: CurveSpace, group: tuple[int, ...]) -> int:
-    """Return the number of functions that remain without a group and all above it."""
-    sizes = _sizes(curve)
-    return sizes[sizes.index(group[-1] + 1) - 1]
-
-
 @final
 @dataclass(frozen=True)
 class _Fold:
-    """An estimate without the held-out readings, and its prediction of them; scaled by the priors.
+    """Normal equations without the held-out readings, the set-up eliminated, and the prediction of these; scaled by the priors.
 
     Attributes:
-        theta: (p,) unknowns, the set-up's as differences from the full estimate.
-        covariance: (p, p) of it.
-        held: (p + 1, p + 1) normal matrix of the held-out readings, linearised at ``origin``.
-        origin: (p,) the full estimate.
+        normal: (m, m) normal matrix of the machine's unknowns, the prior included.
+        slope: (m,) its right-hand side.
+        datum: (k, m) conditions that these unknowns fulfil.
+        setup: (s,) change of the set-up from the full estimate where the machine's unknowns do not change.
+        by_machine: (s, m) its change with these.
+        held: (m + s + 1, m + s + 1) triangular factor of the held-out readings, linearised at the full estimate.
+        origin: (m,) the full estimate.
     """
 
-    theta: np.ndarray
-    covariance: np.ndarray
+    normal: np.ndarray
+    slope: np.ndarray
+    datum: np.ndarray
+    setup: np.ndarray
+    by_machine: np.ndarray
     held: np.ndarray
     origin: np.ndarray
 
     def score(self, theta: np.ndarray) -> float:
-        """Return chi² of the held-out readings."""
-        step = np.append(theta - self.origin, -1.0)
-        return float(step @ self.held @ step)
+        """Return chi² of the held-out readings for given (m,) unknowns of the machine."""
+        moved = theta - self.origin
+        step = np.concatenate([moved, self.setup + self.by_machine @ moved, [-1.0]])
+        return float(np.sum((self.held @ step) ** 2))
 
-    def conditional(self, removed: list[int], kept: list[int]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the estimate conditional on zero values of some unknowns, and (p, kept) its covariance with others."""
-        if not removed:
-            return self.theta.copy(), self.covariance[:, kept].copy()
-        # Pivoted, because unknowns that the datum or another condition fixes have no variance.
-        lower, pivot, rank, _ = scipy.linalg.lapack.dpstrf(
-            self.covariance[np.ix_(removed, removed)], tol=1e-15, lower=1
-        )
-        rows = [removed[i - 1] for i in pivot[:rank]]
-        right = np.concatenate([self.theta[rows, None], self.covariance[np.ix_(rows, kept)]], axis=1)
-        solved = scipy.linalg.cho_solve((lower[:rank, :rank], True), right)
-        cross = self.covariance[:, rows]
-        theta = self.theta - cross @ solved[:, 0]
-        theta[removed] = 0.0
-        return theta, self.covariance[:, kept] - cross @ solved[:, 1:]
+    def truncated(self, columns: list[int], widths: Sequence[int]) -> list[np.ndarray]:
+        """Return the estimates (m,) with only the first few of some columns, all other unknowns being zero.
 
-
-def _with_zero(theta: np.ndarray, covariance: np.ndarray, own: list[int], k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the estimate conditional on a zero value of one more of a curve's unknowns."""
-    variance = covariance[own[k], k]
-    if variance > 1e-20:
-        gain = covariance[:, k] / variance
-        theta = theta - gain * theta[own[k]]
-        covariance = covariance - np.outer(gain, covariance[own[k]])
-    theta[own[k]] = 0.0
-    return theta, covariance
+        Args:
+            columns: columns, in the order in which they are added.
+            widths: number of columns of each estimate.
+        """
+        lower = scipy.linalg.cholesky(self.normal[np.ix_(columns, columns)], lower=True, check_finite=False)
+        right = np.concatenate([self.slope[columns, None], self.datum[:, columns].T], axis=1)
+        solved = scipy.linalg.solve_triangular(lower, right, lower=True, check_finite=False)
+        found = []
+        for width in widths:
+            # The rows before a width belong to that width's own factor; the datum's conditions are projected out.
+            free, conditions = solved[:width, 0], solved[:width, 1:]
+            if conditions.size:
+                free = free - conditions @ np.linalg.lstsq(conditions, free, rcond=DEPENDENT)[0]
+            theta = np.zeros(len(self.slope))
+            theta[columns[:width]] = scipy.linalg.solve_triangular(
+                lower[:width, :width], free, lower=True, trans="T", check_finite=False
+            )
+            found.append(theta)
+        return found
 
 
 def _ends(poses: np.ndarray) -> np.ndarray:
@@ -269,15 +279,16 @@ def _ends(poses: np.ndarray) -> np.ndarray:
 
 
 def _cells(network: Network, solution: FitSolution, weight: np.ndarray, folds: Folds) -> tuple[np.ndarray, np.ndarray]:
-    """Return the normal matrices of [J | r] by group of rounds and of positions, and the number of readings in each."""
+    """Return triangular factors of [J | r] by group of rounds and of positions, and the number of readings in each."""
     size = len(solution.spectrum.scale) + 1
     pose = np.where((folds.pose_of < 0) | (folds.poses == 0), folds.poses, folds.pose_of)
     cell_of = folds.round_of * (folds.poses + 1) + pose
     cells = folds.rounds * (folds.poses + 1)
     scale = np.append(solution.spectrum.scale, 1.0)
 
-    def summed(chunks: Sequence[np.ndarray]) -> np.ndarray:
-        normal = np.zeros((cells, size, size))
+    def factors(chunks: Sequence[np.ndarray]) -> np.ndarray:
+        found = np.zeros((cells, size, size))
+        waiting: list[list[np.ndarray]] = [[] for _ in range(cells)]
         for rows_of_chunk in chunks:
             piece = network.chunk(solution.theta, solution.setup, rows_of_chunk)
             both = piece.columns
@@ -285,28 +296,44 @@ def _cells(network: Network, solution: FitSolution, weight: np.ndarray, folds: F
             both *= np.sqrt(weight[piece.rows])[:, None]
             of = cell_of[piece.rows]
             for cell in np.unique(of):
-                rows = both[:, of == cell].reshape(size, -1)
-                normal[cell] += rows @ rows.T
-        return normal
+                waiting[cell].append(both[:, of == cell].reshape(size, -1).T)
+                if sum(map(len, waiting[cell])) > WAITING * size:
+                    found[cell] = _factor([found[cell], *waiting[cell]])
+                    waiting[cell] = []
+        for cell in range(cells):
+            if waiting[cell]:
+                found[cell] = _factor([found[cell], *waiting[cell]])
+        return found
 
-    normal = np.sum(map_chunks(network.row_chunks, summed), axis=0)
-    normal = normal.reshape(folds.rounds, folds.poses + 1, size, size)
+    parts = map_chunks(network.row_chunks, factors)
+    found = parts[0] if len(parts) == 1 else np.stack([_factor([part[k] for part in parts]) for k in range(cells)])
     count = np.bincount(cell_of, np.sum(network.read * (weight > 0.0)[:, None], axis=1), minlength=cells)
-    return normal, count.reshape(folds.rounds, folds.poses + 1)
+    shape = (folds.rounds, folds.poses + 1)
+    return found.reshape(*shape, size, size), count.reshape(shape)
 
 
-def _folds(network: Network, solution: FitSolution, normal: np.ndarray, folds: Folds) -> list[_Fold]:
-    free = solution.free
-    origin = np.concatenate([solution.theta / network.unknowns.plausible, np.zeros(len(solution.setup))])
-    total = normal.sum(axis=(0, 1))
+def _factor(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the (p, p) triangular factor of at least p rows (…, p), one array below the other."""
+    return np.asarray(np.linalg.qr(np.concatenate(rows), mode="r"))
+
+
+def _folds(network: Network, solution: FitSolution, triangles: np.ndarray, folds: Folds) -> list[_Fold]:
+    machine, count = len(network.unknowns), len(solution.spectrum.scale)
+    free = solution.free[:machine]
+    # The conditions are the directions of the machine's unknowns that are not free.
+    datum = scipy.linalg.null_space(free.T, rcond=DEPENDENT).T
+    origin = solution.theta / network.unknowns.plausible
+    setup_first = [*range(machine, count), *range(machine), count]
+    # The prior affects only what the remaining data do not determine.
+    prior = np.eye(count, count + 1)
     found = []
     for mask in folds.held_out():
-        held = normal[mask].sum(axis=0)
-        train = total - held
-        inner = free.T @ train[:-1, :-1] @ free
-        # The prior affects only what the remaining data do not determine.
-        inverse = np.linalg.inv(inner + np.eye(len(inner)))
-        covariance = free @ inverse @ free.T
-        theta = origin + covariance @ train[:-1, -1]
-        found.append(_Fold(theta, covariance, held, origin))
+        held = _factor(list(triangles[mask]))
+        train = _factor([prior[:, setup_first], *triangles[~mask][:, :, setup_first]])
+        rest = count - machine
+        left, own = train[:rest], train[rest:count, rest:]
+        inverse = scipy.linalg.solve_triangular(left[:, :rest], left[:, rest:], check_finite=False)
+        normal = own[:, :-1].T @ own[:, :-1]
+        slope = own[:, :-1].T @ own[:, -1] + normal @ origin
+        found.append(_Fold(normal, slope, datum, inverse[:, -1], -inverse[:, :-1], held, origin))
     return found

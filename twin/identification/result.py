@@ -66,7 +66,7 @@ class Identification:
         setup_u: standard uncertainty of each of their parameters, by name; metres and radians.
         misfit: chi², lack of fit, pure error.
         held_out: residuals at held-out poses; None if there are too few poses.
-        discrepancy: what the model leaves beyond the noise; it is in the weights and in the covariance.
+        discrepancy: residuals beyond the noise; it is in the weights and in the covariance.
         choice: number of functions of each curve, and prediction errors of the alternatives.
         noise: noise of the readings.
         data: the rows used and the outliers.

@@ -28,7 +28,7 @@ class RobustStart(NamedTuple):
     Attributes:
         solution: the estimate.
         weight: (n,) the final weights of the points: zero for an outlier.
-        discrepancy: what the model leaves of most rows, isotropic (`RowAssessment.size_m`).
+        discrepancy: residuals of most rows beyond the noise, isotropic (`RowAssessment.size_m`).
         noise: size of the residuals of most rows, as in `RowAssessment`; one if the model fits.
         gaps: whether the gaps between outliers and other rows made a difference.
     """

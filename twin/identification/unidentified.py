@@ -15,6 +15,7 @@ from twin.identification.solve import FitSolution
 from twin.identification.unknowns import Unknowns
 from twin.machine.effects import split_name
 from twin.machine.machine import Machine
+from twin.machine.unknown_errors import NO_REFERENCE, at_rest
 from twin.measurement.instruments.base import SetUpWords
 from twin.measurement.table import Measurements
 from twin.numerics.observability import NOT_DETERMINED, NullDirection
@@ -72,7 +73,7 @@ def unidentified(
         if not wanted(name):
             continue
         if not np.ptp(data.positions[:, machine.names.index(axis)]) > 0.0:
-            found.append(Unidentified(name, f"{axis} did not move"))
+            found.append(Unidentified(name, at_rest(axis)))
         elif name in model.confounded or name in model.left_out:
             direction = model.determinability.null_direction_of(
                 model.determinability.names[model.considered.of(name)[0]]
@@ -148,7 +149,7 @@ def _remedy(
     if average and not machine.by_name[axis].linear and not setup.target_known.all():
         return _location_remedy(name, parts, words, direction)
     if average:
-        return "the motions of the other axes, its reference, are not in these data"
+        return NO_REFERENCE
     if relative:
         return "measure at other positions of the other axes"
     return "measure three targets that are not on a line, or other positions of the other axes"

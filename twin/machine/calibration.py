@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import Any, final
 
 import numpy as np
-import yaml
 
 from twin._common.arrays import outside_bounds, read_only
 from twin._common.errors import InputError, closest_name
@@ -25,7 +24,7 @@ from twin._common.provenance import (
     SourceWarning,
     warning_texts,
 )
-from twin._common.yaml_files import MAX_VALUE, EntryPath, line_of, load_yaml
+from twin._common.yaml_files import MAX_VALUE, EntryPath, line_of, load_yaml, yaml_text
 from twin.display import card, note
 from twin.machine.calibration_file import (
     CalibrationFile,
@@ -230,7 +229,7 @@ class Calibration:
             ]
         if self.control is not None:
             data["control"] = self.control.to_entry(folder)
-        text = yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+        text = yaml_text(data)
         if self.joint is not None and self.joint.names:
             text += covariance_text(self.joint)
         return text

@@ -6,11 +6,11 @@ import textwrap
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Final, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from twin._common.errors import InputError
 from twin._common.provenance import MODEL_NOT_TESTED, NOISE_CONTRADICTED, SYSTEMATIC_RESIDUALS, SourceWarning
+from twin._common.yaml_files import yaml_text
 from twin.machine.classes import BasicClass
 from twin.machine.effects import Effect, GravityCompliance, Payload
 from twin.machine.effects.entries import effect_named, payload_named
@@ -260,7 +260,7 @@ def measurement_entries(
 
 def covariance_text(covariance: Covariance) -> str:
     """Return the entry of a joint covariance, the last of a calibration file: readable rows if it is small, compressed otherwise."""
-    names = yaml.dump(list(covariance.names), default_flow_style=True, width=120).replace("\n", "\n    ").rstrip()
+    names = yaml_text(list(covariance.names)).replace("\n", "\n    ").rstrip()
     if len(covariance.names) <= READABLE:
         form, lines = "lower", covariance.to_text().splitlines()
         head = ""

@@ -9,14 +9,43 @@ deviation. An unknown error motion has that standard deviation at every position
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from typing import Final
+
 import numpy as np
 
 from twin._common.arrays import read_only
 from twin.machine.calibration import Calibration
+from twin.machine.calibration_file import UnidentifiedEntry
 from twin.machine.effects import AxisLocation, Effect, ErrorMotion, Squareness, split_name
 from twin.machine.machine import Machine
 from twin.numerics.covariance import Covariance
 from twin.numerics.curves import basis_named
+
+NO_REFERENCE: Final = "the motions of the other axes, its reference, are not in these data"
+
+
+def at_rest(axis: str) -> str:
+    """Return the reason why no error of an axis was determined by readings during which it did not move."""
+    return f"{axis} did not move"
+
+
+def not_measured(
+    machine: Machine, measured: Collection[str], moved: Collection[str], why: str
+) -> tuple[UnidentifiedEntry, ...]:
+    """Return all errors of a machine that a method does not measure.
+
+    Args:
+        machine: the machine.
+        measured: names of the errors that it measures.
+        moved: names of the axes that moved.
+        why: the reason for the other errors of these axes.
+    """
+    return tuple(
+        UnidentifiedEntry(name=name, why=why if (axis := split_name(name)[2]) in moved else at_rest(axis))
+        for name in (*machine.motion_names, *machine.squareness_names, *machine.location_names)
+        if name not in measured
+    )
 
 
 def unknown_effects(calibration: Calibration) -> tuple[Effect, ...]:

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
-from twin._common.yaml_files import load_yaml
+from twin._common.yaml_files import load_yaml, yaml_text
 from twin.thermal.candidates import Inputs, TermCandidate
 from twin.thermal.model import SCHEMA, DisplacementModel, ThermalModel, ThermalTerm
 
@@ -135,7 +134,7 @@ def save_model(model: ThermalModel, path: str | Path) -> None:
         ],
         "notices": list(model.notices),
     }
-    text = yaml.dump(data, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    text = yaml_text(data)
     write_atomic(Path(path), text, check=load_model)
 
 

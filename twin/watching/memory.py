@@ -105,6 +105,11 @@ def recall(path: Path, key: WatchKey) -> Remembered:
         InputError: the file is not a memory of a watch, or cannot be written.
     """
     check_writable([path])
+    return _read(path, key)
+
+
+def _read(path: Path, key: WatchKey) -> Remembered:
+    """Return what the file remembers of a watch, as `recall`."""
     with _opened(path) as memory:
         rows = memory.execute("SELECT data FROM checks WHERE watch = ? ORDER BY rowid", (key.id,)).fetchall()
         said = memory.execute(
@@ -139,7 +144,7 @@ def remember(path: Path, key: WatchKey, new: Sequence[Check], said: WatchStateme
         )
         memory.commit()
         content = _content(memory, path.parent)
-    write_atomic(path, content)
+    write_atomic(path, content, check=lambda written: _read(written, key))
 
 
 def _load(memory: sqlite3.Connection, content: bytes, folder: Path) -> None:

@@ -80,6 +80,7 @@ class CommandResult:
         errors: lines printed to standard error.
         status: exit status, if not the one that follows from ``met``; None otherwise.
         show: prints further output after the text, such as tables; None for none.
+        check_json: reads the `--json` file before it is in place, if another command reads it; None otherwise.
     """
 
     text: str
@@ -90,6 +91,7 @@ class CommandResult:
     errors: Sequence[str] = ()
     status: int | None = None
     show: Callable[[], None] | None = None
+    check_json: Callable[[Path], object] | None = None
 
 
 Function = TypeVar("Function", bound=Callable[..., CommandResult | None])
@@ -187,7 +189,7 @@ def progress_bar() -> Iterator[Any]:
 def _report(result: CommandResult, outputs: Sequence[Path], json_file: Path | None) -> None:
     """Write the JSON file, print the text, and exit with the result's status."""
     if json_file is not None:
-        write_json(json_file, result.report())
+        write_json(json_file, result.report(), check=result.check_json)
     echo(result.text, end="")
     if result.show is not None:
         result.show()

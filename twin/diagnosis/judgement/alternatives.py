@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from twin._common.arrays import read_only
+from twin._common.arrays import first_largest, largest_first, read_only
 from twin._common.units import MM
 from twin.diagnosis.estimate.estimate import fitted_effects
 from twin.diagnosis.problem.forms import DEVIANCE_RULED_OUT, Candidates, Form
@@ -86,7 +86,8 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
             ):
                 continue
             best[candidates.forms[i].key] = max(best.get(candidates.forms[i].key, -np.inf), worth)
-    keys = [key for key, worth in sorted(best.items(), key=lambda one: -one[1]) if worth > margin - DEVIANCE_RULED_OUT]
+    ranked = [list(best.items())[i] for i in largest_first(np.array(list(best.values())))]
+    keys = [key for key, worth in ranked if worth > margin - DEVIANCE_RULED_OUT]
     return tuple(dict.fromkeys([*keys, *_several(candidates, form, others)]))
 
 
@@ -138,7 +139,7 @@ def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], excess
             if one.key not in best or behind < best[one.key].log_odds:
                 best[one.key] = Rival(*one.key, float(np.clip(explained / excess, 0.0, 1.0)), behind)
     out = [rival for rival in best.values() if rival.log_odds >= 0.5 * DEVIANCE_RULED_OUT]
-    return tuple(sorted(out, key=lambda rival: rival.log_odds)[:RUNNERS_UP])
+    return tuple(out[i] for i in largest_first(np.array([-rival.log_odds for rival in out]))[:RUNNERS_UP])
 
 
 def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Sequence[Cause]) -> tuple[Next, ...]:
@@ -157,7 +158,7 @@ def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Seq
 
 def _best(candidates: Candidates, key: tuple[str, str], others: Sequence[Form]) -> Form:
     tried = [i for i, form in enumerate(candidates.forms) if form.key == key]
-    return candidates.forms[tried[int(np.argmin(candidates.scores(others, tried)[:, 2]))]]
+    return candidates.forms[tried[first_largest(-candidates.scores(others, tried)[:, 2])]]
 
 
 POSES: Final = 400
@@ -261,7 +262,7 @@ def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan:
 def _well_separated(problem: Problem, positions: np.ndarray, gain: np.ndarray) -> list[int]:
     span = np.maximum(np.ptp(positions, axis=0), MM)
     taken: list[int] = []
-    for row in np.argsort(-gain):
+    for row in largest_first(gain):
         if all(np.linalg.norm((positions[row] - positions[k]) / span) > APART for k in taken):
             taken.append(int(row))
         if len(taken) == WANTED:

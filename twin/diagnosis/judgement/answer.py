@@ -21,10 +21,11 @@ from twin.diagnosis.diagnosis import Diagnosis
 from twin.diagnosis.judgement.causes import ReportedCauses
 from twin.diagnosis.judgement.extend import EmpiricalExtension, extend
 from twin.diagnosis.judgement.gain import gain, residuals_as_written
+from twin.diagnosis.judgement.limits import with_limits
 from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.forms import LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.problem.noise import ReadingNoise
-from twin.diagnosis.problem.problem import Problem, rms, unwhiten, unwhitened_um
+from twin.diagnosis.problem.problem import Problem, in_um, rms, unwhiten
 from twin.diagnosis.result import Trend, Unexplained, Verdict
 from twin.diagnosis.selection.pattern_test import PatternTest, scan_patterns
 from twin.diagnosis.selection.structure import Findings
@@ -59,16 +60,16 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
     extended = _extended(reported, calibration, empirical_extension)
     changed = bool(sized.forms or extended is not calibration)
     instrument = sized.estimate.signature[:, [not own for own in sized.estimate.effects]].sum(axis=1)
-    residual = unwhitened_um(problem, problem.residual)
+    residual = in_um(problem.network, problem.residual)
     after = residuals_as_written(problem, extended, instrument, sized.discrepancy.root) if changed else residual
     hidden = _unidentifiable(found)
     weights = network.whitening
     stated = not np.isfinite(found.task.noise.dof)
     overstated = overstated_noise(rms(residual, network.read), problem.chi2, problem.dof) if stated else ()
-    return Diagnosis(
+    answer = Diagnosis(
         verdict=_verdict(reported, left),
         rms_um=rms(residual, network.read),
-        absorbed_rms_um=rms(unwhitened_um(problem, problem.projected), network.read),
+        absorbed_rms_um=rms(in_um(problem.network, problem.projected), network.read),
         expected_rms_um=misfit.expected_um,
         points=len(network.data),
         dof=problem.dof,
@@ -93,6 +94,7 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
         directions=read_only(unwhiten(problem.network, problem.view.by_base)),
         precision=read_only(np.einsum("nki,nkj->nij", weights, weights) * UM**2),
     )
+    return with_limits(answer, network)
 
 
 def _extended(
@@ -107,6 +109,10 @@ def _extended(
         covariance = Covariance.of_blocks([covariance, empirical_extension.covariance])
     if not effects:
         return calibration
+    # An error that was unknown and cannot be separated from others stays unknown: it has a value, and its plausible range.
+    unclear = {cause.where for cause in reported.causes if cause.equivalent}
+    unclear &= {one.name for one in calibration.not_identifiable}
+    covariance = covariance.where(lambda name: name.partition("[")[0] not in unclear)
     data = reported.sized.found.problem.network.data
     source = "extended by twin diagnose from " + data.source
     return calibration.extended(effects, covariance, source, simulated=data.simulated)
@@ -189,7 +195,7 @@ def _unexplained(sized: SizedCauses) -> Unexplained | None:
     found, forms, excess = sized.found, sized.forms, sized.excess
     problem, structure = found.problem, found.structure
     if structure.pattern_tests:
-        patterns_um = unwhitened_um(problem, structure.pattern(forms))
+        patterns_um = in_um(problem.network, structure.pattern(forms))
         share = float(np.clip(structure.explained(forms) / excess, 0.0, 1.0))
         columns = tuple(
             dict.fromkeys(name for pattern_test in structure.pattern_tests for name in pattern_test.pattern.names)

@@ -10,13 +10,13 @@ Payloads under which joints were found to deflect are causes of their own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
+from twin._common.arrays import largest_first, read_only
 from twin._common.distributions import normal_sf
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.candidates.following_error import FOLLOWING_ERROR, READ_BACK
@@ -25,18 +25,20 @@ from twin.diagnosis.judgement.evidence import curve_flaw, evidence
 from twin.diagnosis.judgement.second_opinion import Comparison, SingleEffect, compare_with_search, second_opinion
 from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.forms import Candidates, Form, log_p_value
-from twin.diagnosis.problem.problem import unwhitened_um
+from twin.diagnosis.problem.problem import in_um
 from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
 from twin.diagnosis.selection.payload import CARRY, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
+from twin.diagnosis.selection.search import DOUBTED, TOO_LARGE
 from twin.machine.calibration import Calibration
-from twin.machine.effects import Payload
-from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, payloads_of
+from twin.machine.effects import Effect, Payload
+from twin.machine.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, AddedLoad, payloads_of
 from twin.machine.effects.payload import CENTRE_RANGE_MM, LOAD, SIDES
 from twin.machine.effects.waves import APPROACH
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
 from twin.measurement.table import Measurements
 
+IMPOSSIBLE: Final = "; this size is physically impossible, so the readings do not determine it"
 AT_BOUND: Final = 0.99
 """Ratio of a parameter to its bound from which on it counts as bounded."""
 UNDETERMINED: Final = 0.9 / np.sqrt(CENTRE_PRIOR)
@@ -70,7 +72,10 @@ def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCause
         sized: the causes with their sizes.
         calibration: the calibration tested.
     """
+    sized = _without_impossible(sized)
     found, forms = sized.found, sized.forms
+    # Evaluated first: later steps reset the pool.
+    impossible = _impossible_notices(sized)
     causes = [_cause(sized, k, calibration) for k in range(len(forms))]
     # With unnamed patterns the selection was made by likelihood, and no posterior probability is given.
     comparison = None if found.structure.pattern_tests else _second_method(sized, causes)
@@ -84,7 +89,7 @@ def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCause
         ]
     also, silent = readback_causes(found.candidates, forms)
     causes, loads = causes_with_payloads(found.candidates, forms, causes)
-    order = sorted(range(len(causes)), key=lambda k: -causes[k].share)
+    order = largest_first(np.array([cause.share for cause in causes])).tolist()
     ordered = [causes[k] for k in order]
     wanted = points_to_measure(found.beside, [sized.beside[k] for k in order], ordered)
     further = () if comparison is None else comparison.further
@@ -94,9 +99,33 @@ def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCause
         *_insignificant_notice(sized),
         *(_further(effect) for effect in further),
         *_rejected_notices(sized),
+        *impossible,
     )
     disagree = comparison is not None and comparison.disagree
     return ReportedCauses(sized, (*ordered, *also, *loads), wanted, notices, disagree)
+
+
+def _without_impossible(sized: SizedCauses) -> SizedCauses:
+    """Return the causes, of which none with a size beyond its physical limits is promised.
+
+    The search keeps sizes within their limits, but its last steps and the final weights move them: a mass near zero gives any centre.
+    """
+    sizes = zip(sized.forms, sized.estimate.quantities, sized.estimate.effects, sized.doubts, strict=True)
+    doubts = tuple(
+        doubt or (IMPOSSIBLE if _is_impossible(form, own, effects) else "") for form, own, effects, doubt in sizes
+    )
+    return replace(sized, doubts=doubts)
+
+
+def _is_impossible(form: Form, quantities: Sequence[Quantity], effects: Sequence[Effect]) -> bool:
+    """Return whether a size is beyond its physical limit by more than its uncertainty allows, or a load is impossible."""
+    if any(isinstance(effect, AddedLoad) and not effect.payload.plausible for effect in effects):
+        return True
+    candidate = form.candidate
+    linear = [q for q in quantities if q.name not in {*candidate.specification.nonlinear, *form.variant.fixed}]
+    if candidate.reported is None and any(abs(q.value) > candidate.largest + DOUBTED * q.u for q in linear):
+        return True
+    return bool(candidate.specification.non_negative and linear and linear[0].value < -DOUBTED * linear[0].u)
 
 
 def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
@@ -105,7 +134,8 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     others, rest = sized.others(form), [one for one in sized.beside if one is not sized.beside[k]]
     explained = found.candidates.scores(others, [form.index])[0, 0]
     doubt, quantities = sized.doubts[k], sized.estimate.quantities[k]
-    text = evidence(form, sized.estimate, k) + curve_flaw(found.candidates, sized.forms, form, calibration) + doubt
+    text = evidence(form, sized.estimate, k) + curve_flaw(found.candidates, sized.forms, form, calibration)
+    text += _fixed_centre(form) + doubt
     equal = equivalent(found, sized.beside[k], rest)
     if why := _approach_doubt(sized, form):
         text, equal = f"{text}; {why}", (*equal, (READ_BACK.name, form.candidate.where))
@@ -118,12 +148,19 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         share=float(np.clip(explained / sized.excess, 0.0, 1.0)),
         equivalent=equal,
         evidence=text,
-        pattern_um=read_only(unwhitened_um(found.problem, sized.estimate.signature[:, k])),
+        pattern_um=read_only(in_um(found.problem.network, sized.estimate.signature[:, k])),
         effects=() if doubt else sized.estimate.effects[k],
         promised=not doubt,
-        bounded=_bounded(form, quantities),
+        bounded=doubt == IMPOSSIBLE or _bounded(form, quantities),
         rivals=ruled_out(found.beside, sized.beside[k], rest, sized.excess),
     )
+
+
+def _fixed_centre(form: Form) -> str:
+    """Return that the readings do not determine the centre of a load with the known compliances; empty if they do."""
+    if form.candidate.specification not in (PAYLOAD, CARRIED_LOAD) or not form.variant.fixed:
+        return ""
+    return f"; the readings do not determine its centre of mass: the most likely one within ±{CENTRE_RANGE_MM:g} mm is taken"
 
 
 def _assumed_approach(sized: SizedCauses) -> list[str]:
@@ -178,10 +215,25 @@ def _rejected_notices(sized: SizedCauses) -> list[str]:
     part = "they explain only part of a pattern that no known effect explains as a whole"
     few = "they increase the residuals of held-out readings: too few readings for this number of causes"
     return [
-        f"not named, because {why}: {', '.join(sorted({' '.join(form.key) for form in forms}))}"
+        _not_named(why, [form.key for form in forms])
         for why, forms in ((part, sized.found.structure.rejected), (few, sized.found.refuted))
         if forms
     ]
+
+
+def _impossible_notices(sized: SizedCauses) -> list[str]:
+    """Return a notice for each reason for which causes were left out although the readings speak for them."""
+    by_reason: dict[str, list[tuple[str, str]]] = {}
+    named = {form.key for form in sized.forms}
+    reasons = sized.found.candidates.impossible | {form.key: TOO_LARGE for form in sized.found.structure.impossible}
+    for key, why in reasons.items():
+        if key not in named:
+            by_reason.setdefault(why, []).append(key)
+    return [_not_named(why, keys) for why, keys in by_reason.items()]
+
+
+def _not_named(why: str, keys: Iterable[tuple[str, str]]) -> str:
+    return f"not named, because {why}: {', '.join(sorted({' '.join(key) for key in keys}))}"
 
 
 def _second_method(sized: SizedCauses, causes: Sequence[Cause]) -> Comparison:
@@ -247,8 +299,8 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
                     equivalent=(),
                     evidence=f"{text}, and the readings follow the commands: positions were reported before {axis.name} had settled",
                     pattern_um=read_only(
-                        unwhitened_um(
-                            candidates.problem, candidates.problem.signature(form.variant.columns)[:, 0] / scale
+                        in_um(
+                            candidates.problem.network, candidates.problem.signature(form.variant.columns)[:, 0] / scale
                         )
                     ),
                 )
@@ -353,7 +405,7 @@ def _load_cause(
         share=float(np.clip((explained - own) / excess, 0.0, 1.0)),
         equivalent=(),
         evidence=_load_evidence(load, payload),
-        pattern_um=read_only(unwhitened_um(candidates.problem, (candidates.problem.signature(columns) / size) @ shape)),
+        pattern_um=read_only(in_um(candidates.problem.network, (candidates.problem.signature(columns) / size) @ shape)),
         bounded=_is_heaviest(load, payload),
     )
 

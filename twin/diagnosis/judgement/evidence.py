@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from twin._common.arrays import largest_first
 from twin.diagnosis.candidates.flaws import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.estimate.estimate import Estimate
 from twin.diagnosis.problem.forms import Candidates, Form
@@ -102,7 +103,7 @@ def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) ->
     ]
     away = np.abs(1.0 / periods - 1.0 / form.variant.fixed["period"]) * span
     found: list[float] = []
-    for i in np.argsort(-explained[1:]):
+    for i in largest_first(explained[1:]):
         if explained[1 + i] < explained[0] - ALIKE:
             break
         if away[i] > 1.0 and all(abs(1.0 / periods[i] - 1.0 / one) * span > 1.0 for one in found):

@@ -16,7 +16,7 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.diagnosis.judgement.held_out import held_out_patterns
 from twin.diagnosis.judgement.sizes import SizedCauses
-from twin.diagnosis.problem.problem import Problem, rms, unwhitened_um
+from twin.diagnosis.problem.problem import Problem, in_um, rms
 from twin.diagnosis.result import Extension, HeldOut, Term
 from twin.diagnosis.selection.cross_validation import ENOUGH
 from twin.diagnosis.selection.likelihood import Likelihood
@@ -102,7 +102,7 @@ def _not_extended(extension: Extension) -> EmpiricalExtension:
 
 def _rms(problem: Problem, made: np.ndarray) -> float:
     """Return the RMS per coordinate, µm, of (3n,) whitened shifts after projecting out the set-up."""
-    return rms(unwhitened_um(problem, problem.project(made)), problem.network.read)
+    return rms(in_um(problem.network, problem.project(made)), problem.network.read)
 
 
 def _term(pattern_test: PatternTest, machine: Machine, size: float, taken: Sequence[str]) -> Term:

@@ -11,7 +11,7 @@ from twin.diagnosis.judgement.extend import EmpiricalExtension
 from twin.diagnosis.judgement.held_out import held_out
 from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.nuisance import setup_basis
-from twin.diagnosis.problem.problem import Problem, in_um, rms, unwhiten, unwhitened_um
+from twin.diagnosis.problem.problem import Problem, in_um, rms, unwhiten
 from twin.diagnosis.result import Gain, Unexplained
 from twin.identification.network import Network
 from twin.identification.solve import solve
@@ -50,7 +50,7 @@ def gain(
     effects, covariance = sized.effects, sized.covariance
     # Errors that are not in the file remain: causes that are not promised, and unexplained residuals.
     stays = [
-        float(np.nansum(unwhitened_um(problem, sized.estimate.signature[:, k]) ** 2) / len(network.data))
+        float(np.nansum(in_um(problem.network, sized.estimate.signature[:, k]) ** 2) / len(network.data))
         for k, own in enumerate(sized.promised)
         if not own
     ]

@@ -14,6 +14,7 @@ from typing import Final, final
 import numpy as np
 import scipy
 
+from twin._common.arrays import first_largest
 from twin.diagnosis.judgement.single_effects import ODDS, Alternatives, Fit, SingleEffects
 from twin.diagnosis.problem.forms import Candidates, Form
 from twin.diagnosis.selection.search import ROUGHLY
@@ -157,7 +158,7 @@ def compare_with_search(opinion: SecondOpinion, groups: Sequence[Collection[Key]
     for e in left:
         free = [g for g in alone if g not in instead]
         if free:
-            instead[max(free, key=lambda g: common[g, e])] = e
+            instead[free[first_largest(common[free, e])]] = e
         elif named.isdisjoint(opinion.effects[e].credible):
             further.append(opinion.effects[e])
 

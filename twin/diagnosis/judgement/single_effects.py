@@ -20,6 +20,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.arrays import largest_first
 from twin.diagnosis.problem.forms import LEAST_NONCENTRALITY
 
 ODDS: Final = 20.0
@@ -191,7 +192,7 @@ class SingleEffects:
         """Return the effect with its expected contribution as ``slope``, in place of the slope of the residual."""
         # A form's likelihood ratio is at least its posterior odds: neglected forms change the residual by their share of its root.
         rare = max(RARE, NEGLECTED / float(np.sqrt(1.0 + 2.0 * max(effect.log_odds, 0.0))))
-        order = np.argsort(effect.posterior)
+        order = largest_first(effect.posterior)[::-1]
         chosen = np.zeros(self._forms, dtype=bool)
         chosen[order] = np.cumsum(effect.posterior[order]) > rare
         coefficients = np.zeros(len(self._slope))

@@ -113,6 +113,7 @@ class Candidates:
         self._expected: set[int] = set()
         self._refined: dict[int, Form] = {}
         self._initial_critical = np.zeros((0, 0))
+        self._reasons: dict[tuple[str, str], str] = {}
         self._scans: dict[frozenset[int], tuple[np.ndarray, np.ndarray]] = {}
         # The latest result of `fitted`, which is needed for each cause of a set in turn.
         self._fit: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
@@ -192,9 +193,22 @@ class Candidates:
             min(TAIL_FACTOR * quantile * np.log1p(-FALSE_ALARM_RATE) / np.log1p(-CALIBRATION_QUANTILE), 0.5),
         )
 
-    def exclude(self, keys: Collection[tuple[str, str]]) -> None:
-        """Exclude all forms of the candidates with these keys until `set_problem` is called."""
+    def exclude(self, keys: Collection[tuple[str, str]], why: str = "") -> None:
+        """Exclude all forms of the candidates with these keys until `set_problem` is called.
+
+        Args:
+            keys: effect and place of each.
+            why: the reason, in words, if the readings speak for them nevertheless.
+        """
         self.exclude_forms([form for form in self.forms if form.key in keys])
+        if why:
+            self._reasons |= dict.fromkeys(keys, why)
+
+    @property
+    def impossible(self) -> dict[tuple[str, str], str]:
+        """Effect and place of each candidate that is excluded although the readings speak for it, with the reason."""
+        allowed = {form.key for form in self.forms if np.isfinite(self._critical[form.index, 1])}
+        return {key: why for key, why in self._reasons.items() if key not in allowed}
 
     def exclude_forms(self, forms: Sequence[Form]) -> None:
         """Exclude these forms until `set_problem` is called."""
@@ -245,6 +259,7 @@ class Candidates:
         self._refined = {}
         self._update_slope()
         self._critical = self._initial_critical
+        self._reasons = {}
         self._scans, self._fit = {}, None
 
     def _update_slope(self) -> None:

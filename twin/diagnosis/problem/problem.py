@@ -290,11 +290,6 @@ def _root(gram: np.ndarray) -> np.ndarray:
     return np.asarray(vectors[:, positive] / np.sqrt(values[positive]))
 
 
-def unwhitened_um(problem: Problem, residual: np.ndarray) -> np.ndarray:
-    """Return a (3n,) whitened residual in µm (n, 3); NaN where a coordinate was not measured."""
-    return in_um(problem.network, residual)
-
-
 def in_um(network: Network, residual: np.ndarray) -> np.ndarray:
     """Return a (3n,) residual whitened by a network's weights in µm (n, 3); NaN where a coordinate was not measured."""
     found = unwhiten(network, residual.reshape(-1, 3)[:, :, None])[:, :, 0]

@@ -14,10 +14,11 @@ from typing import Final, Literal, final
 
 import numpy as np
 
+from twin._common.arrays import first_largest
 from twin._common.distributions import student_isf
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, log_p_value
-from twin.diagnosis.problem.problem import Problem, rms, unwhiten, unwhitened_um
+from twin.diagnosis.problem.problem import Problem, in_um, rms, unwhiten
 from twin.diagnosis.problem.signature_products import Signatures
 from twin.diagnosis.selection.likelihood import Likelihood
 from twin.machine.effects.names import axis_of
@@ -286,7 +287,7 @@ def _beyond_rest(candidates: Candidates, forms: Sequence[Form]) -> int:
 
 def _fewest(squares: np.ndarray) -> int:
     """Return the number of causes from (groups, causes + 1) sums of squares with none, the first, the first two, and so on."""
-    worse = squares - squares[:, [int(np.argmin(squares.sum(axis=0)))]]
+    worse = squares - squares[:, [first_largest(-squares.sum(axis=0))]]
     error = np.sqrt(len(squares)) * worse.std(axis=0, ddof=1)
     return int(np.argmax(worse.sum(axis=0) <= error))
 
@@ -296,7 +297,7 @@ def _by_entry(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
     rest, entered = list(forms), list[Form]()
     while rest:
         explained = candidates.scores(entered, [form.index for form in rest])[:, 0]
-        entered.append(rest.pop(int(np.argmax(explained))))
+        entered.append(rest.pop(first_largest(explained)))
     return entered
 
 
@@ -304,4 +305,4 @@ def _in_fit(candidates: Candidates, forms: Sequence[Form]) -> float:
     """Return the RMS residual of the fit, µm."""
     problem = candidates.problem
     residual = problem.project(problem.residual - predicted_shift(problem, candidates, forms))
-    return rms(unwhitened_um(problem, residual), problem.network.read)
+    return rms(in_um(problem.network, residual), problem.network.read)

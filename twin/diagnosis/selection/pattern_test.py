@@ -14,6 +14,7 @@ from typing import Final, final
 import numpy as np
 import scipy
 
+from twin._common.arrays import largest_first
 from twin.diagnosis.problem.forms import Form, log_p_value
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.selection.pattern_scores import PLAUSIBLE, SEEN, PatternScores
@@ -90,7 +91,8 @@ def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Fo
         pattern_test = PatternTest(pattern, level, directions, float(log_p[i]), price, float(found[i] - mean[i]))
         if pattern not in best or pattern_test.log_p < best[pattern].log_p:
             best[pattern] = pattern_test
-    return sorted(best.values(), key=lambda one: one.log_p)
+    every = list(best.values())
+    return [every[i] for i in largest_first(np.array([-one.log_p for one in every]))]
 
 
 def _moments_along(scores: PatternScores, tried: Sequence[Pattern]) -> np.ndarray:

@@ -17,6 +17,7 @@ from typing import Final, final
 import numpy as np
 import scipy
 
+from twin._common.arrays import first_largest
 from twin.diagnosis.candidates.added_payload import with_centre
 from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.problem.forms import Candidates, Form, columns_of, pseudo_inverse
@@ -56,6 +57,8 @@ CARRY: Final = 4
 """Index of a share: 1 if the side carries the load of the readings, else 0. Shares of a payload are before it, of the centre behind."""
 STEPS: Final = 200
 """Largest number of iterations of a fit."""
+NO_MASS: Final = "they fit only with a mass that is not positive, or a centre of mass beyond its range"
+"""Reason for which a load is left out, in words."""
 LOST: Final = 1e-9
 """Relative size below which a direction is not determined."""
 
@@ -119,7 +122,7 @@ class Load:
             )
             for share in (FIRST if payload else FIRST[:1])
         ]
-        return np.asarray(min(fits, key=lambda fit: float(fit.fun)).x)
+        return np.asarray(fits[first_largest(np.array([-float(fit.fun) for fit in fits]))].x)
 
     def significant(self, critical: Callable[[float], float]) -> tuple[np.ndarray, float]:
         """Return the shares of the loads that are significant, and the χ² that the carried load explains; 0 if it is not significant.
@@ -230,7 +233,7 @@ def _bounded_load(candidates: Candidates, form: Form, forms: Sequence[Form]) -> 
     heaviest = LARGEST_RATIO if added.carried else max_payload_kg(machine)
     centre, mass = _bounded_centre(*_projected(candidates, free, [one for one in forms if one is not form]), heaviest)
     if mass <= 0.0:
-        candidates.exclude({form.key})
+        candidates.exclude({form.key}, NO_MASS)
         return None
     candidates.exclude_forms([free])
     single = next(one for one in candidates.forms if one.key == form.key and len(one.variant.columns) == 1)
@@ -276,7 +279,7 @@ def _bounded_centre(gram: np.ndarray, slope: np.ndarray, heaviest: float) -> tup
         )
         for start in (np.zeros(3), *np.concatenate([np.eye(3), -np.eye(3)]))
     ]
-    shares = np.asarray(min(fits, key=lambda fit: float(fit.fun)).x)
+    shares = np.asarray(fits[first_largest(np.array([-float(fit.fun) for fit in fits]))].x)
     return CENTRE_RANGE_MM * shares, mass_of(shares)[0]
 
 

@@ -11,6 +11,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.arrays import first_largest, largest_first
 from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.problem.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
 from twin.diagnosis.problem.readings import DiagnosisTask
@@ -40,6 +41,12 @@ ROUGHLY: Final = 0.2
 """Deviation from one allowed for the parameter of an effect that is either completely present or absent."""
 LEAST: Final = 0.01
 """Smallest share of a pliable effect in the χ² explained by all causes: a smaller one only fits the residual of a larger cause."""
+CANCELLED: Final = "they fit only together with another cause that cancels them"
+PART_OF_ANOTHER: Final = "they only fit the residuals of a larger cause"
+TOO_LARGE: Final = "they fit only with a size that is physically impossible"
+NEGATIVE: Final = "they fit only with a negative size, which is physically impossible"
+PARTIAL: Final = "they are either there completely or not at all, and fit only in part"
+"""Reasons for which causes are left out, in words."""
 LIKELY: Final = 12
 """Number of forms whose inner products with all others are evaluated together."""
 
@@ -73,7 +80,7 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
         forms = forward_selection(candidates, list(begun))
         return Selection(tuple(forms), candidates.penalised_gain(forms))
     margin = candidates.margins([])
-    order = [int(i) for i in np.argsort(-margin, kind="stable") if margin[i] > 0.0]
+    order = [int(i) for i in largest_first(margin) if margin[i] > 0.0]
     first: dict[int, int] = {}
     for i in order:
         first.setdefault(int(candidates.key_of[i]), i)
@@ -104,7 +111,7 @@ def largest_causes(candidates: Candidates, most: int) -> tuple[Form, ...]:
     margin = candidates.margins([])
     if len(margin) == 0 or margin.max() <= 0.0:
         return ()
-    return tuple(forward_selection(candidates, [candidates.forms[int(np.argmax(margin))]], most=most))
+    return tuple(forward_selection(candidates, [candidates.forms[first_largest(margin)]], most=most))
 
 
 def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Selection:
@@ -124,6 +131,8 @@ def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Select
             # Exclude all of them; causes they displaced return.
             candidates.critical_table = allowed
             candidates.exclude({form.key for form in candidates.forms if form.candidate.specification.flexible})
+            small = {form.key for form in best.forms if form.candidate.specification.flexible}
+            candidates.exclude(small, PART_OF_ANOTHER)
             allowed = candidates.critical_table
             best = select(candidates, () if anew else [f for f in best.forms if not f.candidate.specification.flexible])
             continue
@@ -131,9 +140,9 @@ def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Select
         if not excess or max(excess) <= 1.0:
             return best
         # One at a time: another cause that it compensated may be possible without it.
-        worst = best.forms[int(np.argmax(excess))].key
-        candidates.exclude({worst})
-        best = select(candidates, () if anew else [form for form in best.forms if form.key != worst])
+        worst = best.forms[first_largest(np.array(excess))]
+        candidates.exclude({worst.key}, max(_excesses(candidates, worst, best.forms), key=lambda one: one[0])[1])
+        best = select(candidates, () if anew else [form for form in best.forms if form.key != worst.key])
 
 
 def excess_ratio(candidates: Candidates, form: Form, forms: Sequence[Form]) -> float:
@@ -146,10 +155,7 @@ def excess_ratio(candidates: Candidates, form: Form, forms: Sequence[Form]) -> f
         form: one of ``forms``.
         forms: the selected forms.
     """
-    columns, values, inverse = candidates.fitted(forms)
-    at = np.searchsorted(columns, form.columns)
-    u = np.sqrt(np.maximum(np.diag(inverse)[at], 0.0))
-    return excess_ratio_of(form, values[at], u, candidates.gram([form]), float(candidates.slope[columns] @ values))
+    return max(ratio for ratio, _ in _excesses(candidates, form, forms))
 
 
 def excess_ratio_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float) -> float:
@@ -162,17 +168,33 @@ def excess_ratio_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndar
         gram: (w, w) inner products of its columns.
         explained: χ² explained by all causes together.
     """
-    own = float(values @ gram @ values)
-    if form.candidate.specification.flexible and own < LEAST * explained:
-        return np.inf
-    found = own / (CANCELS * (explained + FEWEST))
+    return max(ratio for ratio, _ in _excesses_of(form, values, u, gram, explained))
+
+
+def _excesses(candidates: Candidates, form: Form, forms: Sequence[Form]) -> list[tuple[float, str]]:
+    """Return the ratios of a form's size to each of its limits, each with the words for a size beyond it."""
+    columns, values, inverse = candidates.fitted(forms)
+    at = np.searchsorted(columns, form.columns)
+    u = np.sqrt(np.maximum(np.diag(inverse)[at], 0.0))
+    return _excesses_of(form, values[at], u, candidates.gram([form]), float(candidates.slope[columns] @ values))
+
+
+def _excesses_of(
+    form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float
+) -> list[tuple[float, str]]:
+    own, specification = float(values @ gram @ values), form.candidate.specification
+    found = [(own / (CANCELS * (explained + FEWEST)), CANCELLED)]
+    if specification.flexible and own < LEAST * explained:
+        found.append((np.inf, PART_OF_ANOTHER))
     scale = np.array([column.scale for column in form.variant.columns])
     if np.isfinite(form.candidate.largest):
-        found = max(found, float(np.max((np.abs(values) - DOUBTED * u) * scale)) / form.candidate.largest)
-    if form.candidate.specification.non_negative and values[0] < -DOUBTED * u[0]:
-        return np.inf
-    if form.candidate.specification.all_or_nothing:
-        found = max(found, abs(float(values[0] * scale[0]) - 1.0) / max(ROUGHLY, DOUBTED * float(u[0] * scale[0])))
+        size = float(np.max((np.abs(values) - DOUBTED * u) * scale))
+        found.append((size / form.candidate.largest, TOO_LARGE))
+    if specification.non_negative and values[0] < -DOUBTED * u[0]:
+        found.append((np.inf, NEGATIVE))
+    if specification.all_or_nothing:
+        off = abs(float(values[0] * scale[0]) - 1.0)
+        found.append((off / max(ROUGHLY, DOUBTED * float(u[0] * scale[0])), PARTIAL))
     return found
 
 
@@ -197,7 +219,7 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
         )
         if margin.max() <= 0.0:
             return forms
-        numbers.append(candidates.forms[int(np.argmax(margin))])
+        numbers.append(candidates.forms[first_largest(margin)])
         trial.append(numbers[-1])
     whole = candidates.explained_by(trial)
     for one in numbers:
@@ -232,12 +254,12 @@ def forward_selection(
     forms = _exchanged(candidates, list(forms), allowed)
     while len(forms) < most:
         now = candidates.penalised_gain(forms)
-        best = candidates.forms[int(np.argmax(candidates.margins(forms)))]
+        best = candidates.forms[first_largest(candidates.margins(forms))]
         if best.nonlinear and best.slot in {form.slot for form in forms}:
             # Most of the residual is due to a period or time constant between two tabulated ones; the estimate refines these.
             return forms
         margin = np.where(allowed, _free(candidates, forms), -np.inf)
-        for i in np.argsort(-margin, kind="stable")[:TRIED]:
+        for i in largest_first(margin)[:TRIED]:
             if margin[i] <= ADDITIONAL_CAUSE_PENALTY:
                 return _exchanged(candidates, forms, allowed) if len(forms) > FEW else forms
             larger = [*forms, candidates.forms[int(i)]]
@@ -277,7 +299,7 @@ def _better(
         if others and (worth := candidates.penalised_gain(others)) >= now:
             return others, worth
         margin = np.where(allowed, _free(candidates, others), -np.inf)
-        for i in np.argsort(-margin)[:TRIED]:
+        for i in largest_first(margin)[:TRIED]:
             trial = [*others, candidates.forms[int(i)]]
             if (
                 np.isfinite(margin[i])

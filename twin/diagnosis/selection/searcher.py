@@ -27,6 +27,8 @@ from twin.diagnosis.selection.structure import Findings, Structure, joint_select
 from twin.measurement.state import machine_state
 
 TIME: Final = "time_s"
+NOT_PREDICTED: Final = "they do not predict held-out positions"
+"""Reason for which variants are left out, in words."""
 LARGE: Final = 100.0
 """χ² of a cause above which its residual between two tabulated periods or time constants could look like another cause."""
 REFINED: Final = 2
@@ -132,7 +134,7 @@ class Searcher:
             for form in found.forms
             if form.candidate.specification.variant_of and not predicts_held_out(self.candidates, form, found.forms)
         ]:
-            self.candidates.exclude({form.key for form in varying})
+            self.candidates.exclude({form.key for form in varying}, NOT_PREDICTED)
             found, refuted = self._settled()
         beside = self.candidates.for_problem(found.problem) if found.pattern_tests else self.candidates
         return Findings(self.task, self.patterns, self.candidates, beside, found, refuted)

@@ -9,11 +9,12 @@ of a pattern is not.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
 
+from twin._common.arrays import largest_first
 from twin.diagnosis.estimate.estimate import RandomEffects
 from twin.diagnosis.problem.forms import DEVIANCE_RULED_OUT, Candidates, Form, columns_of
 from twin.diagnosis.problem.problem import Problem
@@ -55,6 +56,7 @@ class Structure:
         problem: the data with patterns and set-up projected out.
         rejected: causes selected at first that are not kept with the patterns.
         patterned: whether the selection started from the patterns, not from the causes.
+        impossible: causes that would improve the fit with the patterns, but only with a size that is impossible.
     """
 
     forms: tuple[Form, ...]
@@ -63,6 +65,7 @@ class Structure:
     problem: Problem
     rejected: tuple[Form, ...]
     patterned: bool = False
+    impossible: tuple[Form, ...] = ()
 
     @property
     def pattern_tests(self) -> tuple[PatternTest, ...]:
@@ -147,7 +150,7 @@ def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequen
                 found, patterned = other, True
     keys = {form.key for form in found.forms}
     rejected = tuple(form for form in forms if form.key not in keys)
-    return Structure(found.forms, found.likelihood, found.model, found.problem, rejected, patterned)
+    return replace(found, rejected=rejected, patterned=patterned)
 
 
 def _not_imitable(found: Structure) -> bool:
@@ -238,7 +241,7 @@ def _from_pattern(candidates: Candidates, first: PatternTest, tried: Sequence[Pa
     barred: set[int] = set()
     while True:
         likelihood = Likelihood(candidates, pattern_tests)
-        forms, model = _stepwise(likelihood, forms, barred)
+        forms, model, impossible = _stepwise(likelihood, forms, barred)
         needed = [
             pattern_test
             for k, pattern_test in enumerate(pattern_tests)
@@ -249,7 +252,7 @@ def _from_pattern(candidates: Candidates, first: PatternTest, tried: Sequence[Pa
             if not pattern_tests:
                 return Structure(tuple(forms), None, None, candidates.problem, ())
             likelihood = Likelihood(candidates, pattern_tests)
-            forms, model = _stepwise(likelihood, forms, barred)
+            forms, model, impossible = _stepwise(likelihood, forms, barred)
         problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
         more = [
             pattern_test
@@ -265,21 +268,32 @@ def _from_pattern(candidates: Candidates, first: PatternTest, tried: Sequence[Pa
         whole = without_parts(likelihood, forms, model)
         if len(whole) == len(forms):
             forms, model = _simplified(likelihood, forms, model)
-            return Structure(tuple(forms), likelihood, model, problem, ())
+            return Structure(tuple(forms), likelihood, model, problem, (), impossible=impossible)
         barred |= {int(candidates.key_of[form.index]) for form in forms if form not in whole}
         forms = whole
 
 
-def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[int]) -> tuple[list[Form], Model]:
-    """Add causes while they are significant with the patterns in the model, and drop those that no longer are."""
+def _stepwise(
+    likelihood: Likelihood, forms: Sequence[Form], barred: Collection[int]
+) -> tuple[list[Form], Model, tuple[Form, ...]]:
+    """Add causes while they are significant with the patterns in the model, and drop those that no longer are.
+
+    Returns:
+        The causes; the model; causes that are significant in addition, but only with an impossible size.
+    """
+    impossible: list[Form] = []
     candidates = likelihood.candidates
     stand, model = _dropped(likelihood, list(forms), likelihood.fit(forms))
     while len(stand) < CAUSES:
         best: tuple[float, Form, Model] | None = None
+        impossible = []
         for form in _promising(likelihood, stand, model, barred):
             with_it = likelihood.fit([*stand, form], model)
             gained = with_it.twice_log_ratio - model.twice_log_ratio - _cost(candidates, form)
-            if gained > (best[0] if best else 0.0) and _possible(candidates, [*stand, form], with_it):
+            if gained > (best[0] if best else 0.0):
+                if not _possible(candidates, [*stand, form], with_it):
+                    impossible.append(form)
+                    continue
                 best = gained, form, with_it
                 if len(stand) >= FEW:
                     break  # a model with very many errors: the order does not matter
@@ -287,11 +301,11 @@ def _stepwise(likelihood: Likelihood, forms: Sequence[Form], barred: Collection[
             fewer, model = _dropped(likelihood, stand, model)
             other = _exchanged(likelihood, fewer, model, barred) if len(fewer) <= FEW else None
             if other is None and len(fewer) == len(stand):
-                return stand, model
+                return stand, model, tuple(impossible)
             stand, model = (fewer, model) if other is None else other
             continue
         stand, model = [*stand, best[1]], best[2]
-    return _dropped(likelihood, stand, model)
+    return *_dropped(likelihood, stand, model), tuple(impossible)
 
 
 def _exchanged(
@@ -324,7 +338,9 @@ def _simplified(likelihood: Likelihood, forms: list[Form], model: Model) -> tupl
         numbers = [
             f for f in candidates.forms if f.candidate.specification.constant and f.key not in taken and dof[f.index]
         ]
-        for number in sorted(numbers, key=lambda one: -margin[one.index])[:1]:
+        for number in (
+            [numbers[i] for i in largest_first(margin[[one.index for one in numbers]])[:1]] if numbers else []
+        ):
             trial = [*others, number]
             found = likelihood.fit(trial, model)
             lost = model.twice_log_ratio - _cost(candidates, form) - found.twice_log_ratio + _cost(candidates, number)
@@ -343,7 +359,7 @@ def _promising(likelihood: Likelihood, stand: Sequence[Form], model: Model, barr
     )
     margin = np.where(out, -np.inf, explained - costs)
     found: dict[int, Form] = {}
-    for i in np.argsort(-margin, kind="stable").tolist():
+    for i in largest_first(margin).tolist():
         if len(found) == TRIED or not explained[i] > HOPEFUL * costs[i] or not np.isfinite(margin[i]):
             break
         found.setdefault(int(candidates.key_of[i]), candidates.forms[i])
@@ -356,7 +372,7 @@ def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
     while True:
         prices = {form.index: _cost(likelihood.candidates, form) for form in stand}
         gained = {form.index: likelihood.gain_bound(stand, model, form) for form in stand}
-        for form in sorted(stand, key=lambda one: gained[one.index] - prices[one.index]):
+        for form in [stand[i] for i in largest_first(np.array([prices[f.index] - gained[f.index] for f in stand]))]:
             if gained[form.index] > CLEAR * prices[form.index]:
                 continue
             others = [one for one in stand if one is not form]

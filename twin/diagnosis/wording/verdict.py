@@ -53,7 +53,7 @@ def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:
             return "The readings are noisier than stated", "unknown"
         return "There is an error that no known cause explains", "unknown"
     if diagnosis.verdict == "ambiguous":
-        if not diagnosis.causes[0].equivalent:
+        if diagnosis.causes and not diagnosis.causes[0].equivalent:
             return (
                 "There are errors: most causes are identified, but for some these readings cannot decide between alternatives",
                 "wrong",
@@ -149,6 +149,8 @@ def to_do(cause: Cause) -> str:
     """Return what to do about a cause; one that is not in the extended calibration cannot be compensated."""
     if cause.promised:
         return advice(cause.effect, cause.where).do
+    if cause.bounded:
+        return "It is not compensated: its size is at or beyond a physical limit. Measure at other positions and loads."
     return (
         "It is not compensated: the error at these positions does not predict the error between them. Measure at more closely "
         "and unevenly spaced positions."

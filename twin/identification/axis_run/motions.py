@@ -21,7 +21,9 @@ from twin.identification.axis_run.layout import AxisLayout
 from twin.identification.axis_run.readings import BeamReadings
 from twin.identification.unknowns import Unknowns, spaces_for
 from twin.machine.calibration import Calibration
+from twin.machine.calibration_file import MeasuredWith, MisfitEntry
 from twin.machine.machine import Machine
+from twin.machine.unknown_errors import NO_REFERENCE, not_measured
 from twin.measurement.instruments.multi_axis import rotation_and_jacobian
 from twin.measurement.instruments.multi_axis_solve import Displacement, measure
 from twin.numerics.curves import POWER, CurveSpace
@@ -34,6 +36,8 @@ FEWEST: Final = 4
 """Least number of positions: one may be held out, and a straightness still has one order."""
 IMPROVEMENT: Final = 1e-6
 """Relative reduction of the held-out error for which a larger model is taken."""
+SIGNIFICANCE: Final = 1e-3
+"""Significance level below which a misfit is reported."""
 NAMES: Final = "XYZABC"
 MOST_STATES: Final = 1500
 """Largest number of positions, each side counted: their joint covariance has 6 times as many rows and columns (0.6 GB)."""
@@ -60,6 +64,8 @@ class Motions:
         dof: its degrees of freedom.
         spread: noise on which the covariance is based.
         displacement: the carriage's motions row by row, and the estimated installation.
+        instrument: name of the interferometer's layout.
+        mirrors: number of its mirrors.
         simulated: whether the readings were simulated.
     """
 
@@ -75,6 +81,8 @@ class Motions:
     dof: int
     spread: Spread
     displacement: Displacement
+    instrument: str
+    mirrors: int
     simulated: bool = False
 
     def __len__(self) -> int:
@@ -147,6 +155,8 @@ def error_motions(layout: AxisLayout, readings: BeamReadings, *, spread: Spread 
         dof=int(np.count_nonzero(np.isfinite(found.residual))) - 6 * len(readings),
         spread=spread,
         displacement=found,
+        instrument=layout.name,
+        mirrors=len(layout.beams.mirrors),
         simulated=readings.simulated,
     )
 
@@ -331,11 +341,57 @@ def _fitted(
         for name, space in chosen.items():
             k = places[name] + space.count
             reversal[name] = (float(theta[k]), float(np.sqrt(covariance[k, k])))
-    return AxisCurves(
-        calibration=replace(calibration, simulated=motions.simulated),
+    curves = AxisCurves(
+        calibration=calibration,
         orders={name: space.count for name, space in chosen.items() if space.count > space.first},
         held_out=held_out,
         reversal=reversal,
         chi2=float(residual @ residual),
         dof=len(right) - len(theta),
+    )
+    return replace(curves, calibration=_with_measurement(curves, motions))
+
+
+def disagreements(motions: Motions, curves: AxisCurves) -> tuple[str, ...]:
+    """Return how the readings contradict the stated uncertainties or the curves; empty if they do not."""
+    found = []
+    if motions.p_value < SIGNIFICANCE:
+        found.append(
+            f"readings of the beams disagree by more than stated (chi² {motions.chi2:.0f} for {motions.dof} degrees of "
+            "freedom): a beam, the layout or its uncertainties are not as stated"
+        )
+    if curves.p_value < SIGNIFICANCE:
+        found.append(
+            f"the motions deviate from the curves by more than their uncertainty (chi² {curves.chi2:.0f} for {curves.dof} degrees of "
+            "freedom): short-wave errors, or more noise than stated"
+        )
+    return tuple(found)
+
+
+def _with_measurement(curves: AxisCurves, motions: Motions) -> Calibration:
+    """Return the calibration of the curves with how it was measured, its misfit, and the errors that one axis does not show."""
+    calibration, wrong = curves.calibration, disagreements(motions, curves)
+    machine = calibration.machine
+    own = [f"E_{letter}{motions.axis}" for letter in NAMES]
+    carriage = machine.by_name[motions.axis].side
+    return replace(
+        calibration,
+        simulated=motions.simulated,
+        instruments=(motions.instrument,),
+        set_up=MeasuredWith(
+            stations=1,
+            targets_on_tool=motions.mirrors if carriage == "tool" else 0,
+            targets_on_work=motions.mirrors if carriage == "work" else 0,
+            points=int(motions.count.sum()),
+        ),
+        misfit=MisfitEntry(
+            verdict="larger" if wrong else "untested" if min(curves.dof, motions.dof) < 1 else "consistent",
+            says="; ".join(wrong),
+            reduced_chi2=motions.chi2 / motions.dof if motions.dof > 0 else None,
+            dof=max(motions.dof, 0),
+            p_value=motions.p_value if motions.dof > 0 else None,
+            lack_of_fit_p_value=curves.p_value if curves.dof > 0 else None,
+        ),
+        not_identifiable=not_measured(machine, own, (motions.axis,), NO_REFERENCE),
+        not_estimated=tuple(name for name in own if name not in curves.held_out),
     )

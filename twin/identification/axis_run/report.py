@@ -10,35 +10,23 @@ from twin._common.counts import count_with_noun
 from twin._common.json_form import json_form
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.identification.axis_run.layout import AxisLayout
-from twin.identification.axis_run.motions import NAMES, AxisCurves, Motions
+from twin.identification.axis_run.motions import NAMES, AxisCurves, Motions, disagreements
 from twin.identification.axis_run.readings import BeamReadings
 from twin.measurement.checks import grouped_notes
 
 SCHEMA: Final = "twin.axis_run/1"
-SIGNIFICANCE: Final = 1e-3
-"""Significance level below which a misfit is reported."""
 REPEAT_RATIO: Final = 3.0
 """Ratio of the standard deviation of repeats to the noise of the beams above which it is reported."""
 
 
 def notices(motions: Motions, curves: AxisCurves) -> tuple[str, ...]:
     """Return the facts to know before using the result."""
-    found = []
-    if motions.p_value < SIGNIFICANCE:
-        found.append(
-            f"readings of the beams disagree by more than stated (chi² {motions.chi2:.0f} for {motions.dof} degrees of "
-            "freedom): a beam, the layout or its uncertainties are not as stated"
-        )
+    found = list(disagreements(motions, curves))
     own = np.sqrt(np.einsum("nii->ni", motions.displacement.noise_covariance)).mean(axis=0) * 1e6
     varying = [i for i in range(6) if motions.spread == "stated" and motions.repeatability[i] > REPEAT_RATIO * own[i]]
     if varying:
         names = ", ".join(f"E_{NAMES[i]}{motions.axis}" for i in varying)
         found.append(f"{names}: repeats vary more than the beams' noise explains; base the uncertainty on repeats")
-    if curves.p_value < SIGNIFICANCE:
-        found.append(
-            f"the motions deviate from the curves by more than their uncertainty (chi² {curves.chi2:.0f} for {curves.dof} degrees of "
-            "freedom): short-wave errors, or more noise than stated"
-        )
     return tuple(found)
 
 

@@ -39,15 +39,19 @@ from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM, URAD
 from twin.identification.thesis.three_point import REFLECTORS, three_point
 from twin.machine.calibration import Calibration
+from twin.machine.calibration_file import MeasuredWith, MisfitEntry
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
-from twin.measurement.table import Measurements
+from twin.machine.unknown_errors import not_measured
+from twin.measurement.table import CARRIERS, Measurements
 from twin.numerics.spatial import rotation_exp
 
 DEGREE: Final = 8
 """Default degree of a curve (figure 3.7)."""
 LINEAR: Final[tuple[Literal["X", "Y", "Z"], ...]] = ("X", "Y", "Z")
+NO_TEST: Final = "the thesis's method does not compare its residuals with the noise of the readings"
+NO_LOCATION: Final = "the thesis's method does not identify the location of a rotary axis"
 SOURCE: Final = "thesis's method (Ellingsdalen 2021: three points, six equations, polynomial)"
 
 
@@ -168,7 +172,16 @@ def identify_as_thesis(
         for component, values in enumerate(np.moveaxis(solved, 2, 0)):
             motion = _averaged(f"E_{DIRECTIONS[component]}{name}", component, run, values)
             motions[motion.name] = motion
-    calibration = replace(_fitted(motions, machine, chosen, constant), simulated=measurements.simulated)
+    fitted = _fitted(motions, machine, chosen, constant)
+    sides = [len(dict.fromkeys(measurements.target[measurements.carrier == side].tolist())) for side in CARRIERS]
+    calibration = replace(
+        fitted,
+        simulated=measurements.simulated,
+        instruments=tuple(dict.fromkeys(name for name in measurements.instrument.tolist() if name)),
+        set_up=MeasuredWith(stations=1, targets_on_tool=sides[0], targets_on_work=sides[1], points=len(measurements)),
+        misfit=MisfitEntry(verdict="untested", says=NO_TEST),
+        not_identifiable=not_measured(machine, [*fitted.curves, *fitted.squareness], list(found), NO_LOCATION),
+    )
     return ThesisIdentification(calibration, MappingProxyType(motions))
 
 

@@ -104,7 +104,7 @@ class ImportedTable:
         write_atomic(Path(path), self.text)
 
     def save_columns(self, path: str | Path, *, next_step: str = "") -> None:
-        """Write the mapping as a commented file that a person confirms or changes.
+        """Write the mapping, after it was read back, as a commented file that a person confirms or changes.
 
         Args:
             path: the file to write.
@@ -117,7 +117,8 @@ class ImportedTable:
         head += [f"Then: {next_step}"] if next_step else []
         head += [f"assumed: {text}" for text in self.assumptions]
         head += [f"finding, not applied: {text}" for text in self.findings]
-        write_atomic(Path(path), self.mapping.to_yaml(self.remarks, [printable(line, one_line=True) for line in head]))
+        text = self.mapping.to_yaml(self.remarks, [printable(line, one_line=True) for line in head])
+        write_atomic(Path(path), text, check=self.mapping.check_copy)
 
     def preview(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Return the columns of the measurement table and its first rows."""

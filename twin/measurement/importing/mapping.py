@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal, final
 from pydantic import BaseModel, ConfigDict, Field
 
 from twin._common.errors import InputError, closest_name
-from twin._common.yaml_files import EntryPath, line_of, load_yaml
+from twin._common.yaml_files import EntryPath, line_of, load_yaml, quoted, yaml_text
 from twin.machine.machine import Machine
 from twin.measurement.importing.cells import DELIMITERS
 from twin.measurement.importing.decimals import SIGNS
@@ -119,6 +119,12 @@ class ColumnMapping:
             found.check_entry(name, entry, machine)
         return found
 
+    def check_copy(self, path: Path) -> None:
+        """Raise `InputError` unless a file written from this mapping reads back as the same entries."""
+        entries, _ = load_yaml(path, ColumnsFile, SCHEMA)
+        if entries != self.entries:
+            raise InputError("the file reads back as another mapping", expected="the same entries", file=path)
+
     def check_entry(self, name: str, entry: OriginEntry, machine: Machine) -> None:
         """Raise `InputError` unless an entry names a column of a measurement table and has one origin and a unit that fits."""
         place = ("columns", name)
@@ -190,12 +196,12 @@ def _remark(remarks: Mapping[str, str], name: str, before: str) -> str:
     return f"{before}{remarks[name]}" if name in remarks else ""
 
 
-def _quoted(text: object) -> str:
-    return json.dumps(text, ensure_ascii=False)
+def _quoted(value: object) -> str:
+    return quoted(value) if isinstance(value, str) else json.dumps(value)
 
 
 def _quoted_name(name: str) -> str:
-    return name if name.replace("_", "").isalnum() and name.isascii() else _quoted(name)
+    return name if yaml_text({name: 0}) == f"{name}: 0\n" else quoted(name)
 
 
 def _entry(entry: OriginEntry) -> str:

@@ -11,6 +11,7 @@ from typing import Final
 
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
+from twin.nc import dialect_for
 from twin.planning.programs.drift_steps import drift_steps
 from twin.planning.programs.heidenhain import HEIDENHAIN
 from twin.planning.programs.linuxcnc import LINUXCNC
@@ -38,14 +39,20 @@ def format_of(path: str | Path) -> ProgramFormat:
 
 
 def write_program(steps: ProgramSteps, path: str | Path) -> None:
-    """Write a measuring program atomically, in the language that the suffix of the file name selects.
+    """Write a measuring program atomically, after it was read back, in the language that the suffix of the file name selects.
 
     Raises:
         InputError: an unknown suffix, or axes that the control does not have.
     """
     chosen = format_of(path)
     name = re.sub(r"[^A-Za-z0-9]+", "_", Path(path).stem).strip("_").upper()[:LONGEST_NAME] or "TWIN"
-    write_atomic(Path(path), chosen.write(steps, name if name[0].isalpha() else f"T_{name}"))
+    text = chosen.write(steps, name if name[0].isalpha() else f"T_{name}")
+
+    def check(written: Path) -> None:
+        data = written.read_bytes()
+        dialect_for(Path(path), data).read(data, str(path))
+
+    write_atomic(Path(path), text, check=check)
 
 
 __all__ = [
