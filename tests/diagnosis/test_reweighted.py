@@ -30,7 +30,7 @@ def sized(data: Measurements) -> tuple[Problem, Estimate, Estimate, Discrepancy]
     every = candidates_of(task).forms
     forms = [next(form for form in every if form.key == key) for key in KEYS]
     found = estimate(task.problem, forms)
-    return task.problem, found, *reweighted(task.problem, forms, found, np.inf, None)
+    return task.problem, found, *reweighted(task, forms, found, None)
 
 
 def values(found: Estimate) -> np.ndarray:

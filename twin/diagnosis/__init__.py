@@ -98,9 +98,10 @@ On the simulated truth machine (a product of short waves in X and Y, 20 µm; 160
 +10 µm over Z: 5.1 → 0.8 µm. On the plate of 2003, held-out poses: 4.77 µm with the named causes, 4.31 µm with the effect added, 6.41 µm
 with neither.
 
-If the causes leave more than the noise, their sizes are estimated again with weights of noise and discrepancy (`twin doc identify`),
-so that the written file does not fit the unexplained residuals along a tracker's beam; which causes there are is decided against the
-noise alone.
+If the causes leave more than the noise, they are selected and their sizes estimated again with weights of noise and discrepancy
+(`twin doc identify`), so that neither the causes nor the written file follow the unexplained residuals along a tracker's beam. On
+773 poses of a UR10 measured with a tracker (`--instrument tracker`), held-out poses: 90 µm instead of 278 µm with the weights of the
+noise. Whether the model is complete is decided against the noise alone.
 Sizes then carry the larger of two uncertainties: that from the noise, and that from the variation of the residuals between rounds or
 positions. `--html` writes one page: its first screen gives the error, its effect at the tool, what to do and what to avoid; then
 residuals, causes tested, evidence, alternatives, gain, and what to measure next. `notebooks/02_diagnose.ipynb` follows one case from

@@ -100,6 +100,11 @@ def isotropic(network: Network, size_m: np.ndarray) -> Discrepancy:
     return Discrepancy((), read_only(size_m[:, None, None] * np.eye(3) * network.read[:, None, :]))
 
 
+def no_discrepancy(network: Network) -> Discrepancy:
+    """Return the discrepancy of a model that fits."""
+    return Discrepancy((), read_only(np.zeros((len(network.data), 3, 3))))
+
+
 @final
 @dataclass(frozen=True)
 class _Group:

@@ -25,7 +25,7 @@ from twin.diagnosis.judgement.limits import with_limits
 from twin.diagnosis.judgement.sizes import SizedCauses
 from twin.diagnosis.problem.forms import LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.problem.noise import ReadingNoise
-from twin.diagnosis.problem.problem import Problem, in_um, rms, unwhiten
+from twin.diagnosis.problem.problem import Problem, in_um, rewhitened, rms, unwhiten
 from twin.diagnosis.result import Trend, Unexplained, Verdict
 from twin.diagnosis.selection.pattern_test import PatternTest, scan_patterns
 from twin.diagnosis.selection.structure import Findings
@@ -51,7 +51,7 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
         empirical: whether unexplained patterns extend the calibration as well.
     """
     sized, found = reported.sized, reported.sized.found
-    problem, network = found.problem, found.problem.network
+    problem, network, by_noise = found.problem, found.problem.network, found.task.by_noise
     misfit = residual_statistics(sized)
     left = misfit.left
     empirical_extension = extend(sized, calibration) if empirical and left is not None else None
@@ -63,13 +63,13 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
     residual = in_um(problem.network, problem.residual)
     after = residuals_as_written(problem, extended, instrument, sized.discrepancy.root) if changed else residual
     hidden = _unidentifiable(found)
-    weights = network.whitening
+    weights = by_noise.network.whitening
     stated = not np.isfinite(found.task.noise.dof)
-    overstated = overstated_noise(rms(residual, network.read), problem.chi2, problem.dof) if stated else ()
+    overstated = overstated_noise(rms(residual, network.read), by_noise.chi2, by_noise.dof) if stated else ()
     answer = Diagnosis(
         verdict=_verdict(reported, left),
         rms_um=rms(residual, network.read),
-        absorbed_rms_um=rms(in_um(problem.network, problem.projected), network.read),
+        absorbed_rms_um=rms(in_um(by_noise.network, by_noise.projected), network.read),
         expected_rms_um=misfit.expected_um,
         points=len(network.data),
         dof=problem.dof,
@@ -128,12 +128,12 @@ def _verdict(reported: ReportedCauses, left: Unexplained | None) -> Verdict:
 
 def _unidentifiable(found: Findings) -> dict[tuple[str, str], str]:
     """Return the candidates that the data cannot show, with what each is confounded with."""
-    candidates = found.candidates
+    candidates = found.by_noise
     seen: dict[tuple[str, str], bool] = {}
     for form, score in zip(candidates.forms, candidates.scores([], range(len(candidates.forms))), strict=True):
         seen[form.key] = seen.get(form.key, False) or score[1] > 0
     hidden = [candidate.key for candidate in found.task.catalogue.candidates if not seen.get(candidate.key, True)]
-    why = looks_like(found.problem, [form for form in candidates.forms if form.key in set(hidden)])
+    why = looks_like(found.task.by_noise, [form for form in candidates.forms if form.key in set(hidden)])
     return {key: why[key] for key in hidden}
 
 
@@ -182,7 +182,8 @@ def residual_statistics(sized: SizedCauses) -> ResidualStatistics:
     Args:
         sized: the causes with their sizes.
     """
-    problem, found = sized.found.problem, sized.found
+    found = sized.found
+    problem = found.task.by_noise
     chances = [
         _p_value(problem, found.task.noise),
         *(float(np.exp(t.log_p_corrected)) for t in found.structure.pattern_tests),
@@ -193,7 +194,12 @@ def residual_statistics(sized: SizedCauses) -> ResidualStatistics:
 def _unexplained(sized: SizedCauses) -> Unexplained | None:
     """Return the unexplained residuals: unnamed patterns, or excess noise."""
     found, forms, excess = sized.found, sized.forms, sized.excess
-    problem, structure = found.problem, found.structure
+    problem, structure, by_noise = found.problem, found.structure, found.task.by_noise
+    left = by_noise.residual - rewhitened(sized.estimate.signature.sum(axis=1), problem.network, by_noise.network)
+    after = float(left @ by_noise.project(left))
+    left_share = float((after - problem.dof) / max(by_noise.chi2 - problem.dof, 1e-30)) if forms else 1.0
+    weighted = problem.residual - sized.estimate.signature.sum(axis=1)
+    left_um = rms(in_um(problem.network, problem.project(weighted)), problem.network.read)
     if structure.pattern_tests:
         patterns_um = in_um(problem.network, structure.pattern(forms))
         share = float(np.clip(structure.explained(forms) / excess, 0.0, 1.0))
@@ -202,20 +208,22 @@ def _unexplained(sized: SizedCauses) -> Unexplained | None:
         )
         sides = {pattern_test.pattern.side for pattern_test in structure.pattern_tests}
         carrier = sides.pop() if len(sides) == 1 else "both"
-        size = float(np.sqrt(np.nansum(patterns_um**2) / max(np.count_nonzero(problem.network.read), 1)))
+        # No larger than what the causes leave: readings that do not determine a pattern leave its expected size to its prior.
+        size = min(rms(np.nan_to_num(patterns_um), problem.network.read), left_um)
         text = (
             f"a pattern that depends on {' and '.join(columns)} on the {carrier} side, {size:.2g} µm RMS per coordinate, "
             f"{100 * share:.2g} % of the excess, matches no known effect"
         )
-        return Unexplained(share, columns, carrier, text, size)
-    after = problem.chi2 - sized.estimate.explained
-    share = float((after - problem.dof) / excess) if forms else 1.0
-    more = _p_value(problem, found.task.noise, after, len(forms))
-    if more >= LARGE or (forms and share <= SMALL):
+        # Beside the patterns, what counts as discrepancy is unexplained as well.
+        return Unexplained(
+            max(share, left_share) if found.task.discrepancy.parts else share, columns, carrier, text, size
+        )
+    more = _p_value(by_noise, found.task.noise, after, len(forms))
+    if more >= LARGE or (forms and left_share <= SMALL):
         return None
-    size = float(np.sqrt(max(after / problem.dof - 1.0, 0.0))) * _expected_um(problem)
+    size = float(np.sqrt(max(left_um**2 - _expected_um(by_noise) ** 2, 0.0)))
     what = "the residuals exceed the stated noise" + (" even with the causes in the model" if forms else "")
-    return Unexplained(share, (), "both", f"{what}, without a pattern in any column of the table", size)
+    return Unexplained(left_share, (), "both", f"{what}, without a pattern in any column of the table", size)
 
 
 def _trends(found: Findings) -> tuple[Trend, ...]:
@@ -223,7 +231,7 @@ def _trends(found: Findings) -> tuple[Trend, ...]:
     single = [pattern for pattern in found.patterns if len(pattern.channels) == 1]
     best: dict[tuple[str, str], PatternTest] = {}
     for pattern_test in scan_patterns(
-        found.problem, [one for one in single if one.field == "base"], (), found.task.noise.dof
+        found.task.by_noise, [one for one in single if one.field == "base"], (), found.task.noise.dof
     ):
         best.setdefault((pattern_test.pattern.side, pattern_test.pattern.names[0]), pattern_test)
     return tuple(

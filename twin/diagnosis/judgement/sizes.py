@@ -104,7 +104,7 @@ def estimate_sizes(found: Findings) -> SizedCauses:
         forms = [form for form in forms if form is not worst[1]]
     beside = tuple(found.beside.forms[form.index] for form in forms)
     doubts = tuple(between_positions(found.candidates, forms, form) for form in forms)
-    sizes, discrepancy = reweighted(found.problem, forms, estimated, found.task.noise.dof, found.structure.beside)
+    sizes, discrepancy = reweighted(found.task, forms, estimated, found.structure.beside)
     return SizedCauses(found, tuple(forms), beside, sizes, tuple(dropped), doubts, discrepancy)
 
 

@@ -303,6 +303,14 @@ def unwhiten(network: Network, whitened: np.ndarray, rows: Rows = slice(None)) -
     return np.asarray(np.linalg.solve(safe, np.where(read[:, :, None], whitened, 0.0)))
 
 
+def rewhitened(signature: np.ndarray, before: Network, after: Network) -> np.ndarray:
+    """Return (3n, …) values whitened by a network's weights with those of another network of the same readings."""
+    if before is after:
+        return signature
+    plain = unwhiten(before, signature.reshape(len(before.data), 3, -1))
+    return np.asarray(np.einsum("nij,njk->nik", after.whitening, plain)).reshape(signature.shape)
+
+
 def rms(values: np.ndarray, read: np.ndarray) -> float:
     """Return the root mean square of the coordinates that were measured."""
     return float(np.sqrt(np.mean(values[read] ** 2)))

@@ -15,6 +15,7 @@ from twin.diagnosis.candidates.candidate import Catalogue
 from twin.diagnosis.candidates.catalogue import catalogue
 from twin.diagnosis.problem.noise import LEAST_DOF, ReadingNoise, from_repeats, from_residuals
 from twin.diagnosis.problem.problem import Problem
+from twin.identification.discrepancy import Discrepancy, no_discrepancy
 from twin.identification.inputs import prepare
 from twin.identification.network import Network, stated_covariance
 from twin.identification.outliers import outlier_notes, outliers
@@ -38,14 +39,29 @@ class DiagnosisTask:
     """One diagnosis: data, candidate causes and noise.
 
     Attributes:
-        problem: the rows used, whitened.
+        problem: the rows used, whitened by noise and discrepancy.
         catalogue: the candidate causes.
         noise: noise of these rows.
+        by_noise: the same rows, whitened by their noise alone, for tests of consistency.
+        discrepancy: what the causes selected before leave beyond the noise; none at first.
     """
 
     problem: Problem
     catalogue: Catalogue
     noise: ReadingNoise
+    by_noise: Problem
+    discrepancy: Discrepancy
+
+    @classmethod
+    def of(cls, problem: Problem, known: Catalogue, noise: ReadingNoise) -> DiagnosisTask:
+        """Return the task with the weights of the noise."""
+        return cls(problem, known, noise, problem, no_discrepancy(problem.network))
+
+    def with_discrepancy(self, discrepancy: Discrepancy) -> DiagnosisTask:
+        """Return the same task with another discrepancy in the weights."""
+        own = self.by_noise
+        weighted = Problem(own.network.with_discrepancy(discrepancy.root), own.setup, own.calibration)
+        return replace(self, problem=weighted, discrepancy=discrepancy)
 
 
 @final
@@ -99,7 +115,7 @@ class Readings:
             notes = outlier_notes(network, difference, network.residual(np.zeros(0), self.setup), bad)
             kept = self.select_rows(np.flatnonzero(~bad), notes)
         known = catalogue(network.machine, kept.network.data, self.calibration, network.instruments)
-        return DiagnosisTask(Problem(kept.network, self.setup, self.calibration), known, kept.noise)
+        return DiagnosisTask.of(Problem(kept.network, self.setup, self.calibration), known, kept.noise)
 
 
 def readings(
@@ -111,8 +127,8 @@ def readings(
         data: the measurements.
         machine: the machine.
         calibration: the model under test.
-        instrument: instrument whose noise model is used unless repeats contradict it; None to take the table's uncertainties, or to
-            estimate from repeats.
+        instrument: instrument whose noise model is used; None to take the table's uncertainties, or to estimate from repeats. If
+            repeats contradict either, they decide.
 
     Raises:
         InputError: data that cannot be a measurement of this machine.
@@ -121,14 +137,14 @@ def readings(
     no_unknowns = Unknowns(machine, (), ())
     covariance = stated_covariance(data, reader)
     has_u = bool(np.isfinite(data.u_mm).any())
-    doubted = instrument is not None and not has_u and _contradicted(machine, data, reader, covariance)
-    stated = has_u or (instrument is not None and not doubted)
+    doubted = (instrument is not None or has_u) and _contradicted(machine, data, reader, covariance)
+    stated = (instrument is not None or has_u) and not doubted
     preliminary = None if stated else _isotropic_from_repeats(data, covariance)
     by_model, covariance = covariance, covariance if preliminary is None else preliminary
-    figures = f"the noise model of the {reader.name}" + (
-        "" if instrument is not None else ", assumed: no uncertainties stated, too few repeats"
-    )
-    noise = ReadingNoise(covariance, np.inf, "the table's uncertainties" if has_u else figures)
+    figures = "the table's uncertainties" if has_u else f"the noise model of the {reader.name}"
+    if instrument is None and not has_u:
+        figures += ", assumed: no uncertainties stated, too few repeats"
+    noise = ReadingNoise(covariance, np.inf, figures)
     network = Network(machine, data, reader, no_unknowns, calibration, covariance)
     setup, bad = _setup_without_outliers(network, setup)
     if not stated:

@@ -10,6 +10,7 @@ import numpy as np
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.machine_effects import variant_at
 from twin.diagnosis.estimate.estimate import estimate
+from twin.diagnosis.estimate.reweighted import remaining_discrepancy
 from twin.diagnosis.problem.forms import Candidates, Form
 from twin.diagnosis.problem.readings import DiagnosisTask
 from twin.diagnosis.selection.cross_validation import (
@@ -24,8 +25,11 @@ from twin.diagnosis.selection.patterns import patterns
 from twin.diagnosis.selection.payload import select_with_payload
 from twin.diagnosis.selection.search import Selection, candidates_of
 from twin.diagnosis.selection.structure import Findings, Structure, joint_selection, with_patterns
+from twin.identification.discrepancy import settled
 from twin.measurement.state import machine_state
 
+RESELECTED: Final = 2
+"""Largest number of searches with other weights."""
 TIME: Final = "time_s"
 NOT_PREDICTED: Final = "they do not predict held-out positions"
 """Reason for which variants are left out, in words."""
@@ -40,12 +44,29 @@ STAYS: Final = 0.2
 def select_causes(task: DiagnosisTask) -> Findings:
     """Return the causes and the unnamed patterns that explain the residuals.
 
+    If they leave more than the noise, the search is repeated with noise and discrepancy in the weights.
+
+    Args:
+        task: the problem without outliers, and the causes to test; with the weights of the noise.
+    """
+    found = _select(task)
+    for _ in range(RESELECTED):
+        structure = found.structure
+        discrepancy = remaining_discrepancy(
+            found.task, structure.forms, estimate(found.problem, structure.forms), structure.problem
+        )
+        if settled(task.problem.network, found.task.discrepancy, discrepancy):
+            break
+        found = replace(_select(task.with_discrepancy(discrepancy)), by_noise=found.by_noise)
+    return found
+
+
+def _select(task: DiagnosisTask) -> Findings:
+    """Return the causes and the unnamed patterns, with the weights of the task.
+
     A variant that changes with time (a growth that lags behind its sensor) resembles many slow changes. It is searched for only where
     something changes with time, and named only if it predicts held-out blocks of time better than the plain effect does, or as well as
     several causes with more parameters.
-
-    Args:
-        task: the problem without outliers, and the causes to test.
     """
     plain = without_variants_in_time(task)
     found = Searcher(plain).run()
@@ -137,7 +158,7 @@ class Searcher:
             self.candidates.exclude({form.key for form in varying}, NOT_PREDICTED)
             found, refuted = self._settled()
         beside = self.candidates.for_problem(found.problem) if found.pattern_tests else self.candidates
-        return Findings(self.task, self.patterns, self.candidates, beside, found, refuted)
+        return Findings(self.task, self.patterns, self.candidates, beside, found, self.candidates, refuted)
 
     def _settled(self) -> tuple[Structure, tuple[Form, ...]]:
         """Return the selected causes and patterns, and the causes that held-out readings refute.

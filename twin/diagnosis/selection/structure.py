@@ -109,6 +109,7 @@ class Findings:
         candidates: the causes, with the set-up projected out.
         beside: the same with the patterns found projected out as well; ``candidates`` itself without patterns.
         structure: the selected causes and patterns.
+        by_noise: the causes evaluated with the weights of the noise alone, as the first search left them.
         refuted: causes that fit the readings but do not predict held-out ones (`twin.diagnosis.selection.cross_validation`).
     """
 
@@ -117,11 +118,12 @@ class Findings:
     candidates: Candidates
     beside: Candidates
     structure: Structure
+    by_noise: Candidates
     refuted: tuple[Form, ...] = ()
 
     @property
     def problem(self) -> Problem:
-        """Return the whitened problem without outliers."""
+        """Return the problem without outliers, whitened by noise and discrepancy."""
         return self.task.problem
 
 
