@@ -13,6 +13,7 @@ from twin.diagnosis.estimate.estimate import Estimate, estimate
 from twin.diagnosis.estimate.reweighted import reweighted
 from twin.diagnosis.problem.problem import Problem
 from twin.diagnosis.problem.readings import readings
+from twin.diagnosis.selection import searcher
 from twin.diagnosis.selection.search import candidates_of
 from twin.identification.discrepancy import Discrepancy
 from twin.machine.calibration import Calibration
@@ -71,3 +72,26 @@ def test_the_uncertainty_counts_what_is_left() -> None:
     _, plain, _, _ = sized(replace(equal, u_mm=read_only(np.full((len(equal), 3), 0.3))))
     for ours, other in zip(found.quantities, plain.quantities, strict=True):
         assert ours[0].u == pytest.approx(other[0].u, rel=0.2)
+
+
+def test_causes_of_a_wrong_model_are_selected_beside_what_they_leave(monkeypatch: pytest.MonkeyPatch) -> None:
+    """0.3 mm without a model, another at every pose, and a squareness of 2 mrad: it is found, and no other cause.
+
+    With the weights of the noise alone, constants of the machine are found that are not there.
+    """
+    monkeypatch.setattr(searcher, "patterns", lambda *_: ())
+    given = Calibration.zero(machine())
+    wrong = replace(given, squareness={"E_C0Y": 2000.0})
+    false_by_noise = false = 0
+    for seed in range(5):
+        placed = readings(measured(seed, along=0.3, across=0.3), machine(), wrong, instrument_named("tracker"))
+        task = placed.without(np.zeros(150, dtype=bool))
+        constants = tuple(one for one in task.catalogue.candidates if one.specification.constant)
+        task = replace(task, catalogue=replace(task.catalogue, candidates=constants))
+        found, by_noise = (select(task).structure.forms for select in (searcher.select_causes, searcher._select))
+        assert ("squareness", "E_C0Y") in {form.key for form in found}
+        false += len(found) - 1
+        false_by_noise += sum(form.key != ("squareness", "E_C0Y") for form in by_noise)
+    assert false_by_noise > 20
+    # 3 % of the data sets may name a false cause.
+    assert false <= 1

@@ -94,7 +94,7 @@ def test_the_discrepancy_of_each_direction_and_station() -> None:
         true, count = (50.0, 1) if part.direction == "along the beam" else (300.0, 2)
         assert part.size_um == pytest.approx(true, rel=4.0 / np.sqrt(2.0 * count * 25.0))
         assert part.redundancy < count * 150
-    assert "the model leaves" in found.to_text()
+    assert "discrepancy of the model" in found.to_text()
     assert len(found.to_dict()["misfit"]["discrepancy"]) == len(found.discrepancy.parts)
     # The test of the model does not use it.
     assert found.misfit.p_value < 1e-6 and found.misfit.reduced > 100.0

@@ -11,7 +11,7 @@ shows the result in plots (`twin.identification.plots`, extra `plots`).
 
 1. Residuals compared with the noise. The reduced chi² is one if the model and the noise hold; the lack-of-fit test shows whether there
    are residuals that repeat, which the model does not describe. One line gives the RMS at held-out poses, in micrometres: every fifth
-   pose is predicted from the others. If the model leaves more than the noise, one line gives its size. One line gives the verdict.
+   pose is predicted from the others. If the model has a discrepancy, one line gives its size. One line gives the verdict.
 2. Each error with its peak value, the half width of its widest 95 % interval, the degree of its curve, and the held-out error next to
    that of degree 8 (for this curve, with the other curves as chosen).
 3. Errors that are not identifiable, with the reason, and every row that was set aside, with its line and reason (exit status 3).

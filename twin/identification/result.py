@@ -313,7 +313,7 @@ class Identification:
         lines += [] if self.held_out is None else [f"at held-out poses: {self.held_out.text}"]
         if self.discrepancy.parts:
             lines.append(
-                f"beyond the noise, the model leaves {self.discrepancy.text}: the readings are weighted with it"
+                f"discrepancy of the model beyond the noise: {self.discrepancy.text}; the readings are weighted with it"
             )
         lines += [f"  {one.text}" for one in self.shares]
         lines += [
