@@ -68,10 +68,11 @@ def test_the_reversal_of_a_stage_is_named_with_its_size(run: tuple[str, Measurem
     axis, _, found = run
     size = number(the(found, "reversal", "X"), "size")
     assert abs(size.value + {"x": 25.37, "y": 12.77}[axis]) < FACTOR * size.u
-    # Standard uncertainty of the mean of nine places, from the variation of the printed reversals: 1.9 µm on x, 1.6 µm on y.
+    # Standard uncertainty of the mean of nine places, from the variation of the printed reversals: 1.9 µm on x, 1.6 µm on y. With eight
+    # degrees of freedom it is known to a quarter; that of the diagnosis counts the drift and, on x, a pattern as well: 2.6 µm.
     _, below, above = stage.readings(folder("stage-iso230-2"), axis)
     by_place = 1e3 * (below - above).mean(axis=1)
-    assert size.u == pytest.approx(by_place.std(ddof=1) / np.sqrt(len(by_place)), rel=0.35)
+    assert size.u == pytest.approx(by_place.std(ddof=1) / np.sqrt(len(by_place)), rel=0.5)
 
 
 def test_the_drift_of_a_stage_is_told_from_its_reversal(run: tuple[str, Measurements, Diagnosis]) -> None:

@@ -201,7 +201,7 @@ def _quoted(value: object) -> str:
 
 
 def _quoted_name(name: str) -> str:
-    return name if yaml_text({name: 0}) == f"{name}: 0\n" else quoted(name)
+    return name if yaml_text({name: 0}) == f"{{{name}: 0}}\n" else quoted(name)
 
 
 def _entry(entry: OriginEntry) -> str:
