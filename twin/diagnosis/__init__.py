@@ -100,7 +100,7 @@ with neither.
 
 If the causes leave more than the noise, they are selected and their sizes estimated again with weights of noise and discrepancy
 (`twin doc identify`), so that neither the causes nor the written file follow the unexplained residuals along a tracker's beam. On
-773 poses of a UR10 measured with a tracker (`--instrument tracker`), held-out poses: 90 µm instead of 278 µm with the weights of the
+2,773 poses of a UR10 measured with a tracker (`--instrument tracker`), held-out poses: 91 µm instead of 278 µm with the weights of the
 noise. Whether the model is complete is decided against the noise alone.
 Sizes then carry the larger of two uncertainties: that from the noise, and that from the variation of the residuals between rounds or
 positions. `--html` writes one page: its first screen gives the error, its effect at the tool, what to do and what to avoid; then
