@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.machine.errors import random_calibration
+from tests.nested import alike
 from twin._common.errors import InputError, OutputError
 from twin.compensation import Compensator, Options
 from twin.compensation.account.sample import CLASS_POSES
@@ -33,22 +34,6 @@ SOLVER = 1e-9
 STRETCHES = [(30, 1, 1), (200, 1, 1), (200, 1, 17), (3000, 12, 10**6)]
 """Bytes read at once, of lines of some 30, the fewest lines edited at once, and the fewest solved at once: borders before and behind
 every line, and inside runs; parts of one stretch, of several, and of all."""
-
-
-def alike(one: Any, other: Any, place: str = "") -> None:
-    """Assert that reports agree as JSON, numbers to `SUMS`."""
-    if isinstance(one, dict):
-        assert one.keys() == other.keys(), place
-        for key in one:
-            alike(one[key], other[key], f"{place}.{key}")
-    elif isinstance(one, list | tuple):
-        assert len(one) == len(other), place
-        for i, (a, b) in enumerate(zip(one, other, strict=True)):
-            alike(a, b, f"{place}[{i}]")
-    elif isinstance(one, float):
-        assert one == pytest.approx(other, rel=SUMS, abs=SOLVER, nan_ok=True), place
-    else:
-        assert one == other, place
 
 
 @pytest.fixture
@@ -80,7 +65,7 @@ def both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
             cut(*one)
             report = compensator.compensate_file(source, output)
             assert output.read_bytes() == whole.text.encode("latin-1")
-            alike(report.to_dict(), whole.report.to_dict())
+            alike(report.to_dict(), whole.report.to_dict(), rel=SUMS, least=SOLVER)
             assert sorted(path.name for path in tmp_path.iterdir()) == ["out.nc", "p.nc"]
         return whole.text
 
