@@ -340,9 +340,8 @@ def _simplified(likelihood: Likelihood, forms: list[Form], model: Model) -> tupl
         numbers = [
             f for f in candidates.forms if f.candidate.specification.constant and f.key not in taken and dof[f.index]
         ]
-        for number in (
-            [numbers[i] for i in largest_first(margin[[one.index for one in numbers]])[:1]] if numbers else []
-        ):
+        for i in largest_first(np.array([margin[one.index] for one in numbers]))[:1]:
+            number = numbers[i]
             trial = [*others, number]
             found = likelihood.fit(trial, model)
             lost = model.twice_log_ratio - _cost(candidates, form) - found.twice_log_ratio + _cost(candidates, number)
