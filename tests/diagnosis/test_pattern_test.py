@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.real import plates
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin.diagnosis.candidates.signatures import base_column
@@ -217,3 +218,19 @@ def test_patterns_follow_the_frame_that_turns(dmu50: Machine, tmp_path: Path) ->
     data = Measurements.load(hidden.write(tmp_path / "m.csv", plan, hidden.points(plan), u_mm=SIGMA_MM), dmu50)
     fields = {(p.side, p.field) for p in patterns(dmu50, data)}
     assert fields == {("tool", "base"), ("work", "base"), ("work", "place")}
+
+
+def test_a_direction_that_was_not_read_is_not_tested(tmp_path: Path) -> None:
+    """Along it a pattern's functions are rounding, which fits anything with a p-value of zero. Plates have no z."""
+    machine, rng = Machine.load(plates.write_machine(tmp_path)), np.random.default_rng(4)
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-300.0, 300.0, 13), np.linspace(-240.0, 240.0, 9)))
+    bent = 0.02 * np.sin(x / 100.0) + plates.U_MM * rng.standard_normal(len(x))
+    path = plates.write_table(np.column_stack([x, y + bent, x, y]), tmp_path / "plate.csv")
+    placed = readings(Measurements.load(path, machine), machine, Calibration.zero(machine))
+    problem = placed.without(placed.bad).problem
+    tried = patterns(machine, problem.network.data)
+    found = scan_patterns(problem, tried, (), np.inf)
+    assert found[0].found and found[0].directions == (1,)
+    assert not [one for one in found if one.directions == (2,)]
+    # Along x, along y, and all three together.
+    assert found[0].log_price == pytest.approx(np.log(3 * sum(len(p.levels) for p in tried)))

@@ -72,10 +72,12 @@ def test_constants_explain_part_of_it(
     assert np.sqrt(square / len(data)) <= left_out
 
 
-def test_the_rest_depends_on_the_rotary_axes_of_the_tool_side(data: Measurements, machine: Machine) -> None:
+def test_the_rest_depends_on_nothing_but_the_rotary_axes_of_the_tool_side(data: Measurements, machine: Machine) -> None:
+    """Without any constant identified; a pattern of B and C beside the causes is 6 µm, and held-out poses do not confirm it."""
     found = diagnose(data, machine, empirical=True)
     assert found.verdict in ("unexplained", "ambiguous") and found.unexplained is not None
-    assert {"B_deg", "C_deg"} <= set(found.unexplained.depends_on) and found.unexplained.carrier == "tool"
+    assert found.unexplained.depends_on in ((), ("B_deg", "C_deg"), ("C_deg", "B_deg"))
+    assert not found.unexplained.depends_on or found.unexplained.carrier == "tool"
     assert found.gain is not None and found.gain.held_out is not None
     assert found.gain.held_out.after_um < 0.85 * found.gain.held_out.before_um
 

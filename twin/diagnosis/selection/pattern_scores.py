@@ -28,8 +28,8 @@ most significant tests. The scores themselves are those of all readings.
 """
 SEED: Final = 4712
 SEEN: Final = 1e-10
-"""Share of the largest eigenvalue below which a direction counts as zero, and share of a function's square that the projection must
-leave: what is less is rounding."""
+"""Share of the largest eigenvalue below which a direction counts as zero, and share of the largest square of a pattern's functions that
+the projection must leave of each: what is less is rounding. So is all of a direction that was not read."""
 PLAUSIBLE: Final = 100.0
 """Noncentrality along a direction for which the test is most powerful: the score is taken at that variance, not at zero."""
 TOGETHER: Final = 512
@@ -270,8 +270,9 @@ class PatternScores:
 
 
 def _seen(gram: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """Return (…, m) which functions the projection leaves, from Gram matrices (…, m, m) with and without it."""
-    return np.asarray(np.diagonal(gram, axis1=-2, axis2=-1) > SEEN * np.diagonal(whole, axis1=-2, axis2=-1))
+    """Return (…, m) which functions of a pattern the projection leaves, from Gram matrices (…, m, m) with and without it."""
+    largest = float(np.diagonal(whole, axis1=-2, axis2=-1).max(initial=0.0))
+    return np.asarray(np.diagonal(gram, axis1=-2, axis2=-1) > SEEN * largest)
 
 
 def _along_functions(
