@@ -283,3 +283,27 @@ def test_a_part_of_a_program_keeps_its_times() -> None:
         assert {name: values.tolist() for name, values in part.items()} == {
             n: v[own].tolist() for n, v in found.items()
         }
+
+
+def test_dwells_add_up(dmu50: Machine, tmp_path: Path) -> None:
+    """Every motion begins after all dwells before it."""
+    lines = [
+        "G21 G90 G94",
+        "S6000 M3",
+        "G0 X0 Y0 Z-100 B0 C0",
+        "F600",
+        "G1 X10",
+        "G4 P2000",
+        "G1 X20",
+        "G4 P5000",
+        "G1 X30",
+    ]
+    source, dialect = read_program(program(tmp_path, "\n".join([*lines, "M30", ""])))
+    space = WordSpace(dmu50, Setup(), LENGTH)
+    path = follow(source, dialect.moves(source, space.axes, tcp=False), space)
+    calibration = Calibration.load(extended(tmp_path, GROWTH), dmu50)
+    conditions = Conditions(time_s=0.0, speed_of_program=True)
+    found = block_conditions.block_conditions(source, dialect, path, [(0, space)], calibration, conditions)
+    dwells = np.cumsum(dialect.technology(source).dwell_s)[path.columns.line]
+    assert np.unique(dwells).tolist() == [0.0, dwells[2], dwells[3]] and dwells[3] == pytest.approx(3.5 * dwells[2])
+    assert found.begin_s == pytest.approx(dwells + np.array([0.0, 0.0, 1.0, 2.0]), abs=1e-9)
