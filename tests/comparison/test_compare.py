@@ -267,6 +267,23 @@ def test_directions_without_variance_are_reported_and_not_tested() -> None:
     assert white.rank == 2 and white.chi2 == pytest.approx(0.1**2 / 0.4)
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+def test_rounding_of_a_singular_covariance_is_no_direction_with_a_variance(unit: float) -> None:
+    """Two numbers of which only the sum has a variance, to 1e-10; a difference up to a thousandth of it is rounding of the numbers."""
+    size = unit * np.sqrt(2.0 * np.array([1.0, 9.0]))
+    both = np.array([[1.0, 1.0], [1.0, 1.0]])
+    for rounded, rank in ((1e-10, 1), (1e-6, 2)):
+        covariance = (both - rounded * (1.0 - np.eye(2))) * np.outer(size, size)
+        found = whiten(2.0 * size, covariance)
+        assert found.rank == rank and found.chi2 == pytest.approx(4.0, rel=1e-5)
+        np.testing.assert_allclose(found.without_variance, 0.0, atol=1e-12)
+    apart = np.array([1.0, -1.0])
+    for share, left in ((7e-4, 0.0), (8e-4, 8e-4)):
+        found = whiten((2.0 + share * apart) * size, both * np.outer(size, size))
+        assert found.rank == 1 and found.chi2 == pytest.approx(4.0, rel=1e-9)
+        np.testing.assert_allclose(found.without_variance, left * apart * size, atol=1e-12)
+
+
 def test_nothing_is_significant_without_uncertainties() -> None:
     older, newer = made(u=None), made(squareness={**SQUARENESS, "E_C0Y": 500.0})
     found = twin.compare(older, newer, poses=20)

@@ -10,12 +10,15 @@ import pytest
 from tests.compensation.test_compensate_effects import HEAD, ROUNDING_UM, WornMachine, extended
 from twin import compensate
 from twin._common.errors import InputError
-from twin.compensation import Compensation, Options
+from twin.compensation import Compensation, Options, block_conditions
+from twin.compensation.block_conditions import BlockConditions
 from twin.compensation.execute import execute_file
+from twin.compensation.toolpath import Setup, WordSpace, follow
 from twin.machine.calibration import Calibration
 from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.machine.machine_log import MachineLog
+from twin.nc import read_program
 
 LENGTH = 120.0
 HIGHEST, AMPLITUDE, TAU = 12000.0, 25.0, 600.0
@@ -205,6 +208,9 @@ def test_a_log_that_does_not_cover_the_program(dmu50: Machine, tmp_path: Path) -
     log = written(tmp_path, time_s=np.array([0.0, 3000.0]), T_bed_degC=np.array([20.0, 21.0]))
     with pytest.raises(InputError, match="the log is of 0 to 3000 s; the program runs from 0 to 5040 s"):
         done(program(tmp_path), dmu50, calibration, Conditions(time_s=0.0, log=log))
+    late = written(tmp_path, time_s=np.array([100.0, 6000.0]), T_bed_degC=np.array([20.0, 21.0]))
+    with pytest.raises(InputError, match="the log is of 100 to 6000 s; the program runs from 0 to 5040 s"):
+        done(program(tmp_path), dmu50, calibration, Conditions(time_s=0.0, log=late))
     with pytest.raises(InputError, match="the beginning of the program is unknown"):
         done(program(tmp_path), dmu50, calibration, Conditions(log=log))
     with pytest.raises(InputError, match="T_bed_degC is given and in the log"):
@@ -233,3 +239,71 @@ def test_a_block_that_lasts_longer_than_the_machine_warms(dmu50: Machine, tmp_pa
     grown = steps_to(0.5 * (time[rows] + time[rows + 1]), 0.0, speeds)
     nominal, commands = (0.5 * (values[rows] + values[rows + 1]) for values in (result.nominal, result.commands))
     assert truth.moved(commands, nominal, shift_z(grown)).max() <= ROUNDING_UM + 1.0
+
+
+def test_times_of_blocks_by_hand(dmu50: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines, rapids, arcs, a feed that an axis cannot follow; in tool-tip words the path of the tip, unless only the tool turns."""
+    lines = [
+        "G21 G90 G94 G17",
+        "G0 X0 Y0 Z-100 B0 C0",
+        "F600",
+        "G1 X30 Y40",
+        "G3 X20 Y50 I-10 J0",
+        "G0 X120",
+        "G1 X0 C90 F1000000",
+    ]
+    lines += ["G43.4 H1", "G1 X0 Y0 Z0 C90 F600", "G1 X10 C120", "G1 C150"]
+    source, dialect = read_program(program(tmp_path, "\n".join([*lines, "M30", ""])))
+    space = WordSpace(dmu50, Setup(), LENGTH)
+    path = follow(source, dialect.moves(source, space.axes, tcp=False), space)
+    monkeypatch.setattr(
+        block_conditions, "velocity_limits", lambda machine: np.array([500.0, 500.0, 400.0, 90.0, 180.0])
+    )
+    times = block_conditions.durations_s(source.source, dialect.technology(source), path, [(0, space)])
+    assert times[:5] == pytest.approx([0.0, 5.0, np.pi / 2.0, 100.0 / 500.0, 90.0 / 180.0], rel=1e-9)
+    assert times[6:] == pytest.approx([1.0, 3.0], rel=1e-9)
+
+
+def test_a_part_of_a_program_keeps_its_times() -> None:
+    """At any place of its motions, and a speed is that of the time up to its moment, at the change itself too."""
+    whole = BlockConditions(
+        ("time_s", "spindle_rpm"),
+        np.array([0.0, 10.0, 15.0]),
+        np.array([10.0, 5.0, 30.0]),
+        np.array([0.0, 10.0, 15.0, 45.0]),
+        np.array([[0.0, 100.0], [10.0, 100.0], [15.0, 200.0], [45.0, 300.0]]),
+    )
+    motion, share = np.repeat(np.arange(3), 3), np.tile([0.0, 0.5, 1.0], 3)
+    found = whole.channels(motion, share)
+    assert found["time_s"].tolist() == [0.0, 5.0, 10.0, 10.0, 12.5, 15.0, 15.0, 30.0, 45.0]
+    assert found["spindle_rpm"].tolist() == [100.0, 100.0, 100.0, 100.0, 200.0, 200.0, 200.0, 300.0, 300.0]
+    for begin in range(3):
+        own = motion >= begin
+        part = whole.part(begin, 3).channels(motion[own] - begin, share[own])
+        assert {name: values.tolist() for name, values in part.items()} == {
+            n: v[own].tolist() for n, v in found.items()
+        }
+
+
+def test_dwells_add_up(dmu50: Machine, tmp_path: Path) -> None:
+    """Every motion begins after all dwells before it."""
+    lines = [
+        "G21 G90 G94",
+        "S6000 M3",
+        "G0 X0 Y0 Z-100 B0 C0",
+        "F600",
+        "G1 X10",
+        "G4 P2000",
+        "G1 X20",
+        "G4 P5000",
+        "G1 X30",
+    ]
+    source, dialect = read_program(program(tmp_path, "\n".join([*lines, "M30", ""])))
+    space = WordSpace(dmu50, Setup(), LENGTH)
+    path = follow(source, dialect.moves(source, space.axes, tcp=False), space)
+    calibration = Calibration.load(extended(tmp_path, GROWTH), dmu50)
+    conditions = Conditions(time_s=0.0, speed_of_program=True)
+    found = block_conditions.block_conditions(source, dialect, path, [(0, space)], calibration, conditions)
+    dwells = np.cumsum(dialect.technology(source).dwell_s)[path.columns.line]
+    assert np.unique(dwells).tolist() == [0.0, dwells[2], dwells[3]] and dwells[3] == pytest.approx(3.5 * dwells[2])
+    assert found.begin_s == pytest.approx(dwells + np.array([0.0, 0.0, 1.0, 2.0]), abs=1e-9)

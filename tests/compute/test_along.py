@@ -87,10 +87,29 @@ def test_nothing_known_and_angles_too_large(switch: str, monkeypatch: pytest.Mon
     assert totals.totals((begin, way), np.zeros(300, dtype=int), 5.0).count == 0
     shared = largest.largest((begin, np.array([0.3, 0.2])), points)
     assert shared == pytest.approx(largest.largest((begin, np.tile([0.3, 0.2], (300, 1))), points), abs=0.0)
-    begin[7, 0] = 4e5
+    begin[7, 0] = 4e12
     points[7] = 1
     expected = np.sin(3.0 * (begin[7, 0] + 0.5 * way[7, 0])) + begin[7, 1] + 0.5 * way[7, 1]
     assert largest.largest((begin, way), points)[7] == pytest.approx(max(expected, 0.0), rel=1e-9)
+
+
+@pytest.mark.parametrize("switch", SWITCHES)
+@pytest.mark.usefixtures("eager")
+def test_lines_are_numbered_over_all_chunks(switch: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a known point in the first chunks, with equal values in several, and with all points just at the limit of the known."""
+    monkeypatch.setenv(loading.SWITCH_VARIABLE, switch)
+    monkeypatch.setattr(along, "AT_ONCE", 500)
+    monkeypatch.setattr(native, "POINTS", 500)
+    x, share = ca.SX.sym("x", 2), ca.SX.sym("share")
+    function = AlongFunction(ca.Function("f", [x, share], [x[0] + 0.0 * share, ca.fabs(x[0]), x[1]]))
+    inputs, points = np.tile([1.0, 0.5], (3_000, 1)), np.full(3_000, 2)
+    inputs[1_700], inputs[:1_500, 1] = [-4.0, 0.5], 0.6
+    found = function.totals((inputs,), points, 0.5)
+    assert function._confirmed == (switch == "1")
+    assert found.count == 3_000 and found.squares.tolist() == [2_998.0 + 32.0] * 2
+    assert found.line.tolist() == [1_500, 1_700] and found.largest.tolist() == [[1.0, 1.0], [-4.0, 4.0]]
+    inputs[1_700] = inputs[-1] = [3.0, 0.5]
+    assert function.totals((inputs,), points, 0.5).line.tolist() == [1_700, 1_700], "the first of equal ones"
 
 
 @compiled

@@ -24,8 +24,9 @@ from twin.control import ControlTables, Request, account_of, make, write_folder
 from twin.display import figure
 from twin.kinematics.forward import Kinematics
 from twin.machine.calibration import Calibration
+from twin.machine.conditions import Conditions
 from twin.machine.control import ControlSection, TableEntry, TableSum, format_named, read_tables, table_formats
-from twin.machine.effects import CrossAxis, Reversal
+from twin.machine.effects import CrossAxis, Reversal, ThermalExpansion
 from twin.machine.machine import Machine
 from twin.machine.motion_curve import Curve
 from twin.numerics.covariance import Covariance
@@ -334,6 +335,73 @@ def test_new_tables_are_added_to_old_ones(kind: str, dmu50: Machine, tmp_path: P
         assert np.abs(whole.shift(axis, state) - sum(both)).max() <= (0.6 if kind == "heidenhain" else 0.05)
     with pytest.raises(InputError, match="only if the calibration was measured with those switched on"):
         make(dmu50, first, replace(request, add=True))
+
+
+PRODUCTS = "the products of tables correct this."
+NO_PRODUCTS = ", which remains uncorrected."
+
+
+@pytest.mark.parametrize(
+    ("kind", "elsewhere", "shares", "sign"),
+    [
+        ("siemens", PRODUCTS, ["corrected: E_XX E_AX E_CC"], "Y by X"),
+        ("linuxcnc", NO_PRODUCTS, ["corrected: E_XX E_CC", "corrected in part: E_AX (only"], "X by X"),
+        ("grid", "", ["corrected: E_XX E_AX", "not corrected: E_CC (error of a rotary axis"], "dY over the box"),
+    ],
+)
+def test_the_account_says_what_the_tables_correct_and_where(
+    kind: str, elsewhere: str, shares: list[str], sign: str, dmu50: Machine
+) -> None:
+    calibration = drawn(dmu50, 5, rotary=True).where(lambda name: name in ("E_XX", "E_AX", "E_CC"))
+    made = make(dmu50, calibration, Request(kind, tool_length_mm=LENGTH))
+    account = account_of(made, calibration, calibration, {})
+    text = account.to_text()
+    assert [end for end in (PRODUCTS, NO_PRODUCTS) if end in text] == ([elsewhere] if elsewhere else [])
+    assert all(f"\n  {one}" in text for one in shares)
+    assert "for a length other than 100 mm make new tables" in text and "do not follow them" not in text
+    # A displacement before a rotation, whatever its number; of several displacements the largest.
+    lengths = [one.content for one in made.tables if one.content.unit == "um"]
+    largest = max(one.largest for one in lengths)
+    assert f"the largest correction ({sign}, up to {largest:.1f} µm): move the axis" in text
+    assert "Not met" not in text and "would be corrected twice" in text and "READ-BACK FAILED" not in text
+    assert "ABOVE TOLERANCE" not in text and "do not load it" not in text
+
+    (worst, *_), remains = made.tables, account.remains
+    failed = replace(
+        worst, read_back_deviation=2.0 * (worst.deviation + worst.rounding), tolerance=0.5 * worst.deviation
+    )
+    faulty = replace(
+        account,
+        made=replace(made, tables=(failed, *made.tables[1:]), increment={"a": ""}),
+        remains=replace(remains, before=remains.tables, tables=remains.before),
+        missing=MappingProxyType({"T_X_degC": ("thermal_expansion:X", "scale_growth:X")}),
+    )
+    (row,) = [line for line in faulty.to_text().splitlines() if line.endswith("READ-BACK FAILED  ABOVE TOLERANCE")]
+    assert row.split()[0] == worst.content.name.split()[0] and "do not load it" in faulty.to_text()
+    assert {
+        "not included: thermal_expansion:X, scale_growth:X (T_X_degC is not given)",
+        "over the volume the error is larger with the tables than without them",
+    } < set(faulty.unmet)
+    assert faulty.to_text().endswith(f"- {faulty.unmet[-1]}\n")
+
+
+def test_tables_of_a_rotary_axis_are_checked_with_a_measured_angle(dmu50: Machine) -> None:
+    calibration = drawn(dmu50, 3, rotary=True).where(lambda name: name == "E_CC")
+    made = make(dmu50, calibration, Request("siemens", tool_length_mm=LENGTH))
+    text = account_of(made, calibration, calibration, {}).to_text()
+    assert "(C by C, up to" in text and " µrad): move the axis" in text and "reference encoder" in text
+    assert "dial gauge" not in text
+    none = calibration.where(lambda name: False)
+    text = account_of(replace(made, tables=()), none, none, {}).to_text()
+    assert "Before cutting" not in text
+
+
+def test_tables_for_one_temperature_say_so(dmu50: Machine) -> None:
+    bare = drawn(dmu50, 5, rotary=False).where(lambda name: name == "E_XX")
+    calibration = replace(bare, extra=(ThermalExpansion(dmu50.by_name["X"], 10.0),))
+    made = make(dmu50, calibration, Request("siemens", conditions=Conditions({"X": 26.0})))
+    text = account_of(made, calibration, calibration, {}).to_text()
+    assert "\nThe tables are for X 26 °C, and do not follow them: at others make new tables." in text
 
 
 def test_tables_in_use_are_replaced_by_those_for_the_errors_alone(dmu50: Machine, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ Probabilities come from `scipy.stats`; limits of counts are those that a right p
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -14,8 +15,10 @@ import pytest
 import scipy
 from scipy import stats
 
-from tests.identification.plans import volumetric
+from tests.identification.plans import read_by_truth, volumetric
 from tests.machine.errors import random_calibration
+from tests.truth.machine import TruthMachine
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.identification import Identification, identify
 from twin.identification.determined import determined_models
@@ -459,3 +462,23 @@ def test_the_choice_of_orders_does_not_depend_on_the_order_of_rows(dmu50: Machin
     assert first.counts == second.counts
     for name, scores in first.by_curve.items():
         assert list(second.by_curve[name].values()) == pytest.approx(list(scores.values()), rel=1e-8), name
+
+
+@pytest.mark.parametrize(("count", "listed"), [(3, True), (5, False)])
+def test_a_straightness_without_enough_positions_is_listed(
+    count: int, listed: bool, dmu50: Machine, tmp_path: Path
+) -> None:
+    """A straightness error has no constant and no slope: X at three positions leaves no function for it."""
+    plan = volumetric(dmu50, np.random.default_rng(3), 120, 2)
+    positions = np.array(plan.positions)
+    positions[:, 0] = np.linspace(50.0, 450.0, count)[np.arange(120) % count]
+    (tmp_path / "nothing.yaml").write_text("curves: {}")
+    data = read_by_truth(replace(plan, positions=read_only(positions)), TruthMachine(tmp_path / "nothing.yaml"))
+    names = ("E_XX", "E_YX", "E_ZX", "E_C0Y")
+    found = identify(data, dmu50, wanted=lambda name: name in names)
+    reasons = {one.name: one.reason for one in found.unidentified}
+    determined = {name.partition("[")[0] for name in found.calibration.covariance.names}
+    assert set(names) <= determined | set(reasons)
+    assert {name for name, why in reasons.items() if "too few different positions" in why} == (
+        {"E_YX", "E_ZX"} if listed else set()
+    )

@@ -151,6 +151,28 @@ def test_positioning_by_a_second_formulation(lines: tuple[EvaluationResult, dict
     assert ours["B_mean"] == pytest.approx(4.0, abs=3.0 * np.sqrt(2.0 / 55.0))
 
 
+def test_assumptions_are_those_of_evaluated_runs(dmu50: Machine, tmp_path: Path) -> None:
+    """Without a column for the direction of approach: X is evaluated; the target does not follow Y, which is therefore not."""
+
+    def follows(q: np.ndarray, side: np.ndarray, number: np.ndarray) -> np.ndarray:
+        return np.zeros((len(q), 3))
+
+    def stands(q: np.ndarray, side: np.ndarray, number: np.ndarray) -> np.ndarray:
+        return np.column_stack([0.0 * q, -q, 0.0 * q])
+
+    targets = np.linspace(0.0, 400.0, 5)
+    for y, axes in ((follows, "X, Y"), (stands, "X")):
+        parts = [motions.straight_run(0, targets, 2, follows), motions.straight_run(1, targets, 2, y)]
+        q, points = (np.concatenate([part[k] for part in parts]) for k in range(2))
+        data = Measurements.load(motions.write(tmp_path / "two.csv", q, motions.seen(points)), dmu50)
+        found = twin.evaluate(data, dmu50)
+        columns = ", ".join(f"approach_{name}" for name in axes.split(", "))
+        assert found.assumptions == (
+            f"direction of approach of {axes} from the order of the rows of each round: the table has no column {columns}",
+        )
+        assert any(one.test.startswith("Y: positioning") for one in found.not_evaluated) == (y is stands)
+
+
 def test_one_cycle_gives_no_repeatability(lines: tuple[EvaluationResult, dict[str, np.ndarray]]) -> None:
     """X runs five times, Y twice, to and fro, and Z once."""
     for name, cycles in zip("XYZ", (2, 1, 1), strict=True):

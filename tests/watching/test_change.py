@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy.stats import t as student_t
 
-from twin.watching.change import ErrorSeries, WatchedError, examine, lag_correlation
+from twin.watching.change import (
+    ErrorSeries,
+    WatchedError,
+    _change,
+    _temperatures,
+    _with_best_sensor,
+    examine,
+    lag_correlation,
+)
 from twin.watching.result import date_text
 
 LIMIT = float(np.log(2 * 14 / 0.05))
@@ -186,3 +194,20 @@ def test_a_drift_has_the_size_and_the_interval_of_least_squares() -> None:
     assert change.per_month == pytest.approx(found[1], rel=1e-9)
     assert change.size == pytest.approx(found[1] * months[-1], rel=1e-9)
     assert change.expanded == pytest.approx(student_t.ppf(0.975, CHECKS - 3) * u * months[-1], rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_equal_explanations_are_ranked_by_name_and_not_by_rounding(seed: int) -> None:
+    """A step and a drift in the last interval are the same change; sensors that follow each other exactly are the same influence."""
+    rng = np.random.default_rng(seed)
+    days, value = dates(rng), rng.normal(0.0, 1.0, CHECKS)
+    value[-1] += 30.0
+    degrees = 20.0 + rng.normal(0.0, 1.0, CHECKS)
+    sensors = {"bed": 3.0 * degrees + 0.1, "air": degrees, "column": degrees / 7.0}
+    plain = series(value + 2.0 * degrees, days, **sensors)
+    levels = np.ones((CHECKS, 1))
+    changed = _change(series(value, days), 0.01, levels)
+    assert (changed.shape, changed.after, changed.sure_shape) == ("step", CHECKS - 2, False)
+    assert [one.sensor for one in _temperatures(plain, 0.01)] == list(sensors)
+    beside = _with_best_sensor(plain, levels, sensors)
+    assert beside.shape[1] == 2 and np.array_equal(beside[:, 1], sensors["bed"])

@@ -13,6 +13,7 @@ from twin.watching.evidence import (
     OUTLIER_WEIGHT,
     PRIOR_VARIANCES,
     log_evidence,
+    remover,
     spent_share,
     whitening,
 )
@@ -152,3 +153,52 @@ def test_whitening_undoes_the_correlation_from_check_to_check() -> None:
     np.testing.assert_allclose(white @ correlation**lag @ white.T, np.eye(7), atol=1e-12)
     # Each check beside earlier ones only: later checks do not change what is known.
     np.testing.assert_array_equal(np.triu(white, 1), 0.0)
+
+
+def test_columns_equal_up_to_rounding_count_once() -> None:
+    """Two sensors on one housing: a factor of 0.1, rounded, is no further unknown; a millionth of a degree between them is one."""
+    days, x = drawn(11)
+    level, degrees = np.ones(LOOKS), 20.0 + np.random.default_rng(12).normal(0.0, 0.4, LOOKS)
+    columns = np.column_stack([level, degrees])
+    again = np.column_stack([columns, 3.0 * (0.1 * degrees) + 0.7])
+    assert remover(columns)[1] == remover(again)[1] == 2
+    assert log_evidence(x, days, again) == pytest.approx(log_evidence(x, days, columns), abs=1e-9)
+    noisy = np.column_stack([columns, degrees + 1e-6 * np.random.default_rng(13).normal(size=LOOKS)])
+    assert remover(noisy)[1] == 3
+    basis, rank = remover(np.zeros((4, 2)))
+    assert basis.shape == (4, 0) and rank == 0
+
+
+def test_the_floor_of_the_variance_is_that_of_the_likelihood_ratio() -> None:
+    """The floor is added to the sum of squares, in the ratios for three checks written out here.
+
+    Checks that agree to the last digit are no evidence for a change far below the floor.
+    """
+    days, x, least = np.arange(3.0), np.array([0.0, 0.0, 1.0]), 0.4
+    rss = np.sum((x - x.mean()) ** 2) + least
+    step, drift = np.eye(3)[2], np.eye(3)[2] / MONTH_DAYS
+    other, late = np.array([0.0, 1.0, 1.0]), np.array([0.0, 1.0, 2.0]) / MONTH_DAYS
+
+    def ratio(shape: np.ndarray, variance: float) -> float:
+        z = shape - shape.mean()
+        gain = 1.0 + variance * (z @ z)
+        return float(gain**-0.5 * (1.0 - variance * (z @ x) ** 2 / gain / rss) ** -1.0)
+
+    expected, rest = 0.0, 1.0
+    for after, shapes in ((1, (other, late)), (2, (step, drift))):
+        weight = DATES / ((DATES + after - 1) * (DATES + after))
+        rest -= weight
+        expected += weight * float(np.mean([ratio(z, g) for z in shapes for g in PRIOR_VARIANCES]))
+    far = OUTLIER_WEIGHT * max(ratio(z, g) for z in np.eye(3) for g in OUTLIER_VARIANCES)
+    found = log_evidence(x, days, np.ones((3, 1)), least=least)
+    assert found[-1] == pytest.approx(np.log((expected + rest) / max(far, 1.0)), rel=1e-9)
+    quiet = np.repeat([0.0, 1e-3], 10)
+    without, with_floor = (log_evidence(quiet, np.arange(20.0), np.ones((20, 1)), least=one)[-1] for one in (0.0, 0.1))
+    assert without > 20.0 and with_floor < 0.0
+
+
+def test_the_evidence_of_an_exact_change_is_finite() -> None:
+    """A drift without a residual: its share of the sum of squares is one to rounding, where the prior of its size is very wide."""
+    days = np.array([0.0, 1.0, 2.0, 1e9, 2e9])
+    found = log_evidence(days, days, np.ones((5, 1)))
+    assert np.isfinite(found).all() and found[-1] > 10.0

@@ -22,6 +22,8 @@ from twin.numerics.observability import NOT_DETERMINED, NullDirection
 
 SAYS_LESS: Final = "these data determine it no better than its prior"
 
+TOO_FEW: Final = "{axis} has too few different positions for a straightness curve; measure at five or more"
+
 
 @final
 @dataclass(frozen=True)
@@ -74,6 +76,8 @@ def unidentified(
             continue
         if not np.ptp(data.positions[:, machine.names.index(axis)]) > 0.0:
             found.append(Unidentified(name, at_rest(axis)))
+        elif name in machine.motion_names and name not in model.considered.entities:
+            found.append(Unidentified(name, TOO_FEW.format(axis=axis)))
         elif name in model.confounded or name in model.left_out:
             direction = model.determinability.null_direction_of(
                 model.determinability.names[model.considered.of(name)[0]]

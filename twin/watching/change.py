@@ -21,7 +21,7 @@ from typing import Final, Literal, final
 import numpy as np
 import scipy
 
-from twin._common.arrays import read_only
+from twin._common.arrays import first_largest, largest_first, read_only
 from twin.display.numbers import COVERAGE
 from twin.watching.evidence import change_shapes, log_evidence, remover, whitening
 
@@ -292,7 +292,7 @@ def _with_best_sensor(series: ErrorSeries, levels: np.ndarray, sensors: Mapping[
         return levels
     both = {name: np.column_stack([levels, values]) for name, values in sensors.items()}
     rss = {name: min(p.min() for p in _profile(series, columns).values()) for name, columns in both.items()}
-    best = min(rss, key=rss.__getitem__)
+    best = _best(rss)
     needed = float(scipy.stats.t.ppf(1.0 - 0.005 / len(sensors), dof)) ** 2
     significant = (plain - rss[best]) * dof > needed * max(rss[best], 1e-300)
     return both[best] if significant else levels
@@ -314,12 +314,18 @@ def _profile(series: ErrorSeries, nuisance: np.ndarray) -> dict[str, np.ndarray]
     return found
 
 
+def _best(rss: Mapping[str, np.ndarray]) -> str:
+    """Return the name with the least sum of squares; the first of equal ones."""
+    return list(rss)[first_largest(-np.array([np.min(own) for own in rss.values()]))]
+
+
 def _change(series: ErrorSeries, least: float, nuisance: np.ndarray) -> Change:
     """Return the most likely change, with its interval, beside the nuisance columns."""
     profile = {name: rss + least for name, rss in _profile(series, nuisance).items()}
-    shape: Literal["step", "drift"] = "step" if profile["step"].min() <= profile["drift"].min() else "drift"
+    # A step and a drift in the last interval are the same change.
+    shape: Literal["step", "drift"] = "step" if _best(profile) == "step" else "drift"
     own, other = profile[shape], profile["drift" if shape == "step" else "step"]
-    after = int(np.argmin(own))
+    after = first_largest(-own)
     fit = _fit(series.value, series.root, np.column_stack([nuisance, _shape(series, shape, after)]))
     dof = max(fit.dof - 1, 1)  # the date is estimated too
     inside = np.flatnonzero(dof * (own - own[after]) / own[after] <= DATE_LIMIT)
@@ -358,8 +364,8 @@ def _temperatures(series: ErrorSeries, least: float) -> tuple[TemperatureEffect,
                 float(0.5 * dof * np.log(change / (fit.rss + least))),
             )
         )
-    found.sort(key=lambda one: -one.log_ratio)
-    return tuple(one for one in found if one.log_ratio >= found[0].log_ratio - np.log(RATIO))
+    ranked = [found[i] for i in largest_first(np.array([one.log_ratio for one in found]))]
+    return tuple(one for one in ranked if one.log_ratio >= ranked[0].log_ratio - np.log(RATIO))
 
 
 def lag_correlation(every: Sequence[ErrorSeries]) -> float:
@@ -380,8 +386,8 @@ def lag_correlation(every: Sequence[ErrorSeries]) -> float:
         if count < FEWEST_CHECKS + columns.shape[1] - 1:
             continue
         profile = _profile(series, columns)
-        shape = min(profile, key=lambda name: float(profile[name].min()))
-        changed = _shape(series, shape, int(np.argmin(profile[shape])))
+        shape = _best(profile)
+        changed = _shape(series, shape, first_largest(-profile[shape]))
         fit = _fit(series.value, series.root, np.column_stack([columns, changed]))
         residual = series.root @ (series.value - fit.fitted)
         whole = float(residual @ residual)

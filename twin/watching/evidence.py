@@ -163,6 +163,6 @@ def _log_ratios(
     for variance in variances:
         gain = 1.0 + variance * strength
         explained = np.divide(variance * along / gain, rss, out=np.zeros_like(along), where=rss > 0.0)
-        share = np.clip(explained, 0.0, 1.0 - 1e-12)
+        share = np.minimum(explained, 1.0 - 1e-12)
         logs.append(-0.5 * np.log(gain) - 0.5 * dof * np.log1p(-share))
     return np.stack(logs)

@@ -28,7 +28,7 @@ from twin.diagnosis.selection.structure import Findings, Structure, joint_select
 from twin.identification.discrepancy import settled
 from twin.measurement.state import machine_state
 
-RESELECTED: Final = 2
+RESELECTED: Final = 4
 """Largest number of searches with other weights."""
 TIME: Final = "time_s"
 NOT_PREDICTED: Final = "they do not predict held-out positions"
