@@ -37,9 +37,9 @@ def on_files(files: Files, config: Any) -> Files:
 
 def generated() -> Iterator[tuple[str, str | bytes]]:
     """Yield the path and the content of every generated file."""
-    for name, module in PAGES.items():
+    for name in PAGES:
         path = "reference/files.md" if name == "files" else f"manual/{name}.md"
-        yield path, manual_page(name, module)
+        yield path, manual_page(name)
     yield "reference/api.md", api_page()
     yield "reference/commands.md", commands_page()
     yield "development/packages.svg", package_diagram()
@@ -49,10 +49,9 @@ def generated() -> Iterator[tuple[str, str | bytes]]:
         yield from course_pages(notebook)
 
 
-def manual_page(name: str, module: str) -> str:
-    """Return a page of `twin doc` with a title, and code where the docstring has indented blocks."""
-    first, _, rest = page_text(module).partition("\n")
-    return f"# {name.capitalize()}\n\n{first}\n{rest}\n\n*From the documentation of `{module}`; in a terminal: `twin doc {name}`.*\n"
+def manual_page(name: str) -> str:
+    """Return a page of `twin doc` with a title."""
+    return f"# {name.capitalize()}\n\n{page_text(name)}\n*In a terminal: `twin doc {name}`.*\n"
 
 
 def api_page() -> str:

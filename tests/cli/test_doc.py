@@ -22,7 +22,7 @@ def shown(text: str, width: int) -> list[str]:
 @pytest.mark.parametrize("name", PAGES)
 def test_no_word_is_cut_at_80_columns(name: str) -> None:
     """Every word of the wide page is also in the narrow one, and no line is wider than the terminal."""
-    text = page_text(PAGES[name])
+    text = page_text(name)
     narrow, wide = shown(text, 80), shown(text, 1000)
     assert max(map(len, narrow)) <= 80
     words = {word for line in wide for word in re.findall(r"[^\s─━]+", line)}

@@ -33,8 +33,8 @@ def said() -> Iterator[tuple[str, str]]:
             for part in line.split(" && "):
                 if part.split()[0].removeprefix(".venv/bin/") == "twin":
                     yield "README", part
-    for page, room in PAGES.items():
-        yield from ((page, line.strip()) for line in page_text(room).splitlines() if line.startswith("    twin "))
+    for page in PAGES:
+        yield from ((page, line.strip()) for line in page_text(page).splitlines() if line.startswith("    twin "))
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
         for cell in json.loads(path.read_text())["cells"]:
             text = "".join(cell["source"])
@@ -60,9 +60,9 @@ def test_every_call_is_one(call: tuple[str, str]) -> None:
 
 
 def test_the_manual_has_a_page_for_every_name() -> None:
-    for room in PAGES.values():
-        first, *rest = page_text(room).splitlines()
-        assert first.endswith(".") and len([line for line in rest if line.strip()]) >= 5, room
+    for page in PAGES:
+        first, *rest = page_text(page).splitlines()
+        assert first.endswith(".") and len([line for line in rest if line.strip()]) >= 5, page
 
 
 @pytest.mark.parametrize(("number", "printed"), [(0, "[["), (1, "error at the tool")])
@@ -78,7 +78,7 @@ def test_readme_is_short() -> None:
 
 
 def test_the_calibration_of_the_manual_loads(tmp_path: Path) -> None:
-    lines = page_text(PAGES["files"]).splitlines()
+    lines = page_text("files").splitlines()
     start = next(i for i, line in enumerate(lines) if line.strip() == "schema: twin.calibration/1")
     example = list(takewhile(lambda line: line.startswith("    "), lines[start:]))
     path = tmp_path / "c.yaml"

@@ -135,7 +135,7 @@ def test_every_format_is_documented(form: TableFormat) -> None:
     assert module is not None and len(module.__doc__ or "") > 300
     if form.unchecked:
         assert "**Not checked**" in module.__doc__
-    assert f"| `{form.name}` {form.what} | {form.carries} | {form.leaves} |" in page_text("twin.control")
+    assert f"| `{form.name}` {form.what} | {form.carries} | {form.leaves} |" in page_text("control")
     assert list(form.classes) == [name for name in BASIC if name in form.classes] != []
     assert form.points >= 2 and min(form.rounding) >= 0.0 < form.tolerance_um
     assert [one.name for one in table_formats()].count(form.name) == 1

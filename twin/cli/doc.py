@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
+from importlib import resources
 from typing import Annotated, Final
 
 import typer
@@ -11,28 +10,23 @@ import typer
 from twin._common.errors import InputError, closest_name
 from twin.cli.shared.command import CommandResult, JsonOption, command
 
-PAGES: Final = {
-    "programs": "twin.compensation",
-    "import": "twin.measurement.importing",
-    "convert": "twin.measurement.formats",
-    "identify": "twin.identification",
-    "evaluate": "twin.standards",
-    "thermal": "twin.thermal",
-    "diagnose": "twin.diagnosis",
-    "plan": "twin.planning",
-    "report": "twin.reporting",
-    "compare": "twin.comparison",
-    "watch": "twin.watching",
-    "control": "twin.control",
-    "interferometer": "twin.identification.axis_run",
-    "paths": "twin.compensation.fewer_blocks",
-    "many": "twin.compute.parallel",
-    "files": "twin._common.files",
-    "datum": "twin.machine.datum",
-    "curves": "twin.numerics.curves",
-    "speed": "twin.compute.native",
-}
-"""Module whose docstring is the page of that name."""
+PAGES: Final = (
+    *(
+        "programs",
+        "import",
+        "convert",
+        "identify",
+        "evaluate",
+        "thermal",
+        "diagnose",
+        "plan",
+        "report",
+        "compare",
+        "watch",
+    ),
+    *("control", "interferometer", "paths", "many", "files", "datum", "curves", "speed"),
+)
+"""Names of the pages: `manual/NAME.md` beside this file."""
 
 
 @command("twin doc", "twin doc diagnose", "twin doc control")
@@ -48,13 +42,13 @@ def doc(
 ) -> CommandResult:
     """Show a page of the manual: methods, use and limits of one part of twin.
 
-    The pages are docstrings of the package; in a notebook, `help(twin.diagnosis)` shows the same text.
+    The pages are Markdown files of the package, with the formats, bases and words that it knows now.
     """
     if page is not None and page not in PAGES:
         raise InputError(
             "no such page", expected=f"one of {', '.join(PAGES)}", value=page, nearest=closest_name(page, PAGES)
         )
-    pages = {name: page_text(module) for name, module in PAGES.items() if page in (None, name)}
+    pages = {name: page_text(name) for name in PAGES if page in (None, name)}
 
     def show() -> None:
         from rich.console import Console
@@ -75,6 +69,50 @@ def doc(
     return CommandResult("", lambda: {"schema": "twin.doc/1", "pages": pages}, written="", show=show)
 
 
-def page_text(module: str) -> str:
-    """Return the docstring of a module, without its indentation."""
-    return inspect.cleandoc(importlib.import_module(module).__doc__ or "")
+def page_text(page: str) -> str:
+    """Return a page of the manual, Markdown; a line that is only a mark is replaced by what the package lists there."""
+    text = (resources.files("twin.cli") / "manual" / f"{page}.md").read_text(encoding="utf-8")
+    for mark, rows in _listed(page).items():
+        text = text.replace(f"\n{mark}\n", "\n" + "\n".join(rows) + "\n", 1)
+    return text
+
+
+def _listed(page: str) -> dict[str, list[str]]:
+    """Return the rows in place of each mark of a page."""
+    if page == "control":
+        from twin.machine.control import kinematics_formats, table_formats
+
+        return {
+            "FORMATS": [f"| `{form.name}` {form.what} | {form.carries} | {form.leaves} |" for form in table_formats()],
+            "KINEMATICS": [
+                f"| `{form.name}` {form.title}: {form.what} | {form.carries} | {form.leaves} |"
+                for form in kinematics_formats()
+            ],
+        }
+    if page == "convert":
+        from twin.measurement.formats import FORMATS
+        from twin.measurement.formats.heidenhain import MASK
+
+        formats = [form.specification for form in FORMATS]
+        return {
+            "FORMATS": [
+                f"| `{one.name}` {one.title} | {' '.join(one.suffixes)} | {one.gives} | {one.needs or '(complete)'} |"
+                for one in formats
+            ],
+            "    MASK": [f"    {MASK}"],
+            "NOT VERIFIED": [
+                f"- `{one.name}` ({one.source}): {'; '.join(one.unverified) or 'complete'}." for one in formats
+            ],
+        }
+    if page == "import":
+        from twin.measurement.importing.vocabulary import NAMES, ROLES
+
+        phrases = {**ROLES, **NAMES}
+        return {
+            "VOCABULARY": [f"- {name}: {', '.join(sorted(filter(None, words)))}" for name, words in phrases.items()]
+        }
+    if page == "curves":
+        from twin.numerics.curves import BASES
+
+        return {"BASES": [f"- `{basis.name}`: {basis.formula}" for basis in BASES]}
+    return {}

@@ -86,10 +86,8 @@ def test_every_format_is_documented(form: MeasuredFormat) -> None:
     assert (module is not None and len(module.__doc__ or "") > 300) or form.name == "tracker"
     spec = form.specification
     row = f"| `{spec.name}` {spec.title} | {' '.join(spec.suffixes)} | {spec.gives} | {spec.needs or '(complete)'} |"
-    assert row in page_text("twin.measurement.formats") and spec.source
-    (line,) = (
-        text for text in page_text("twin.measurement.formats").splitlines() if text.startswith(f"- `{spec.name}` (")
-    )
+    assert row in page_text("convert") and spec.source
+    (line,) = (text for text in page_text("convert").splitlines() if text.startswith(f"- `{spec.name}` ("))
     assert spec.source in line and all(text in line for text in spec.unverified)
     assert [one.name for one in FORMATS].count(form.name) == 1
 
@@ -154,7 +152,7 @@ def test_an_unknown_file(tmp_path: Path) -> None:
 def test_the_mask_of_the_manual_prints_what_is_read() -> None:
     """The text of the mask, filled in by the rules of printf, gives the file of the case."""
     text, _, parameters = MASK.removeprefix('"').partition('",')
-    assert parameters.count("Q") == text.count("%") == 6 and f"    {MASK}\n" in page_text("twin.measurement.formats")
+    assert parameters.count("Q") == text.count("%") == 6 and f"    {MASK}\n" in page_text("convert")
     printed = "".join(text % (*point, b, c, 1) + "\n" for point, _, b, c in spheres.contacts())
     assert printed == CASES["heidenhain"].GOOD
 

@@ -1,13 +1,6 @@
 """Six error motions of one linear axis from the readings of a multi-axis interferometer.
 
-    twin simulate-run --layout nine_beams_x.yaml --positions 0,500,21 -o run.csv
-    twin axis-run run.csv --layout nine_beams_x.yaml -o x.yaml
-
-The result are six error motions at every position and their curves, with the joint covariance. A layout file
-(`schema: twin.interferometer/1`) gives the beams, the mirrors, their places on the carriage, and all uncertainties. The beams alone
-do not determine x and y, whatever the number of positions (Wen et al. 2023 claim they do; `twin.measurement.instruments.multi_axis`
-gives the undetermined motion). The uncertainty of the installation is therefore part of every uncertainty. A beam or mirror that is
-tilted by 1 mrad gives a bias of some 0.25 µm over 500 mm, which is not included.
+Manual: `twin doc interferometer`.
 """
 
 from twin.identification.axis_run.layout import AxisLayout
