@@ -70,7 +70,7 @@ def doc(
 
 
 def page_text(page: str) -> str:
-    """Return a page of the manual, Markdown; a line that is only a mark is replaced by what the package lists there."""
+    """Return a page of the manual, Markdown; in place of a line that is only a mark stand the rows of the package."""
     text = (resources.files("twin.cli") / "manual" / f"{page}.md").read_text(encoding="utf-8")
     for mark, rows in _listed(page).items():
         text = text.replace(f"\n{mark}\n", "\n" + "\n".join(rows) + "\n", 1)
