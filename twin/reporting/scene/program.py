@@ -88,5 +88,6 @@ def draw_program(
         title=source.name,
         exaggeration=exaggeration,
         warnings=errors.warnings,
+        omitted=run.omitted,
     )
     return Scene(page, run)
