@@ -301,7 +301,7 @@ def _path_commands(path: ScenePath, factor: float, top_um: float, node: NodePath
     """Return commands for the path in the work frame: fine in the close-up, bold in the view of the machine of extent ``size``."""
     shown, nominal = path.shown_mm(factor) * MM, path.nominal_mm * MM
     colours = viridis(np.clip(path.deviation_um / top_um, 0.0, 1.0))
-    cuts, rapids = runs(path.cutting, True), runs(path.cutting, False)
+    cuts, rapids = runs(path.cutting & ~path.gaps), runs(~path.cutting & ~path.gaps)
     fine = 0.004 * path.extent_mm * MM
     commands: list[Any] = []
     grey, pale = (np.tile(colour, (len(nominal), 1)) for colour in (_NOMINAL, _RAPID))
