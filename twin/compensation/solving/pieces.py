@@ -241,7 +241,7 @@ class Pieces:
             clamped = ~rows_all_true(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.prepared.increment)
         tcp_out = taken(self.tcp_out, rows.motion)
         out = self.space.words(clipped, tcp_out)
-        printed = self.on_grid(out, tcp_out)
+        printed = self.prepared.on_grid(out, tcp_out, self.increment)
         if self.by_vector.any():
             free = np.ix_(self.by_vector[rows.motion], range(3, printed.shape[1]))
             printed[free] = out[free]
@@ -250,23 +250,6 @@ class Pieces:
             printed[left] = self.space.words(rows.nominal, tcp_out)[left] if self.posted else rows.words[left]
         commands = self.space.commands(printed, tcp_out)
         return replace(rows, printed=printed, commands=commands, clamped=(clamped | rows.as_programmed) & ~left)
-
-    def on_grid(self, words: np.ndarray, tips: np.ndarray) -> np.ndarray:
-        """Return (n, axes) words rounded to their increments, at a limit towards the inside.
-
-        Coordinates of the tool tip or of a tilted plane are rounded to the nearest; ``tips``: (n,) whether words are such coordinates.
-        """
-        increment, offset = self.increment, self.space.offset
-        rounded = np.round(words / increment) * increment
-        low, high = self.prepared.limits[self.space.order].T
-        if all_within(rounded + offset, low - SLACK, high + SLACK):  # the usual case
-            return rounded
-        first = np.ceil((low - offset - SLACK) / increment) * increment
-        last = np.floor((high - offset + SLACK) / increment) * increment
-        inside = np.clip(rounded, first, last)
-        points = tips | (self.space.tilt is not None)
-        inside[points, :3] = rounded[points, :3]
-        return inside
 
     def _nearest(self, stopped: Rows) -> Rows:
         """Return rows stopped at a limit, each with the position that puts the tool nearest to its point.
@@ -315,7 +298,8 @@ class Pieces:
         vectors = np.full((len(of), 3), np.nan)
         vector = taken(self.by_vector, of)
         words = commands[:, space.order] - space.offset
-        rounded = self.on_grid(words, np.ones(len(words), dtype=bool))[:, 3:] + space.offset[3:]
+        tips = np.ones(len(words), dtype=bool)
+        rounded = self.prepared.on_grid(words, tips, self.increment)[:, 3:] + space.offset[3:]
         commands[:, rotary] = np.where(vector[:, None], commands[:, rotary], rounded) if vector.any() else rounded
         rows = np.flatnonzero(vector)
         if rows.size:

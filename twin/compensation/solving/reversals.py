@@ -117,7 +117,7 @@ def _without_steps_back(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tup
     tcp_out = pieces.tcp_out[rows.motion[which]]
     printed, final_commands = rows.printed.copy(), rows.commands.copy()
     words = pieces.space.words(commands[which], tcp_out)
-    rounded = pieces.on_grid(words, tcp_out)
+    rounded = pieces.prepared.on_grid(words, tcp_out, pieces.increment)
     free = ~pieces.by_vector[rows.motion[which]]
     printed[which, :3] = rounded[:, :3]
     printed[which[free], 3:] = rounded[free, 3:]
