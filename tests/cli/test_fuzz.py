@@ -90,23 +90,34 @@ def test_many_hostile_files_are_read_or_refused(kind: str, tmp_path: Path) -> No
 
 
 def done_or_refused(capsys: pytest.CaptureFixture[str], words: list[str]) -> int:
-    """Run a command in the current folder; it must exit with 0 or 3 and complete outputs, or with 2, one line and no output."""
+    """Run a command in the current folder as `ended`; return its exit status."""
+    return ended(capsys, words)[0]
+
+
+def ended(capsys: pytest.CaptureFixture[str], words: list[str]) -> tuple[int, str, dict[str, bytes]]:
+    """Run a command in the current folder; return its exit status, what it printed and the files it made, which are removed.
+
+    It must exit with 0 or 3 and complete outputs, or with 2, one line and no output.
+    """
     before = set(Path().iterdir())
     with pytest.raises(SystemExit) as stopped:
         cli.main(words)
     status = int(stopped.value.code or 0)
     # The mapping that `import` proposes is for a person to confirm.
     made = {path for path in set(Path().iterdir()) - before if not path.name.endswith(".columns.yaml")}
-    errors = capsys.readouterr().err
+    printed = capsys.readouterr()
+    errors = printed.err
     assert status in (0, 2, 3), (words, status)
     if status == 2:
         assert errors.startswith("twin: ") and errors.count("\n") == 1 and not made, (words, errors, made)
+    contents = {}
     for path in made:
         assert not path.name.startswith("."), (words, path)
         if path.suffix == ".json":
             json.loads(path.read_text(), parse_constant=_no_constant)
+        contents[path.name] = path.read_bytes() if path.is_file() else b""
         path.unlink()
-    return status
+    return status, printed.out + errors, contents
 
 
 def _no_constant(name: str) -> float:

@@ -17,13 +17,14 @@ from typer.testing import CliRunner
 
 import twin
 from tests.nc.nc_support import plain_positions
-from tests.truth.machine import TruthMachine, run_iso
+from tests.truth.machine import RANGES, TruthMachine, run_iso
 from twin._common.errors import InputError
 from twin.cli.commands import app
 from twin.cli.shared.words import repeat_options
 from twin.compensation import Options
 from twin.compensation.fewer_blocks import PathReport, UncertaintyContribution, combined
 from twin.compensation.fewer_blocks.refit import Refit, Refitter
+from twin.compensation.toolpath import Setup
 from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 
@@ -332,6 +333,33 @@ def test_points_of_a_curve(dmu50: Machine, tmp_path: Path) -> None:
     assert len(after) < 0.15 * len(points)
     assert result.text.count("F400") == 1
     assert not re.search(r"\.\d{4}", result.text)  # every word at its least increment
+
+
+@pytest.mark.parametrize("turning", [False, True])
+def test_a_point_at_a_limit_is_rounded_towards_the_inside(dmu50: Machine, tmp_path: Path, turning: bool) -> None:
+    """The work offset is between two least increments, so that no word gives the limit itself."""
+    low, high = np.array([*list(RANGES.values())[:4], (-np.inf, np.inf)]).T  # C turns without end
+    offset = np.array([4e-4, -4e-4, 3e-4, -4e-4, 4e-4])
+    t = np.linspace(0.0, 1.0, 201)
+    x, y = np.minimum(500.0, 550.0 - 100.0 * t), np.maximum(0.0, 50.0 - 100.0 * t)
+    at = np.stack([x, y, 0.0 * t, 20.0 * (1.0 - t), 350.0 + 10.0 * t], axis=1)
+    axes = 5 if turning else 3
+    header = "x_mm,y_mm,z_mm,B_deg,C_deg" if turning else "x_mm,y_mm,z_mm"
+    source = table(tmp_path / "p.csv", header, (at - offset)[:, :axes])
+    setup = Setup(work_offset=dict(zip(RANGES, offset.tolist(), strict=True)))
+    options = Options(tolerance_mm=0.02, tool_length_mm=120.0, setup=setup)
+    result = twin.refit(source, dmu50, options=options, compensated=False)
+    reached = (np.array([q for _, q in run_iso(result.text)]) + offset)[:, :axes]
+    assert np.all(reached >= low[:axes] - 1e-9) and np.all(reached <= high[:axes] + 1e-9)
+    # Where C is rounded by half a least increment, X and Y move by 4 µm at 0.5 m from it.
+    assert np.all(np.minimum(reached - low[:axes], high[:axes] - reached)[:, :4].min(axis=0) < 4e-3), "limits are met"
+    assert np.abs(reached[[0, -1]] - at[[0, -1], :axes]).max() < 6e-3
+
+
+def test_points_outside_a_range_are_not_moved(dmu50: Machine, tmp_path: Path) -> None:
+    points = circle() - [220.0, 0.0, 0.0]
+    result = twin.refit(table(tmp_path / "p.csv", "x_mm,y_mm,z_mm", points), dmu50, compensated=False)
+    assert np.array([q for _, q in run_iso(result.text)])[:, :3] == pytest.approx(points, abs=5.1e-4)
 
 
 def test_points_with_rotary_axes_and_vectors(dmu50: Machine, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import pytest
 
 from tests.cli.commands import refused, twin
 from tests.compensation.test_compensate import LENGTH, ROUNDING_UM, compensate
+from tests.nc.nc_support import iso_positions
 from tests.truth.machine import RANGES, TruthMachine, in_datum, run_iso, written
 from twin import cli
 from twin._common.errors import InputError, OutputError
@@ -144,6 +145,26 @@ def test_the_point_precedes_the_orientation_where_a_linear_axis_has_no_travel(
         for one in relaxed:
             assert (one.kind, one.lines) == ("orientation", (3,))
             assert one.worst == pytest.approx(after_urad[1], abs=10.0)  # the words' rounding
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_position_at_a_limit_is_rounded_towards_the_inside(dmu50: Machine, tmp_path: Path, seed: int) -> None:
+    """The work offset is between two least increments, so that no word gives the limit itself."""
+    rng = np.random.default_rng(46 + seed)
+    written(tmp_path / "c.yaml", in_datum(rng, size=60.0))
+    low, high = np.array(list(RANGES.values())).T
+    offset = np.array([250.0, 225.0, -200.0, 10.0, 0.0]) + rng.uniform(-5e-4, 5e-4, 5)
+    inward = np.tile([1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, -1.0], (5, 1)).T
+    at = np.where(inward > 0.0, low, high) + inward * rng.choice([0.0, 0.002, 0.01], (8, 5))
+    at[:, 4] = rng.uniform(30.0, 40.0, 8)
+    words = np.where(inward > 0.0, np.ceil((at - offset) * 1e3), np.floor((at - offset) * 1e3)) / 1e3
+    text = "".join("G1 F500 X{:.3f} Y{:.3f} Z{:.3f} B{:.3f} C{:.3f}\n".format(*row) for row in words)
+    known = Calibration.load(tmp_path / "c.yaml", dmu50)
+    setup = Setup(work_offset=dict(zip(RANGES, offset.tolist(), strict=True)))
+    result = compensate(text, dmu50, known, setup=setup, tolerance_mm=1.0)
+    reached = np.array([position for _, position in iso_positions(result.text)]) + offset
+    assert np.all(reached >= low - 1e-9) and np.all(reached <= high + 1e-9)
+    assert np.count_nonzero(np.minimum(reached - low, high - reached)[:, :4] < 1e-3, axis=0).all(), "every limit is met"
 
 
 MODES = {"axis": "p.nc", "tool tip": "p.nc", "vector": "p.nc", "posted": "p.cls"}

@@ -65,6 +65,7 @@ PLAIN_STATEMENTS = [
         "FUNCTION NEW",
     ),
     *("TABDATA WRITE CORR-TCS", "ROTATE", "PRESET SELECT #3", "INCLUDE", "SECTION", "TOOL WEAR 5", "POTATO 5"),
+    *("QGXZV", "QX(1)", "Q", "QS", "Q5", "QUIT 5"),
 ]
 KINDS = {
     "G codes": (ISO, G_CODES),

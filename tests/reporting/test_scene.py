@@ -40,6 +40,7 @@ from twin.reporting.scene.path import (
     tube,
     viridis,
 )
+from twin.reporting.scene.program import draw_program
 
 TOOL_MM = 90.0
 VIRIDIS = {0.0: "#440154", 0.5: "#21918c", 1.0: "#fde725"}  # as published, to the last bit
@@ -50,6 +51,10 @@ def real(dmu50: Machine) -> Kinematics:
     return Kinematics(dmu50, random_calibration(dmu50, np.random.default_rng(5), 100.0), tool_length_mm=TOOL_MM)
 
 
+def no_gaps(points: int) -> np.ndarray:
+    return np.arange(points) == 0
+
+
 def motion(real: Kinematics, points: int = 400) -> ScenePath:
     """Return a rapid move, then a move of all five axes, on the machine with errors."""
     t = np.linspace(0.0, 1.0, points)
@@ -57,7 +62,14 @@ def motion(real: Kinematics, points: int = 400) -> ScenePath:
     q = np.vstack([[100, 100, 0, 0, 0], q])
     nominal = Kinematics(real.machine, Calibration.zero(real.machine), tool_length_mm=TOOL_MM)
     cutting = np.arange(len(q)) > 1
-    return ScenePath(q, nominal.forward(q).point_mm, real.forward(q).point_mm, cutting, 10 * np.arange(1, len(q) + 1))
+    return ScenePath(
+        q,
+        nominal.forward(q).point_mm,
+        real.forward(q).point_mm,
+        cutting,
+        10 * np.arange(1, len(q) + 1),
+        no_gaps(len(q)),
+    )
 
 
 def ring(machine: Machine, largest_um: float, points: int = 300) -> ScenePath:
@@ -67,7 +79,7 @@ def ring(machine: Machine, largest_um: float, points: int = 300) -> ScenePath:
     nominal = 60 * out + [0, 0, 40]
     q = np.column_stack([250 + nominal[:, 0], 225 + nominal[:, 1], -400 + TOOL_MM + nominal[:, 2], 0 * t, 0 * t])
     actual = nominal + out * (largest_um * 1e-3 * t / t[-1])[:, None]
-    return ScenePath(q, nominal, actual, np.ones(points, dtype=bool), np.arange(points) + 5)
+    return ScenePath(q, nominal, actual, np.ones(points, dtype=bool), np.arange(points) + 5, no_gaps(points))
 
 
 def commands(page: str) -> list[dict[str, Any]]:
@@ -184,8 +196,8 @@ def test_number_of_arrows_and_the_worst_point(real: Kinematics) -> None:
 
 def test_runs_and_thinning_keep_ends_and_the_worst() -> None:
     cutting = np.array([False, False, True, True, True, False, True])
-    assert [run.tolist() for run in runs(cutting, True)] == [[1, 2, 3, 4], [5, 6]]
-    assert [run.tolist() for run in runs(cutting, False)] == [[0, 1], [4, 5]]
+    assert [run.tolist() for run in runs(cutting)] == [[1, 2, 3, 4], [5, 6]]
+    assert [run.tolist() for run in runs(~cutting)] == [[0, 1], [4, 5]]
     (thin,) = thinned([np.arange(10_000)], 100, 4321)
     assert len(thin) <= 101 and thin[0] == 0 and thin[-1] == 9999 and 4321 in thin
 
@@ -217,6 +229,68 @@ def test_keyframes_are_limited_evenly_spaced_and_on_the_path(real: Kinematics, p
         speed = (way / np.diff(frames.share))[cutting]
         # With more points than keyframes, corners are cut; this smooth path changes by very little.
         assert speed.max() / speed.min() < 1.01
+
+
+@pytest.mark.parametrize("points", [20, 5000])
+def test_animation_and_arrows_jump_over_a_gap(dmu50: Machine, points: int) -> None:
+    """Half a circle, then the other half 100 mm from it."""
+    path = ring(dmu50, 8.0, points)
+    after = np.arange(points) >= points // 2
+    far = 100.0 * after[:, None]
+    path = replace(
+        path,
+        positions=path.positions + far * [1, 0, 0, 0, 0],
+        nominal_mm=path.nominal_mm + far * [1, 0, 0],
+        actual_mm=path.actual_mm + far * [1, 0, 0],
+        gaps=no_gaps(points) | (np.arange(points) == points // 2),
+    )
+    frames = keyframes(path.drawn(), dmu50.linear, dmu50.rotary)
+    assert len(frames.share) <= MAX_KEYFRAMES
+    (jump,) = np.flatnonzero(np.diff(frames.positions[:, 0]) > 50)
+    assert 0 < np.diff(frames.share.round(6))[jump] * SECONDS < 1e-3  # as the page has it; no picture falls within
+    assert frames.share[jump] == pytest.approx(0.5, abs=0.03)
+    steps = np.linalg.norm(np.delete(np.diff(frames.positions, axis=0), jump, axis=0), axis=1)
+    assert steps.max() < (20.0 if points == 20 else 1.0)
+    assert np.count_nonzero(after[arrow_blocks(path, 20)]) == pytest.approx(10, abs=1)
+    # Without motion between two gaps there is nothing to animate.
+    still = replace(path, gaps=np.ones(points, dtype=bool))
+    assert len(keyframes(still, dmu50.linear, dmu50.rotary).share) == 1
+
+
+def test_both_ends_of_a_gap_are_drawn(dmu50: Machine) -> None:
+    """Also where they are on one line of the program, and close to each other."""
+    at = np.arange(40) * [[0.1], [0], [0], [0], [0]]
+    path = ScenePath(at.T, at[:3].T, at[:3].T, np.ones(40, dtype=bool), np.ones(40, dtype=int), np.arange(40) % 17 == 0)
+    drawn = path.drawn()
+    assert drawn.positions[:, 0] == pytest.approx([0.0, 1.6, 1.7, 3.3, 3.4, 3.9])
+    assert drawn.gaps.tolist() == [True, False, True, False, True, False]
+
+
+BROKEN = {
+    "unknown statement": "FOO(1)\nG1 X7\nG53 G0 X400 Y0 Z-1 B0 C0",
+    "machine coordinates": "G53 G0 X400",
+    "outside the axis ranges": "G1 Y-300\nX400\nY0",
+    "rapids outside the axis ranges": "G0 Y-300\nX400\nY0",
+}
+"""Statements between two cuts."""
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_nothing_is_drawn_where_the_way_is_not_known(dmu50: Machine, tmp_path: Path, name: str) -> None:
+    """The cuts before and after a jump of about 400 mm are 6 mm and 1 mm long."""
+    (tmp_path / "p.nc").write_text(f"G0 X0 Y0 Z-100 B0 C0\nG1 X6 F500\n{BROKEN[name]}\nG1 X399\nM30\n")
+    scene = draw_program(tmp_path / "p.nc", dmu50)
+    sent = {c["path"].rsplit("/", 1)[-1]: c for c in commands(scene.html) if c["type"] == "set_object"}
+    drawn = {name: c["object"]["geometries"][0].get("data") for name, c in sent.items()}
+    assert "rapids" not in drawn
+    for part in ("fine", "bold", "nominal"):
+        points = np.frombuffer(drawn[part]["attributes"]["position"]["array"].data, dtype=np.float32).reshape(-1, 3)
+        faces = np.frombuffer(drawn[part]["index"]["array"].data, dtype=np.uint32).reshape(-1, 3)
+        assert np.ptp(points, axis=0).max() > 0.3, "both cuts are drawn"
+        assert np.linalg.norm(points[faces] - points[np.roll(faces, 1, axis=1)], axis=2).max() < 0.02
+    data = page_data(scene.html)
+    steps = np.abs(np.diff(data["q"], axis=0)).max(axis=1)
+    assert np.count_nonzero(steps > 1.0) == 1 and np.diff(data["share"])[np.argmax(steps)] * SECONDS < 1e-3
 
 
 def test_a_path_without_motion_is_one_keyframe(real: Kinematics) -> None:
@@ -285,7 +359,9 @@ def test_another_machine(name: str) -> None:
     lower = [axis.lower if axis.lower is not None else -90.0 for axis in machine.axes]
     upper = [axis.upper if axis.upper is not None else 90.0 for axis in machine.axes]
     q = np.linspace(lower, upper, 12)
-    path = ScenePath(q, real.forward(q).point_mm, real.forward(q).point_mm, np.ones(12, dtype=bool), np.arange(12))
+    path = ScenePath(
+        q, real.forward(q).point_mm, real.forward(q).point_mm, np.ones(12, dtype=bool), np.arange(12), no_gaps(12)
+    )
     text = scene_html(real, path, title=name)
     # Without deviation: factor 1, no arrow, but a colour scale.
     assert "deviation × 1<" in text and "/arrows" not in json.dumps([c["path"] for c in commands(text)])
@@ -395,7 +471,7 @@ def test_scene_and_account_name_the_same_worst_line(dmu50: Machine, program: str
     """The largest error of the program as written, its line, and the RMS are those of the account."""
     account = twin.compensate(program, dmu50, options=twin.Options(tool_length_mm=120.0)).report.before
     run = execute_file(program, dmu50, Calibration.default(dmu50), tool_length_mm=120.0)
-    path = ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines)
+    path = ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines, run.gaps)
     assert path.lines[path.worst] == account.worst_line
     assert path.max_um == pytest.approx(account.max_um, rel=1e-6)
     drawn = path.drawn()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
@@ -41,6 +41,9 @@ from twin.nc import read_program
 from twin.nc.blocks import Program
 from twin.nc.inline import errors_in_files
 
+SAME_POSITION: Final = 1e-6
+"""Largest difference of an axis between two conversions of one position, mm or degrees."""
+
 
 @final
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class Execution:
         cutting: (n,) False on rapids.
         ends: (n,) whether the point is the end point of a block.
         lines: (n,) program line of each point.
+        gaps: (n,) whether the way from the point before is unknown or left out; True at the first point.
         left_out: number of points outside an axis's range, for which no errors are known.
         unknown: blocks left out because their places are unknown.
     """
@@ -68,6 +72,7 @@ class Execution:
     cutting: np.ndarray
     ends: np.ndarray
     lines: np.ndarray
+    gaps: np.ndarray
     left_out: int
     unknown: tuple[LostBlock, ...] = ()
 
@@ -191,7 +196,9 @@ def execute(
     sides = Backlash(real.calibration).sides(path, of, positions)
     state = conditions.at(sides, of, np.concatenate(fractions))
     own = of >= context
-    keep = own & ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
+    inside = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
+    gaps = _gaps(path, space, positions, ends) | ~np.append(True, inside[:-1])
+    keep = own & inside
     positions, sides = positions[keep], sides[keep]
     nominal, reached = space.nominal.forward(positions), real.forward(positions, state[keep])
     return Execution(
@@ -203,8 +210,25 @@ def execute(
         cutting=~columns.rapid[of][keep],
         ends=ends[keep],
         lines=program.numbers[lines[keep] - 1],
+        gaps=gaps[keep],
         left_out=int(np.count_nonzero(own & ~keep)),
     )
+
+
+def _gaps(path: ToolPath, space: WordSpace, positions: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Return (n,) whether a point is the first one of a motion that does not begin where the motion before ended.
+
+    Args:
+        path: the motions.
+        space: conversion from words to commands.
+        positions: (n, axes) commands of the points.
+        ends: (n,) whether a point is the end point of its motion.
+    """
+    begins = space.simulated_commands(path.columns.start, path.columns.tcp)
+    distance = np.abs(begins[1:] - positions[ends][:-1]).max(axis=1)
+    gaps = np.append(True, ends[:-1])
+    gaps[gaps] = np.append(True, ~(distance <= SAME_POSITION))  # also where the start is not a number
+    return gaps
 
 
 def _joined(runs: Sequence[Execution]) -> Execution:

@@ -9,6 +9,7 @@ from typing import Literal, final
 
 import numpy as np
 
+from twin._common.arrays import all_within
 from twin._common.defaults import DEFAULT_ROTARY_LIMIT_DEG
 from twin._common.errors import InputError
 from twin._common.provenance import program_comments
@@ -19,7 +20,7 @@ from twin.compensation.thesis import ThesisMethod
 from twin.compensation.toolpath import Setup, WordSpace, outside_range
 from twin.display import Html, card, pairs
 from twin.kinematics.forward import Kinematics
-from twin.kinematics.inverse import Inverse
+from twin.kinematics.inverse import SLACK, Inverse
 from twin.machine.calibration import Calibration
 from twin.machine.classes import BASIC
 from twin.machine.conditions import Conditions, values_in_words
@@ -209,6 +210,25 @@ class PreparedMachine:
         if dialect.linear_increment_mm is not None and not posted:
             increment[:3] = dialect.linear_increment_mm
         return increment
+
+    def on_grid(self, words: np.ndarray, tips: np.ndarray, increment: np.ndarray) -> np.ndarray:
+        """Return words rounded to their increments; one within its axis's limits is not rounded beyond them.
+
+        Args:
+            words: (n, axes).
+            tips: (n,) whether the linear words are coordinates of the tool tip; these, and those of a tilted plane, have no limits.
+            increment: (axes,) in word order.
+        """
+        offset = self.space.offset
+        rounded = np.round(words / increment) * increment
+        low, high = self.limits[self.space.order].T
+        if all_within(rounded + offset, low - SLACK, high + SLACK):  # the usual case
+            return rounded
+        first = np.ceil((low - offset - SLACK) / increment) * increment
+        last = np.floor((high - offset + SLACK) / increment) * increment
+        bounded = (words + offset >= low - SLACK) & (words + offset <= high + SLACK)
+        bounded[tips | (self.space.tilt is not None), :3] = False
+        return np.where(bounded, np.clip(rounded, first, last), rounded)
 
     def aim(self, *, turns: bool) -> CorrectionAim:
         """Return the errors to correct in a program; ``turns``: whether it moves rotary axes."""

@@ -17,6 +17,7 @@ from twin._common.errors import OutputError
 from twin.compensation.fewer_blocks.runs import Run
 from twin.compensation.prepared import PreparedMachine
 from twin.compensation.toolpath import WordSpace, turns_tool
+from twin.kinematics.inverse import SLACK
 from twin.nc.blocks import Interpretation, Move, Program
 from twin.nc.columns import NewPositions
 from twin.nc.dialect import Dialect
@@ -88,7 +89,7 @@ def shortened(
     turns, vectors = turns_tool(reading.moves, space.axes), dialect.vector_decimals
     new = {
         index: _replacement(
-            move, rounded(words[None], np.array([move.tcp]), space, increment)[0], space, turns, vectors
+            move, rounded(words[None], np.array([move.tcp]), prepared, increment)[0], space, turns, vectors
         )
         for index, move, words in others
     }
@@ -97,7 +98,7 @@ def shortened(
     for places in runs:
         lines = places.run.lines
         first = by_line[lines[0]]
-        printed = rounded(places.words, np.full(len(places.words), first.tcp), space, increment)
+        printed = rounded(places.words, np.full(len(places.words), first.tcp), prepared, increment)
         for block in np.flatnonzero(places.changed):
             words, line = printed[places.assigned[block]], lines[block]
             new[index_of[line]] = _replacement(by_line[line], words, space, turns, vectors)
@@ -119,9 +120,9 @@ def shortened(
     return Shortened(left, replace(found, moves=moves))
 
 
-def rounded(words: np.ndarray, tcp: np.ndarray, space: WordSpace, increment: np.ndarray) -> np.ndarray:
+def rounded(words: np.ndarray, tcp: np.ndarray, prepared: PreparedMachine, increment: np.ndarray) -> np.ndarray:
     """Return (n, axes) words rounded to their increments: rotary words first, then linear words that keep the tool point."""
-    found = np.round(words / increment) * increment
+    space, found = prepared.space, prepared.on_grid(words, tcp, increment)
     turned = np.flatnonzero(~tcp & (found[:, 3:] != words[:, 3:]).any(axis=1))
     if turned.size:
         commands = space.commands(words[turned], tcp[turned])
@@ -129,8 +130,10 @@ def rounded(words: np.ndarray, tcp: np.ndarray, space: WordSpace, increment: np.
         start = np.array(commands)
         start[:, space.order[3:]] = found[turned, 3:] + space.offset[3:]
         solved = space.inverse.solve(target, start, rotary=False).positions
-        linear = space.words(solved, tcp[turned])[:, :3]
-        found[turned, :3] = np.round(linear / increment[:3]) * increment[:3]
+        low, high = prepared.limits.T
+        within = (commands >= low - SLACK) & (commands <= high + SLACK)
+        kept = space.words(np.where(within, np.clip(solved, low, high), solved), tcp[turned])
+        found[turned, :3] = prepared.on_grid(kept, tcp[turned], increment)[:, :3]
     return np.asarray(found)
 
 

@@ -233,7 +233,7 @@ class Pieces:
 
     def _rounded(self, rows: Rows) -> Rows:
         """Return the rows with ``exact`` stopped at the limits, converted to words and rounded to their increments."""
-        limits, increment = self.prepared.limits, self.increment
+        limits = self.prepared.limits
         wanted = rows.exact + rows.overshoot
         clipped, clamped = wanted, np.zeros(len(wanted), dtype=bool)
         if not all_within(wanted, limits[:, 0], limits[:, 1]):
@@ -241,7 +241,7 @@ class Pieces:
             clamped = ~rows_all_true(np.abs(clipped - wanted)[:, self.space.order] <= 0.5 * self.prepared.increment)
         tcp_out = taken(self.tcp_out, rows.motion)
         out = self.space.words(clipped, tcp_out)
-        printed = np.round(out / increment) * increment
+        printed = self.prepared.on_grid(out, tcp_out, self.increment)
         if self.by_vector.any():
             free = np.ix_(self.by_vector[rows.motion], range(3, printed.shape[1]))
             printed[free] = out[free]
@@ -295,11 +295,11 @@ class Pieces:
         """Return commands with the rotary axes at the rounded words, and tool vectors for programs that use these."""
         rotary, space = list(self.prepared.machine.rotary), self.space
         commands = np.array(commands)
-        offset, increment = space.offset[3:], self.increment[3:]
         vectors = np.full((len(of), 3), np.nan)
         vector = taken(self.by_vector, of)
-        words = commands[:, rotary] - offset
-        rounded = np.round(words / increment) * increment + offset
+        words = commands[:, space.order] - space.offset
+        tips = np.ones(len(words), dtype=bool)
+        rounded = self.prepared.on_grid(words, tips, self.increment)[:, 3:] + space.offset[3:]
         commands[:, rotary] = np.where(vector[:, None], commands[:, rotary], rounded) if vector.any() else rounded
         rows = np.flatnonzero(vector)
         if rows.size:

@@ -100,7 +100,6 @@ def _without_steps_back(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tup
 
     Backlash would absorb such a step, or a control might see a reversal.
     """
-    increment = pieces.increment
     commands = rows.commands.copy()
     fixed = rows.untouched | rows.clamped | (pieces.by_vector[rows.motion] & (axes == pieces.prepared.machine.rotary))
     for axis in set(pieces.aim.backlash.axes) & set(axes):
@@ -118,7 +117,7 @@ def _without_steps_back(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tup
     tcp_out = pieces.tcp_out[rows.motion[which]]
     printed, final_commands = rows.printed.copy(), rows.commands.copy()
     words = pieces.space.words(commands[which], tcp_out)
-    rounded = np.round(words / increment) * increment
+    rounded = pieces.prepared.on_grid(words, tcp_out, pieces.increment)
     free = ~pieces.by_vector[rows.motion[which]]
     printed[which, :3] = rounded[:, :3]
     printed[which[free], 3:] = rounded[free, 3:]

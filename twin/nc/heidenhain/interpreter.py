@@ -179,7 +179,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
                 raise self.error("number with an exponent", "a number such as 0.001", exponent.group())
         if keyword in _STATEMENTS:
             _STATEMENTS[keyword](self, block, body, upper)
-        elif keyword[0] == "Q":
+        elif vocabulary.PARAMETER.match(body):
             self._assignments(body)
         elif keyword in self.index or (keyword[:1] == "I" and keyword[1:] in self.index):
             raise self.error("word without a number", f"a number after {keyword}")

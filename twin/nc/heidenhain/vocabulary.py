@@ -45,6 +45,7 @@ TOOL = re.compile(
 TOOL_LENGTH = re.compile(rf"(?<![A-Z\d])DL[ \t]*=?[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
 FN = re.compile(r"FN[ \t]*+(\d{1,9})(?!\d)[ \t]*+:?(.*)", re.ASCII | re.IGNORECASE)
+PARAMETER = re.compile(r"Q[LRS]?\d++[ \t]*+=", re.ASCII | re.IGNORECASE)
 ASSIGNED = re.compile(r"(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)
 WITH_NUMBERS = frozenset({"CYCL", "FN", "PLANE", "Q", "QL", "QR", "TOOL"})
 QUOTED = re.compile(r"\"[^\"]*+\"")
@@ -53,7 +54,7 @@ EXPONENT = re.compile(r"(?<![\\/:.\d])[+-]?(?:\d++[.,]?+\d*+|[.,]\d++)E[+-]?\d+"
 NUMBERS = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
 REFUSED_PATHS = frozenset("CT CP LP CTP LT RND CHF APPR DEP FL FLT FC FCT FPOL FSELECT".split())
-PASSED = frozenset("END BLK STOP LBL DECLARE PATTERN QS GLOBAL OPEN WAIT".split())
+PASSED = frozenset("END BLK STOP LBL DECLARE PATTERN GLOBAL OPEN WAIT".split())
 HARMLESS_FUNCTIONS = tuple(
     f"FUNCTION {reset}{words}"
     for reset in ("", "RESET ")

@@ -80,6 +80,7 @@ def scene_html(
     title: str,
     exaggeration: float | None = None,
     warnings: Sequence[SourceWarning] = (),
+    omitted: str = "",
 ) -> str:
     """Return the page with the moving machine and the tool path, whose deviation is exaggerated and coloured.
 
@@ -89,6 +90,7 @@ def scene_html(
         title: headline, plain text.
         exaggeration: factor of the drawn deviation; None chooses a round number.
         warnings: warnings about the source of the calibration, shown on the page.
+        omitted: parts of the program that are not in the path, shown on the page; empty if there are none.
 
     Returns:
         The page's text, several megabytes.
@@ -130,7 +132,7 @@ def scene_html(
         machine=machine.name,
         factor=factor,
         path=whole,
-        notices=warning_texts(warnings),
+        notices=[*warning_texts(warnings), *([f"Not shown: {omitted}."] if omitted else [])],
         still="" if len(frames.share) > 1 else "still",
     )
 
@@ -299,7 +301,7 @@ def _path_commands(path: ScenePath, factor: float, top_um: float, node: NodePath
     """Return commands for the path in the work frame: fine in the close-up, bold in the view of the machine of extent ``size``."""
     shown, nominal = path.shown_mm(factor) * MM, path.nominal_mm * MM
     colours = viridis(np.clip(path.deviation_um / top_um, 0.0, 1.0))
-    cuts, rapids = runs(path.cutting, True), runs(path.cutting, False)
+    cuts, rapids = runs(path.cutting & ~path.gaps), runs(~path.cutting & ~path.gaps)
     fine = 0.004 * path.extent_mm * MM
     commands: list[Any] = []
     grey, pale = (np.tile(colour, (len(nominal), 1)) for colour in (_NOMINAL, _RAPID))

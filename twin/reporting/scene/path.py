@@ -21,6 +21,8 @@ CHORD_MM = 0.01
 """Largest distance of a point that is not drawn from the line between its neighbours."""
 RAPID_SPEED = 3.0
 """Speed of a rapid move in the animation, relative to a cutting move."""
+JUMP_SHARE = 1e-5
+"""Duration of a gap in the animation, as a share of the whole: less than a frame of a browser."""
 SHOWN_SHARE = 0.08
 """Approximate length of the largest deviation as drawn, as a share of the path's extent."""
 
@@ -39,6 +41,7 @@ class ScenePath:
         actual_mm: (n, 3) tool points reached, in the work frame.
         cutting: (n,) whether the move that ends at a point cuts; False for rapids.
         lines: (n,) program line numbers.
+        gaps: (n,) whether the way to a point from the one before is unknown; it is neither drawn nor animated.
     """
 
     positions: np.ndarray
@@ -46,6 +49,7 @@ class ScenePath:
     actual_mm: np.ndarray
     cutting: np.ndarray
     lines: np.ndarray
+    gaps: np.ndarray
 
     def check(self, axes: int) -> None:
         """Raise `InputError` unless the arrays are consistent with each other and with the number of axes.
@@ -56,7 +60,7 @@ class ScenePath:
         count = len(self.positions)
         if count == 0:
             raise InputError("nothing to show", expected="a program with at least one motion")
-        rest = {"positions": (axes,), "nominal_mm": (3,), "actual_mm": (3,), "cutting": (), "lines": ()}
+        rest = {"positions": (axes,), "nominal_mm": (3,), "actual_mm": (3,), "cutting": (), "lines": (), "gaps": ()}
         for name, of_one in rest.items():
             array, shape = np.asarray(getattr(self, name)), (count, *of_one)
             if array.shape != shape:
@@ -96,7 +100,7 @@ class ScenePath:
         return float(np.linalg.norm(np.ptp(self.nominal_mm[self.counted], axis=0)))
 
     def drawn(self) -> ScenePath:
-        """Return the points needed to draw the path: ends of lines, points every `STEP` or off the chord, the worst point."""
+        """Return the points needed to draw the path: ends of lines and gaps, points every `STEP` or off the chord, the worst."""
         last = np.append(np.flatnonzero(np.diff(self.lines)), len(self.lines) - 1)
         of = np.searchsorted(last, np.arange(len(self.lines)))
         begin, end = self.nominal_mm[np.append(0, last[:-1])[of]], self.nominal_mm[last[of]]
@@ -106,12 +110,14 @@ class ScenePath:
         far = np.abs(np.diff(self.positions, axis=0, prepend=self.positions[:1])).max(axis=1)
         keep = (off > CHORD_MM) | (np.diff(np.floor(np.cumsum(far) / STEP), prepend=-1.0) > 0)
         keep[last] = keep[self.worst] = keep[0] = True
+        keep |= self.gaps | np.append(self.gaps[1:], False)
         return ScenePath(
             self.positions[keep],
             self.nominal_mm[keep],
             self.actual_mm[keep],
             self.cutting[keep],
             self.lines[keep],
+            self.gaps[keep],
         )
 
     def shown_mm(self, exaggeration: float) -> np.ndarray:
@@ -140,24 +146,24 @@ class Keyframes:
 def keyframes(path: ScenePath, linear: tuple[int, ...], rotary: tuple[int, ...]) -> Keyframes:
     """Return at most `MAX_KEYFRAMES` keyframes at constant speed, rapid moves `RAPID_SPEED` times faster.
 
-    The points of the path are kept if they do not exceed that number, and further keyframes are spread evenly between them. One degree
-    counts as one millimetre, so that a pure rotation also takes time.
+    The points of the path are kept if they do not exceed that number, else those at gaps. Further keyframes are spread evenly between
+    them. One degree counts as one millimetre, so that a pure rotation also takes time. The machine jumps over gaps.
     """
     steps = np.diff(path.positions, axis=0)
     way = np.linalg.norm(steps[:, list(linear)], axis=1) + np.linalg.norm(steps[:, list(rotary)], axis=1)
-    along = np.concatenate([[0.0], np.cumsum(np.where(path.cutting[1:], way, way / RAPID_SPEED))])
+    way = np.where(path.gaps[1:], 0.0, np.where(path.cutting[1:], way, way / RAPID_SPEED))
+    along = np.concatenate([[0.0], np.cumsum(np.where(path.gaps[1:], JUMP_SHARE * way.sum(), way))])
     # A step below the rounding of the sum would give two keyframes at the same time.
     kept = np.concatenate([[0], 1 + np.flatnonzero(np.diff(along) > 1e-12 * max(along[-1], 1e-300))])
     if len(kept) < 2:
         return Keyframes(np.zeros(1), path.positions[:1], path.deviation_um[:1], np.zeros(1, dtype=int))
     knots = along[kept]
-    if len(knots) <= MAX_KEYFRAMES:
-        spare = MAX_KEYFRAMES - len(knots)
-        inner = np.floor(spare * np.diff(knots) / knots[-1]).astype(int)
-        parts = [np.linspace(a, b, n + 1, endpoint=False) for a, b, n in zip(knots[:-1], knots[1:], inner, strict=True)]
-        moments = np.concatenate([*parts, knots[-1:]])
-    else:
-        moments = np.linspace(0.0, knots[-1], MAX_KEYFRAMES)
+    jumps = path.gaps[kept[1:]]
+    at_gaps = np.append(True, jumps) | np.append(jumps, True)
+    fixed = next(some for some in (knots, knots[at_gaps], knots[[0, -1]]) if len(some) <= MAX_KEYFRAMES)
+    inner = np.floor((MAX_KEYFRAMES - len(fixed)) * np.diff(fixed) / knots[-1]).astype(int)
+    parts = [np.linspace(a, b, n + 1, endpoint=False) for a, b, n in zip(fixed[:-1], fixed[1:], inner, strict=True)]
+    moments = np.concatenate([*parts, fixed[-1:]])
     positions = np.column_stack([np.interp(moments, knots, column) for column in path.positions[kept].T])
     following = np.minimum(np.searchsorted(knots, moments, side="left"), len(kept) - 1)
     return Keyframes(
@@ -198,10 +204,13 @@ def viridis(share: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(share, at, channel) for channel in colours.T])
 
 
-def runs(cutting: np.ndarray, wanted: bool) -> list[np.ndarray]:
-    """Return the point indices of every run of consecutive cutting (or non-cutting) moves, start point of the first included."""
-    moves = np.asarray(cutting[1:], dtype=bool) == wanted
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], moves, [False]]).astype(int)))
+def runs(wanted: np.ndarray) -> list[np.ndarray]:
+    """Return the point indices of every run of consecutive wanted moves, start point of the first included.
+
+    Args:
+        wanted: (n,) whether the move that ends at a point is one of them.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted[1:], [False]]).astype(int)))
     return [np.arange(start, stop + 1) for start, stop in edges.reshape(-1, 2)]
 
 
@@ -223,8 +232,8 @@ def arrow_blocks(path: ScenePath, count: int) -> np.ndarray:
     counted = np.flatnonzero(path.counted)
     if count < 1:
         return counted[:0]
-    steps = np.linalg.norm(np.diff(path.nominal_mm[counted], axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
+    steps = np.linalg.norm(np.diff(path.nominal_mm, axis=0, prepend=path.nominal_mm[:1]), axis=1)
+    along = np.cumsum(np.where(path.counted & ~path.gaps, steps, 0.0))[counted]
     at = along[-1] * (np.arange(count - 1) + 0.5) / max(count - 1, 1)
     nearest = counted[np.minimum(np.searchsorted(along, at), len(counted) - 1)]
     return np.unique(np.append(nearest, path.worst))

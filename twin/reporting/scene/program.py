@@ -84,9 +84,10 @@ def draw_program(
     progress("drawing", 0.5)
     page = scene_html(
         Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=conditions),
-        ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines),
+        ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines, run.gaps),
         title=source.name,
         exaggeration=exaggeration,
         warnings=errors.warnings,
+        omitted=run.omitted,
     )
     return Scene(page, run)
