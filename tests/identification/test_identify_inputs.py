@@ -156,7 +156,8 @@ def test_a_single_column_is_taken_as_lengths_with_a_notice(
         cli.main(["identify", str(tmp_path / "m.csv"), "-o", str(tmp_path / "c.yaml")])
     said = capsys.readouterr().out
     assert stopped.value.code == 0
-    assert said.count(ASSUMED) == 1 and said.index(ASSUMED) < said.index("error motions")
+    assert said.count(f"{ASSUMED}x_mm is a length") == 1
+    assert said.index(f"{ASSUMED}x_mm is a length") < said.index("error motions")
 
 
 @pytest.mark.parametrize("run", BOTH, ids=NAMES)
