@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from twin._common.threads import one_blas_thread
-from twin.machine.calibration import Calibration
+from twin._common.resources import one_blas_thread
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.planning import Kit, Plan, duration, plan
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start: the run itself uses all cores

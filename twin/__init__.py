@@ -16,54 +16,58 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from twin._common.bundled import find_program
     from twin._common.errors import InputError
-    from twin.comparison import compare
     from twin.compensation import Compensator, Options, compensate, compensate_file
-    from twin.compensation.execute import execute_file
     from twin.compensation.fewer_blocks import refit
-    from twin.compensation.many import compensate_files
-    from twin.compensation.thesis import ThesisMethod
-    from twin.compensation.toolpath import Setup
+    from twin.compensation.programs.comparison import ThesisMethod
+    from twin.compensation.programs.execute import execute_file
+    from twin.compensation.programs.many import compensate_files
+    from twin.compensation.programs.words import Setup
     from twin.compute.parallel import Workers
+    from twin.controls.offsets import load_offsets, load_tools
     from twin.diagnosis import diagnose
-    from twin.diagnosis.wording import plots as diagnosis_plots
-    from twin.diagnosis.wording.report import diagnosis_html
+    from twin.diagnosis import plots as diagnosis_plots
+    from twin.diagnosis.page import diagnosis_html
     from twin.identification import identify
     from twin.identification import plots as identification_plots
-    from twin.identification.thesis.identify import identify_as_thesis
-    from twin.kinematics.forward import Kinematics
-    from twin.kinematics.inverse import Inverse, Status
-    from twin.machine.calibrated_urdf import calibrated_urdf
-    from twin.machine.calibration import Calibration
-    from twin.machine.conditions import Conditions
-    from twin.machine.effects.entries import effect_named
-    from twin.machine.iso16907 import Scope
+    from twin.identification.thesis import identify_as_thesis
     from twin.machine.machine import Machine
-    from twin.machine.machine_log import MachineLog
-    from twin.machine.motion_curve import Curve
     from twin.measurement import instruments
     from twin.measurement.formats import convert
     from twin.measurement.importing import import_table
     from twin.measurement.simulate import Placement, simulate
     from twin.measurement.table import Measurements
+    from twin.model.calibrated_urdf import calibrated_urdf
+    from twin.model.calibration import Calibration
+    from twin.model.conditions import Conditions, MachineLog
+    from twin.model.effects.entries import effect_named
+    from twin.model.iso16907 import Scope
+    from twin.model.motion_curve import Curve
+    from twin.monitoring import WatchSettings, compare, watch
+    from twin.monitoring.watch_page import watch_html
     from twin.nc import read_program
-    from twin.nc.tables import load_offsets, load_tools
-    from twin.notebook.field import error_field
-    from twin.notebook.frames import calibration_from_frame, measurements_from_frame, to_frame
-    from twin.notebook.plots import plot_curve, plot_field, plot_machine
-    from twin.notebook.sliders import axis_sliders
     from twin.planning import InstrumentSizes, Kit, duration, judge, measuring_sequence, plan, separate
     from twin.planning import plots as planning_plots
     from twin.planning.drift import drift_plan
     from twin.reporting import machine_report as report
-    from twin.reporting.scene.program import draw_program as scene
+    from twin.reporting.notebook import (
+        axis_sliders,
+        calibration_from_frame,
+        error_field,
+        measurements_from_frame,
+        plot_curve,
+        plot_field,
+        plot_machine,
+        to_frame,
+    )
+    from twin.reporting.scene.draw import draw_program as scene
     from twin.samples import thesis_plan
     from twin.standards import evaluate, evaluate_drift
     from twin.standards.page import evaluation_html
     from twin.thermal import ThermalRecord, fit_thermal
-    from twin.uncertainty.at_tool import ToolUncertainty
-    from twin.uncertainty.population import draw_machines
-    from twin.watching import WatchSettings, watch
-    from twin.watching.page import watch_html
+    from twin.tool.forward import Kinematics
+    from twin.tool.inverse import Inverse, Status
+    from twin.tool.population import draw_machines
+    from twin.tool.uncertainty import ToolUncertainty
 
 __all__ = [
     "Calibration",

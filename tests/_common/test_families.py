@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from twin._common import families
-from twin.machine.control import kinematics_formats, table_formats
-from twin.machine.effects import MACHINE_EFFECTS
+from twin.controls import kinematics_formats, table_formats
 from twin.machine.machine import Machine
 from twin.measurement.formats import FORMATS as MEASURED_FORMATS
 from twin.measurement.instruments import INSTRUMENTS
+from twin.model.effects import MACHINE_EFFECTS
 from twin.nc import DIALECTS
 from twin.planning.drift import DRIFTS
 from twin.planning.sequences import SEQUENCES, SET_UPS

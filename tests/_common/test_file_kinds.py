@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from twin import cli
-from twin._common.file_kinds import kind_of_text, other_kind
+from twin._common.files import kind_of_text, other_kind
 from twin.nc import DIALECTS
 
 ROOT = Path(__file__).resolve().parents[2]

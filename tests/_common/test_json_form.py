@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from twin._common.json_form import json_form
+from twin._common.records import json_form
 
 
 @dataclass(frozen=True)

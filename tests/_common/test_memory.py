@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from twin._common import memory
+from twin._common import resources as memory
 
 FILES = {
     "version 2": ("0::/app/job\n", {"app/memory.max": "300000", "app/job/memory.max": "max"}, 300_000.0),

@@ -12,8 +12,8 @@ from twin._common import yaml_files
 from twin._common.errors import InputError, control_character
 from twin._common.files import scratch_folder
 from twin._common.yaml_files import quoted, read_yaml, yaml_text
-from twin.machine.calibration_file import UnidentifiedEntry
 from twin.measurement.importing.mapping import ColumnMapping, ColumnsFile, entry_of
+from twin.model.calibration_file import UnidentifiedEntry
 
 TEXTS = (
     "plain: 1e3\nquoted: '1e3'\nfloat: 1.5e+3\nwhole: 0x10\nyes: true\nnothing:\n",

@@ -11,10 +11,10 @@ from tests.benchmark.known import origin
 from tests.truth.any_chain import rotations
 from tests.truth.hidden import STATIONS
 from twin._common.errors import InputError
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 
 def removed(case: Case, table: Path, machine: str, calibration: Path) -> float | None:

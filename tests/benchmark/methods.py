@@ -18,15 +18,15 @@ from tests.diagnosis import rivals
 from tests.diagnosis.battery import UNHIDDEN, Key
 from twin._common.errors import InputError
 from twin._common.files import write_json
-from twin._common.threads import one_blas_thread
+from twin._common.resources import one_blas_thread
 from twin.diagnosis import diagnose
 from twin.diagnosis.candidates.candidate import Candidate
-from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.readings import readings
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.readings import readings
 from twin.diagnosis.result import SCHEMA
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 LIMIT_S: Final = 900.0
 BROKEN: Final = (ArithmeticError, LookupError, TypeError, ValueError)

@@ -17,8 +17,8 @@ import numpy as np
 from tests.conftest import SHARED
 from tests.real.__main__ import SetUpFit, Table, given, of_plate, of_stage, rms_um
 from twin._common.errors import InputError
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 
 REAL: Final = SHARED / "data" / "real"
 Said = Mapping[str, Any]

@@ -31,15 +31,15 @@ from tests.truth.any_chain import Chain
 from tests.truth.any_machine import Dmu50, TruthMachine, lagged
 from tests.truth.hidden import Hidden
 from twin.diagnosis import diagnose
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
-from twin.machine.effects import AxisLocation, Effect, ErrorMotion, Squareness
-from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
 from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects import AxisLocation, Effect, ErrorMotion, Squareness
+from twin.model.effects.entries import effect_named
 from twin.numerics.covariance import Covariance
 from twin.numerics.curves import POWER
+from twin.tool.forward import Kinematics
 
 NAMES = list(machines())
 

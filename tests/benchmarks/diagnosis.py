@@ -19,12 +19,12 @@ from tests.diagnosis.battery import UNHIDDEN
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin.diagnosis import diagnose
-from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.selection.rows import exclude_outliers
-from twin.diagnosis.selection.searcher import select_causes
-from twin.machine.calibration import Calibration
+from twin.diagnosis.readings import readings
+from twin.diagnosis.search import exclude_outliers
+from twin.diagnosis.structure import select_causes
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 POINTS = (1_000, 3_000)
 REPEATS = 3

@@ -16,24 +16,24 @@ import pinocchio as pin
 from tests.compensation.test_thesis import PROGRAM
 from tests.identification.plans import volumetric
 from tests.identification.test_thesis_findings import gains
-from tests.kinematics.test_kinematics import random_commands, reference_pose
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
+from tests.tool.test_kinematics import random_commands, reference_pose
 from tests.truth.reference import sorby_forward, sorby_inverse
 from twin._common.bundled import find_program
 from twin.compensation import Compensator, Options
-from twin.compute.batch import BatchFunction
+from twin.compute.along import BatchFunction
 from twin.identification import identify
-from twin.kinematics.forward import Kinematics
-from twin.kinematics.inverse import Inverse, Status
-from twin.machine.calibration import Calibration
 from twin.machine.chain import chain_function
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
+from twin.model.calibration import Calibration
 from twin.nc import dialect_for, read_program
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
 from twin.samples.dmu50_calibration import as_drawn
+from twin.tool.forward import Kinematics
+from twin.tool.inverse import Inverse, Status
 
 
 def agreement(machine: Machine) -> None:

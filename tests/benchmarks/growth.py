@@ -24,10 +24,10 @@ from tests.benchmarks.timing import machine_name, peak_mb
 from twin.compensation import Compensator, Options
 from twin.diagnosis import diagnose
 from twin.identification import identify
-from twin.kinematics.forward import Kinematics
-from twin.kinematics.inverse import Inverse
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.tool.forward import Kinematics
+from twin.tool.inverse import Inverse
 
 SIZES = (1_000, 3_162, 10_000, 31_623, 100_000, 316_228, 1_000_000)
 MEASURED = 100_000

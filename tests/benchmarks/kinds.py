@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.machine.calibration import Calibration
-from twin.machine.effects import Reversal
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.effects import Reversal
 
 HOLES_EACH = 5
 """Strokes that a drilled hole takes; they count as blocks."""

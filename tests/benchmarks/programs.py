@@ -21,8 +21,8 @@ import numpy as np
 from tests.benchmarks.kinds import KINDS, reversed_calibration
 from tests.benchmarks.timing import machine_name, peak_mb
 from twin.compensation import Compensator, Options
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 
 LENGTHS = (1_000, 10_000, 100_000, 1_000_000)
 WARM = 60_000

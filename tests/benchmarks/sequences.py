@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from twin.machine.effects import unit_of
 from twin.machine.machine import Machine
+from twin.model.effects import unit_of
 from twin.planning import InstrumentSizes, measuring_sequence
 
 TIP_MM: Final = 120.0

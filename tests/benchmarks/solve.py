@@ -18,12 +18,12 @@ import pinocchio as pin
 from tests.benchmarks.peers.inverse import LENGTH_MM, Task, by_pink, by_root, poses
 from tests.benchmarks.peers.record import installed
 from tests.benchmarks.timing import Timing, machine_name, ratio, timed
-from twin.compute.native import loading
-from twin.compute.native.loading import solver_description
-from twin.kinematics.forward import Kinematics
-from twin.kinematics.inverse import Inverse, Status
-from twin.machine.calibration import Calibration
+from twin.compute.native import compiler
+from twin.compute.native.compiler import solver_description
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.tool.forward import Kinematics
+from twin.tool.inverse import Inverse, Status
 
 POSES = 1_000_000
 STOPS = 11
@@ -49,14 +49,14 @@ def ours(real: Kinematics) -> Timing:
     found = []
     print(f"{POSES:,} poses, µs of processor time per pose; {solver_description()}")
     for native in (True, False):
-        os.environ[loading.SWITCH_VARIABLE] = "1" if native else "0"
+        os.environ[compiler.SWITCH_VARIABLE] = "1" if native else "0"
         for name, tilt, rotary in (
             ("five axes, B 20 to 160°", (20.0, 160.0), True),
             ("five axes, B 0 to 180°", (0.0, 180.0), True),
             ("linear axes", (0.0, 180.0), False),
         ):
             found.append(one_way(f"{name}, {'compiled' if native else 'NumPy'}", real, tilt, rotary, native))
-    os.environ.pop(loading.SWITCH_VARIABLE)
+    os.environ.pop(compiler.SWITCH_VARIABLE)
     return found[0]
 
 
@@ -88,11 +88,11 @@ def forward(machine: Machine, calibration: Calibration) -> None:
     some = poses(machine, POSES // 10, (0.0, 180.0))[1]
     own = []
     for native in ("1", "0"):
-        os.environ[loading.SWITCH_VARIABLE] = native
+        os.environ[compiler.SWITCH_VARIABLE] = native
         real = Kinematics(machine, calibration, tool_length_mm=LENGTH_MM)
         real.forward(some)
         own.append(timed(lambda real=real: real.forward(some), 9).each(len(some)))  # type: ignore[misc]
-    os.environ.pop(loading.SWITCH_VARIABLE)
+    os.environ.pop(compiler.SWITCH_VARIABLE)
     data = machine.model.createData()
     vectors = [
         machine.configuration(position * machine.scale, errors)

@@ -14,9 +14,9 @@ from tests.benchmarks.peers.chain import pinocchio_model, serial_chain
 from tests.benchmarks.peers.record import Measured, Peer, Row, Section, row, section
 from tests.benchmarks.peers.selection import result
 from tests.benchmarks.timing import Timing
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.tool.forward import Kinematics
 
 OURS = Timing(np.array([2.0, 4.0]), 1.0)
 OTHER = Measured(Timing(np.array([10.0, 12.0]), 1.0), 1_000, "residual at most 1e-09 mm")

@@ -15,12 +15,15 @@ import numpy as np
 from hypothesis import strategies as st
 
 import twin
-from tests.control.cases import CASES
+from tests.controls.cases import CASES
 from tests.measurement.formats.cases import CASES as MEASURED
 from tests.measurement.importing import shop_files
-from twin._common.defaults import bundled_folder
+from twin._common.bundled import bundled_folder
 from twin._common.files import scratch_folder
-from twin.compensation.fewer_blocks.points import points_program
+from twin.compensation.fewer_blocks.emit import points_program
+from twin.controls import ControlCurve, ControlTerm, TableSum, format_named, read_tables
+from twin.controls.kinematics import kinematics_formats, kinematics_named, linear_shift
+from twin.controls.volumetric import AxisErrors, CorrectionGrid, VolumetricCorrection
 from twin.identification.axis_run import (
     AxisLayout,
     axis_curves,
@@ -30,14 +33,10 @@ from twin.identification.axis_run import (
     to_dict,
     to_text,
 )
-from twin.machine.control import ControlCurve, ControlTerm, TableSum, format_named, read_tables
-from twin.machine.control.kinematics import kinematics_formats, kinematics_named, linear_shift
-from twin.machine.control.spatial import CorrectionGrid
-from twin.machine.control.volumetric import AxisErrors, VolumetricCorrection
 from twin.measurement.formats import convert
+from twin.measurement.formats.tracker import load_export
 from twin.measurement.importing import ImportedTable
 from twin.measurement.table import Measurements
-from twin.measurement.thesis_export import load_export
 from twin.nc import DIALECTS, dialect_of
 from twin.nc.blocks import AxisWords
 from twin.planning import Kit

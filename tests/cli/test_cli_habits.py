@@ -14,11 +14,11 @@ import pytest
 import twin
 from twin import cli
 from twin._common.errors import InputError, closest_name, did_you_mean
+from twin._common.families import NAMES
 from twin.cli import commands
 from twin.cli.commands import load
-from twin.cli.shared.words import MANY_WORDS, repeat_options
+from twin.cli.shared.terminal import MANY_WORDS, repeat_options
 from twin.compute.native import compiler
-from twin.machine.classes import NAMES
 
 COMMANDS: dict[str, Any] = {name: load(name) for name in commands.COMMANDS}
 EXAMPLES = [

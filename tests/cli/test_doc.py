@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from twin.cli.doc import PAGES, page_text
-from twin.cli.shared.manual import ManualPage, code_lines
+from twin.cli.shared.terminal import ManualPage, code_lines
 
 
 def shown(text: str, width: int) -> list[str]:

@@ -21,19 +21,19 @@ import twin
 from tests.cli.commands import TWIN, refused
 from tests.cli.hostile import sample
 from twin import cli
-from twin._common import pipes
+from twin._common import resources as pipes
 from twin._common.errors import InputError, printable
-from twin.compensation.toolpath import axis_words
+from twin.compensation.programs.words import axis_words
 from twin.compute.native import compiler
 from twin.compute.parallel import Workers
-from twin.diagnosis.candidates.flaws import flaw
-from twin.diagnosis.wording import words
+from twin.controls import read_tables
+from twin.diagnosis import text as words
+from twin.diagnosis.candidates.candidate import flaw
 from twin.identification.axis_run import AxisLayout, load_readings
-from twin.identification.spread import FitStatistics
-from twin.machine.control import read_tables
+from twin.identification.solve import FitStatistics
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve
 from twin.measurement.table import Measurements
+from twin.model.motion_curve import Curve
 from twin.nc.heidenhain.dialect import Heidenhain
 from twin.numerics.curves import POWER, CurveSpace
 from twin.planning import Kit
@@ -235,7 +235,7 @@ def test_pictures_of_a_thermal_model_are_refused_before_the_work(
 
 
 def test_a_scheduler_without_dask_is_refused_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("twin.compute.parallel.run.find_spec", lambda name: None)
+    monkeypatch.setattr("twin.compute.parallel.find_spec", lambda name: None)
     with pytest.raises(InputError, match="Dask, which is not installed"):
         Workers(scheduler="tcp://here:8786")
 

@@ -25,11 +25,11 @@ from tests.cli.commands import TWIN, refused
 from tests.measurement.formats.cases import CASES as MEASURED
 from tests.measurement.importing import shop_files
 from twin import cli
+from twin._common.bundled import bundled_folder
 from twin._common.errors import InputError
 from twin._common.files import TEMPORARY_PREFIX, atomic_file, check_writable, read_bytes, tracked_files, write_atomic
 from twin.cli import commands
 from twin.cli.shared.command import path_parameters
-from twin.machine.machine import bundled_folder
 
 PART = "G90\nG0 X100 Y100 Z-100 B30 C10\nG1 X110 F500\nX100\n"
 BUNDLED = bundled_folder()

@@ -18,9 +18,9 @@ import typer
 
 from twin.cli.commands import app, load
 from twin.cli.doc import PAGES, page_text
-from twin.cli.shared.words import repeat_options
-from twin.machine.calibration import Calibration
+from twin.cli.shared.terminal import repeat_options
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()

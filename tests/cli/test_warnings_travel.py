@@ -26,12 +26,12 @@ from twin._common.provenance import (
 )
 from twin.identification import identify
 from twin.identification.axis_run import AxisLayout, axis_curves, error_motions, load_readings, simulate_run
-from twin.identification.thesis.identify import identify_as_thesis
-from twin.machine.calibration import Calibration
+from twin.identification.thesis import identify_as_thesis
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.nc import DIALECTS
 from twin.nc.heidenhain.dialect import Heidenhain
 from twin.nc.iso.dialect import Iso

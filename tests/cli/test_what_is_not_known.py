@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from tests.cli.test_warnings_travel import PROGRAMS, run
-from twin.control.kinematics import nominal_locations
-from twin.identification.thesis.identify import identify_as_thesis
-from twin.machine.calibration import Calibration
+from twin.compensation.tables.kinematics import nominal_locations
+from twin.identification.thesis import identify_as_thesis
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
+from twin.model.calibration import Calibration
 from twin.samples import thesis_plan
 
 Files = dict[str, Path]

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from twin.compensation import Compensator, Options
-from twin.compensation.backlash import ApproachTracker, Backlash
-from twin.compensation.toolpath import MotionColumns, Passage, ToolPath
-from twin.machine.calibration import Calibration
-from twin.machine.effects import Reversal
+from twin.compensation.programs.backlash import ApproachTracker, Backlash
+from twin.compensation.programs.motions import MotionColumns, Passage, ToolPath
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.effects import Reversal
 
 SIZES = {"X": -8.0, "Y": 6.0, "B": -60.0}
 

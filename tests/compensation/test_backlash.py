@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.compensation import backlash
-from twin.compensation.backlash import STILL, _from_reversal, _play
+from twin.compensation.programs import backlash
+from twin.compensation.programs.backlash import STILL, _from_reversal, _play
 
 
 def play(way: np.ndarray, width: float) -> tuple[list[float], list[float]]:

@@ -10,14 +10,15 @@ import pytest
 from tests.compensation.test_compensate_effects import HEAD, ROUNDING_UM, WornMachine, extended
 from twin import compensate
 from twin._common.errors import InputError
-from twin.compensation import Compensation, Options, block_conditions
-from twin.compensation.block_conditions import BlockConditions
-from twin.compensation.execute import execute_file
-from twin.compensation.toolpath import Setup, WordSpace, follow
-from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
+from twin.compensation import Compensation, Options
+from twin.compensation.programs import block_conditions
+from twin.compensation.programs.block_conditions import BlockConditions
+from twin.compensation.programs.execute import execute_file
+from twin.compensation.programs.follow import follow
+from twin.compensation.programs.words import Setup, WordSpace
 from twin.machine.machine import Machine
-from twin.machine.machine_log import MachineLog
+from twin.model.calibration import Calibration
+from twin.model.conditions import Conditions, MachineLog
 from twin.nc import read_program
 
 LENGTH = 120.0

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from tests.compute.test_native import compiled, eager, libraries  # noqa: F401
-from twin.compensation.comparison import Commands, PoseComparison
-from twin.compensation.toolpath.words import Setup, WordSpace
-from twin.compute import batch
-from twin.compute.native import loading
-from twin.kinematics.forward import Kinematics, angle_between_rad
-from twin.kinematics.inverse import Inverse
-from twin.machine.calibration import Calibration
-from twin.machine.effects import Reversal
+from twin.compensation.programs.comparison import Commands, PoseComparison
+from twin.compensation.programs.words import Setup, WordSpace
+from twin.compute import along as batch
+from twin.compute.native import compiler
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.effects import Reversal
+from twin.tool.forward import Kinematics, angle_between_rad
+from twin.tool.inverse import Inverse
 
 LENGTH = 60.0
 LIMITS = np.array([[50.0, 450.0], [50.0, 400.0], [-350.0, -50.0], [10.0, 80.0], [10.0, 300.0]])
@@ -34,14 +34,14 @@ def lines(n: int, seed: int) -> Commands:
 
 @pytest.mark.parametrize(
     "n, switch",
-    [(50, "0"), (batch.MANY + 3, "0"), pytest.param(loading.PORTION + 5, "1", marks=compiled)],
+    [(50, "0"), (batch.MANY + 3, "0"), pytest.param(compiler.PORTION + 5, "1", marks=compiled)],
     ids=["CasADi", "NumPy", "compiled"],
 )
 @pytest.mark.usefixtures("eager")
 def test_poses_compared_with_nominal_ones(
     n: int, switch: str, dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(loading.SWITCH_VARIABLE, switch)
+    monkeypatch.setenv(compiler.SWITCH_VARIABLE, switch)
     real = Kinematics(dmu50, calibration, tool_length_mm=LENGTH)
     nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=LENGTH)
     comparison = PoseComparison(real, nominal)

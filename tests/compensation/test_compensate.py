@@ -13,20 +13,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.compensation.heads import body
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
 from tests.truth.machine import TruthMachine, run_iso
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator, Options
-from twin.compensation.toolpath import Setup
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
-from twin.machine.iso16907 import Scope
+from twin.compensation.programs.words import Setup
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve
+from twin.model.calibration import Calibration
+from twin.model.iso16907 import Scope
+from twin.model.motion_curve import Curve
 from twin.nc import dialect_for
 from twin.numerics.covariance import Covariance
-from twin.uncertainty.at_tool import ToolUncertainty
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import ToolUncertainty
 
 SAMPLES = Path(__file__).resolve().parents[2] / "twin" / "samples"
 LENGTH = 120.0

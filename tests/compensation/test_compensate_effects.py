@@ -14,27 +14,28 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.compensation.heads import body
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
+from tests.tool.sampled import sampled
 from tests.truth.machine import AXES, RANGES, TruthMachine, run_iso
 from tests.truth.reference import dmu50_pose
-from tests.uncertainty.sampled import sampled
 from twin import cli, compensate
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator, Options
-from twin.compensation.backlash import Backlash
-from twin.compensation.execute import execute
-from twin.compensation.toolpath import ToolPath, WordSpace, follow
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
-from twin.machine.effects.entries import effect_named
-from twin.machine.iso16907 import Scope, error_motion_of, iso_class
+from twin.compensation.programs.backlash import Backlash
+from twin.compensation.programs.execute import execute
+from twin.compensation.programs.follow import follow
+from twin.compensation.programs.motions import ToolPath
+from twin.compensation.programs.words import WordSpace
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.conditions import Conditions
+from twin.model.effects.entries import effect_named
+from twin.model.iso16907 import Scope, error_motion_of, iso_class
 from twin.nc import dialect_for
 from twin.numerics.covariance import Covariance
-from twin.uncertainty.at_tool import ToolUncertainty
-from twin.uncertainty.budget import error_budget, without_missing_channels
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import ToolUncertainty, error_budget, without_missing_channels
 
 SAMPLES = Path(__file__).resolve().parents[2] / "twin" / "samples"
 LENGTH = 120.0

@@ -17,16 +17,16 @@ from tests.truth.machine import TruthMachine, run_iso
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.cli.identify import tables_on
+from twin.controls import ControlSection, TableEntry
 from twin.diagnosis import diagnose
-from twin.machine.calibration import Calibration
-from twin.machine.control import ControlSection, TableEntry
-from twin.machine.effects import Reversal
-from twin.machine.iso16907 import Scope
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects import Reversal
+from twin.model.iso16907 import Scope
 from twin.numerics.covariance import Covariance
 from twin.samples.dmu50_calibration import as_drawn
-from twin.uncertainty.budget import error_budget
+from twin.tool.uncertainty import error_budget
 
 LENGTH = 120.0
 SECOND_ORDER_UM = 0.05

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator, Options
-from twin.compensation.execute import execute_file
-from twin.compensation.toolpath import Setup
-from twin.machine.calibration import Calibration
+from twin.compensation.programs.execute import execute_file
+from twin.compensation.programs.words import Setup
+from twin.controls.offsets import OffsetTable, ToolTable
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.nc import DIALECTS, read_program
-from twin.nc.tables import OffsetTable, ToolTable
 
 OFFSETS = OffsetTable(
     Path("offsets.csv"),

@@ -9,11 +9,11 @@ import pytest
 
 from tests.compensation.test_compensate import LENGTH, compensate, uncertain
 from tests.compensation.test_stream import HEAD, curve
-from twin.compensation.account.interpolation import ACCURACY, FEW, LONGEST, interpolated
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
+from twin.compensation.programs.uncorrected import ACCURACY, FEW, LONGEST, interpolated
 from twin.machine.machine import Machine
-from twin.uncertainty.at_tool import ToolUncertainty
+from twin.model.calibration import Calibration
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import ToolUncertainty
 
 NEAR = np.array([1.0, 0.3])
 

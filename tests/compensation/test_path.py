@@ -20,13 +20,13 @@ from tests.nc.nc_support import plain_positions
 from tests.truth.machine import RANGES, TruthMachine, run_iso
 from twin._common.errors import InputError
 from twin.cli.commands import app
-from twin.cli.shared.words import repeat_options
+from twin.cli.shared.terminal import repeat_options
 from twin.compensation import Options
 from twin.compensation.fewer_blocks import PathReport, UncertaintyContribution, combined
 from twin.compensation.fewer_blocks.refit import Refit, Refitter
-from twin.compensation.toolpath import Setup
-from twin.machine.calibration import Calibration
+from twin.compensation.programs.words import Setup
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 
 URDF = Path(__file__).resolve().parents[2] / "urdf"
 SAMPLES = Path(twin.__file__).parent / "samples"

@@ -13,9 +13,14 @@ from numpy.polynomial import Chebyshev
 from scipy.interpolate import BPoly
 
 from tests.compensation.test_path import from_line
-from twin.compensation.fewer_blocks.chords import few_blocks
-from twin.compensation.fewer_blocks.distance import distances_anywhere, distances_near
-from twin.compensation.fewer_blocks.fit import CurvePiece, Fitter, Polyline
+from twin.compensation.fewer_blocks.fit import (
+    CurvePiece,
+    Fitter,
+    Polyline,
+    distances_anywhere,
+    distances_near,
+    few_blocks,
+)
 
 
 def tool(words: np.ndarray) -> np.ndarray:
@@ -125,7 +130,7 @@ def test_distances_are_never_too_small(seed: int, vertices: int, count: int) -> 
     exact = from_line(points, line)
     assert distances_anywhere(points, line) == pytest.approx(exact, abs=1e-9)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("twin.compensation.fewer_blocks.distance.MOST_PAIRS", 3 * vertices)
+        patch.setattr("twin.compensation.fewer_blocks.fit.MOST_PAIRS", 3 * vertices)
         assert distances_anywhere(points[::-1], line) == pytest.approx(exact[::-1], abs=1e-9)
         few = distances_near(points, at, line, np.arange(vertices, dtype=float), 0.0, np.inf)
     near = distances_near(points, at, line, np.arange(vertices, dtype=float), 0.0, np.inf)

@@ -8,16 +8,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
 from tests.truth.machine import run_iso
 from twin.compensation import Compensation, Compensator, Options
-from twin.compensation.execute import execute
-from twin.compensation.toolpath import Setup, follow
-from twin.kinematics.forward import Kinematics, Poses
-from twin.kinematics.inverse import Inverse
-from twin.machine.calibration import Calibration
+from twin.compensation.programs.execute import execute
+from twin.compensation.programs.follow import follow
+from twin.compensation.programs.words import Setup
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.nc import read_program
+from twin.tool.forward import Kinematics, Poses
+from twin.tool.inverse import Inverse
 
 LENGTH = 50.0
 ROUNDING_UM = 0.9

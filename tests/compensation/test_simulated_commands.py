@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from twin.compensation.toolpath import Setup, WordSpace
-from twin.compensation.toolpath.words import Tilt
+from twin.compensation.programs.words import Setup, Tilt, WordSpace
 from twin.machine.machine import Machine
 
 

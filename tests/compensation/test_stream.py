@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
 from tests.nested import alike
 from twin._common.errors import InputError, OutputError
 from twin.compensation import Compensator, Options
-from twin.compensation.account.sample import CLASS_POSES
-from twin.compensation.stream import parts
-from twin.compensation.toolpath import Setup
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
+from twin.compensation.programs import stream as parts
+from twin.compensation.programs.uncorrected import CLASS_POSES
+from twin.compensation.programs.words import Setup
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.nc import read_program
-from twin.nc.iso.stream import IsoRewriter
+from twin.nc.iso.dialect import IsoRewriter
 from twin.nc.lines import chunks
+from twin.tool.forward import Kinematics
 
 SAMPLES = Path(__file__).resolve().parents[2] / "twin" / "samples"
 LENGTH = 120.0

@@ -8,12 +8,12 @@ import pytest
 from tests.conftest import beside
 from twin._common.errors import InputError
 from twin.compensation import Compensator, Options
-from twin.compensation.thesis import ThesisMethod
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
+from twin.compensation.programs.comparison import ThesisMethod
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.nc import dialect_for
 from twin.samples.dmu50_calibration import FIGURE_3_11, as_drawn
+from twin.tool.forward import Kinematics
 
 PROGRAM = "G21 G90 G94\nG0 X0 Y0 Z0 B0 C0\n" + "".join(f"G1 X{x} F1000\n" for x in range(50, 501, 50))
 

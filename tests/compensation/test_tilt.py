@@ -10,21 +10,22 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
 from tests.truth.reference import dmu50_pose
 from twin._common.bundled import find_program
 from twin._common.errors import InputError
 from twin.compensation import Compensator, Options
-from twin.compensation.execute import execute
-from twin.compensation.toolpath import Setup, WordSpace, follow
-from twin.identification.table import TableTilt
-from twin.kinematics.forward import Kinematics, Poses, angle_between_rad
-from twin.machine.calibration import Calibration
+from twin.compensation.programs.execute import execute
+from twin.compensation.programs.follow import follow
+from twin.compensation.programs.words import Setup, WordSpace
+from twin.identification.result import TableTilt
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.nc import read_program
 from twin.numerics.covariance import Covariance
 from twin.numerics.spatial import fused_angles
-from twin.uncertainty.budget import error_budget
+from twin.tool.forward import Kinematics, Poses, angle_between_rad
+from twin.tool.uncertainty import error_budget
 
 COMMANDS = np.array(
     [[250, 225, -200, 0, 0], [100, 300, -50, 37, 211], [400, 10, -390, 90, -30], [20, 440, -7, 180, 90]], dtype=float

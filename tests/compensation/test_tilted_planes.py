@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.machine.errors import random_calibration
-from tests.truth.machine import D, about, translation
+from tests.model.errors import random_calibration
+from tests.truth.reference import D, about, translation
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator, Options
-from twin.compensation.compensator import compensate_file
-from twin.compensation.toolpath import Setup
-from twin.machine.calibration import Calibration
+from twin.compensation.programs.compensator import compensate_file
+from twin.compensation.programs.words import Setup
+from twin.controls.offsets import OffsetTable
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.nc import DIALECTS
-from twin.nc.tables import OffsetTable
 
 LENGTH = 30.0
 ZERO = np.array([0.0, 0.0, 30.0])

@@ -21,16 +21,16 @@ from tests.truth.machine import RANGES, TruthMachine, in_datum, run_iso, written
 from twin import cli
 from twin._common.errors import InputError, OutputError
 from twin.compensation import Compensator, Options, compensate_file
-from twin.compensation.account import LineNote, grouped
-from twin.compensation.account.shortfalls import FoundShortfalls, ShortfallTally
-from twin.compensation.toolpath import Setup
+from twin.compensation.programs.report import LineNote, grouped
+from twin.compensation.programs.uncorrected import FoundShortfalls, ShortfallTally
+from twin.compensation.programs.words import Setup
 from twin.compute.native import OUT_OF_RANGE
-from twin.kinematics.forward import Kinematics
-from twin.kinematics.inverse import Inverse, Solution
-from twin.machine.calibration import Calibration
-from twin.machine.iso16907 import Scope
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.iso16907 import Scope
 from twin.nc.iso.dialect import Iso
+from twin.tool.forward import Kinematics
+from twin.tool.inverse import Inverse, Solution
 
 ARC = "G0 X100 Y5 Z-100\nG1 F500 Y2\nG3 X96 Y-2 I-4 J0\n"
 
@@ -115,7 +115,7 @@ def test_what_cannot_be_read_back_is_a_defect_not_bad_input(
     monkeypatch.setattr(Iso, "rewrite", wrong)
     with pytest.raises(OutputError, match=r"line \d+ of the output"):
         compensate(text, dmu50, calibration)
-    monkeypatch.setattr("twin.nc.iso.stream.IsoRewriter.write", lambda self, *args: b"G1 X1..2\n")
+    monkeypatch.setattr("twin.nc.iso.dialect.IsoRewriter.write", lambda self, *args: b"G1 X1..2\n")
     part = tmp_path / "p.nc"
     part.write_text(text)
     with pytest.raises(OutputError, match=r"line \d+ of the output"):

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.uncertainty.draws import Draws
-from twin.uncertainty.tally import Tally
+from twin.tool.population import Draws, Tally
 
 
 def squared(shared: int, task: int) -> int:

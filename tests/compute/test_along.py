@@ -9,8 +9,8 @@ import pytest
 from tests.compute.test_native import compiled, eager, libraries  # noqa: F401
 from twin.compute import along
 from twin.compute.along import AlongFunction, fractions
-from twin.compute.native import along as native
-from twin.compute.native import loading
+from twin.compute.native import compiler
+from twin.compute.native import rows as native
 
 SWITCHES = ["0", pytest.param("1", marks=compiled)]
 
@@ -38,7 +38,7 @@ def lines(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, n
 @pytest.mark.parametrize("count", [1, 7, 300, 30_000])
 @pytest.mark.usefixtures("eager")
 def test_largest_value_of_each_line(switch: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(loading.SWITCH_VARIABLE, switch)
+    monkeypatch.setenv(compiler.SWITCH_VARIABLE, switch)
     monkeypatch.setattr(along, "AT_ONCE", 5_000)
     begin, way, points, line, x = lines(count)
     begin[count // 2] = np.nan
@@ -58,7 +58,7 @@ def test_largest_value_of_each_line(switch: str, count: int, monkeypatch: pytest
 @pytest.mark.parametrize("count", [1, 7, 300, 30_000])
 @pytest.mark.usefixtures("eager")
 def test_totals_of_the_known_points(switch: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(loading.SWITCH_VARIABLE, switch)
+    monkeypatch.setenv(compiler.SWITCH_VARIABLE, switch)
     monkeypatch.setattr(along, "AT_ONCE", 5_000)
     begin, way, points, line, x = lines(count)
     function = AlongFunction(functions()[1])
@@ -79,7 +79,7 @@ def test_totals_of_the_known_points(switch: str, count: int, monkeypatch: pytest
 @pytest.mark.usefixtures("eager")
 def test_nothing_known_and_angles_too_large(switch: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not-a-number and points beyond the known do not count; an angle too large for the C++ is evaluated without it."""
-    monkeypatch.setenv(loading.SWITCH_VARIABLE, switch)
+    monkeypatch.setenv(compiler.SWITCH_VARIABLE, switch)
     begin, way, points, _, _ = lines(300)
     largest, totals = (AlongFunction(function) for function in functions())
     nothing = totals.totals((np.full_like(begin, np.nan), way), points, 5.0)
@@ -97,7 +97,7 @@ def test_nothing_known_and_angles_too_large(switch: str, monkeypatch: pytest.Mon
 @pytest.mark.usefixtures("eager")
 def test_lines_are_numbered_over_all_chunks(switch: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a known point in the first chunks, with equal values in several, and with all points just at the limit of the known."""
-    monkeypatch.setenv(loading.SWITCH_VARIABLE, switch)
+    monkeypatch.setenv(compiler.SWITCH_VARIABLE, switch)
     monkeypatch.setattr(along, "AT_ONCE", 500)
     monkeypatch.setattr(native, "POINTS", 500)
     x, share = ca.SX.sym("x", 2), ca.SX.sym("share")
@@ -118,7 +118,7 @@ def test_the_number_of_processors_changes_no_digit(monkeypatch: pytest.MonkeyPat
     begin, way, points, _, _ = lines(30_000)
     function = AlongFunction(functions()[1])
     threads = function.totals((begin, way), points, 0.0)
-    monkeypatch.setattr(native.loading, "map_parts", lambda parts, work: [work(part) for part in parts])
+    monkeypatch.setattr(native.compiler, "map_parts", lambda parts, work: [work(part) for part in parts])
     alone = function.totals((begin, way), points, 0.0)
     assert all(
         np.array_equal(getattr(threads, name), getattr(alone, name)) for name in ("count", "squares", "largest", "line")

@@ -6,15 +6,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from twin.compute import batch
-from twin.compute.native import loading
+from twin.compute import along as batch
+from twin.compute.native import compiler
 
 
 @pytest.mark.parametrize("rows", [0, 1, 4, 5, 6, 7, 8, 14, 15, 16, 23, 29, 31])
 @pytest.mark.parametrize("many", [10, 1000])
 def test_rows_do_not_depend_on_chunks(rows: int, many: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Large chunks of seven rows and small ones of three, padded at the end; one input for all rows; a sparse output."""
-    monkeypatch.setenv(loading.SWITCH_VARIABLE, "0")
+    monkeypatch.setenv(compiler.SWITCH_VARIABLE, "0")
     monkeypatch.setattr(batch, "CHUNK", 7)
     monkeypatch.setattr(batch, "SMALL_CHUNK", 3)
     monkeypatch.setattr(batch, "MANY", many)

@@ -19,18 +19,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.kinematics.test_kinematics import random_commands
-from tests.machine.errors import random_calibration
-from twin.compute import batch
-from twin.compute.native import compiler, loading, solver, solver_description, store
+from tests.model.errors import random_calibration
+from tests.tool.test_kinematics import random_commands
+from twin.compute import along as batch
+from twin.compute.native import compiler, solver, solver_description
 from twin.compute.native.compiler import Compiler, CompilerError
-from twin.compute.native.problem import BatchOutcome
+from twin.compute.native.solver import BatchOutcome
 from twin.compute.native.tape import Tape, UnknownOperationError
-from twin.kinematics.forward import Kinematics, Poses
-from twin.kinematics.inverse import Inverse, Solution, Status
-from twin.machine.calibration import Calibration
-from twin.machine.effects import Reversal
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.effects import Reversal
+from twin.tool.forward import Kinematics, Poses
+from twin.tool.inverse import Inverse, Solution, Status
 
 TINY = 'extern "C" int answer() { return 42; }\n'
 
@@ -53,9 +53,9 @@ def spoilt(rows: int, axes: int) -> BatchOutcome:
 def eager(libraries: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Compile for any number of poses."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(libraries))
-    monkeypatch.delenv(loading.SWITCH_VARIABLE, raising=False)
-    monkeypatch.setattr(loading, "WORTH_COMPILING", 0)
-    monkeypatch.setattr(loading, "_failed", {})
+    monkeypatch.delenv(compiler.SWITCH_VARIABLE, raising=False)
+    monkeypatch.setattr(compiler, "WORTH_COMPILING", 0)
+    monkeypatch.setattr(compiler, "_failed", {})
     # Fill the result arrays with invalid values: fresh memory is full of zeros, and zero means converged.
     monkeypatch.setattr(BatchOutcome, "empty", staticmethod(spoilt))
 
@@ -94,7 +94,7 @@ def both(inverse: Inverse, target: Poses, start: np.ndarray, **given: object) ->
     fast = inverse.solve(target, start, **given)  # type: ignore[arg-type]
     assert inverse._solver._native is not None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(loading.SWITCH_VARIABLE, "0")
+        patch.setenv(compiler.SWITCH_VARIABLE, "0")
         again = Inverse(inverse.kinematics, rotary_limit_deg=inverse.rotary_limit_deg)
         return fast, again.solve(target, start, **given)  # type: ignore[arg-type]
 
@@ -178,7 +178,7 @@ def test_pinocchio_confirms(dmu50: Machine, calibration: Calibration) -> None:
 @compiled
 @pytest.mark.usefixtures("eager")
 def test_one_pose_many_poses_and_threads_give_the_same_bits(dmu50: Machine, calibration: Calibration) -> None:
-    n = loading.PORTION + 3001
+    n = compiler.PORTION + 3001
     rng = np.random.default_rng(24)
     target, start = hard(dmu50, Kinematics(dmu50, Calibration.zero(dmu50)), n, rng)
     inverse = Inverse(Kinematics(dmu50, calibration))
@@ -252,7 +252,7 @@ def test_sine_and_cosine(cache: Path) -> None:
         + [np.arange(-400, 400) * (math.pi / 4.0), np.arange(-100.0, 100.0), np.full(8, np.nan), np.full(8, np.inf)]
     )
     s, c, f = np.empty_like(x), np.empty_like(x), np.empty_like(x)
-    library = store.library(source, tool)
+    library = compiler.stored_library(source, tool)
     library.run(ctypes.c_long(len(x)), *(ctypes.c_void_p(a.ctypes.data) for a in (x, s, c, f)))
     there = np.isfinite(x)
     assert np.abs(s - [math.sin(v) if math.isfinite(v) else math.nan for v in x])[there].max() <= 2.3e-16
@@ -275,7 +275,9 @@ def test_arcsine_and_arctangent(cache: Path) -> None:
     x = np.concatenate([rng.uniform(-r, r, 4000) for r in (1e-300, 1e-9, 1e-3, 6e-3, 2e-2, 1.0)] + [[0.0, -0.0] * 4])
     y = rng.normal(size=x.shape)
     s, t = np.empty_like(x), np.empty_like(x)
-    store.library(source, tool).run(ctypes.c_long(len(x)), *(ctypes.c_void_p(a.ctypes.data) for a in (x, y, s, t)))
+    compiler.stored_library(source, tool).run(
+        ctypes.c_long(len(x)), *(ctypes.c_void_p(a.ctypes.data) for a in (x, y, s, t))
+    )
     assert np.all(np.abs(s - np.arcsin(x)) <= 4.5e-16 * np.abs(np.arcsin(x)))
     assert np.all(np.abs(t - np.arctan2(x, y)) <= 4.5e-16 * np.abs(np.arctan2(x, y)))
 
@@ -310,8 +312,8 @@ def test_a_tape_is_its_function() -> None:
 @pytest.mark.usefixtures("eager")
 def test_very_many_rows(dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch, switch: str) -> None:
     """Compare both evaluations of more rows than CasADi is used for with CasADi's; not-a-number is preserved."""
-    monkeypatch.setenv(loading.SWITCH_VARIABLE, switch)
-    n = 2 * loading.PORTION + 5 if switch == "1" else 3 * batch.MANY + 5
+    monkeypatch.setenv(compiler.SWITCH_VARIABLE, switch)
+    n = 2 * compiler.PORTION + 5 if switch == "1" else 3 * batch.MANY + 5
     q = random_commands(dmu50, n, np.random.default_rng(33)) * dmu50.scale
     q[7, 3], q[11, 0], q[13, 4] = np.nan, np.inf, 7e5
     real = Kinematics(dmu50, calibration, tool_length_mm=60.0)
@@ -352,38 +354,38 @@ def calls(folder: Path) -> int:
 @compiled
 def test_compiled_once(cache: Path, tmp_path: Path) -> None:
     tool = counting(tmp_path)
-    assert store.library(TINY, tool).answer() == 42
-    assert store.library(TINY, tool).answer() == 42
+    assert compiler.stored_library(TINY, tool).answer() == 42
+    assert compiler.stored_library(TINY, tool).answer() == 42
     assert calls(tmp_path) == 1
     assert stat.S_IMODE(cache.stat().st_mode) == 0o700
     assert all(not path.stat().st_mode & 0o022 for path in cache.iterdir())
     assert not list(cache.glob(".twin-*"))
     # Another source, another compiler: another library.
-    assert store.key(TINY, tool) != store.key(TINY + "\n", tool)
-    assert store.key(TINY, tool) != store.key(TINY, Compiler(tool.command, "counting 1.1"))
+    assert compiler.key(TINY, tool) != compiler.key(TINY + "\n", tool)
+    assert compiler.key(TINY, tool) != compiler.key(TINY, Compiler(tool.command, "counting 1.1"))
 
 
 def test_a_library_is_of_its_compiler_its_flags_and_its_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     """With one home on several computers, code for another processor is never loaded."""
     tool = Compiler(("c++",), "c++ 1.0")
-    own = store.key(TINY, tool)
-    assert own == store.key(TINY, Compiler(("c++",), "c++ 1.0"))
-    assert own != store.key(TINY, Compiler(("c++", "-m32"), "c++ 1.0"))
+    own = compiler.key(TINY, tool)
+    assert own == compiler.key(TINY, Compiler(("c++",), "c++ 1.0"))
+    assert own != compiler.key(TINY, Compiler(("c++", "-m32"), "c++ 1.0"))
     with monkeypatch.context() as patch:
         patch.setattr(compiler, "processor", lambda: "another one")
-        assert store.key(TINY, tool) != own
+        assert compiler.key(TINY, tool) != own
     for flags in (compiler.FLAGS[:-1], (*compiler.FLAGS, "-ffast-math")):
         with monkeypatch.context() as patch:
             patch.setattr(compiler, "FLAGS", flags)
-            assert store.key(TINY, tool) != own
+            assert compiler.key(TINY, tool) != own
 
 
 @compiled
 @pytest.mark.parametrize("harm", ["truncated", "changed", "no note", "writeable by others", "a link", "empty note"])
 def test_what_is_harmed_is_built_anew(cache: Path, tmp_path: Path, harm: str) -> None:
     tool = counting(tmp_path)
-    name = store.key(TINY, tool)
-    store.library(TINY, tool)
+    name = compiler.key(TINY, tool)
+    compiler.stored_library(TINY, tool)
     target, note = cache / f"{name}.so", cache / f"{name}.sha256"
     # Replace the file instead of changing it: this process has it mapped.
     content = target.read_bytes()
@@ -397,10 +399,10 @@ def test_what_is_harmed_is_built_anew(cache: Path, tmp_path: Path, harm: str) ->
     elif harm == "a link":
         target.rename(tmp_path / "elsewhere.so")
         target.symlink_to(tmp_path / "elsewhere.so")
-    assert store.cached_library(name) is None
-    assert store.library(TINY, tool).answer() == 42
+    assert compiler.cached_library(name) is None
+    assert compiler.stored_library(TINY, tool).answer() == 42
     assert calls(tmp_path) == 2
-    assert store.cached_library(name) is not None
+    assert compiler.cached_library(name) is not None
 
 
 @compiled
@@ -408,12 +410,12 @@ def test_what_belongs_to_somebody_else_is_not_loaded(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tool = counting(tmp_path)
-    store.library(TINY, tool)
+    compiler.stored_library(TINY, tool)
     before = {path.name: path.read_bytes() for path in cache.iterdir()}
     me = os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: me + 1)
-    assert store.cached_library(store.key(TINY, tool)) is None
-    assert store.library(TINY, tool).answer() == 42
+    assert compiler.cached_library(compiler.key(TINY, tool)) is None
+    assert compiler.stored_library(TINY, tool).answer() == 42
     assert calls(tmp_path) == 2
     assert {path.name: path.read_bytes() for path in cache.iterdir()} == before
 
@@ -434,7 +436,7 @@ def test_a_home_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Monke
     os.mkdir(room)
     monkeypatch.setattr("tempfile.tempdir", str(room))
     tool = counting(tmp_path)
-    assert store.library(TINY, tool).answer() == 42
+    assert compiler.stored_library(TINY, tool).answer() == 42
     assert calls(tmp_path) == 1
     assert not list(room.iterdir())
 
@@ -448,8 +450,8 @@ def test_two_processes_at_once(cache: Path, tmp_path: Path) -> None:
     """Both get the library, and only one builds it."""
     tool = counting(tmp_path, does='sleep 1\nexec c++ "$@"')
     script = (
-        "from twin.compute.native import store\nfrom twin.compute.native.compiler import Compiler\n"
-        f"print(store.library({TINY!r}, Compiler({tool.command!r}, {tool.version!r})).answer())"
+        "from twin.compute.native import compiler\nfrom twin.compute.native.compiler import Compiler\n"
+        f"print(compiler.stored_library({TINY!r}, Compiler({tool.command!r}, {tool.version!r})).answer())"
     )
     running = [
         subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -470,7 +472,7 @@ def test_what_killed_builds_left_is_removed(cache: Path, tmp_path: Path) -> None
     for left in (old, new):
         left.mkdir()
         (left / "made.so").write_text("half")
-    store.library(TINY, counting(tmp_path))
+    compiler.stored_library(TINY, counting(tmp_path))
     assert not old.exists() and new.exists()
 
 
@@ -491,7 +493,7 @@ def test_a_compiler_that_fails_is_said_once(
     assert np.all(first.where(Status.CONVERGED) & second.where(Status.CONVERGED))
     assert solver_description() == f"NumPy ({script.command[0]}: error: no disc)"
     with pytest.raises(CompilerError, match="no disc"):
-        store.library(TINY, script)
+        compiler.stored_library(TINY, script)
     assert not list(cache.glob(".twin-*"))
 
 
@@ -504,7 +506,7 @@ def test_no_compiler_and_switched_off(
     target = real.forward(q)
     for variables, description in (
         ({"PATH": str(tmp_path), "CXX": ""}, "NumPy (no C++ compiler found)"),
-        ({loading.SWITCH_VARIABLE: "0"}, "NumPy (TWIN_NATIVE=0)"),
+        ({compiler.SWITCH_VARIABLE: "0"}, "NumPy (TWIN_NATIVE=0)"),
     ):
         with monkeypatch.context() as patch, warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -543,7 +545,7 @@ def test_info_says_which_way(tmp_path: Path) -> None:
     for switch in ("0", "1"):
         done = subprocess.run(
             [sys.executable, "-m", "twin.cli", "info"],
-            env=os.environ | settings | {loading.SWITCH_VARIABLE: switch},
+            env=os.environ | settings | {compiler.SWITCH_VARIABLE: switch},
             capture_output=True,
             text=True,
             check=True,
@@ -556,12 +558,12 @@ def test_info_says_which_way(tmp_path: Path) -> None:
 
 def test_a_portion_counts_for_the_whole_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether code is compiled depends on the work, not on the portions in which it is done; other threads are not concerned."""
-    monkeypatch.delenv(loading.SWITCH_VARIABLE, raising=False)
-    rows = loading.WORTH_COMPILING // 10
-    with loading.equal_portions(10):
-        assert loading.worth_compiling(rows) and not loading.worth_compiling(rows - 1)
-        with loading.equal_portions(5):
-            assert loading.worth_compiling(rows // 5) and not loading.worth_compiling(rows // 5 - 1)
+    monkeypatch.delenv(compiler.SWITCH_VARIABLE, raising=False)
+    rows = compiler.WORTH_COMPILING // 10
+    with compiler.equal_portions(10):
+        assert compiler.worth_compiling(rows) and not compiler.worth_compiling(rows - 1)
+        with compiler.equal_portions(5):
+            assert compiler.worth_compiling(rows // 5) and not compiler.worth_compiling(rows // 5 - 1)
         with ThreadPoolExecutor(1) as other:
-            assert not other.submit(loading.worth_compiling, rows).result()
-    assert not loading.worth_compiling(rows)
+            assert not other.submit(compiler.worth_compiling, rows).result()
+    assert not compiler.worth_compiling(rows)

@@ -19,22 +19,22 @@ import numpy as np
 import pytest
 
 from tests.identification.plans import volumetric
-from tests.machine.errors import random_calibration
 from tests.measurement.wen import nine_beams
+from tests.model.errors import random_calibration
 from twin._common.arrays import first_largest, read_only
 from twin._common.families import INSTRUMENTS as FAMILY
-from twin.comparison.significance import simultaneous_factor
-from twin.kinematics.forward import Kinematics
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument
 from twin.measurement.sphere_fit import _direction
+from twin.monitoring.pairs import simultaneous_factor
 from twin.numerics.covariance import Covariance, symmetric_root
 from twin.numerics.observability import Unknown, determinability
-from twin.planning.aims import LinearAim
 from twin.planning.design import Exchange
-from twin.standards.rotary import _circle
+from twin.planning.task import LinearAim
+from twin.standards.rotary_axes import _circle
 from twin.thermal.fit import _directions
-from twin.uncertainty.at_tool import ToolUncertainty
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import ToolUncertainty
 
 POINTS = np.concatenate(
     [

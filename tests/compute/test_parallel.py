@@ -21,15 +21,18 @@ from distributed import Client
 
 from tests.compute import chores
 from tests.diagnosis import battery, rivals
-from tests.machine.errors import random_calibration
-from tests.uncertainty.test_population import draws_of, with_covariance
+from tests.model.errors import random_calibration
+from tests.tool.test_population import draws_of
+from tests.tool.test_uncertainty import with_covariance
 from twin import cli
 from twin._common.errors import InputError
-from twin.compute.parallel import Workers, cluster, map_as_completed, map_in_order, processes
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
+from twin.compute import cluster
+from twin.compute import parallel as processes
+from twin.compute.parallel import Workers, map_as_completed, map_in_order
 from twin.machine.machine import Machine
-from twin.uncertainty.population import draw_machines
+from twin.model.calibration import Calibration
+from twin.tool.forward import Kinematics
+from twin.tool.population import draw_machines
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Workers(1)
@@ -117,9 +120,7 @@ def test_workers_end_with_the_results(others: Workers, tmp_path: Path) -> None:
 
 def test_a_copy_needs_a_process_without_other_threads() -> None:
     """Threads of this process that could hold a lock forbid copies of it; idle ones of compiled code do not."""
-    alone = (
-        "import numpy as np; from twin.compute.native import loading; loading.map_parts([slice(0, 1), slice(1, 2)], id)"
-    )
+    alone = "import numpy as np; from twin.compute.native import compiler; compiler.map_parts([slice(0, 1), slice(1, 2)], id)"
     other = "import threading, time; threading.Thread(target=time.sleep, args=(60,), daemon=True).start()"
     for lines, may in ((alone, "True"), (other, "False")):
         source = f"{lines}\nfrom twin.compute.native import only_idle_threads\nprint(only_idle_threads())"
@@ -327,7 +328,7 @@ def test_no_scheduler_there(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("twin.compute.parallel.cluster", "distributed"):
+    for name in ("twin.compute.cluster", "distributed"):
         monkeypatch.setitem(sys.modules, name, None)  # marks the module as not importable
     with pytest.raises(InputError, match=r"twin\[cluster\]"):
         list(map_in_order(chores.squared, 1, range(3), Workers(scheduler="tcp://127.0.0.1:1")))

@@ -30,21 +30,19 @@ from tests.truth import hidden
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.compute.parallel import Workers, map_in_order
-from twin.diagnosis.candidates.candidate import Candidate
-from twin.diagnosis.candidates.signatures import unit_column
-from twin.diagnosis.estimate.estimate import estimate
-from twin.diagnosis.judgement.alternatives import equivalent
-from twin.diagnosis.problem.forms import Form
-from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.selection.searcher import Searcher, without_variants_in_time
-from twin.diagnosis.selection.structure import Findings, Structure
-from twin.machine.calibration import Calibration
-from twin.machine.effects import PitchError, ThermalDrift
+from twin.diagnosis.alternatives import equivalent
+from twin.diagnosis.candidates.candidate import Candidate, unit_column
+from twin.diagnosis.estimate import estimate
+from twin.diagnosis.forms import Form
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.readings import readings
+from twin.diagnosis.structure import Findings, Searcher, Structure, without_variants_in_time
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
-from twin.measurement.state import machine_state
+from twin.measurement.observation import machine_state
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects import PitchError, ThermalDrift
 from twin.numerics.covariance import Covariance
 
 FAR = 4.0

@@ -41,11 +41,10 @@ from tests.diagnosis.battery import (
     tasks,
 )
 from twin.compute.parallel import Workers, map_in_order
-from twin.diagnosis.candidates.candidate import Candidate
-from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.problem.forms import LEAST_NONCENTRALITY
-from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.selection.searcher import Searcher
+from twin.diagnosis.candidates.candidate import Candidate, Column
+from twin.diagnosis.forms import LEAST_NONCENTRALITY
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.structure import Searcher
 
 ALIKE = 0.95
 """Cosine of the angle between a hidden signature and a candidate's from which on the candidate counts as equivalent."""

@@ -11,23 +11,23 @@ from tests.identification.plans import volumetric
 from tests.nested import alike
 from twin._common.arrays import read_only
 from twin.diagnosis import Diagnosis, diagnose
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.numerics import functions
 
 CHUNKS = {
-    "twin.numerics.waves.BLOCK": 17,
-    "twin.diagnosis.problem.signature_products.BLOCK_WIDTH": 13,
-    "twin.diagnosis.estimate.estimate.BLOCK_COLUMNS": 5,
-    "twin.diagnosis.selection.pattern_scores.TOGETHER": 29,
-    "twin.diagnosis.selection.likelihood.TOGETHER": 3,
-    "twin.diagnosis.selection.pattern_test.AT_ONCE": 9,
+    "twin.numerics.functions.BLOCK": 17,
+    "twin.diagnosis.signature_products.BLOCK_WIDTH": 13,
+    "twin.diagnosis.estimate.BLOCK_COLUMNS": 5,
+    "twin.diagnosis.patterns.TOGETHER": 29,
+    "twin.diagnosis.likelihood.TOGETHER": 3,
+    "twin.diagnosis.likelihood.AT_ONCE": 9,
     "twin.identification.network.CHUNK": 19,
     "twin.identification.network.VIEW_CHUNK": 19,
-    "twin._common.threads.THREADS": 3,
+    "twin._common.resources.THREADS": 3,
 }
 
 

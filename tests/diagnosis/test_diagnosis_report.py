@@ -23,16 +23,21 @@ from twin._common.errors import InputError
 from twin._common.provenance import ILLUSTRATIVE, SIMULATED, UNKNOWN_UNCERTAINTY
 from twin.diagnosis import Diagnosis, diagnose
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
+from twin.diagnosis.page import diagnosis_html
+from twin.diagnosis.plots import (
+    cause_panels,
+    plot_cause,
+    plot_ranking,
+    plot_residuals,
+    plot_unexplained,
+    residual_panels,
+)
 from twin.diagnosis.result import Unexplained
-from twin.diagnosis.wording.panels import cause_panels, residual_panels
-from twin.diagnosis.wording.plots import plot_cause, plot_ranking, plot_residuals, plot_unexplained
-from twin.diagnosis.wording.report import diagnosis_html
-from twin.diagnosis.wording.text import WIDTH
-from twin.diagnosis.wording.words import cause_title, chance, measured, odds, separating_points
-from twin.machine.calibration import Calibration
+from twin.diagnosis.text import WIDTH, cause_title, chance, measured, odds, separating_points
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 SIGMA_MM = 3e-3
 REVERSAL_UM = 12.0

@@ -20,19 +20,19 @@ from tests.truth.few_axes import write_robot
 from twin import cli
 from twin._common.errors import InputError
 from twin.compensation import Compensator, Options
-from twin.compensation.execute import execute_file
-from twin.diagnosis.selection.patterns import patterns
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
-from twin.machine.effects import Empirical, assemble
-from twin.machine.effects.waves import Waves, label, terms
-from twin.machine.empirical_entry import acting_frame, unused_place
+from twin.compensation.programs.execute import execute_file
+from twin.diagnosis.patterns import patterns
 from twin.machine.machine import Machine
 from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.calibration_file import acting_frame, unused_place
+from twin.model.conditions import Conditions
+from twin.model.effects import Empirical, assemble
+from twin.model.effects.harmonic import Waves, label, terms
 from twin.nc import dialect_for
 from twin.numerics.covariance import Covariance
+from twin.tool.forward import Kinematics
 
 AXES = "XYZBC"
 X = Waves("X_mm", "half_waves", 3, (0.0, 500.0))

@@ -11,16 +11,16 @@ from scipy import stats
 from tests.diagnosis.test_hidden_ball_bar import circles
 from tests.identification.plans import four_stations, table, volumetric
 from twin.diagnosis import diagnose
-from twin.diagnosis.estimate.misfit import LACK_OF_FIT
-from twin.diagnosis.problem.forms import FALSE_ALARM_RATE
-from twin.diagnosis.selection.pattern_test import ALARMS
-from twin.kinematics.forward import Kinematics, Poses
-from twin.kinematics.inverse import Inverse
-from twin.machine.calibration import Calibration
+from twin.diagnosis.estimate import LACK_OF_FIT
+from twin.diagnosis.forms import FALSE_ALARM_RATE
+from twin.diagnosis.likelihood import ALARMS
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, instrument_named
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.tool.forward import Kinematics, Poses
+from twin.tool.inverse import Inverse
 
 RATE = FALSE_ALARM_RATE + ALARMS + LACK_OF_FIT
 RARE = 1e-3

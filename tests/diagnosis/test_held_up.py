@@ -12,9 +12,9 @@ import pytest
 
 from tests.diagnosis.test_hidden_payload import HIGH, links, table, write_arm
 from twin.diagnosis import Diagnosis, diagnose
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 POSES = 24
 RANDOM_RAD = 2e-4

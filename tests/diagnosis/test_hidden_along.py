@@ -19,10 +19,10 @@ from tests.truth.hidden import Hidden
 from twin._common.errors import InputError
 from twin.diagnosis import Diagnosis, diagnose
 from twin.diagnosis.candidates.catalogue import catalogue
-from twin.machine.calibration import Calibration
-from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects.entries import effect_named
 
 SIGMA_MM = 3e-3
 TURNS = "G21 G90\nG0 X100 Y20 Z-100 B0 C0\nG1 Y60 F500\nY15\nX150 Y440\nY400\nY445\nX120 Y10\nY40\nM30\n"

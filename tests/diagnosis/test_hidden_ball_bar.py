@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from twin.diagnosis import Diagnosis, diagnose
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 NOISE_UM = 0.35
 RADIUS_MM = 100.0

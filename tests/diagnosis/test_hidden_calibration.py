@@ -18,9 +18,9 @@ from numpy.polynomial import polynomial
 
 from tests.truth import hidden
 from twin.diagnosis import Cause, Diagnosis, diagnose
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 SIGMA_MM = 3e-3
 STOPS = 11

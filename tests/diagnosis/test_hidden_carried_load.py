@@ -29,11 +29,11 @@ from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin._common.errors import InputError
 from twin.diagnosis import Diagnosis, diagnose
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.conditions import Conditions
+from twin.tool.forward import Kinematics
 
 CENTRE = (35.0, -20.0, 60.0)
 LOADS = np.array([0.0, 1.25, 2.5])

@@ -18,11 +18,11 @@ from tests.diagnosis import battery
 from tests.truth import hidden
 from tests.truth.hidden import Hidden, Plan
 from twin.diagnosis import Cause, Diagnosis, diagnose
-from twin.machine.calibration import Calibration
-from twin.machine.effects import Harmonic
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects import Harmonic
 
 POSES = 90
 SIGMA_MM = 3e-3

@@ -24,10 +24,10 @@ from tests.truth.machine import AXES, TruthMachine
 from twin import cli
 from twin.compensation import Compensator, Options
 from twin.diagnosis import Diagnosis, diagnose
-from twin.machine.calibration import Calibration
-from twin.machine.effects import Empirical
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects import Empirical
 from twin.nc import dialect_for
 
 SIGMA_MM = 3e-3

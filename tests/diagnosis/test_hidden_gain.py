@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 
 from tests.truth import hidden
-from tests.truth.hidden import AXES, Hidden, Plan
+from tests.truth.hidden import Hidden, Plan
+from tests.truth.machine import AXES
 from twin.diagnosis import diagnose
-from twin.kinematics.forward import Kinematics
-from twin.kinematics.inverse import Inverse
-from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.conditions import Conditions
+from twin.tool.forward import Kinematics
+from twin.tool.inverse import Inverse
 
 TOOL_MM = 100.0
 SIGMA_MM = 3e-3

@@ -18,12 +18,12 @@ from tests.truth import hidden
 from tests.truth.few_axes import write_stage
 from tests.truth.hidden import Hidden, Plan
 from twin.diagnosis import Diagnosis, diagnose
-from twin.diagnosis.candidates.time_skew import velocities
-from twin.diagnosis.estimate.drift_fit import over_forms
-from twin.diagnosis.problem.readings import readings
-from twin.machine.calibration import Calibration
+from twin.diagnosis.candidates.instrument import velocities
+from twin.diagnosis.drift_fit import over_forms
+from twin.diagnosis.readings import readings
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 SIGMA_MM = 3e-3
 POSES = 60

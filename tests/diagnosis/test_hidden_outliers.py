@@ -10,11 +10,11 @@ import pytest
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin.diagnosis import Diagnosis, diagnose
-from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.selection import rows
-from twin.machine.calibration import Calibration
+from twin.diagnosis import search as rows
+from twin.diagnosis.readings import readings
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 POSES = 40
 SIGMA_MM = 3e-3

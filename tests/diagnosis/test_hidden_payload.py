@@ -18,11 +18,11 @@ from twin._common.errors import InputError
 from twin.diagnosis import Diagnosis, diagnose
 from twin.diagnosis.candidates.catalogue import catalogue
 from twin.diagnosis.result import Cause
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
-from twin.machine.effects import GravityCompliance
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects import GravityCompliance
+from twin.tool.forward import Kinematics
 
 G = 9.81
 SIGMA_MM = 4e-3
@@ -251,7 +251,7 @@ def test_a_size_that_becomes_impossible_after_the_search_is_not_written(
 ) -> None:
     """Without the bounds of the search, a first moment without mass gives a centre metres away: it is named, but in no file."""
     folder, machine, known = unloaded
-    monkeypatch.setattr("twin.diagnosis.selection.payload._bounded_load", lambda candidates, form, forms: form)
+    monkeypatch.setattr("twin.diagnosis.payload._bounded_load", lambda candidates, form, forms: form)
     q = np.round(np.random.default_rng(3).uniform(-HIGH, HIGH, (40, 6)), 3)
     at_flange = links(sagged(np.radians(q), COMPLIANCE, Carried(0.01, (2e4, 0.0, 0.0))))[-1]
     data = Measurements.load(table(folder / "moved.csv", q, at_flange, np.random.default_rng(3)), machine)

@@ -13,9 +13,9 @@ from tests.truth.hidden import Hidden, Plan
 from twin._common.errors import InputError
 from twin.compensation import compensate
 from twin.diagnosis import Diagnosis, diagnose
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 SIGMA_MM = 3e-3
 TRUTH = Hidden("spindle_growth", "Z", {"amplitude": 25.0, "exponent": 1.5, "time_constant": 1200.0})

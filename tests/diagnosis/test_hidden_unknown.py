@@ -18,10 +18,10 @@ from tests.truth import hidden
 from tests.truth.few_axes import write_stage
 from tests.truth.hidden import Hidden, Plan
 from twin.diagnosis import Diagnosis, diagnose
-from twin.machine.calibration import Calibration
-from twin.machine.calibration_file import MeasuredWith, MisfitEntry, UnidentifiedEntry
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.calibration_file import MeasuredWith, MisfitEntry, UnidentifiedEntry
 
 SIGMA_MM = 3e-3
 NONCENTRALITY = 300.0

@@ -13,10 +13,10 @@ from tests.identification.test_discrepancy import in_a_workshop, machine, measur
 from tests.truth.machine import written
 from twin._common.arrays import read_only
 from twin.diagnosis import diagnose
-from twin.diagnosis.problem.readings import readings
-from twin.machine.calibration import Calibration
+from twin.diagnosis.readings import readings
 from twin.machine.machine import Machine
 from twin.measurement.instruments import instrument_named
+from twin.model.calibration import Calibration
 
 SIGMA_MM = 3e-3
 

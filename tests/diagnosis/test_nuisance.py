@@ -9,13 +9,12 @@ import pytest
 
 from tests.benchmarks.diagnosis import measured
 from twin._common.arrays import read_only
-from twin.diagnosis.candidates.signatures import Column
-from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.products import Products
-from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.selection.searcher import Searcher
-from twin.machine.calibration import Calibration
+from twin.diagnosis.candidates.candidate import Column
+from twin.diagnosis.problem import Problem, Products
+from twin.diagnosis.readings import readings
+from twin.diagnosis.structure import Searcher
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.numerics.covariance import Covariance
 
 FACTOR = 1.7

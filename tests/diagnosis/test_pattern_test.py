@@ -11,16 +11,15 @@ from scipy import stats
 from tests.real import plates
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
-from twin.diagnosis.candidates.signatures import base_column
-from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.selection.likelihood import Likelihood
-from twin.diagnosis.selection.pattern_test import _two_moments, log_tail, scan_patterns
-from twin.diagnosis.selection.patterns import Pattern, patterns
-from twin.diagnosis.selection.searcher import Searcher, without_variants_in_time
-from twin.machine.calibration import Calibration
+from twin.diagnosis.candidates.candidate import base_column
+from twin.diagnosis.likelihood import Likelihood, _two_moments, log_tail, scan_patterns
+from twin.diagnosis.patterns import Pattern, patterns
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.readings import readings
+from twin.diagnosis.structure import Searcher, without_variants_in_time
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 SIGMA_MM = 3e-3
 

@@ -9,16 +9,15 @@ import pytest
 
 from tests.identification.test_discrepancy import machine, measured
 from twin._common.arrays import read_only
-from twin.diagnosis.estimate.estimate import Estimate, estimate
-from twin.diagnosis.estimate.reweighted import reweighted
-from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.selection import searcher
-from twin.diagnosis.selection.search import candidates_of
+from twin.diagnosis import structure as searcher
+from twin.diagnosis.estimate import Estimate, estimate, reweighted
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.readings import readings
+from twin.diagnosis.search import candidates_of
 from twin.identification.discrepancy import Discrepancy
-from twin.machine.calibration import Calibration
 from twin.measurement.instruments import instrument_named
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 KEYS = (("squareness", "E_C0Y"), ("squareness", "E_A0Z"), ("axis_location", "E_A0C"))
 DRAWS = 20

@@ -9,7 +9,7 @@ import statsmodels.api as sm
 from tests.diagnosis import battery, rivals
 from tests.diagnosis.battery import Truth
 from twin.diagnosis.candidates.candidate import Candidate
-from twin.diagnosis.problem.problem import Problem
+from twin.diagnosis.problem import Problem
 from twin.machine.machine import Machine
 
 FEW = (

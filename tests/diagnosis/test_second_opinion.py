@@ -11,15 +11,20 @@ import pytest
 from scipy import stats
 
 from tests.diagnosis.battery import Case, DataSet
-from twin.diagnosis.judgement.second_opinion import (
+from twin.diagnosis.second_opinion import (
     CREDIBLE,
+    ODDS,
+    SIZE_PRIOR,
+    SIZES,
+    Alternatives,
+    Fit,
     Key,
     SecondOpinion,
     SingleEffect,
+    SingleEffects,
     compare_with_search,
     second_opinion,
 )
-from twin.diagnosis.judgement.single_effects import ODDS, SIZE_PRIOR, SIZES, Alternatives, Fit, SingleEffects
 
 DRAWS = 2000
 

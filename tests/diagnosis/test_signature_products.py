@@ -14,25 +14,21 @@ from tests.diagnosis.battery import _doubted
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin._common.arrays import read_only
-from twin.diagnosis import diagnose
-from twin.diagnosis.candidates.signatures import effect_columns
-from twin.diagnosis.problem import signature_products
-from twin.diagnosis.problem.forms import FALSE_ALARM_RATE, SAMPLED_POINTS
-from twin.diagnosis.problem.point_block import PointBlock
-from twin.diagnosis.problem.problem import Problem
-from twin.diagnosis.problem.products import Products
-from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.problem.signature_products import Signatures
-from twin.diagnosis.selection import pattern_scores
-from twin.diagnosis.selection.cross_validation import choose_folds
-from twin.diagnosis.selection.pattern_scores import PatternScores
-from twin.diagnosis.selection.pattern_test import scan_patterns
-from twin.diagnosis.selection.patterns import Pattern
-from twin.diagnosis.selection.searcher import Searcher
-from twin.machine.calibration import Calibration
+from twin.diagnosis import diagnose, signature_products
+from twin.diagnosis import patterns as pattern_scores
+from twin.diagnosis.candidates.candidate import effect_columns
+from twin.diagnosis.cross_validation import choose_folds
+from twin.diagnosis.forms import FALSE_ALARM_RATE, SAMPLED_POINTS
+from twin.diagnosis.likelihood import scan_patterns
+from twin.diagnosis.patterns import Pattern, PatternScores
+from twin.diagnosis.problem import Problem, Products
+from twin.diagnosis.readings import readings
+from twin.diagnosis.signature_products import PointBlock, Signatures
+from twin.diagnosis.structure import Searcher
 from twin.machine.machine import Machine
-from twin.measurement.state import machine_state
+from twin.measurement.observation import machine_state
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.numerics.covariance import Covariance
 
 EFFECTS = (Hidden("reversal", "Y", {"size": 6.0}), Hidden("squareness", "E_A0Z", {"angle": 12.0}))

@@ -19,32 +19,33 @@ from hypothesis import strategies as st
 
 import twin
 from twin.compensation import Options, compensate
-from twin.compensation.execute import execute_file
 from twin.compensation.fewer_blocks import refit
-from twin.compensation.toolpath import Setup
+from twin.compensation.programs.execute import execute_file
+from twin.compensation.programs.words import Setup
 from twin.compute.parallel import Workers
 from twin.diagnosis import diagnose
 from twin.display import graph, histogram, measured, rounded
 from twin.display.markup import ACCENT, WARNING
 from twin.display.numbers import p_value_text, ticks
 from twin.identification import Identification, identify
-from twin.kinematics.forward import Kinematics
-from twin.kinematics.inverse import Inverse
-from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
-from twin.machine.effects.entries import effect_named
-from twin.machine.iso16907 import Scope
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve
+from twin.measurement.checks import RowNote
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
-from twin.measurement.table import Measurements, RowNote
+from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.conditions import Conditions
+from twin.model.effects.entries import effect_named
+from twin.model.iso16907 import Scope
+from twin.model.motion_curve import Curve
 from twin.numerics.covariance import Covariance
 from twin.planning import judge
-from twin.reporting.scene.program import Scene
+from twin.reporting.scene.draw import Scene
 from twin.samples import thesis_plan
-from twin.uncertainty.at_tool import ToolUncertainty, UncertaintyMap
-from twin.uncertainty.population import draw_machines
+from twin.tool.forward import Kinematics
+from twin.tool.inverse import Inverse
+from twin.tool.population import draw_machines
+from twin.tool.uncertainty import ToolUncertainty, UncertaintyMap
 
 SCRIPT = "<script>alert('x')</script> & <b>bold</b>"
 VOID = {"br", "hr", "img", "input", "meta"}

@@ -12,8 +12,15 @@ from matplotlib.axis import Tick
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.text import Text
 
-from twin.display.figures import new_figure, polar_ticks, style_axes
-from twin.display.plain_axes import add_plain_axes, add_plain_polar, draw_plain_axes, draw_plain_polar
+from twin.display.figures import (
+    add_plain_axes,
+    add_plain_polar,
+    draw_plain_axes,
+    draw_plain_polar,
+    new_figure,
+    polar_ticks,
+    style_axes,
+)
 
 SIZE = 9.0
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from twin.display.sentences import capital, listed, lower
+from twin.display.numbers import capital, listed, lower
 
 
 def test_names_are_listed_and_many_are_counted() -> None:

@@ -23,11 +23,11 @@ from twin.identification.axis_run import (
     simulate_run,
     to_text,
 )
-from twin.identification.thesis.three_point import three_point
-from twin.machine.calibration import Calibration
-from twin.machine.effects import Reversal
+from twin.identification.thesis import three_point
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve
+from twin.model.calibration import Calibration
+from twin.model.effects import Reversal
+from twin.model.motion_curve import Curve
 
 LAYOUT = Path(__file__).resolve().parents[2] / "twin" / "samples" / "nine_beams_x.yaml"
 FORTH = np.linspace(0.0, 500.0, 21)

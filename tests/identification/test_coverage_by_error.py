@@ -18,23 +18,21 @@ from tests.identification.test_identify_inputs import rows_of
 from tests.truth import few_axes
 from tests.truth.reference import error_frame
 from twin._common.arrays import read_only
+from twin.identification import fitting as priors_module
 from twin.identification import identify
-from twin.identification import priors as priors_module
-from twin.identification.determined import DeterminedModel, determined_models
 from twin.identification.discrepancy import covariance_of
+from twin.identification.fitting import RobustStart, prior_precision, robust_start
 from twin.identification.inputs import prepare
 from twin.identification.network import Network
-from twin.identification.priors import prior_precision
-from twin.identification.robust import RobustStart, robust_start
-from twin.identification.solve import solve
-from twin.identification.spread import Spread
+from twin.identification.solve import Spread, solve
 from twin.identification.start import initial_setup
+from twin.identification.unidentified import DeterminedModel, determined_models
 from twin.identification.unknowns import Unknowns
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, StationInstruments
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 RARE = 1e-4
 SIGMA_MM = 0.003

@@ -17,13 +17,13 @@ from twin._common.arrays import read_only
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification import Identification, identify
 from twin.identification.discrepancy import Discrepancy, _shared_score
-from twin.identification.held_out import FOLDS
+from twin.identification.orders import FOLDS
 from twin.identification.solve import solve
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, instrument_named
 from twin.measurement.simulate import Placement, Station, simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 WANTED = ("E_C0Y", "E_B0Z", "E_A0Z", "E_A0B", "E_B0B", "E_A0C", "E_B0C")
 DRAWS = 40

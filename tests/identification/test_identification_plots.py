@@ -19,15 +19,15 @@ from twin.identification.plots import (
     plot_residuals,
     plot_uncertainty,
 )
-from twin.identification.thesis.identify import identify_as_thesis
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
+from twin.identification.thesis import identify_as_thesis
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.samples import thesis_plan
-from twin.uncertainty.at_tool import ToolUncertainty
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import ToolUncertainty
 
 
 @pytest.fixture(scope="module")

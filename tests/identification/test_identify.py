@@ -17,14 +17,14 @@ from hypothesis import strategies as st
 from tests.identification.plans import PLACES, STATIONS, four_stations, read_by_truth, table, volumetric, with_places
 from tests.truth.machine import CONSTANTS, MOTIONS, RANGES, TruthMachine, in_datum, written
 from twin.identification import Identification, identify
-from twin.kinematics.forward import Kinematics
-from twin.kinematics.inverse import Inverse, Status
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import TrackingInterferometer
 from twin.measurement.simulate import Placement, Station, simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.samples import thesis_plan
+from twin.tool.forward import Kinematics
+from twin.tool.inverse import Inverse, Status
 
 EXACT = 1e-6
 UNSEEN = {"E_X0B", "E_Y0B", "E_Y0C"}

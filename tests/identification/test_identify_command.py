@@ -10,12 +10,11 @@ import pytest
 
 from twin import cli
 from twin.identification import identify
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
-from twin.uncertainty.at_tool import ToolUncertainty
-from twin.uncertainty.budget import volume
+from twin.model.calibration import Calibration
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import ToolUncertainty, volume
 
 
 def status(*arguments: object) -> int:

@@ -12,11 +12,11 @@ from tests.identification.plans import PLACES, read_by_truth, table, with_places
 from tests.identification.test_identify import EXACT, as_the_thesis, differences
 from tests.truth.machine import TruthMachine, in_datum, written
 from twin.identification import identify
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import TouchProbe
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.planning import InstrumentSizes, measuring_sequence
 
 

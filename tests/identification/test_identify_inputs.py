@@ -20,12 +20,12 @@ from twin.diagnosis import diagnose
 from twin.identification import identify
 from twin.identification.inputs import prepare
 from twin.identification.result import misfit_entry
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
 from twin.measurement.instruments import Instrument, LaserTracker, TrackingInterferometer
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.samples import thesis_plan
 
 SEED = 21

@@ -18,9 +18,9 @@ from tests.truth import hidden
 from tests.truth.machine import TruthMachine, carried, in_datum, seen, written
 from twin._common.arrays import read_only
 from twin.identification import Identification, identify
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.numerics.spatial import rotation_log
 
 LOOSE_MM = 0.15

@@ -16,33 +16,32 @@ import scipy
 from scipy import stats
 
 from tests.identification.plans import read_by_truth, volumetric
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
 from tests.truth.machine import TruthMachine
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.identification import Identification, identify
-from twin.identification.determined import determined_models
+from twin.identification.discrepancy import RowAssessment, assess_rows
+from twin.identification.fitting import DECAYS, SIZES, mean_variance, robust_start
 from twin.identification.inputs import prepare
 from twin.identification.network import Network, stated_covariance
 from twin.identification.orders import _Fold, choose
-from twin.identification.outliers import RowAssessment, assess_rows
-from twin.identification.priors import DECAYS, SIZES, mean_variance
-from twin.identification.robust import robust_start
-from twin.identification.spread import covariance_from_repeats, misfit, repeats_of
+from twin.identification.solve import covariance_from_repeats, misfit, repeats_of
 from twin.identification.start import initial_setup
+from twin.identification.unidentified import determined_models
 from twin.identification.unknowns import Unknowns
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve
 from twin.measurement.instruments import (
     Instrument,
     LaserTracker,
     StationInstruments,
     TrackingInterferometer,
 )
+from twin.measurement.observation import repeat_groups
 from twin.measurement.simulate import simulate
-from twin.measurement.state import repeat_groups
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.motion_curve import Curve
 from twin.samples import thesis_plan
 
 RARE = 1e-4

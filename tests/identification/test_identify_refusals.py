@@ -10,11 +10,11 @@ import pytest
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.identification import Identification, identify
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, TrackingInterferometer
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.samples import thesis_plan
 
 

@@ -26,10 +26,10 @@ from tests.truth.machine import TruthMachine
 from twin._common.arrays import read_only
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification import Identification, identify
-from twin.identification.thesis.identify import identify_as_thesis
-from twin.machine.calibration import Calibration
+from twin.identification.thesis import identify_as_thesis
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.samples import thesis_plan
 
 FEW, MANY = 8, 60

@@ -12,12 +12,12 @@ from tests.measurement.probing import SPHERES, probing
 from tests.measurement.test_probe import CONSTANTS
 from tests.truth.machine import carried, written
 from twin.identification import Identification, identify
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import BallBar, TouchProbe
 from twin.measurement.instruments.tracker import AT960
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.samples import thesis_plan
 
 NAMES = {**CONSTANTS["squareness"], **CONSTANTS["location"]}

@@ -7,8 +7,8 @@ import re
 import numpy as np
 
 import twin
-from tests.machine.errors import random_calibration
-from twin.identification.page import identification_html
+from tests.model.errors import random_calibration
+from twin.identification.plots import identification_html
 from twin.machine.machine import Machine
 
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from twin.identification.priors import _noise
+from twin.identification.fitting import _noise
 
 
 def solution(chi2: float, incomplete: bool = False) -> SimpleNamespace:

@@ -18,13 +18,13 @@ from numpy.polynomial import polynomial
 from tests.truth.machine import TruthMachine, run_iso
 from twin.compensation import Compensator, Options
 from twin.identification import Identification, identify
-from twin.identification.thesis.identify import identify_as_thesis
-from twin.machine.calibration import Calibration
+from twin.identification.thesis import identify_as_thesis
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.observation import Observation
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.nc import dialect_for
 from twin.samples import thesis_plan
 

@@ -18,14 +18,13 @@ import numpy as np
 import pytest
 
 from twin._common.errors import InputError
-from twin.identification.thesis.identify import ThesisIdentification, identify_as_thesis
-from twin.identification.thesis.three_point import three_point
-from twin.machine.calibration import Calibration
+from twin.identification.thesis import ThesisIdentification, identify_as_thesis, three_point
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve
 from twin.measurement.instruments import LaserTracker, TrackingInterferometer
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.motion_curve import Curve
 from twin.samples import thesis_plan
 
 PLACES = np.array(list(thesis_plan.TOOL_PLACES_MM.values())) * 1e-3

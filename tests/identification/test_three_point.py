@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twin._common.errors import InputError
-from twin.identification.thesis.three_point import three_point
+from twin.identification.thesis import three_point
 
 PLACES = np.array([[0.10, -0.05, -0.03], [-0.08, 0.06, -0.07], [0.02, 0.11, -0.12]])  # K, P, Q
 

@@ -10,20 +10,19 @@ import numpy as np
 import pytest
 
 from tests.identification.plans import four_stations, volumetric
-from tests.machine.errors import random_calibration
 from tests.machine.reordered import columns, reordered
-from tests.uncertainty.test_uncertainty import with_covariance
+from tests.model.errors import random_calibration
+from tests.tool.test_uncertainty import with_covariance
 from twin._common.arrays import read_only
-from twin.kinematics.forward import Kinematics
-from twin.kinematics.inverse import Inverse
-from twin.machine.calibration import Calibration
-from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, TrackingInterferometer
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
-from twin.uncertainty.at_tool import ToolUncertainty
-from twin.uncertainty.budget import random_approach, volume
+from twin.model.calibration import Calibration
+from twin.model.effects.entries import effect_named
+from twin.tool.forward import Kinematics
+from twin.tool.inverse import Inverse
+from twin.tool.uncertainty import ToolUncertainty, random_approach, volume
 
 
 @pytest.fixture(scope="module")

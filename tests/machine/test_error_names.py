@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin._common.defaults import bundled_folder
+from twin._common.bundled import bundled_folder
 from twin._common.errors import InputError
 from twin.machine.error_names import NamedAxis, axes_of, component_names, location_names, squareness_names
 from twin.machine.machine import Machine

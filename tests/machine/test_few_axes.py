@@ -1,6 +1,6 @@
 """Tables and reports for machines other than five-axis mills: supported outputs are made, others are refused with a reason.
 
-The errors of the drill are given by a formula in this file, and its tables are evaluated by `tests.control.cases`.
+The errors of the drill are given by a formula in this file, and its tables are evaluated by `tests.controls.cases`.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.control.cases import BY_HAND
-from tests.control.test_control_tables import state_of
+from tests.controls.cases import BY_HAND
+from tests.controls.test_control_tables import state_of
 from tests.real import stage
 from tests.truth import few_axes
 from twin._common.errors import InputError
 from twin.cli import main
 from twin.compensation import compensate
 from twin.identification import Identification, identify
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
+from twin.model.calibration import Calibration
 from twin.planning import Kit, plan
 from twin.reporting import machine_report
 from twin.reporting.page import machine_html

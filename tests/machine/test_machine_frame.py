@@ -13,9 +13,9 @@ import pytest
 from tests.real import write_both
 from twin import cli
 from twin._common.errors import InputError
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.tool.forward import Kinematics
 
 MM_TOLERANCE = 1e-9  # contract: largest difference of two formulations of the chain
 FRAMES = {"x": ("0 0 0", "1 0 0"), "y": ("0 0 0", "0 1 0"), "z": ("0 0 0", "0 0 1")}

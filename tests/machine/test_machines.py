@@ -13,12 +13,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from twin._common.defaults import bundled_folder
+from twin._common.bundled import bundled_folder
 from twin._common.errors import InputError
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve
+from twin.model.calibration import Calibration
+from twin.model.motion_curve import Curve
+from twin.tool.forward import Kinematics
 
 BUNDLED = ("dmu50", "trunnion_ac", "xyzbc_trunnion")
 MM_TOLERANCE = 1e-9  # contract: largest difference of two formulations of the chain

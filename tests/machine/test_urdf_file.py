@@ -10,10 +10,10 @@ import pytest
 
 from tests.truth import few_axes
 from twin._common.errors import InputError
-from twin.kinematics.forward import Kinematics
 from twin.machine.machine import Machine
-from twin.machine.urdf_file import MAX_BYTES, MAX_LINKS, MAX_MOVING_JOINTS
-from twin.planning.sight import machine_shapes
+from twin.machine.machine_file import MAX_BYTES, MAX_LINKS, MAX_MOVING_JOINTS
+from twin.planning.clearance import machine_shapes
+from twin.tool.forward import Kinematics
 
 QUILL = '<link name="quill"/>'
 INERTIA = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'

@@ -13,7 +13,6 @@ from tests.measurement.wen import nine_beams
 from tests.truth.machine import TruthMachine, carried, in_datum, seen, written
 from twin._common.errors import InputError
 from twin.identification import identify
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import (
     INSTRUMENTS,
@@ -26,11 +25,12 @@ from twin.measurement.instruments import (
     default_instrument,
     refractive_index,
 )
+from twin.measurement.instruments.base import length_scale
 from twin.measurement.instruments.interferometer import TRACKING
-from twin.measurement.instruments.refraction import length_scale
 from twin.measurement.instruments.tracker import AT960, AT960_ABSOLUTE
 from twin.measurement.simulate import Placement, Station, simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 POINTS = np.array([[2.0, 0.0, 0.0], [1.0, -1.5, 0.5], [0.3, 0.2, -2.2]])
 every = pytest.mark.parametrize("instrument", INSTRUMENTS, ids=lambda instrument: instrument.name)

@@ -10,11 +10,11 @@ import pytest
 
 from tests.truth.machine import carried, in_datum, written
 from twin.identification import identify
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Level
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 ZERO = np.array([3.0, -2.0])
 """Rotations (a, b) of the level on its target, mrad."""

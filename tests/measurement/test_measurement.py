@@ -14,8 +14,8 @@ from scipy import stats
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.measurement.checks import RowNote, grouped_notes, overstated_noise
+from twin.measurement.formats.tracker import load_export
 from twin.measurement.table import Measurements
-from twin.measurement.thesis_export import load_export
 
 HEADER = "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm"
 ROW = "{x},100,-50,0,0,K,tool,{x}.01,1.5,2.5"

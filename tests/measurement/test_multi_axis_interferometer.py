@@ -24,8 +24,7 @@ from tests.measurement.wen import (
 )
 from tests.numerics.independence import independence_factors
 from twin._common.errors import InputError
-from twin.measurement.instruments.multi_axis import MultiAxis
-from twin.measurement.instruments.multi_axis_solve import measure
+from twin.measurement.instruments.multi_axis import MultiAxis, measure
 from twin.numerics.observability import determinability
 
 TABLE_1 = (

@@ -14,13 +14,13 @@ from tests.real.probe_sphere import MACHINE as HEAD_HEAD
 from tests.truth.machine import carried, written
 from twin._common.errors import InputError
 from twin.identification import identify
-from twin.identification.constant_errors import ConstantErrors, constant_errors
-from twin.identification.setup import SetUp
-from twin.machine.calibration import Calibration
+from twin.identification.network import SetUp
+from twin.identification.unidentified import ConstantErrors, constant_errors
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments, TouchProbe
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 CONSTANTS = {
     "squareness": {"E_C0Y": 40.0, "E_A0Z": -60.0, "E_B0Z": 30.0},

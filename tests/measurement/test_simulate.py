@@ -12,11 +12,11 @@ from tests.measurement.test_instruments import READING
 from tests.truth.machine import TruthMachine, carried, seen
 from twin import cli
 from twin._common.errors import InputError
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Air, Instrument, LaserTracker, TrackingInterferometer
 from twin.measurement.simulate import Environment, Placement, Station, simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.samples import thesis_plan
 
 PLAN_HEADER = "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,station,round"

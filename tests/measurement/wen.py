@@ -17,8 +17,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.units import MM, UM, URAD
-from twin.measurement.instruments.multi_axis import MultiAxis
-from twin.measurement.instruments.multi_axis_solve import Displacement
+from twin.measurement.instruments.multi_axis import Displacement, MultiAxis
 from twin.numerics.observability import Determinability, Unknown, decompose, determinability
 
 STEPS = 25

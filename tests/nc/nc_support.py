@@ -9,8 +9,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from hypothesis import strategies as st
 
-from twin.nc.blocks import AxisWords, Interpretation, Move
-from twin.nc.columns import NewPositions
+from twin.nc.blocks import AxisWords, Interpretation, Move, NewPositions
 from twin.nc.dialect import Dialect
 
 AXES = AxisWords(

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
 from twin._common.errors import InputError
 from twin.compensation import Compensator, Options
-from twin.compensation.compensator import compensate_file
-from twin.compensation.execute import execute_file
-from twin.machine.calibration import Calibration
+from twin.compensation.programs.compensator import compensate_file
+from twin.compensation.programs.execute import execute_file
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.nc import read_program
 from twin.nc.blocks import AxisWords, Interpretation, Program
 from twin.nc.iso.calls import IsoInliner

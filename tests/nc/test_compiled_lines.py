@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tests.nc.nc_support import AXES, iso_program
 from tests.nc.test_iso_stream import check
 from tests.nc.test_simple_blocks import LONG, ODD, SWAPPED, mixed_iso
-from twin.compute.native import compiler, loading
+from twin.compute.native import compiler
 from twin.nc.blocks import AxisWords
 from twin.nc.lines import chunks as line_chunks
 from twin.nc.lines.compiled import ARRAYS, line_code
@@ -99,6 +99,6 @@ def test_numbers_are_those_of_the_text() -> None:
 
 
 def test_short_programs_and_computers_without_a_compiler_use_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert line_code(loading.WORTH_COMPILING - 1) is ARRAYS
-    monkeypatch.setenv(loading.SWITCH_VARIABLE, "0")
+    assert line_code(compiler.WORTH_COMPILING - 1) is ARRAYS
+    monkeypatch.setenv(compiler.SWITCH_VARIABLE, "0")
     assert line_code(10**6) is ARRAYS

@@ -8,9 +8,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.nc.nc_support import AXES
-from twin.compute.native import compiler, loading
-from twin.nc.apt.lines import scan
+from twin.compute.native import compiler
 from twin.nc.apt.locations import TogetherJob, together_code, written
+from twin.nc.apt.reader import scan
 from twin.nc.lines.compiled import ARRAYS
 
 COMPILED = together_code(10**9)
@@ -105,6 +105,6 @@ def test_the_code_is_compiled() -> None:
 
 
 def test_short_programs_and_computers_without_a_compiler_use_python(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert together_code(loading.WORTH_COMPILING - 1) is written
-    monkeypatch.setenv(loading.SWITCH_VARIABLE, "0")
+    assert together_code(compiler.WORTH_COMPILING - 1) is written
+    monkeypatch.setenv(compiler.SWITCH_VARIABLE, "0")
     assert together_code(10**6) is written

@@ -11,16 +11,15 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
 from tests.truth.machine import run_iso
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.nc import DIALECTS
 from twin.nc.arithmetic import evaluate
-from twin.nc.blocks import AxisWords, Interpretation, Kind
-from twin.nc.columns import NewPositions
+from twin.nc.blocks import AxisWords, Interpretation, Kind, NewPositions
 
 ISO, HEIDENHAIN = DIALECTS[0], DIALECTS[1]
 AXES = AxisWords(("X", "Y", "Z"), ("B", "C"), dict.fromkeys("XYZBC", 0.001))

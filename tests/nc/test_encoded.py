@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.nc.encoded import Lines, encoded
+from twin.nc.blocks import Lines, encoded
 
 PIECES = st.sampled_from([b"\n", b"\r", b"\r\n", b"G1 X1", b"\x85\x0b\x0c\x1c", b"(\xe4)", b" "])
 DATA = st.lists(PIECES, max_size=12).map(b"".join)

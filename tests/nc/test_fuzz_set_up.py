@@ -13,9 +13,9 @@ from tests.nc.test_calls import CASES
 from tests.nc.test_cycles import CYCLES, START
 from tests.nc.test_tables import OFFSETS, PRESETS, TOOLS
 from twin._common.errors import InputError
+from twin.controls.offsets import load_offsets, load_tools
 from twin.nc import read_program
 from twin.nc.blocks import AxisWords
-from twin.nc.tables import load_offsets, load_tools
 
 CHARACTERS = '0123456789.,-+=[]()#<>;"GMXYZPLRQ \n\t%$/Ä\x00e'
 AXES = AxisWords(("X", "Y", "Z"), ("B", "C"), dict.fromkeys("XYZBC", 0.001), offsets_known=True, tools_known=True)

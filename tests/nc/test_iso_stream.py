@@ -25,11 +25,10 @@ from tests.nc.test_simple_blocks import (
     shown,
     way,
 )
-from twin.nc.blocks import AxisWords, Interpretation, Program
-from twin.nc.columns import MoveColumns
+from twin.nc.blocks import AxisWords, Interpretation, MoveColumns, Program
 from twin.nc.iso import vocabulary
+from twin.nc.iso.dialect import IsoRewriter, iso_reader
 from twin.nc.iso.interpreter import IsoInterpreter
-from twin.nc.iso.stream import IsoRewriter, iso_reader
 from twin.nc.lines import chunks as line_chunks
 from twin.nc.lines.chunks import Chunk
 from twin.nc.lines.compiled import ARRAYS, LineCode

@@ -10,15 +10,15 @@ from random import Random
 import numpy as np
 import pytest
 
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
 from tests.nc import rs274
 from tests.nc.modal_programs import Event, ModalProgram, difference
 from tests.nc.nc_support import AXES
 from tests.nc.other_programs import CutterLocations, PlainProgram
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.nc import DIALECTS
 from twin.nc.blocks import Kind, Move
 from twin.nc.iso import cycles

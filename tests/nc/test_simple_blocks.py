@@ -14,14 +14,13 @@ from hypothesis import strategies as st
 from tests.conftest import beside
 from tests.nc.nc_support import AXES, iso_program, plain_program
 from twin._common.errors import InputError
-from twin.compute.native import loading
+from twin.compute.native import compiler
 from twin.nc import dialect_for
-from twin.nc.blocks import AxisWords, Kind
-from twin.nc.columns import NewPositions
+from twin.nc.blocks import AxisWords, Kind, NewPositions
 from twin.nc.heidenhain import vocabulary as heidenhain_vocabulary
 from twin.nc.iso import vocabulary as iso_vocabulary
 from twin.nc.lines import chunks
-from twin.nc.simple_blocks import NOTHING, SimpleBlocks
+from twin.nc.writer import NOTHING, SimpleBlocks
 
 ISO, PLAIN, APT = (dialect_for(Path(name)) for name in ("a.nc", "a.h", "a.cls"))
 SWAPPED = AxisWords(("X", "Y", "Z"), ("C", "A"), {"X": 0.001, "Y": 0.005, "Z": 0.0001, "A": 0.001, "C": 0.01})
@@ -346,7 +345,7 @@ def way(name):
             for vocabulary in (iso_vocabulary, heidenhain_vocabulary):
                 patch.setattr(vocabulary, "simple_pattern", lambda names: SimpleBlocks(NOTHING, (), ()))
         patch.setattr(chunks, "SHORTEST_RUN", 1 if name in ("runs", "compiled") else 10**9)
-        patch.setattr(loading, "WORTH_COMPILING", 1 if name == "compiled" else 10**9)
+        patch.setattr(compiler, "WORTH_COMPILING", 1 if name == "compiled" else 10**9)
         yield
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from twin._common.errors import InputError
-from twin.nc.tables import load_offsets, load_tools
+from twin.controls.offsets import load_offsets, load_tools
 
 OFFSETS = {
     "offsets.csv": "offset,X_mm,Y_mm,Z_mm,B_deg,C_deg\nG54,-250.5,12.25,-310,0,1.5\nG55,10,0,-5,0,0\n",

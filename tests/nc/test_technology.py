@@ -9,7 +9,7 @@ from tests.nc.nc_support import AXES
 from twin._common.bundled import find_program
 from twin._common.errors import InputError
 from twin.nc import DIALECTS, read_program
-from twin.nc.technology import FeedUnit, LineWords, Technology
+from twin.nc.dialect import FeedUnit, LineWords, Technology
 
 NAN = float("nan")
 OF = {dialect.name: dialect for dialect in DIALECTS}

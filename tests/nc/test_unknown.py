@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
 from tests.nc.nc_support import AXES, read_moves
 from twin._common.errors import InputError
 from twin.compensation import Compensator, Options, Report
-from twin.compensation.execute import execute_file
 from twin.compensation.fewer_blocks import Refitter
-from twin.compensation.toolpath import Setup
-from twin.machine.calibration import Calibration
+from twin.compensation.programs.execute import execute_file
+from twin.compensation.programs.words import Setup
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.nc import DIALECTS, dialect_for, read_program
 from twin.nc.apt.reader import _PASSED as APT_PASSED
 from twin.nc.dialect import Dialect

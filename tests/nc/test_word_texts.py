@@ -10,14 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twin.nc import writer
-from twin.nc.blocks import AxisWords, Program
-from twin.nc.columns import NewPositions
+from twin.nc.blocks import AxisWords, NewPositions, Program
 from twin.nc.dialect import Dialect
-from twin.nc.emit import OutputState
 from twin.nc.heidenhain.dialect import Heidenhain
 from twin.nc.iso.dialect import Iso
 from twin.nc.text import Style
-from twin.nc.word_texts import Formatting, Grids, lines_of_words
+from twin.nc.writer import Formatting, Grids, OutputState, lines_of_words
 
 NAMES = ("X", "Y", "Z", "B", "C")
 AXES = AxisWords(NAMES[:3], NAMES[3:], {"X": 0.001, "Y": 0.005, "Z": 0.001, "B": 0.0001, "C": 0.00025})

@@ -16,16 +16,16 @@ import pytest
 from scipy.interpolate import BPoly, BSpline
 
 from twin._common.errors import InputError
-from twin.comparison import compare
 from twin.compute.native.tape import Tape
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
-from twin.machine.effects import ErrorMotion
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve, sum_of_curves
+from twin.model.calibration import Calibration
+from twin.model.effects import ErrorMotion
+from twin.model.motion_curve import Curve, sum_of_curves
+from twin.monitoring import compare
 from twin.numerics.covariance import Covariance
 from twin.numerics.curves import BASES, POWER, Basis, CurveSpace, bases_for, basis_named, conversion
 from twin.numerics.curves.cubic_spline import CubicSpline
+from twin.tool.forward import Kinematics
 
 DOMAIN = (0.0, 360.0)
 KNOTS = (0.0, 30.0, 95.0, 100.0, 250.0, 360.0)

@@ -25,14 +25,14 @@ from tests.truth import hidden
 from twin._common.errors import InputError
 from twin.diagnosis import diagnose
 from twin.identification.unknowns import Unknowns
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
-from twin.machine.effects import ErrorMotion
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects import ErrorMotion
+from twin.model.motion_curve import Curve
 from twin.numerics.covariance import Covariance
 from twin.numerics.curves import POWER, CurveSpace, FGBernstein, basis_named, conversion
+from twin.tool.forward import Kinematics
 
 EPS = float(np.finfo(float).eps)
 FOURIER, BERNSTEIN = basis_named("fourier")(), basis_named("bernstein")()

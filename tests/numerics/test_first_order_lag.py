@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.numerics.first_order_lag import _recursion
+from twin.numerics.functions import _recursion
 
 
 @pytest.mark.parametrize("fastest", [0.0, 1e-9, 0.5, 0.999])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.numerics.waves import _window, waves
+from twin.numerics.functions import _window, waves
 
 
 @pytest.mark.parametrize(("low", "high", "first", "step"), [(0.0, 500.0, 0.02, 0.0063), (-1.9, 6.3, 1.0, 1.0)])

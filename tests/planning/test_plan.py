@@ -17,28 +17,27 @@ import pytest
 from numpy.polynomial import legendre
 
 from tests.identification.plans import LOW, PLACES, STATIONS, table
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
 from tests.planning import kits
 from tests.truth.machine import TruthMachine, carried, seen, written
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.identification import Identification, identify
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, TrackingInterferometer
 from twin.measurement.simulate import Placement, Station, simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.numerics.observability import observability
 from twin.planning import Forecast, Kit, Plan, duration, judge, plan
-from twin.planning.aims import Aim, DOptimality, EOptimality, LinearAim, aim_of
-from twin.planning.candidates import candidates
+from twin.planning.clearance import candidates
 from twin.planning.design import Exchange, covariance_of, gains
 from twin.planning.forecast import forecast
-from twin.planning.model import PlanModel
-from twin.planning.task import FEWEST, levels_for
+from twin.planning.kit import PlanModel
+from twin.planning.task import FEWEST, Aim, DOptimality, EOptimality, LinearAim, aim_of, levels_for
 from twin.samples import thesis_plan
-from twin.uncertainty.at_tool import ToolUncertainty
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import ToolUncertainty
 
 
 def rms(vectors: np.ndarray) -> float:
@@ -289,7 +288,7 @@ def test_information_does_not_depend_on_chunks(
 ) -> None:
     """Rows in chunks of 1024; the derivatives of 90 readings are the same in chunks of seven."""
     _, model = spread_out
-    monkeypatch.setattr("twin.planning.model.CHUNK", 7)
+    monkeypatch.setattr("twin.planning.kit.CHUNK", 7)
     np.testing.assert_allclose(replace(model).rows, model.rows, rtol=1e-9, atol=1e-12)
 
 

@@ -15,10 +15,10 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.display.figures import save
 from twin.identification import identify
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
+from twin.model.calibration import Calibration
 from twin.planning import judge, plan
 from twin.planning.plots import plot_places, plot_uncertainties
 from twin.samples import thesis_plan

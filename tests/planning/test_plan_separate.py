@@ -17,12 +17,12 @@ from scipy import stats
 from tests.truth import hidden
 from twin._common.errors import InputError
 from twin.diagnosis import Diagnosis, diagnose
-from twin.machine.calibration import Calibration
-from twin.machine.effects.entries import effect_named
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects.entries import effect_named
 from twin.planning import Plan, separate
 from twin.planning.separate import NamedCause, cause_form
 from twin.samples import thesis_plan

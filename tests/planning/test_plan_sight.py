@@ -17,9 +17,7 @@ from tests.planning import kits
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.planning import Kit, Plan, duration, plan
-from twin.planning.candidates import plan_table
-from twin.planning.clearance import MARGIN_MM, REFLECTOR_MM, Clearance
-from twin.planning.sight import NEST, Sight
+from twin.planning.clearance import MARGIN_MM, NEST, REFLECTOR_MM, Clearance, Sight, plan_table
 
 BEAMS = 400
 SAMPLES = 4001

@@ -25,9 +25,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.conftest import beside
 from tests.real import plates, stage, ur10
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.tool.forward import Kinematics
 
 SEED = 16
 KEPT = 0.97

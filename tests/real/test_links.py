@@ -19,9 +19,9 @@ from scipy.spatial.transform import Rotation
 from tests.conftest import beside
 from tests.identification.test_identify_command import status
 from tests.real.__main__ import SetUpFit, Table
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.tool.forward import Kinematics
 
 ALLOWED = 1.03
 """Ratio of RMS distances: the bar of the issue that introduced the discrepancy."""

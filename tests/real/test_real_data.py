@@ -16,16 +16,15 @@ from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification import Identification, identify
 from twin.identification.discrepancy import covariance_of
 from twin.identification.network import Network
-from twin.identification.solve import FitSolution, solve
-from twin.identification.spread import Spread
+from twin.identification.solve import FitSolution, Spread, solve
 from twin.identification.start import initial_setup
 from twin.identification.unknowns import Unknowns
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, StationInstruments, default_instrument
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.numerics.curves import POWER, CurveSpace
+from twin.tool.forward import Kinematics
 
 SEED = 20200714
 """Seed of the halves: the day on which the series was begun."""

@@ -16,9 +16,9 @@ from tests.real.test_real_data import SEED, folder
 from twin.diagnosis import Cause, Diagnosis, diagnose
 from twin.diagnosis.result import Quantity
 from twin.identification import identify
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 FACTOR = 3.0
 """Standard uncertainties by which an answer may be wrong: 1 in 370."""

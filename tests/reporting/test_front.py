@@ -15,15 +15,14 @@ import pytest
 from tests.browser import run_chromium
 from tests.cli.commands import refused
 from twin import cli
-from twin._common.conformity import decide, is_accepted
-from twin._common.language import Language
-from twin.machine.calibration import Calibration
+from twin._common.distributions import decide, is_accepted
+from twin._common.families import Language
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.reporting import machine_report
-from twin.reporting.front import TOOL, FrontPage, front_page
-from twin.reporting.job import Job
-from twin.reporting.language import wording
+from twin.reporting.front import TOOL, FrontPage, Job, front_page
 from twin.reporting.page import machine_html
+from twin.reporting.translation import wording
 
 MINE = """
 schema: twin.calibration/1
@@ -234,6 +233,6 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypat
     monkeypatch.setenv("TWIN_BROWSER", str(tmp_path / "absent"))
     assert "TWIN_BROWSER" in refused(capsys, "report", "-o", out, "--pdf", tmp_path / "r.pdf")
     monkeypatch.delenv("TWIN_BROWSER")
-    monkeypatch.setattr("twin.reporting.pdf.shutil.which", lambda name: None)
+    monkeypatch.setattr("twin.reporting.page.shutil.which", lambda name: None)
     assert "Chromium" in refused(capsys, "report", "-o", out, "--pdf", tmp_path / "r.pdf")
     assert not out.exists() and not (tmp_path / "r.pdf").exists()

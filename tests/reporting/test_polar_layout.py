@@ -8,12 +8,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
-from twin.reporting.motions import Motion, motions
+from twin.model.calibration import Calibration
+from twin.reporting.contributions import Motion, motions
+from twin.reporting.identified import PositionEstimates
 from twin.reporting.plots import plot_motion
-from twin.reporting.readings import PositionEstimates
+from twin.tool.forward import Kinematics
 
 
 @pytest.fixture(scope="module")

@@ -23,15 +23,15 @@ from twin import cli
 from twin._common.errors import InputError
 from twin.display import UNKNOWN, figure
 from twin.display.numbers import COVERAGE_FACTOR
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.conditions import Conditions
 from twin.reporting import MachineReport, machine_report
-from twin.reporting.comparing import compare_points
+from twin.reporting.compensation import compare_points
 from twin.reporting.page import machine_html
-from twin.uncertainty.at_tool import ToolUncertainty
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import ToolUncertainty
 
 MADE = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
 TOOL_MM = 100.0
@@ -156,7 +156,7 @@ def test_uncertainty_of_one_error_at_the_tool(contents: dict[str, Any], report: 
     f = np.stack([np.ones_like(u), u, u**2])
     covariance = np.array([[1.0, 0.2, 0.0], [0.2, 2.0, 0.0], [0.0, 0.0, 0.5]])
     variance = np.einsum("kn,kl,ln->n", f, covariance, f)
-    # The radius is within 4e-5 of the quantile (twin.uncertainty.at_tool); rotations by other errors do not change a length.
+    # The radius is within 4e-5 of the quantile (twin.tool.uncertainty); rotations by other errors do not change a length.
     assert error_of(contents, "E_XX")["U_rms_um"] == pytest.approx(COVERAGE_FACTOR * np.sqrt(variance.mean()), rel=2e-4)
     assert error_of(contents, "E_XX")["peak_half_95"] == pytest.approx(
         COVERAGE_FACTOR * np.sqrt(max(_variance(1.0), _variance(-1.0)))

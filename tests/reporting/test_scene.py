@@ -18,15 +18,14 @@ import umsgpack
 
 import twin
 from tests.browser import run_chromium
-from tests.machine.errors import random_calibration
+from tests.model.errors import random_calibration
 from tests.truth.png import read_png
 from twin._common.errors import InputError
 from twin._common.provenance import ILLUSTRATIVE
-from twin.compensation.execute import execute_file
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
+from twin.compensation.programs.execute import execute_file
 from twin.machine.machine import Machine
-from twin.reporting.scene.draw import SECONDS, scene_html
+from twin.model.calibration import Calibration
+from twin.reporting.scene.draw import SECONDS, draw_program, scene_html
 from twin.reporting.scene.path import (
     MAX_KEYFRAMES,
     ScenePath,
@@ -40,7 +39,7 @@ from twin.reporting.scene.path import (
     tube,
     viridis,
 )
-from twin.reporting.scene.program import draw_program
+from twin.tool.forward import Kinematics
 
 TOOL_MM = 90.0
 VIRIDIS = {0.0: "#440154", 0.5: "#21918c", 1.0: "#fde725"}  # as published, to the last bit

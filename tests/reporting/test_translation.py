@@ -17,10 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from tests.reporting.test_report import IDENTIFIED, MINE, TOOL_MM
-from twin._common.language import Language
-from twin.machine.calibration import Calibration
-from twin.machine.conditions import Conditions
+from twin._common.families import Language
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.conditions import Conditions
 from twin.reporting import machine_report
 from twin.reporting.page import machine_html
 from twin.reporting.result import MachineReport

@@ -14,11 +14,11 @@ import numpy as np
 
 from twin._common.files import write_atomic
 from twin._common.units import DEG
-from twin.compensation.toolpath import Setup, WordSpace
-from twin.kinematics.forward import Poses
-from twin.kinematics.inverse import Inverse
+from twin.compensation.programs.words import Setup, WordSpace
 from twin.machine.machine import Machine
 from twin.samples import PLANS
+from twin.tool.forward import Poses
+from twin.tool.inverse import Inverse
 
 FOLDER: Final = PLANS[0].parent
 HALF_APEX_DEG: Final = 15.0

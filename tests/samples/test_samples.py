@@ -7,7 +7,7 @@ import numpy as np
 from tests.samples import cone_frustum
 from tests.truth.machine import run_iso
 from tests.truth.reference import sorby_forward
-from twin.identification.thesis.three_point import three_point
+from twin.identification.thesis import three_point
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.table import Measurements

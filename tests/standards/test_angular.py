@@ -12,8 +12,8 @@ from tests.standards import motions
 from tests.standards.test_evaluate import run, values
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
-from twin.measurement.evaluation import angular_error
 from twin.measurement.table import Measurements
+from twin.standards.iso230_1 import angular_error
 
 TARGETS = np.linspace(0.0, 500.0, 11)
 

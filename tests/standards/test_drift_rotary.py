@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.monitoring.folder import probed
 from tests.standards.motions import write
 from tests.truth.machine import TruthMachine, carried
-from tests.watching.folder import probed
 from twin.machine.machine import Machine
 from twin.standards import StandardTest, evaluate_drift
 

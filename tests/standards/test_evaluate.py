@@ -18,7 +18,7 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments.tracker import AT960
 from twin.measurement.table import Measurements
 from twin.standards import EvaluationResult
-from twin.standards.linear import _approaches
+from twin.standards.linear_axes import _approaches
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
@@ -38,7 +38,7 @@ def values(found: EvaluationResult, name: str, kind: str = "") -> dict[str, floa
 @pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize("columns", ["approach", "order", "order without time"])
 def test_stage_agrees_with_the_report_of_another_program(tmp_path: Path, axis: str, columns: str) -> None:
-    """The report's E and R are not those of ISO 230-2 (see `tests.measurement.test_evaluation_iso230_2`); all other values agree.
+    """The report's E and R are not those of ISO 230-2 (see `tests.standards.test_evaluation_iso230_2`); all other values agree.
 
     It calls forward the approaches from above; `tests.real.stage` says how that is known. Its numbers are rounded to 0.01 µm, its
     readings too, so that A with four s may differ by a few of these.

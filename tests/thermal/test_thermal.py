@@ -14,7 +14,7 @@ from tests.thermal.machine_room import simulate, write
 from twin import cli
 from twin._common.errors import InputError
 from twin.thermal import ThermalModel, ThermalRecord, ThermalTerm, fit_thermal, load_model, save_model
-from twin.thermal.candidates import lagged
+from twin.thermal.evidence import lagged
 
 
 @pytest.fixture(autouse=True)

@@ -12,7 +12,12 @@ from scipy import stats
 
 from twin._common.arrays import read_only
 from twin.thermal import ThermalModel, ThermalRecord, fit
-from twin.thermal.candidates import (
+from twin.thermal.evidence import (
+    RESIDUAL_SHARES,
+    RESIDUAL_TIMES,
+    Average,
+    DrawnModels,
+    Evidence,
     Inputs,
     TermCandidate,
     averaged,
@@ -22,9 +27,8 @@ from twin.thermal.candidates import (
     features,
     sensor_groups,
 )
-from twin.thermal.evidence import RESIDUAL_SHARES, RESIDUAL_TIMES, Average, DrawnModels, Evidence
+from twin.thermal.fit import named_terms
 from twin.thermal.model import DisplacementModel
-from twin.thermal.named_terms import named_terms
 
 LAG = TermCandidate("thermal_lag", ("bed",), 600.0, 0.0, 8.0)
 DRIFT = TermCandidate("thermal_drift", (), 900.0, 0.0, 5.0)

@@ -5,10 +5,30 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from twin._common.defaults import bundled_folder
 from twin._common.errors import InputError, closest_name
 from twin._common.families import PROGRAM_SUFFIXES
 from twin._common.files import names_beside
+
+DEFAULT: Final = "dmu50"
+"""Machine file that is used if none is named; it comes with twin."""
+DEFAULT_ROTARY_LIMIT_DEG: Final = 0.5
+"""Largest motion of a rotary axis to correct an orientation, degrees."""
+DEFAULT_TOLERANCE_MM: Final = 0.01
+"""Largest distance of a tool path with fewer blocks from the programmed one, mm."""
+TRIALS: Final = 100_000
+"""Number of machines drawn from a calibration's covariance."""
+VOLUME_POSES: Final = 200
+"""Number of positions at which each of them is evaluated."""
+
+
+def bundled_folder() -> Path:
+    """Return the folder of the machines that come with `twin`: inside the installed package, or next to it in a checkout."""
+    package = Path(__file__).parents[1]
+    inside = package / "urdf"
+    return inside if inside.is_dir() else package.parent / "urdf"
+
+
+# --- Files given by their path or, if they come with `twin`, by their name ------------------------
 
 _SAMPLES: Final = Path(__file__).resolve().parents[1] / "samples"
 

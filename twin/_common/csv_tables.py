@@ -12,10 +12,9 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.counts import count_with_noun
 from twin._common.errors import InputError, control_character, did_you_mean
-from twin._common.file_kinds import other_kind
-from twin._common.files import read_lines
+from twin._common.files import other_kind, read_lines
+from twin._common.units import count_with_noun
 
 MAX_COLUMNS: Final = 1000
 MAX_CELLS: Final = 10_000_000

@@ -7,8 +7,9 @@ tuple of members from its table with `members`, so that a name is listed in one 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import StrEnum
 from importlib import import_module
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
 INSTRUMENTS: Final = {
     "tracker": "tracker:AT960",
@@ -39,7 +40,7 @@ TABLE_FORMATS: Final = {
     "grid": "grid:SpatialGrid",
     "siemens_eec": "siemens_eec:SiemensEec",
 }
-"""Formats of compensation tables: `twin.machine.control.formats`."""
+"""Formats of compensation tables: `twin.controls.formats`."""
 USUAL_TOLERANCE_UM: Final = 1.0
 TABLE_TOLERANCES_UM: Final = {"grid": 5.0}
 """Default tolerances of the interpolation of those formats whose default is not `USUAL_TOLERANCE_UM`."""
@@ -54,15 +55,15 @@ KINEMATICS_FORMATS: Final = {
     "heidenhain-kinematics": "heidenhain_table:HeidenhainTable",
     "fanuc-five-axis": "fanuc:FanucTable",
 }
-"""Formats of a control's kinematics: `twin.machine.control.kinematics`."""
+"""Formats of a control's kinematics: `twin.controls.kinematics`."""
 EFFECTS: Final = {
     "reversal": "reversal:REVERSAL",
-    "zero_offset": "zero_offset:ZERO_OFFSET",
+    "zero_offset": "location:ZERO_OFFSET",
     "pitch_error": "pitch_error:PITCH_ERROR",
     "thermal_expansion": "thermal_expansion:THERMAL_EXPANSION",
-    "scale_growth": "scale_growth:SCALE_GROWTH",
-    "reversal_curve": "reversal_curve:REVERSAL_CURVE",
-    "squareness": "squareness:SQUARENESS",
+    "scale_growth": "thermal_expansion:SCALE_GROWTH",
+    "reversal_curve": "reversal:REVERSAL_CURVE",
+    "squareness": "location:SQUARENESS",
     "axis_location": "location:AXIS_LOCATION",
     "positioning": "error_motion:POSITIONING",
     "straightness": "error_motion:STRAIGHTNESS",
@@ -71,7 +72,7 @@ EFFECTS: Final = {
     "harmonic": "harmonic:HARMONIC",
     "cross_axis": "cross_axis:CROSS_AXIS",
     "thermal_growth": "thermal_growth:THERMAL_GROWTH",
-    "thermal_lag": "thermal_lag:THERMAL_LAG",
+    "thermal_lag": "thermal_growth:THERMAL_LAG",
     "thermal_tilt": "thermal_tilt:THERMAL_TILT",
     "thermal_drift": "thermal_drift:THERMAL_DRIFT",
     "spindle_growth": "spindle_growth:SPINDLE_GROWTH",
@@ -80,19 +81,19 @@ EFFECTS: Final = {
     "payload": "gravity_compliance:PAYLOAD",
     "carried_load": "gravity_compliance:CARRIED_LOAD",
 }
-"""Effects of a machine: `twin.machine.effects`."""
+"""Effects of a machine: `twin.model.effects`."""
 ERROR_MOTIONS: Final = frozenset({"positioning", "straightness", "angular_error_motion", "error_motion"})
 """Effects among them that are curves of a calibration: they have no places of their own."""
 SEQUENCES: Final = {
-    "best": "best:BEST",
-    "turns": "turns:TURNS",
-    **{name: "interpolation:INTERPOLATION" for name in ("ak1", "ak2", "ak4", "bk1", "bk2", "bk4")},
-    "circles": "circles:CIRCLES",
+    "best": "moves:BEST",
+    "turns": "moves:TURNS",
+    **{name: "moves:INTERPOLATION" for name in ("ak1", "ak2", "ak4", "bk1", "bk2", "bk4")},
+    "circles": "moves:CIRCLES",
 }
 """Measuring sequences: `twin.planning.sequences`."""
 SEQUENCE_INSTRUMENTS: Final = ("probe", "r-test", "ball-bar")
 """Instruments that measure the tool relative to the table: measuring sequences are planned for them."""
-DRIFTS: Final = {"environment": "environment:ENVIRONMENT", "spindle": "spindle:SPINDLE", "axes": "axes:AXES"}
+DRIFTS: Final = {"environment": "tests:ENVIRONMENT", "spindle": "tests:SPINDLE", "axes": "tests:AXES"}
 """Drift tests after ISO 230-3: `twin.planning.drift`."""
 DRIFT_INSTRUMENTS: Final = ("probe", "r-test", "displacement")
 """Touch probe and sphere, R-test, or displacement sensors around a mandrel."""
@@ -131,3 +132,27 @@ def member(package: str, table: Mapping[str, str], name: str) -> Any:
         if one.name == name:
             return one
     raise LookupError(f"{package}.{module}.{attribute} has no member of the name {name!r}")
+
+
+# --- Languages of reports -------------------------------------------------------------------------
+
+
+class Language(StrEnum):
+    """Language of a report."""
+
+    en = "en"
+    de = "de"
+
+
+# --- Classes of ISO/TR 16907 ----------------------------------------------------------------------
+
+BasicClass = Literal["L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS", "R-RAX", "R-POR", "R-ANG"]
+BASIC: Final[tuple[str, ...]] = get_args(BasicClass)
+"""Basic classes: every error motion belongs to exactly one of them."""
+COMBINED: Final = {
+    "L-VOL": ("L-POS", "L-STR", "L-SQU", "L-ANG"),
+    "L-VOL+": ("L-POS", "L-STR", "L-SQU", "L-ANG", "FOR"),
+    "R-VOL": ("R-POS", "R-RAX", "R-POR", "R-ANG"),
+    "R-VOL+": ("R-POS", "R-RAX", "R-POR", "R-ANG", "FOR"),
+}
+NAMES: Final = (*BASIC, *COMBINED, "FOR")

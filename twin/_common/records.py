@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence, Set
+from dataclasses import fields, is_dataclass
+from math import isfinite
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from twin._common.counts import count_with_noun
 from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError
+from twin._common.units import count_with_noun
 
 TIME: Final = "time_s"
 SPEED: Final = "spindle_rpm"
@@ -89,3 +91,45 @@ def read_log(path: str | Path, also: Callable[[str], bool] = lambda name: False)
     check_course(cells, numbers)
     unused = tuple(unused_column_note(name, sorted(known)) for name in header if name not in known)
     return LogColumns(cells, MappingProxyType(numbers), unused)
+
+
+# --- Conversion of results to JSON data by one rule for all dataclasses ---------------------------
+
+_NONE: Mapping[str, str] = MappingProxyType({})
+
+
+def json_form(value: Any, *, rename: Mapping[str, str] = _NONE, leave_out: Collection[str] = ()) -> Any:
+    """Return a value as numbers, text, lists and dictionaries; null for a number that is not finite.
+
+    A dataclass becomes a dictionary of its fields in their order; a part with a method `to_dict` becomes what that returns.
+
+    Args:
+        value: a dataclass, mapping, sequence, array, number, text, or None.
+        rename: JSON keys of those fields of ``value`` whose key is not the field name.
+        leave_out: fields of ``value`` to omit.
+
+    Raises:
+        TypeError: a part cannot be converted to JSON.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        kept = [field.name for field in fields(value) if field.name not in leave_out]
+        return {rename.get(name, name): _part(getattr(value, name)) for name in kept}
+    return _part(value)
+
+
+def _part(value: Any) -> Any:
+    if hasattr(value, "to_dict"):
+        return value.to_dict()
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _part(item) for key, item in value.items()}
+    if isinstance(value, Sequence | Set):
+        return [_part(item) for item in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        return json_form(value)
+    raise TypeError(f"cannot convert {type(value).__name__} to JSON")

@@ -16,8 +16,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from twin._common.errors import InputError, closest_name, control_character
-from twin._common.file_kinds import other_kind
-from twin._common.files import read_text
+from twin._common.files import other_kind, read_text
 
 Schema = TypeVar("Schema", bound=BaseModel)
 EntryPath = tuple[str | int, ...]

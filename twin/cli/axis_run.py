@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from twin._common.counts import count_with_noun
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
+from twin._common.units import count_with_noun
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, EXISTING, TABLE, CommandResult, JsonOption, command
-from twin.cli.shared.words import three_numbers
+from twin.cli.shared.terminal import three_numbers
 
 if TYPE_CHECKING:
     import numpy as np
 
     from twin.identification.axis_run import AxisLayout
-    from twin.machine.calibration import Calibration
+    from twin.model.calibration import Calibration
 
 MOST_ROWS = 30_000
 """Largest number of rows of a simulated run, as many as `twin axis-run` can evaluate."""

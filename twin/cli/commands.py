@@ -11,20 +11,19 @@ from typer.core import TyperCommand, TyperGroup
 
 from twin._common.errors import InputError, OutputError
 from twin.cli.shared import installation
-from twin.cli.shared.command import HELP, registered
+from twin.cli.shared.command import HELP, UsageError, as_interrupt, help_text, registered, usage_message
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
-from twin.cli.shared.signals import as_interrupt
 from twin.cli.shared.terminal import (
     BROKEN_PIPE,
     accept_any_text,
     discard_output,
     echo,
+    expand_bash_line,
     flush,
     os_error_message,
     print_error,
+    repeat_options,
 )
-from twin.cli.shared.usage import UsageError, help_text, usage_message
-from twin.cli.shared.words import expand_bash_line, repeat_options
 
 __all__ = ["COMMANDS", "app", "load", "run"]
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import EXISTING, POSITIVE, CommandResult, JsonOption, command, progress_bar
 
@@ -50,9 +50,9 @@ def compare(
     The exit status is 0 whether or not anything changed, and 3 if an error could not be compared (only one calibration gives it, or one
     gives no uncertainty), or if the older calibration is proven not to meet the tolerance.
     """
-    from twin.comparison import compare as compared
-    from twin.comparison import text_of
-    from twin.machine.calibration import Calibration
+    from twin.model.calibration import Calibration
+    from twin.monitoring import compare as compared
+    from twin.monitoring import comparison_text
 
     loaded = options.machine(machine)
     older, newer = (Calibration.load(path, loaded) for path in (first, second))
@@ -65,4 +65,6 @@ def compare(
             tolerance_mm=tolerance,
             progress=bar,
         )
-    return CommandResult(text_of(found), found.to_dict, met=not found.unjudged and found.good_enough is not False)
+    return CommandResult(
+        comparison_text(found), found.to_dict, met=not found.unjudged and found.good_enough is not False
+    )

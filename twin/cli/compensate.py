@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from twin._common.counts import count_with_noun
-from twin._common.defaults import DEFAULT, DEFAULT_ROTARY_LIMIT_DEG
+from twin._common.bundled import DEFAULT, DEFAULT_ROTARY_LIMIT_DEG
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin._common.provenance import warning_texts
+from twin._common.units import count_with_noun
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import ANY, POSITIVE, PROGRAM, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
 
 if TYPE_CHECKING:
     from twin.compensation import Compensator, Options
-    from twin.compensation.many import ProgramOutcome
+    from twin.compensation.programs.many import ProgramOutcome
     from twin.compute.parallel import Workers
-    from twin.machine.calibration import Calibration
     from twin.machine.machine import Machine
+    from twin.model.calibration import Calibration
 
 SCHEMA = "twin.compensations/1"
 
@@ -107,7 +107,7 @@ def compensate(
     2, then 3, then 0. With --scheduler the workers of a Dask cluster compensate them.
     """
     from twin.compensation import Options
-    from twin.machine.iso16907 import Scope
+    from twin.model.iso16907 import Scope
 
     loaded = options.machine(machine)
     settings = Options(
@@ -140,7 +140,7 @@ def _compensated(
 ) -> CommandResult:
     """Compensate one program, or several into a folder."""
     from twin.compensation import Compensator
-    from twin.compensation.many import compensate_files
+    from twin.compensation.programs.many import compensate_files
 
     if len(programs) > 1 or (output.is_dir() and not output.suffix):
         with progress_bar() as bar:
@@ -194,7 +194,7 @@ def _summary(
     *,
     interrupted: bool,
 ) -> CommandResult:
-    from twin.compensation.many import JSON_SUFFIX, TEXT_SUFFIX
+    from twin.compensation.programs.many import JSON_SUFFIX, TEXT_SUFFIX
 
     outcomes_done = [found[program] for program in programs if program in found]
     wide = max((len(str(program)) for program in programs), default=0)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
 from twin._common.files import check_folder, check_writable, write_json
 from twin.cli.shared.command import POSITIVE, JsonOption, Output, command, progress_bar
+from twin.cli.shared.complete import LISTS, one_of
 from twin.cli.shared.installation import NOT_ALL_MET
-from twin.cli.shared.lists import LISTS, one_of
 from twin.cli.shared.options import (
     CalibrationOption,
     LoadOption,
@@ -31,14 +31,20 @@ from twin.cli.shared.options import (
 from twin.cli.shared.options import (
     machine as machine_of,
 )
-from twin.cli.shared.terminal import echo
-from twin.cli.shared.words import number, pairs
+from twin.cli.shared.terminal import echo, number, pairs
 
 if TYPE_CHECKING:
-    from twin.control import Account, Existing, KinematicsAccount, KinematicsRequest, ReadKinematics, Request
-    from twin.machine.calibration import Calibration
-    from twin.machine.conditions import Conditions
+    from twin.compensation.tables import (
+        Account,
+        Existing,
+        KinematicsAccount,
+        KinematicsRequest,
+        ReadKinematics,
+        Request,
+    )
     from twin.machine.machine import Machine
+    from twin.model.calibration import Calibration
+    from twin.model.conditions import Conditions
 
 Files = Annotated[list[Path] | None, typer.Argument(metavar="FILES", help="Files of the control, with --read.")]
 To = Annotated[
@@ -114,7 +120,7 @@ def control(
     `twin doc control` describes the formats.
     """
     _check_use(read, files, kind, to, kinematics, output)
-    from twin.control import KinematicsRequest
+    from twin.compensation.tables import KinematicsRequest
 
     loaded = machine_of(machine)
     errors = calibration_of(calibration, loaded)
@@ -143,8 +149,8 @@ def control(
 
 def _request(to: str, tolerance_um: float | None, more: Mapping[str, Any]) -> Request:
     """Return the request for tables of a format; ``tolerance_um``: None for the format's own; ``more``: further arguments."""
-    from twin.control import Request
-    from twin.machine.control import format_named
+    from twin.compensation.tables import Request
+    from twin.controls import format_named
 
     return Request(
         kind=to, tolerance_um=format_named(to).tolerance_um if tolerance_um is None else tolerance_um, **more
@@ -184,8 +190,8 @@ def _read(
     json_file: Path | None,
 ) -> None:
     """Compare existing tables or kinematics with the calibration and print the result."""
-    from twin.control import compare_kinematics, compare_tables
-    from twin.uncertainty.budget import without_missing_channels
+    from twin.compensation.tables import compare_kinematics, compare_tables
+    from twin.tool.uncertainty import without_missing_channels
 
     if kind in LISTS["table_formats"]:
         known, _ = without_missing_channels(around, errors)
@@ -199,8 +205,8 @@ def _read(
 
 def _write(machine: Machine, errors: Calibration, request: Request, output: Path, json_file: Path | None) -> None:
     """Make the tables, write the folder and print the result."""
-    from twin.control import make, outputs_of, write_folder, written_by
-    from twin.uncertainty.budget import without_missing_channels
+    from twin.compensation.tables import make, outputs_of, write_folder, written_by
+    from twin.tool.uncertainty import without_missing_channels
 
     _check_folder(output, outputs_of(output, request.kind, machine))
     known, missing = without_missing_channels(request.conditions, errors)
@@ -215,8 +221,8 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
 
 def _write_kinematics(errors: Calibration, request: KinematicsRequest, output: Path, json_file: Path | None) -> None:
     """Make kinematics and tables, write the folder and print the result."""
-    from twin.control import kinematics_outputs, kinematics_written, make_both, write_kinematics
-    from twin.uncertainty.budget import without_missing_channels
+    from twin.compensation.tables import kinematics_outputs, kinematics_written, make_both, write_kinematics
+    from twin.tool.uncertainty import without_missing_channels
 
     # Kinematics hold mean lines; tables made beside them must refer to the same ones.
     errors = replace(errors.in_datum("mean lines"), path=errors.path)
@@ -266,8 +272,8 @@ def _print(
 
 def _classes(scope: list[str] | None) -> frozenset[str]:
     """Return the basic classes of a scope; all if none is given."""
-    from twin.machine.classes import BASIC
-    from twin.machine.iso16907 import Scope
+    from twin._common.families import BASIC
+    from twin.model.iso16907 import Scope
 
     if scope is None:
         return frozenset(BASIC)

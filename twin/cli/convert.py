@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import EXISTING, POSITIVE, TABLE, CommandResult, JsonOption, command
-from twin.cli.shared.lists import one_of
-from twin.cli.shared.words import axis_values
+from twin.cli.shared.complete import one_of
+from twin.cli.shared.terminal import axis_values
 
 Files = Annotated[
     list[Path], typer.Argument(metavar="FILES", help="Files of one format, each one round or more."), EXISTING

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
@@ -67,9 +67,7 @@ def diagnose(
     if extended is not None:
         found.extended.save(extended)
     if html_file is not None:
-        from twin.diagnosis.wording.report import (
-            diagnosis_html,  # imports matplotlib, which is slow and needed only here
-        )
+        from twin.diagnosis.page import diagnosis_html
 
         write_atomic(html_file, diagnosis_html(found))
     return CommandResult(found.to_text(), found.to_dict, met=not found.data.set_aside)

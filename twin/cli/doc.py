@@ -55,7 +55,7 @@ def doc(
         from rich.table import Table
         from rich.text import Text
 
-        from twin.cli.shared.manual import ManualPage
+        from twin.cli.shared.terminal import ManualPage
 
         console = Console()
         if page is not None:
@@ -80,7 +80,7 @@ def page_text(page: str) -> str:
 def _listed(page: str) -> dict[str, list[str]]:
     """Return the rows in place of each mark of a page."""
     if page == "control":
-        from twin.machine.control import kinematics_formats, table_formats
+        from twin.controls import kinematics_formats, table_formats
 
         return {
             "FORMATS": [f"| `{form.name}` {form.what} | {form.carries} | {form.leaves} |" for form in table_formats()],
@@ -105,7 +105,7 @@ def _listed(page: str) -> dict[str, list[str]]:
             ],
         }
     if page == "import":
-        from twin.measurement.importing.vocabulary import NAMES, ROLES
+        from twin.measurement.importing.headers import NAMES, ROLES
 
         phrases = {**ROLES, **NAMES}
         return {

@@ -22,7 +22,7 @@ def doctor(json_file: JsonOption = None) -> CommandResult:
 
     The exit status is 0 if all required checks pass, and 3 if one fails. Optional parts may be missing.
     """
-    from twin._common.json_form import json_form
+    from twin._common.records import json_form
     from twin.cli.shared.known_results import known_results
 
     began = process_time()
@@ -45,9 +45,9 @@ def doctor(json_file: JsonOption = None) -> CommandResult:
 
 def _cache() -> Finding:
     """Check the folder of compiled libraries."""
-    from twin.compute.native import store
+    from twin.compute.native import compiler
 
-    place = store.folder()
+    place = compiler.folder()
     existing = next((one for one in (place, *place.parents) if one.exists()), Path("/"))
     try:
         with tempfile.TemporaryFile(dir=existing):
@@ -67,7 +67,7 @@ def _start(seconds: float) -> Finding:
 
 def _compiler() -> Finding:
     from twin.compute.native import compiler, solver_description
-    from twin.compute.native.loading import SWITCH_VARIABLE, enabled
+    from twin.compute.native.compiler import SWITCH_VARIABLE, enabled
 
     tool = compiler.find_compiler()
     if tool is None:

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command
-from twin.cli.shared.words import tolerances
+from twin.cli.shared.terminal import tolerances
 
 ToleranceOption = Annotated[
     list[str] | None,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError, closest_name, require_name
 from twin._common.families import INSTRUMENTS
 from twin._common.files import scratch_folder, write_atomic
@@ -19,7 +19,7 @@ from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption, command, progress_bar
 
 if TYPE_CHECKING:
-    from twin.machine.control import ControlSection
+    from twin.controls import ControlSection
     from twin.machine.machine import Machine
 
 
@@ -90,9 +90,9 @@ def identify(
     if instrument is not None:
         require_name("instrument", instrument, INSTRUMENTS)
     from twin.identification import identify as run_identification
-    from twin.machine.calibration import Calibration
     from twin.measurement.instruments import instrument_named
     from twin.measurement.table import Measurements
+    from twin.model.calibration import Calibration
     from twin.reporting.identified import Identified
 
     if html_file is not None:
@@ -127,7 +127,7 @@ def identify(
         found = found.evaluated_with(replace(Calibration.load(copy, loaded), path=None))
     calibration.save(output)
     if html_file is not None:
-        from twin.identification.page import identification_html  # imports matplotlib, slow and needed only here
+        from twin.identification.plots import identification_html  # imports matplotlib, slow and needed only here
 
         write_atomic(html_file, identification_html(found))
     text = found.to_text() + (INSTRUMENT_OPTIONS if found.noise.contradicted or found.noise.assumed else "")
@@ -147,7 +147,7 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
         InputError: an unknown format; a file that cannot be read, or is not a table of this machine.
     """
     from twin._common.families import TABLE_FORMATS
-    from twin.machine.control import ControlSection, TableEntry, read_tables
+    from twin.controls import ControlSection, TableEntry, read_tables
 
     found: dict[str, list[Path]] = {}
     known = list(TABLE_FORMATS)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from twin._common.counts import count_with_noun
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
 from twin._common.files import check_writable
+from twin._common.units import count_with_noun
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import TABLE, CommandResult, JsonOption, command
 from twin.cli.shared.installation import BAD_INPUT

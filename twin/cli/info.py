@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 
 import typer
 
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError, printable
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import options
@@ -21,10 +21,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from twin.kinematics.forward import Kinematics
-    from twin.machine.calibration import Calibration
-    from twin.uncertainty.at_tool import UncertaintyMap
-    from twin.uncertainty.budget import BudgetRow
+    from twin.model.calibration import Calibration
+    from twin.tool.forward import Kinematics
+    from twin.tool.uncertainty import BudgetRow, UncertaintyMap
 
 SCHEMA = "twin.info/1"
 
@@ -68,10 +67,9 @@ def info(
     """Show axes, ranges, frames and error budget of a machine; convert its calibration to another datum, or calibrate its URDF."""
     if output is not None and datum is None:
         raise InputError("--output needs --datum", expected="--datum with --output", file=output)
-    from twin.kinematics.forward import Kinematics
-    from twin.machine.calibrated_urdf import calibrated_urdf
-    from twin.uncertainty.at_tool import ToolUncertainty
-    from twin.uncertainty.budget import error_budget, without_missing_channels
+    from twin.model.calibrated_urdf import calibrated_urdf
+    from twin.tool.forward import Kinematics
+    from twin.tool.uncertainty import ToolUncertainty, error_budget, without_missing_channels
 
     loaded = options.machine(machine)
     given = options.calibration_of(calibration, loaded)
@@ -125,7 +123,7 @@ class _Info:
         """Return the printed content for JSON; null for unknown values."""
         from importlib.metadata import version
 
-        from twin._common.json_form import json_form
+        from twin._common.records import json_form
         from twin.compute.native import solver_description
 
         machine, errors = self.errors.machine, self.errors
@@ -174,8 +172,8 @@ class _Info:
         """Print the content."""
         from rich.console import Console
 
-        from twin.machine.conditions import needed_values
-        from twin.machine.datum import EXPLANATION
+        from twin.model.conditions import needed_values
+        from twin.model.datum import EXPLANATION
 
         console = Console(markup=False, emoji=False, highlight=False)  # names and sources in files are plain text
         self._show_machine(console)
@@ -236,7 +234,7 @@ class _Info:
 
 def _uncertainty_lines(over: UncertaintyMap | None, without: list[str]) -> list[str]:
     """Return lines on the uncertainty of the tool point over the volume."""
-    from twin.uncertainty.at_tool import DEFINITION
+    from twin.tool.uncertainty import DEFINITION
 
     missing = ", ".join(without)
     if over is None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from twin._common.defaults import DEFAULT, DEFAULT_ROTARY_LIMIT_DEG, DEFAULT_TOLERANCE_MM
+from twin._common.bundled import DEFAULT, DEFAULT_ROTARY_LIMIT_DEG, DEFAULT_TOLERANCE_MM
 from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import ANY, POSITIVE, PROGRAM, CommandResult, JsonOption, command, progress_bar
@@ -64,8 +64,8 @@ def path(
     from twin._common.bundled import find_program
     from twin.compensation import Options
     from twin.compensation.fewer_blocks import refit
-    from twin.compensation.fewer_blocks.points import is_points
-    from twin.machine.iso16907 import Scope
+    from twin.compensation.fewer_blocks.emit import is_points
+    from twin.model.iso16907 import Scope
 
     loaded = options.machine(machine)
     found = source if is_points(source) else find_program(source)

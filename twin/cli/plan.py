@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, Annotated, final
 
 import typer
 
-from twin._common.counts import count_with_noun
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError, require_name
 from twin._common.families import INSTRUMENTS, SEQUENCE_INSTRUMENTS
 from twin._common.provenance import warning_texts, warnings_to_json
+from twin._common.units import count_with_noun
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.drift import AxisOption, DriftOption, DriftRequest, HighestOption, SpectrumOption
-from twin.cli.shared.words import not_negative, three_numbers
+from twin.cli.shared.terminal import not_negative, three_numbers
 
 if TYPE_CHECKING:
-    from twin.machine.calibration import Calibration
     from twin.machine.machine import Machine
     from twin.measurement.table import Measurements
+    from twin.model.calibration import Calibration
     from twin.planning import Kit, Plan
 
 MINUTES = 210.0

@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
+from twin._common.families import Language
 from twin._common.files import write_atomic
-from twin._common.language import Language
 from twin._common.provenance import warning_texts
 from twin.cli.shared import options
 from twin.cli.shared.command import HTML, CommandResult, JsonOption, Output, command, progress_bar
-from twin.cli.shared.words import tolerances
+from twin.cli.shared.terminal import tolerances
 
 if TYPE_CHECKING:
     from twin.machine.machine import Machine
     from twin.reporting import MachineReport
-    from twin.reporting.front import FrontPage
-    from twin.reporting.job import Job
+    from twin.reporting.front import FrontPage, Job
 
 SHOWN: Final = 8
 """Number of items out of tolerance that are printed."""
@@ -91,7 +90,7 @@ def report(
     from twin.measurement.table import Measurements
     from twin.reporting import machine_report
     from twin.reporting.front import front_page
-    from twin.reporting.pdf import find_browser, page_to_pdf
+    from twin.reporting.page import find_browser, page_to_pdf
 
     options.need_pictures("the report")
     loaded = options.machine(machine)
@@ -128,8 +127,7 @@ def _of_first_page(
     machine: Machine, tolerance: list[str], job: Path | None, logo: Path | None
 ) -> tuple[dict[str, float], Job | None, str]:
     """Return tolerances by item, facts of the test and the logo."""
-    from twin.reporting.front import check_tolerances
-    from twin.reporting.job import load_job, logo_uri
+    from twin.reporting.front import check_tolerances, load_job, logo_uri
 
     limits = tolerances(tolerance)
     check_tolerances(machine, limits)

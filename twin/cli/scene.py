@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import HTML, POSITIVE, PROGRAM, CommandResult, JsonOption, command, progress_bar
 
 if TYPE_CHECKING:
-    from twin.compensation.execute import Execution
-    from twin.machine.calibration import Calibration
+    from twin.compensation.programs.execute import Execution
+    from twin.model.calibration import Calibration
 
 ProgramArgument = Annotated[
     Path, typer.Argument(help="NC program, or the name of a bundled one.", autocompletion=complete.programs), PROGRAM
@@ -50,7 +50,7 @@ def scene(
 ) -> CommandResult:
     """Animate the machine running a program, with programmed and actual tool path, in one self-contained HTML file."""
     from twin._common.bundled import find_program
-    from twin.reporting.scene.program import draw_program  # imports meshcat, which is slow and needed only here
+    from twin.reporting.scene.draw import draw_program  # imports meshcat, which is slow and needed only here
 
     loaded = options.machine(machine)
     source = find_program(program)

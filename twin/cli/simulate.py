@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from twin._common.counts import count_with_noun
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin._common.errors import require_name
 from twin._common.families import INSTRUMENTS
 from twin._common.provenance import SIMULATED, merge_warnings, warnings_to_json
+from twin._common.units import count_with_noun
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import TABLE, CommandResult, JsonOption, command, progress_bar
-from twin.cli.shared.words import not_negative, pairs, three_numbers
+from twin.cli.shared.terminal import not_negative, pairs, three_numbers
 
 if TYPE_CHECKING:
-    from twin.machine.calibration import Calibration
     from twin.measurement.simulate import Environment
     from twin.measurement.table import Measurements
+    from twin.model.calibration import Calibration
 
 PlanArgument = Annotated[
     Path,

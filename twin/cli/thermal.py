@@ -57,7 +57,7 @@ def thermal(
     The exit status is 3 if a predicted record has displacements and the error is more than twice the expected error.
     """
     from twin.thermal import ThermalRecord, save_model
-    from twin.thermal.text import model_lines, prediction_lines, save_prediction
+    from twin.thermal.page import model_lines, prediction_lines, save_prediction
 
     if model_file is not None and (predict is not None or output is not None):
         raise InputError("--model excludes --predict and --output", expected="the record to predict as the argument")

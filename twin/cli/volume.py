@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from twin._common.defaults import DEFAULT, TRIALS, VOLUME_POSES
+from twin._common.bundled import DEFAULT, TRIALS, VOLUME_POSES
 from twin._common.provenance import warning_texts
 from twin.cli.shared import options
 from twin.cli.shared.command import CommandResult, JsonOption, command, progress_bar
 
 if TYPE_CHECKING:
-    from twin.uncertainty.population import Population, Spread
+    from twin.tool.population import Population, Spread
 
 
 @command(
@@ -53,8 +53,8 @@ def volume(
 
     The same seed gives bit-identical numbers on any number of workers, local or on a Dask cluster (--scheduler).
     """
-    from twin.kinematics.forward import Kinematics
-    from twin.uncertainty.population import draw_machines
+    from twin.tool.forward import Kinematics
+    from twin.tool.population import draw_machines
 
     loaded = options.machine(machine)
     errors = options.calibration_of(calibration, loaded)

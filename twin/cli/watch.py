@@ -9,11 +9,11 @@ from typing import Annotated
 
 import typer
 
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin._common.files import folder_entries, write_atomic
 from twin.cli.shared import options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress_bar
-from twin.cli.shared.words import pairs
+from twin.cli.shared.terminal import pairs
 
 
 @command(
@@ -57,10 +57,10 @@ def watch(
     calibration is proven not to meet the tolerance.
     """
     folder_entries(folder, "the folder of checks")
-    from twin.watching import WatchSettings
-    from twin.watching import watch as run_watch
-    from twin.watching.check import parsed_date
-    from twin.watching.words import news_text, text_of
+    from twin.monitoring import WatchSettings
+    from twin.monitoring import watch as run_watch
+    from twin.monitoring.check import parsed_date
+    from twin.monitoring.watch_page import news_text, watch_text
 
     if html_file is not None:
         options.need_pictures("the HTML page")
@@ -76,10 +76,10 @@ def watch(
     with progress_bar() as bar:
         found = run_watch(folder, loaded, errors, settings=settings, progress=bar)
     if html_file is not None:
-        from twin.watching.page import watch_html  # imports matplotlib, which is slow and needed only here
+        from twin.monitoring.watch_page import watch_html  # imports matplotlib, which is slow and needed only here
 
         write_atomic(html_file, watch_html(found))
-    return CommandResult(text_of(found) + news_text(found), found.to_dict, met=found.met)
+    return CommandResult(watch_text(found) + news_text(found), found.to_dict, met=found.met)
 
 
 def dates(entries: Sequence[str]) -> dict[str, datetime]:
@@ -88,7 +88,7 @@ def dates(entries: Sequence[str]) -> dict[str, datetime]:
     Raises:
         InputError: text that is not FILE=DATE, no date, or a file given twice.
     """
-    from twin.watching.check import parsed_date
+    from twin.monitoring.check import parsed_date
 
     words = pairs("--date", entries, "FILE=DATE: first.csv=2026-03-02", last=True)
     return {name: parsed_date(text) for name, text, _ in words}

@@ -16,8 +16,8 @@ Manual: `twin doc programs`.
 #
 # `prepared` holds what is common to all programs: the machine, its errors, and which of them are corrected.
 
-from twin.compensation.account import Report
-from twin.compensation.compensator import Compensation, Compensator, compensate, compensate_file
-from twin.compensation.prepared import Options
+from twin.compensation.programs.compensator import Compensation, Compensator, compensate, compensate_file
+from twin.compensation.programs.prepared import Options
+from twin.compensation.programs.report import Report
 
 __all__ = ["Compensation", "Compensator", "Options", "Report", "compensate", "compensate_file"]

@@ -3,8 +3,8 @@
 Manual: `twin doc diagnose`.
 """
 
+from twin.diagnosis.answer import Diagnosis
 from twin.diagnosis.diagnose import diagnose
-from twin.diagnosis.diagnosis import Diagnosis
 from twin.diagnosis.result import Cause
 
 __all__ = ["Cause", "Diagnosis", "diagnose"]

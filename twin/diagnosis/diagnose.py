@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from twin._common.errors import require_type
-from twin._common.progress import Progress, silent
-from twin._common.threads import one_blas_thread
-from twin.diagnosis.diagnosis import Diagnosis
-from twin.diagnosis.judgement.answer import conclude
-from twin.diagnosis.judgement.causes import report_causes
-from twin.diagnosis.judgement.sizes import estimate_sizes
-from twin.diagnosis.problem.readings import readings
-from twin.diagnosis.selection.rows import exclude_outliers
-from twin.diagnosis.selection.searcher import select_causes
-from twin.machine.calibration import Calibration
+from twin._common.resources import Progress, one_blas_thread, silent
+from twin.diagnosis.answer import Diagnosis, conclude
+from twin.diagnosis.causes import estimate_sizes, report_causes
+from twin.diagnosis.readings import readings
+from twin.diagnosis.search import exclude_outliers
+from twin.diagnosis.structure import select_causes
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 
 
 def diagnose(
@@ -38,7 +35,7 @@ def diagnose(
         calibration: the model to be tested; the machine file's default if None.
         instrument: the instrument whose noise model is used; None to take the table's uncertainties or the spread of repeats.
         empirical: whether unexplained patterns of the machine extend the calibration too, without a known cause
-            (`twin.diagnosis.judgement.extend`).
+            (`twin.diagnosis.gain`).
         progress: called with the present stage and the fraction done.
 
     Raises:

@@ -9,9 +9,9 @@ from typing import Any, Final, Literal, final
 import numpy as np
 
 from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, warnings_to_json
-from twin.machine.calibration import Calibration
-from twin.machine.effects import Effect
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects import Effect
 
 SCHEMA: Final = "twin.diagnosis/1"
 Next = Mapping[str, Any]
@@ -64,7 +64,7 @@ class Cause:
         promised: whether it is in the extended calibration; false if the measured positions do not predict held-out ones.
         bounded: whether a parameter is at a physical bound, or a time constant at the length of the measurement.
         rivals: alternatives that are ruled out, best first.
-        probability: that it or one of ``equivalent`` exists, by `twin.diagnosis.judgement.second_opinion`; None if there are unnamed
+        probability: that it or one of ``equivalent`` exists, by `twin.diagnosis.second_opinion`; None if there are unnamed
             patterns, or the cause is not ``promised``.
         credible: 95 % credible set of the corresponding effect of that method, or of the effect found in its place.
     """
@@ -285,7 +285,7 @@ class Gain:
 
 @dataclass(frozen=True)
 class DiagnosisResult:
-    """The result of a diagnosis in numbers (`twin.diagnosis.diagnosis.Diagnosis` adds words).
+    """The result of a diagnosis in numbers (`twin.diagnosis.answer.Diagnosis` adds words).
 
     Attributes:
         verdict: ``consistent``, ``explained``, ``ambiguous`` or ``unexplained``.

@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from twin.display.numbers import (
     UNKNOWN,
+    capital,
     compact,
     expanded,
     figure,
     fixed,
+    listed,
+    lower,
     p_value_text,
     place,
     readable,
     with_half,
     with_joined_units,
 )
-from twin.display.sentences import capital, listed, lower
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -9,29 +9,31 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import require_type
-from twin._common.progress import Progress, silent
-from twin._common.threads import one_blas_thread
+from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import MM
-from twin.identification.constant_errors import constant_errors
-from twin.identification.determined import DeterminedModel, Wanted, determined_models
-from twin.identification.discrepancy import covariance_of
-from twin.identification.held_out import held_out_residuals
-from twin.identification.inputs import PreparedData, implausible_tips, prepare
+from twin.identification.discrepancy import covariance_of, many_outliers_notice, outlier_notes
+from twin.identification.fitting import FinalEstimate, RobustStart, prior_precision, robust_start, without_outliers
+from twin.identification.inputs import NoiseOfReadings, PreparedData, implausible_tips, prepare, reading_noise
 from twin.identification.network import Network
-from twin.identification.noise import NoiseOfReadings, reading_noise
-from twin.identification.orders import Choice, choose
-from twin.identification.outliers import many_outliers_notice, outlier_notes
-from twin.identification.priors import prior_precision
+from twin.identification.orders import Choice, choose, held_out_residuals
 from twin.identification.result import Identification, misfit_entry, residuals_of, rms_um
-from twin.identification.robust import FinalEstimate, RobustStart, robust_start, without_outliers
-from twin.identification.shares import instrument_shares
-from twin.identification.spread import Spread, misfit
-from twin.identification.unidentified import held_by_prior, unidentified, unknown_reference
-from twin.machine.calibration_file import MeasuredWith, UnidentifiedEntry
+from twin.identification.solve import Spread, misfit
+from twin.identification.unidentified import (
+    DeterminedModel,
+    Wanted,
+    constant_errors,
+    determined_models,
+    held_by_prior,
+    instrument_shares,
+    unidentified,
+    unknown_reference,
+)
 from twin.machine.machine import Machine
 from twin.measurement.checks import overstated_noise
+from twin.measurement.columns import CARRIERS
 from twin.measurement.instruments import Instrument
-from twin.measurement.table import CARRIERS, Measurements
+from twin.measurement.table import Measurements
+from twin.model.calibration_file import MeasuredWith, UnidentifiedEntry
 
 
 @final
@@ -64,7 +66,7 @@ def identify(
         instrument: the instrument; by default a tracking interferometer if only lengths were read, otherwise a laser tracker (AT960).
         wanted: whether an error of that ISO 230-1 name is to be estimated; all by default.
         spread: noise on which the covariance is based: the stated uncertainty of the readings; the standard deviation of their repeats;
-            or the variation between poses or between rounds, for an incomplete model (`twin.identification.spread`).
+            or the variation between poses or between rounds, for an incomplete model (`twin.identification.solve`).
         progress: callback for progress, called with the stage and the fraction done.
 
     Raises:

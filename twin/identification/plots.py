@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Final, cast, final
 
 import numpy as np
@@ -19,8 +20,9 @@ from matplotlib.ticker import MaxNLocator
 
 from twin._common.distributions import chi2_isf
 from twin._common.errors import InputError
-from twin._common.units import DEG, TURN
-from twin.display import readable
+from twin._common.provenance import warning_texts
+from twin._common.units import DEG, TURN, count_with_noun
+from twin.display import Html, readable, render
 from twin.display.figures import (
     BACKWARD,
     BOTH,
@@ -28,6 +30,7 @@ from twin.display.figures import (
     RUN,
     SHADE,
     THIRD,
+    embedded,
     heading,
     legend_below,
     new_figure,
@@ -38,12 +41,12 @@ from twin.display.figures import (
 )
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification.result import THESIS_FUNCTIONS, Identification
-from twin.identification.thesis.identify import ThesisIdentification
-from twin.machine.datum.conditions import turning_patterns
-from twin.machine.effects import split_name
+from twin.identification.thesis import ThesisIdentification
 from twin.machine.machine import Axis
-from twin.machine.motion_curve import Curve
-from twin.uncertainty.at_tool import DEFINITION, UncertaintyMap
+from twin.model.datum.conditions import turning_patterns
+from twin.model.effects import split_name
+from twin.model.motion_curve import Curve
+from twin.tool.uncertainty import DEFINITION, UncertaintyMap
 
 FINE: Final = 361
 """Number of points with which a curve is drawn."""
@@ -475,3 +478,34 @@ def _inverse_root(covariance: np.ndarray) -> np.ndarray:
 def _loss(scores: Mapping[int, float]) -> float:
     """Return the increase of one curve's held-out error by degree 8."""
     return scores.get(THESIS_FUNCTIONS, 0.0) - min(scores.values())
+
+
+# --- An identification as one HTML file: verdict, errors with intervals, residuals and curves. Needs the extra ``plots``
+
+
+def identification_html(found: Identification) -> str:
+    """Return one self-contained HTML page.
+
+    Args:
+        found: the result of `twin.identify`.
+    """
+    calibration = found.calibration
+    machine = calibration.machine.name
+    axes = list(dict.fromkeys(split_name(name)[2] for name in calibration.curves))
+    return render(
+        "identification/templates/identification.html.j2",
+        title=f"Identification of {machine}",
+        machine=machine,
+        source=", ".join(Path(name).name for name in found.data.source.split(", ")),
+        points=count_with_noun(int(found.used.sum()), "point"),
+        badges=warning_texts(calibration.warnings),
+        card=Html(found._repr_html_()),
+        residuals=embedded(plot_residuals(found), "Residuals over the readings and over each axis", kind="big"),
+        axes=axes,
+        motions=lambda axis: embedded(
+            plot_motions(found, axis), f"Error motions of axis {axis} with their 95 % intervals", kind="big"
+        ),
+        orders=embedded(plot_orders(found), "Prediction error by the number of functions", kind="big")
+        if found.choice.uniform
+        else "",
+    )

@@ -14,11 +14,10 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.units import MM
-from twin.identification.setup import VERTICAL_M, SetUp
+from twin.identification.network import VERTICAL_M, SetUp
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments
-from twin.measurement.observation import CarriedTargets, observation_of
-from twin.measurement.state import of_angles
+from twin.measurement.observation import CarriedTargets, observation_of, of_angles
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import cross_matrix, rotation_exp
 

@@ -1,24 +1,306 @@
-"""Errors that the data do not determine, with the reason, and errors that depend on an undetermined part of the set-up."""
+"""Errors that the data do not determine, with the reason, and what a measurement will determine before it is made.
+
+Which constant errors of a machine a measurement determines: scales, squareness and locations, before or after it is made.
+
+The set-up (tips, spheres, stations) is unknown too. A combination of constant errors that only the set-up can compensate is lost,
+whatever the number of readings: one sphere at an unknown place does not show the common scale of X, Y and Z, for example.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from twin.identification.determined import DeterminedModel, Wanted
-from twin.identification.setup import SetUp
-from twin.identification.solve import FitSolution
+from twin._common.units import count_with_noun
+from twin.identification.inputs import PreparedData
+from twin.identification.network import Network, SetUp
+from twin.identification.solve import FitSolution, solve
 from twin.identification.unknowns import Unknowns
-from twin.machine.effects import split_name
 from twin.machine.machine import Machine
-from twin.machine.unknown_errors import NO_REFERENCE, at_rest
+from twin.measurement.instruments import StationInstruments
 from twin.measurement.instruments.base import SetUpWords
 from twin.measurement.table import Measurements
-from twin.numerics.observability import NOT_DETERMINED, NullDirection
+from twin.model.effects import split_name
+from twin.model.unknown_errors import NO_REFERENCE, at_rest
+from twin.numerics.curves import POWER, Basis, CurveSpace, bases_for
+from twin.numerics.observability import NOT_DETERMINED, Determinability, NullDirection
+
+MOST_FUNCTIONS: Final = 13
+"""Largest number of functions of a curve: degree 12, or six harmonics."""
+SHARED_VARIANCE: Final = 1e-3
+"""Share of an error's prior variance above which a null direction affects it."""
+Wanted = Callable[[str], bool]
+
+
+@final
+@dataclass(frozen=True)
+class DeterminedModel:
+    """The unknowns that the data determine.
+
+    Attributes:
+        network: data and these unknowns.
+        triangle: factor of [J | r] of the nominal machine for these unknowns and the set-up.
+        left_out: names of the errors left out, which only stations, targets and other errors left out can compensate.
+        confounded: names of the errors among the unknowns that are confounded with each other.
+        determinability: determinability of all errors that were considered.
+        considered: all of these unknowns.
+    """
+
+    network: Network
+    triangle: np.ndarray
+    left_out: tuple[str, ...]
+    confounded: tuple[str, ...]
+    determinability: Determinability
+    considered: Unknowns
+
+
+def _families(machine: Machine, placed: PreparedData, wanted: Wanted) -> list[dict[str, Basis]]:
+    """Return the bases to be compared: powers for travels, harmonics for full turns, either of them for part of a turn."""
+    candidates = {axis.name: bases_for(rotary=not axis.linear, endless=axis.lower is None) for axis in machine.axes}
+    first = {name: bases[0] for name, bases in candidates.items()}
+    other = {name: bases[-1] for name, bases in candidates.items()}
+    moved = any(
+        first[axis.name] != other[axis.name]
+        and np.ptp(placed.data.positions[:, i]) > 0.0
+        and any(wanted(f"E_{letter}{axis.name}") for letter in "XYZABC")
+        for i, axis in enumerate(machine.axes)
+    )
+    return [first, other] if moved else [first]
+
+
+def determined_models(
+    machine: Machine, placed: PreparedData, wanted: Wanted, covariance: np.ndarray | None
+) -> list[DeterminedModel]:
+    """Return the unknowns that the data determine at the nominal machine, one model for each family of bases.
+
+    Args:
+        machine: the machine.
+        placed: rows, instrument and set-up.
+        wanted: whether an error of that name is to be estimated.
+        covariance: (n, 3, 3) of the readings, m²; the stated one if None.
+
+    Raises:
+        InputError: no axis moved.
+    """
+    families = _families(machine, placed, wanted)
+    return [_determined_model(machine, placed, bases, wanted, covariance) for bases in families]
+
+
+def _determined_model(
+    machine: Machine, placed: PreparedData, bases: dict[str, Basis], wanted: Wanted, covariance: np.ndarray | None
+) -> DeterminedModel:
+    """Return the model of one family of bases, without the unknowns that the data do not determine."""
+    data, setup = placed.data, placed.setup
+    largest_unknowns = Unknowns.largest(machine, data, bases=bases, most=MOST_FUNCTIONS, wanted=wanted)
+    if not largest_unknowns.entities:
+        raise data.error("no axis moved", expected="two or more positions of an axis", row=0)
+
+    def network(unknowns: Unknowns) -> Network:
+        return Network(machine, data, placed.instruments, unknowns, covariance=covariance)
+
+    while True:
+        largest_network = network(largest_unknowns)
+        nominal = solve(largest_network, np.zeros(len(largest_unknowns)), setup, np.ones(len(data)), steps=0)
+        without = largest_unknowns.without_unseen_offset(nominal.spectrum.remaining_variance)
+        if without is largest_unknowns:
+            break
+        largest_unknowns = without
+    kept, left_out, confounded = _partition(largest_unknowns, nominal)
+    columns = [largest_unknowns.index[column] for column in kept.columns] + list(
+        range(len(largest_unknowns), nominal.triangle.shape[1])
+    )
+    determinability = nominal.determinability(largest_unknowns, int(np.count_nonzero(np.isfinite(data.point_mm))))
+    fitted = largest_network if kept is largest_unknowns else network(kept)
+    return DeterminedModel(
+        fitted, nominal.triangle[:, columns], tuple(left_out), tuple(confounded), determinability, largest_unknowns
+    )
+
+
+def _partition(unknowns: Unknowns, solution: FitSolution) -> tuple[Unknowns, list[str], list[str]]:
+    """Return the unknowns of the fit, the names of the errors left out, and of those in it that are confounded.
+
+    An error that only stations, targets and other such errors can compensate is left out: nothing else changes then. Errors that are
+    confounded with each other stay in the fit but none is reported, since leaving one out would attribute its share to the others.
+    A curve of which only higher orders are undetermined is cut below them.
+    """
+    count = len(unknowns)
+    unseen = solution.spectrum.remaining_variance[:count] > NOT_DETERMINED
+    silent = solution.spectrum.null_space[:count]
+    shared = silent @ silent.T
+    entity = np.array([column.entity for column in unknowns.columns])
+    undetermined = [name for name in unknowns.entities if unknowns.lowest_unseen(name, unseen)]
+    rank = solution.rank_of(range(count), unknowns.datum)
+    dropped: list[str] = []
+    confounded: list[str] = []
+    for name in undetermined:
+        if name in confounded or name in dropped:
+            continue
+        group = _group(name, entity, shared)
+        remaining = np.flatnonzero(~np.isin(entity, [*dropped, *group]))
+        safe = set(group) <= set(undetermined) and solution.rank_of(remaining.tolist(), unknowns.datum) == rank
+        (dropped if safe else confounded).extend(one for one in group if one not in dropped and one not in confounded)
+    return unknowns.restricted(unseen, dropped, confounded), dropped, confounded
+
+
+def _group(name: str, entity: np.ndarray, shared: np.ndarray) -> list[str]:
+    """Return an error and all errors that share null directions with it, directly or through others.
+
+    Args:
+        name: name of the error.
+        entity: (columns,) the error of each unknown.
+        shared: (columns, columns) inner products of the null directions' rows, in prior standard deviations.
+    """
+    touched = np.diag(shared) > SHARED_VARIANCE
+    found = [name]
+    for one in found:
+        rows = (entity == one) & touched
+        linked = np.any(np.abs(shared[rows]) > SHARED_VARIANCE, axis=0) & touched
+        found += [str(other) for other in dict.fromkeys(entity[linked]) if other not in found]
+    return found
+
+
+# --- Which constant errors of a machine a measurement determines: scales, squareness and locations, before or after it is mad
+
+LOST_ALONE: Final = 0.98
+"""Share of a constant error within the lost combinations above which it is lost itself."""
+NEGLIGIBLE: Final = 0.02
+"""Share below which a combination does not contain a constant error."""
+EQUAL: Final = 0.05
+"""Relative difference of slopes that count as a common scale."""
+
+
+@final
+@dataclass(frozen=True)
+class ConstantErrors:
+    """The constant errors of a machine's moved axes, and what a measurement tells about them.
+
+    Attributes:
+        u: standard uncertainty of each by name, µm/m of a scale, µm or µrad of the others; NaN where it is not determined.
+        determined: number of independent combinations that are determined.
+        lost: the other combinations, in words, one each.
+    """
+
+    u: Mapping[str, float]
+    determined: int
+    lost: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """The result in one sentence."""
+        known = f"{self.determined} of {count_with_noun(len(self.u), 'constant error')} (scales, squareness, locations) determined"
+        return f"{known}; not: {'; '.join(self.lost)}" if self.lost else known
+
+
+def constant_errors(
+    machine: Machine,
+    data: Measurements,
+    instruments: StationInstruments,
+    setup: SetUp,
+    covariance: np.ndarray | None = None,
+) -> ConstantErrors | None:
+    """Return what a measurement determines of the constant errors of the axes that it moves, linearised at the nominal machine.
+
+    Args:
+        machine: the machine.
+        data: the positions, targets and stations, and which coordinates are read.
+        instruments: those of the stations.
+        setup: stations and targets; those that are known are not among the unknowns.
+        covariance: (n, 3, 3) of the readings, m²; that of the table and the instruments if None.
+
+    Returns:
+        The constant errors; None if no axis with any moves.
+    """
+    found = constant_rows(machine, data, instruments, setup, covariance)
+    if found is None:
+        return None
+    unknowns, rows = found
+    jacobian = rows.reshape(-1, rows.shape[-1])
+    own, nuisance = jacobian[:, : len(unknowns)], jacobian[:, len(unknowns) :]
+    scales, constants = unknowns.curves, list(unknowns.constants)
+    # The prior of the set-up is so wide that it only regularises what the readings do not determine.
+    prior = np.concatenate([np.eye(len(setup)), np.zeros((len(setup), own.shape[1]))], axis=1)
+    whole = np.concatenate([np.concatenate([nuisance, own], axis=1), prior])
+    triangle = np.asarray(np.linalg.qr(whole, mode="r"))[len(setup) :, len(setup) :]
+    _, size, directions = np.linalg.svd(triangle)
+    seen = size > 1.0
+    variance = np.sum((directions[seen] / size[seen, None]) ** 2, axis=0)
+    lost = directions[~seen]
+    within = np.sum(lost**2, axis=0)
+    per_unit = np.array([scale_unit(curve) for curve in scales] + [1.0] * len(constants))
+    labels = [f"E_{curve.name[2:]}" for curve in scales] + constants
+    u = np.where(within < NEGLIGIBLE, np.sqrt(variance) * unknowns.plausible * per_unit, np.nan)
+    slopes = unknowns.plausible[: len(scales)] * per_unit[: len(scales)]
+    return ConstantErrors(
+        dict(zip(labels, (float(v) for v in u), strict=True)), int(np.sum(seen)), _lost(labels, lost, within, slopes)
+    )
+
+
+def constant_rows(
+    machine: Machine,
+    data: Measurements,
+    instruments: StationInstruments,
+    setup: SetUp,
+    covariance: np.ndarray | None = None,
+) -> tuple[Unknowns, np.ndarray] | None:
+    """Return the constant errors of the moved axes, and the derivatives of each reading; arguments as of `constant_errors`.
+
+    Returns:
+        The unknowns of the machine, and (n, 3, unknowns + set-up) whitened derivatives per plausible size; None if no axis with any
+        moves.
+    """
+    unknowns = constant_unknowns(
+        machine, [a.name for a, q in zip(machine.axes, data.positions.T, strict=True) if np.ptp(q)]
+    )
+    if not len(unknowns):
+        return None
+    network = Network(machine, data, instruments, unknowns, covariance=covariance)
+    rows = [chunk.jacobian for chunk in network.chunks(np.zeros(len(unknowns)), setup)]
+    return unknowns, np.concatenate(rows) * np.concatenate([unknowns.plausible, setup.plausible])
+
+
+def constant_unknowns(machine: Machine, axes: Collection[str]) -> Unknowns:
+    """Return the constant errors of some axes, by name, as unknowns: scales, then squareness and locations."""
+    scales = [
+        CurveSpace(f"E_{'XYZ'[int(np.argmax(np.abs(axis.machine_direction)))]}{axis.name}", POWER, axis.domain, 1, 2)
+        for axis in machine.axes
+        if axis.linear and axis.name in axes
+    ]
+    constants = [name for name in (*machine.squareness_names, *machine.location_names) if name[4:] in axes]
+    return Unknowns(machine, scales, constants)
+
+
+def scale_unit(curve: CurveSpace) -> float:
+    """Return the scale error, µm/m, of one µm RMS of the linear term of a positioning error."""
+    lo, hi = curve.domain
+    return float(np.diff(curve.functions(np.array([lo, hi]))[:, 1])[0]) / (hi - lo) * 1e3
+
+
+def _lost(names: list[str], lost: np.ndarray, within: np.ndarray, slopes: np.ndarray) -> tuple[str, ...]:
+    """Return the lost combinations in words, from an orthonormal basis (k, p) of them in plausible units."""
+    alone = [i for i in range(len(names)) if within[i] > LOST_ALONE]
+    found = [names[i] for i in alone]
+    rest = np.delete(lost, alone, axis=1)
+    others = [name for i, name in enumerate(names) if i not in alone]
+    count = len(lost) - len(alone)
+    if count <= 0:
+        return tuple(found)
+    _, _, basis = np.linalg.svd(rest, full_matrices=False)
+    shares = np.sum(basis[:count] ** 2, axis=0)
+    included = [i for i, share in enumerate(shares) if share > NEGLIGIBLE]
+    scales = [names.index(others[i]) for i in included]
+    if count == 1 and len(scales) > 1 and max(scales) < len(slopes):
+        value = basis[0][np.array(included)] * slopes[np.array(scales)]
+        if np.ptp(value) < EQUAL * np.abs(value).max():
+            return (f"the common scale of {' and '.join(names[i][-1] for i in scales)}", *found)
+    listed = ", ".join(others[i] for i in included)
+    return (f"{count_with_noun(count, 'combination')} of {listed}", *found)
+
+
+# --- Errors that the data do not determine, with the reason, and errors that depend on an undetermined part of the set-up
 
 SAYS_LESS: Final = "these data determine it no better than its prior"
 
@@ -190,3 +472,67 @@ def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
         f"{', '.join(names)} refer to a point of the targets' carrier whose distance from the machine's own origin is not known; "
         f"their uncertainty includes 0.2 m for it. Enter {places} to reduce it"
     ]
+
+
+# --- The part of each instrument in an estimate from the readings of several ----------------------
+
+
+@final
+@dataclass(frozen=True)
+class InstrumentShare:
+    """One instrument's part in an estimate.
+
+    Attributes:
+        instrument: its name.
+        stations: its stations.
+        readings: number of coordinates or lengths that were used.
+        rms_um: RMS of their residuals.
+        reduced_chi2: mean square of their whitened residuals; about 1 if their stated uncertainty is right.
+        alone: which constant errors its readings alone determine; None if it moved no axis that has any.
+    """
+
+    instrument: str
+    stations: tuple[str, ...]
+    readings: int
+    rms_um: float
+    reduced_chi2: float
+    alone: ConstantErrors | None
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        alone = "" if self.alone is None else f"; alone: {self.alone.text}"
+        return (
+            f"{self.instrument} ({', '.join(self.stations)}): {count_with_noun(self.readings, 'reading')}, residuals "
+            f"{self.rms_um:.3g} µm RMS, reduced chi² {self.reduced_chi2:.3g}{alone}"
+        )
+
+
+def instrument_shares(
+    network: Network, setup: SetUp, used: np.ndarray, residual_mm: np.ndarray, whitened: np.ndarray
+) -> tuple[InstrumentShare, ...]:
+    """Return the part of each instrument; empty if there is only one.
+
+    Args:
+        network: all readings and their instruments.
+        setup: the estimated set-up.
+        used: (n,) rows that were used.
+        residual_mm: (n, 3) residuals, NaN where nothing was read.
+        whitened: (n, 3) the same divided by the stated standard deviations.
+    """
+    data, found = network.data, []
+    if len(network.instruments.every) == 1:
+        return ()
+    for instrument, rows in network.instruments.groups(data.station):
+        own = rows[used[rows]]
+        read = network.read[own]
+        part = data.select(own)
+        alone = None
+        if len(own):
+            part_setup, part_covariance = setup.of(part), network.covariance[own]
+            alone = constant_errors(network.machine, part, network.instruments, part_setup, part_covariance)
+        square = float(np.mean(whitened[own][read] ** 2)) if read.any() else float("nan")
+        rms = float(np.sqrt(np.nanmean(residual_mm[own] ** 2))) * 1e3 if read.any() else float("nan")
+        stations = tuple(dict.fromkeys(data.station[rows].tolist()))
+        found.append(InstrumentShare(instrument.name, stations, int(read.sum()), rms, square, alone))
+    return tuple(found)

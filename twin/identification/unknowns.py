@@ -21,13 +21,14 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.units import UM
-from twin.machine.calibration import Calibration
-from twin.machine.datum.conditions import along, turning_patterns
-from twin.machine.effects import AxisLocation, Squareness, split_name, unit_of
-from twin.machine.effects.base import Effect
 from twin.machine.machine import Axis, Machine
-from twin.machine.motion_curve import Curve
-from twin.measurement.table import CARRIERS, Measurements
+from twin.measurement.columns import CARRIERS
+from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.datum.conditions import along, turning_patterns
+from twin.model.effects import AxisLocation, Squareness, split_name, unit_of
+from twin.model.effects.base import Effect
+from twin.model.motion_curve import Curve
 from twin.numerics.covariance import Covariance
 from twin.numerics.curves import Basis, CurveSpace
 from twin.numerics.observability import NOT_DETERMINED

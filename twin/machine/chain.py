@@ -195,7 +195,7 @@ def gravity_load(machine: Machine) -> ca.Function:
 
     A load is the negative gradient of the potential energy. The nine loads are those of the masses in the URDF (zero if it has none),
     of 1 kg at the tool frame, of 1 kg·m along its x, y and z, and the same four at the work frame
-    (`twin.machine.effects.payload.Payload`).
+    (`twin.model.effects.base.Payload`).
     """
     model = machine.model
     q = ca.SX.sym("q", len(machine.axes))

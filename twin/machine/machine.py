@@ -22,8 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from twin._common.arrays import read_only
-from twin._common.bundled import find_bundled, is_file
-from twin._common.defaults import DEFAULT, bundled_folder
+from twin._common.bundled import DEFAULT, bundled_folder, find_bundled, is_file
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM
 from twin._common.yaml_files import EntryPath, line_of, load_yaml

@@ -13,8 +13,8 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
+from twin._common.units import count_with_noun
 from twin.machine.machine import Axis
 
 FIRST_LINES: Final = 5

@@ -12,12 +12,12 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.checks import outside_axis_range
 from twin.measurement.instruments import SIDES, STANDARD_AIR, Air, Instrument, instrument_named, length_scale
 from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.numerics.spatial import rotation_exp
 
 SECONDS_PER_HOUR: Final = 3600.0

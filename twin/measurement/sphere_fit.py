@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 
 from twin._common.arrays import first_largest, read_only
-from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
+from twin._common.units import count_with_noun
 
 FEWEST: Final = 4
 """Least number of contacts. Three on a sphere of known radius still have two centres, one on either side of their plane."""

@@ -6,9 +6,8 @@ from pathlib import Path
 
 from twin._common.bundled import find_program
 from twin._common.errors import InputError
-from twin._common.file_kinds import other_kind
-from twin._common.files import MAX_TEXT_BYTES, open_input, read_bytes
-from twin._common.memory import memory_bytes
+from twin._common.files import MAX_TEXT_BYTES, open_input, other_kind, read_bytes
+from twin._common.resources import memory_bytes
 from twin.nc.apt.dialect import Apt
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect

@@ -7,20 +7,146 @@ Units: mm and degrees, whatever the units of the program (`G20` programs are con
 
 `Move` and `Notice` are tuples because a program has hundreds of thousands of them and a frozen dataclass takes three times as long to
 create.
+
+Tilted working planes: the rotation of a program's coordinates, from the angles that each control uses.
+
+Sources: Fanuc Series 30i operator's manual, "Tilted working plane indexing" (G68.2: Euler angles about Z, X', Z''); Heidenhain TNC 640
+user's manual, "PLANE function: tilting the working plane" (SPA, SPB, SPC about the fixed X, Y, Z, in this order); SINUMERIK 840D sl
+Programming Manual Cycles, CYCLE800 (rotations about the axes in the order that MODE names).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
-from typing import NamedTuple, final
+from math import cos, radians, sin
+from typing import Final, NamedTuple, final, overload
 
 import numpy as np
 
-from twin.nc.encoded import encoded
-from twin.nc.planes import Plane
+from twin._common.arrays import MadeOnAccess
+
+Rows = tuple[tuple[float, ...], ...]
+_AXES: Final = "XYZ"
+
+
+@final
+@dataclass(frozen=True)
+class Plane:
+    """A tilted working plane.
+
+    Attributes:
+        origin_mm: its zero in the program's coordinates before it.
+        rotation: its axes in those coordinates, as the columns of a rotation matrix (rows of three numbers).
+        choice: which of two positions of the rotary axes to take: +1 or −1: that where the axis nearer the tool is positive or
+            negative; 0: the nearer one.
+        stays: whether the linear axes stay where they are while the rotary axes turn.
+    """
+
+    origin_mm: tuple[float, float, float]
+    rotation: Rows
+    choice: int = 0
+    stays: bool = True
+
+
+def rotation_about(axes: str, angles_deg: Sequence[float]) -> Rows:
+    """Return the rotation matrix of successive rotations, each about an axis that the ones before have turned.
+
+    Args:
+        axes: letters X, Y, Z, one for each rotation.
+        angles_deg: their angles in degrees.
+    """
+    matrix = np.eye(3)
+    for letter, angle in zip(axes, angles_deg, strict=True):
+        c, s = _cos_sin(angle)
+        i = _AXES.index(letter)
+        j, k = (i + 1) % 3, (i + 2) % 3
+        turn = np.eye(3)
+        turn[j, j], turn[j, k], turn[k, j], turn[k, k] = c, -s, s, c
+        matrix = matrix @ turn
+    return tuple(tuple(row) for row in matrix.tolist())
+
+
+def _cos_sin(angle_deg: float) -> tuple[float, float]:
+    """Return cosine and sine, exact at multiples of 90°."""
+    quarter, rest = divmod(angle_deg, 90.0)
+    if rest == 0.0:
+        return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[int(quarter) % 4]
+    return cos(radians(angle_deg)), sin(radians(angle_deg))
+
+
+# --- The lines of a program as bytes: most are processed together and never become text of their own
+
+
+def lines_in(data: bytes) -> Iterator[str]:
+    """Return the lines of some bytes, each with its own ending."""
+    # Not `str.splitlines`, which ends a line at other characters too.
+    return (line.decode("latin-1") for line in data.splitlines(keepends=True))
+
+
+def line_ends(text: np.ndarray, data: bytes) -> np.ndarray:
+    """Return the index of the last character of every terminated line; CR at the very end counts as an ending."""
+    ends = text == 10
+    if b"\r" in data:
+        returns = text == 13
+        returns[:-1] &= ~ends[1:]
+        ends |= returns
+    return np.flatnonzero(ends)
+
+
+@final
+class Lines(Sequence[str]):
+    """The lines of some bytes, as `lines_in`, each decoded when it is asked for.
+
+    Args:
+        data: the bytes.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        behind = line_ends(np.frombuffer(data, dtype=np.uint8), data) + 1
+        last = [len(data)] if len(data) > behind.max(initial=0) else []
+        self._cuts = np.concatenate([[0], behind, last]).astype(int)
+
+    def __len__(self) -> int:
+        return len(self._cuts) - 1
+
+    @overload
+    def __getitem__(self, index: int) -> str: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[str]: ...
+    def __getitem__(self, index: int | slice) -> str | Sequence[str]:
+        if isinstance(index, slice):
+            return tuple(self[i] for i in range(len(self))[index])
+        at = range(len(self))[index]
+        return self._data[self._cuts[at] : self._cuts[at + 1]].decode("latin-1")
+
+    def __iter__(self) -> Iterator[str]:
+        return lines_in(self._data)
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Lines):
+            return self._data == other._data
+        return isinstance(other, tuple) and tuple(self) == other
+
+    def __hash__(self) -> int:
+        return hash(tuple(self))
+
+    def encoded(self, first: int, last: int) -> bytes:
+        """Return the bytes of the lines ``first`` to before ``last``."""
+        return self._data[self._cuts[first] : self._cuts[min(last, len(self))]]
+
+
+def encoded(texts: Sequence[str], first: int, last: int, empty: str = "") -> bytes:
+    """Return the bytes of the lines ``first`` to before ``last``, with the text ``empty`` in place of empty ones."""
+    if isinstance(texts, Lines):
+        return texts.encoded(first, last)
+    return "".join([text or empty for text in texts[first:last]]).encode("latin-1")
+
+
+# --- Data of NC programs independent of their language: lines, moves, and the segments that replace a move
 
 
 @final
@@ -254,3 +380,230 @@ class Rewrite:
     positions: np.ndarray
     vectors: np.ndarray | None = field(default=None)
     shares: np.ndarray | None = field(default=None)
+
+
+# --- Moves and their replacements as arrays, with an object made only on access; memory-efficient for programs of a million b
+
+NO_VECTOR = (np.nan, np.nan, np.nan)
+"""In place of a tool vector, in columns."""
+
+
+@final
+@dataclass(frozen=True)
+class MoveColumns(MadeOnAccess[Move]):
+    """Moves as columns; see `Move`.
+
+    Attributes:
+        names: axis names, in the order of the positions.
+        line: (n,) index of the line.
+        rapid: (n,) whether the move is a rapid.
+        tcp: (n,) whether the words are tool-tip coordinates.
+        named: (n,) the axes written in the block, as bits.
+        position: (n, axes) mm and degrees, NaN where unknown.
+        vector: (n, 3) tool vectors, NaN where there is none.
+        special: moves that do not fit the columns, by index: arcs, surface normals, moves that pass through unchanged.
+    """
+
+    names: tuple[str, ...]
+    line: np.ndarray
+    rapid: np.ndarray
+    tcp: np.ndarray
+    named: np.ndarray
+    position: np.ndarray
+    vector: np.ndarray
+    special: Mapping[int, Move]
+
+    @classmethod
+    def of(cls, names: tuple[str, ...], moves: Sequence[Move]) -> MoveColumns:
+        """Convert `Move` objects to columns."""
+        bit = {name: 1 << i for i, name in enumerate(names)}
+        bits = {named: sum(bit[name] for name in named) for named in {move.named for move in moves}}
+        return cls(
+            names,
+            np.array([move.line for move in moves], dtype=int),
+            np.array([move.kind is Kind.RAPID for move in moves], dtype=bool),
+            np.array([move.tcp for move in moves], dtype=bool),
+            np.array([bits[move.named] for move in moves], dtype=int),
+            np.array([move.position for move in moves], dtype=float).reshape(-1, len(names)),
+            np.array([move.vector or NO_VECTOR for move in moves], dtype=float).reshape(-1, 3),
+            {i: move for i, move in enumerate(moves) if move.kind is Kind.ARC or move.passes or move.normal},
+        )
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def item(self, index: int) -> Move:
+        """Return one move."""
+        move = self.special.get(index)
+        if move is not None:
+            return move
+        x, y, z = self.vector[index].tolist()
+        return Move(
+            line=int(self.line[index]),
+            kind=Kind.RAPID if self.rapid[index] else Kind.LINEAR,
+            tcp=bool(self.tcp[index]),
+            position=tuple(self.position[index].tolist()),
+            named=self._names(int(self.named[index])),
+            vector=(x, y, z) if x == x else None,
+        )
+
+    def __iter__(self) -> Iterator[Move]:
+        named: dict[int, frozenset[str]] = {}
+        kinds = (Kind.LINEAR, Kind.RAPID)
+        columns = (self.line.tolist(), self.rapid.tolist(), self.tcp.tolist(), self.named.tolist())
+        rows = map(tuple, self.position.tolist())
+        vectors = (tuple(row) if row[0] == row[0] else None for row in self.vector.tolist())
+        for index, (line, rapid, tcp, bits, position, vector) in enumerate(zip(*columns, rows, vectors, strict=True)):
+            move = self.special.get(index)
+            if move is None:
+                if bits not in named:
+                    named[bits] = self._names(bits)
+                move = Move(line, kinds[rapid], tcp, position, named[bits], vector=vector)
+            yield move
+
+    @property
+    def by_vector(self) -> np.ndarray:
+        """(n,) whether the move has a tool vector."""
+        return np.isfinite(self.vector[:, 0])
+
+    def _names(self, bits: int) -> frozenset[str]:
+        return frozenset(name for i, name in enumerate(self.names) if bits >> i & 1)
+
+    @property
+    def passes(self) -> np.ndarray:
+        """(n,) whether the move passes through unchanged: machine coordinates, or words of unknown meaning."""
+        found = np.zeros(len(self), dtype=bool)
+        found[[index for index, move in self.special.items() if move.passes]] = True
+        return found
+
+    def part(self, first: int, last: int) -> MoveColumns:
+        """Return the moves from one index up to, but excluding, another."""
+        cut = slice(first, last)
+        special = {index - first: move for index, move in self.special.items() if first <= index < last}
+        return MoveColumns(
+            self.names,
+            self.line[cut],
+            self.rapid[cut],
+            self.tcp[cut],
+            self.named[cut],
+            self.position[cut],
+            self.vector[cut],
+            special,
+        )
+
+    def turns(self, rotary: Sequence[str]) -> bool:
+        """Return whether any move changes the tool orientation: writes one of these rotary axes or has a tool vector."""
+        bits = sum(1 << self.names.index(name) for name in rotary)
+        return bool(np.any(self.named & bits) or np.any(self.by_vector))
+
+
+@final
+class MoveBuilder:
+    """Collector of moves, added one by one or in columns.
+
+    Args:
+        names: axis names.
+    """
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._names = names
+        self._parts: list[Sequence[Move]] = []
+        self._loose: list[Move] = []
+
+    def add(self, move: Move) -> None:
+        """Add one move."""
+        self._loose.append(move)
+
+    def extend(self, moves: MoveColumns) -> None:
+        """Add many moves, in columns."""
+        self._parts += [self._loose, moves] if self._loose else [moves]
+        self._loose = []
+
+    def moves(self) -> MoveColumns:
+        """Return all moves in columns."""
+        parts = [part if isinstance(part, MoveColumns) else MoveColumns.of(self._names, part) for part in self._parts]
+        if self._loose or not parts:
+            parts.append(MoveColumns.of(self._names, self._loose))
+        if len(parts) == 1:
+            return parts[0]
+        first = np.cumsum([0, *map(len, parts)]).tolist()
+        special = {at + i: move for at, part in zip(first, parts, strict=False) for i, move in part.special.items()}
+        columns = ("line", "rapid", "tcp", "named", "position", "vector")
+        joined = {column: np.concatenate([getattr(part, column) for part in parts]) for column in columns}
+        return MoveColumns(names=self._names, special=special, **joined)
+
+
+def as_columns(names: tuple[str, ...], moves: Sequence[Move]) -> MoveColumns:
+    """Return moves in columns; ``names``: the axes."""
+    return moves if isinstance(moves, MoveColumns) else MoveColumns.of(names, moves)
+
+
+@final
+@dataclass(frozen=True)
+class NewPositions:
+    """Replacements for the moves of a program, or of a chunk of one.
+
+    Attributes:
+        first: (moves,) the first row of each move's segments.
+        count: (moves,) number of segments; 0 for a move that is unchanged.
+        positions: (rows, axes) as in `twin.nc.blocks.Rewrite`.
+        vectors: (rows, 3) tool vectors, NaN where there is none.
+        shares: (rows,) shares of the moves' time, as in `twin.nc.blocks.Rewrite`; NaN for equal fractions, None if all are equal.
+    """
+
+    first: np.ndarray
+    count: np.ndarray
+    positions: np.ndarray
+    vectors: np.ndarray
+    shares: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, moves: int, axes: int, new: Mapping[int, tuple[np.ndarray, np.ndarray | None]]) -> NewPositions:
+        """Return the replacements of single moves.
+
+        Args:
+            moves: number of moves of the program.
+            axes: number of words per position.
+            new: by the index of the move, ascending, (segments, axes) positions and (segments, 3) vectors or None.
+        """
+        count = np.zeros(moves, dtype=int)
+        count[list(new)] = [len(positions) for positions, _ in new.values()]
+        vectors = [np.full((len(rows), 3), np.nan) if tool is None else tool for rows, tool in new.values()]
+        return cls(
+            np.cumsum(count) - count,
+            count,
+            np.concatenate([np.zeros((0, axes)), *(positions for positions, _ in new.values())]),
+            np.concatenate([np.zeros((0, 3)), *vectors]),
+        )
+
+    def part(self, first: int, last: int) -> NewPositions:
+        """Return the replacements of the moves from one index up to, but excluding, another."""
+        return replace(self, first=self.first[first:last], count=self.count[first:last])
+
+    def rows(self, which: np.ndarray) -> np.ndarray:
+        """Return the rows of some moves, move by move."""
+        first, count = self.first[which], self.count[which]
+        return np.asarray(np.repeat(first - np.cumsum(count) + count, count) + np.arange(count.sum()))
+
+    def of_move(self, index: int, move: Move) -> Rewrite | None:
+        """Return the replacement of one move, with its index; None if it is unchanged."""
+        if not self.count[index]:
+            return None
+        part = slice(self.first[index], self.first[index] + self.count[index])
+        vectors, shares = self.vectors[part], None if self.shares is None else self.shares[part]
+        return Rewrite(
+            move,
+            self.positions[part],
+            vectors if np.isfinite(vectors).all() else None,
+            None if shares is None or np.isnan(shares).any() else shares,
+        )
+
+
+def fill_forward(values: np.ndarray, said: np.ndarray, before: Sequence[float]) -> None:
+    """Fill the gaps in every column of an array with the last value before them; ``before``: the values before its first row."""
+    if said.all():
+        return
+    values[0] = np.where(said[0], values[0], before)
+    at = np.where(said, np.arange(len(values))[:, None], 0)
+    np.maximum.accumulate(at, axis=0, out=at)
+    values[:] = np.take_along_axis(values, at, axis=0)

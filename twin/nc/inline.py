@@ -12,8 +12,7 @@ from typing import Final, NamedTuple, final
 
 from twin._common.errors import InputError
 from twin._common.files import read_bytes, register_input
-from twin.nc.blocks import Origin, Program
-from twin.nc.encoded import lines_in
+from twin.nc.blocks import Origin, Program, lines_in
 from twin.nc.text import ending
 
 DEEPEST: Final = 10

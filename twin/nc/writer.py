@@ -1,17 +1,332 @@
-"""Base of the ISO and Heidenhain writers: blocks rewritten word by word, every other byte kept."""
+"""Base of the ISO and Heidenhain writers: blocks rewritten word by word, every other byte kept.
+
+Simple blocks: lines with only a block number, a motion word, axis words and a feed.
+
+Most lines of most programs are simple. One regular expression matches such a line and finds its words, several times faster than the
+tokenisers of the dialects. Those handle all other lines; a property test compares the two.
+"""
 
 from __future__ import annotations
 
+import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from typing import Final, Generic, TypeVar
+from dataclasses import dataclass
+from typing import Final, Generic, NamedTuple, TypeVar, final
+
+import numpy as np
 
 from twin._common.errors import InputError
-from twin.nc.block import AxisWord, Block, Span
 from twin.nc.blocks import AxisWords, Kind, Rewrite
-from twin.nc.emit import OutputState
-from twin.nc.text import Style, apply_edits, ending, number, style_of
-from twin.nc.word_texts import Formatting, Grids, lines_of_words
+from twin.nc.modal import AxisWord, Block, Span
+from twin.nc.text import Grid, Style, apply_edits, ending, format_number, grid, number, style_of
+
+Vector = tuple[float, float, float]
+SAME_NUMBER = 1e-10
+"""Numbers closer than this print alike: words have at most 9 decimals."""
+_BARE = Style()
+_SIGNED = Style(plus=True)
+
+
+class OutputState:
+    """The last value of every axis in the output program, mm and degrees, in program coordinates.
+
+    A value is NaN when unknown (after a reference return, for example) and stale when it may not have been executed (after a block that
+    the operator can skip). In both cases the next rewritten block writes the axis again.
+    """
+
+    def __init__(self, axes: AxisWords) -> None:
+        self.names = axes.names
+        self.linear = len(axes.linear)
+        self.value: list[float] = [math.nan] * len(self.names)
+        self.stale: list[bool] = [False] * len(self.names)
+        plain = [grid(axes.increment[name], False) for name in self.names]
+        inches = [grid(axes.increment[name], i < self.linear) for i, name in enumerate(self.names)]
+        self._grids: tuple[list[Grid], list[Grid]] = (plain, inches)
+
+    def _step(self, axis: int, target: float, inch: bool, incremental: bool) -> tuple[float, int]:
+        """Set an axis to a target and return the number to write, with its decimals."""
+        step, decimals, unit = self._grids[inch][axis]
+        if incremental:
+            start = self.value[axis]
+            value = round((target - start) / unit / step) * step
+            self.value[axis] = start + value * unit
+        else:
+            value = round(target / unit / step) * step
+            self.value[axis] = value * unit
+        self.stale[axis] = False
+        return value, decimals
+
+    def number_for(self, axis: int, target: float, inch: bool, incremental: bool, style: Style) -> str:
+        """Set an axis to a target and return the number to write, formatted."""
+        value, decimals = self._step(axis, target, inch, incremental)
+        return format_number(value, decimals, style)
+
+    def replace(
+        self, axis: int, old: str, number: float, target: float, inch: bool, incremental: bool, style: Style
+    ) -> str:
+        """As `number_for`, but return the number as written if it already has the target value."""
+        value, decimals = self._step(axis, target, inch, incremental)
+        if -SAME_NUMBER < number - value < SAME_NUMBER:
+            first = old[0]
+            if (first != "-" or number != 0.0) and (first in "+-" or not style.plus):
+                return old
+        return format_number(value, decimals, style)
+
+    def record(self, axis: int, value: float, incremental: bool) -> None:
+        """Record a word of a block that passes through (mm, degrees; NaN: unknown)."""
+        self.value[axis] = self.value[axis] + value if incremental else value
+        self.stale[axis] = False
+
+    def axes_to_write(self, row: Sequence[float], written: int, inch: bool) -> list[int]:
+        """Return the axes that need a word to reach their targets.
+
+        Args:
+            row: targets; NaN: no target.
+            written: axes that have a word already, as bits.
+            inch: whether the program is in inches.
+        """
+        grids = self._grids[inch]
+        found = []
+        for axis, target in enumerate(row):
+            said = self.value[axis]
+            if target != target or written >> axis & 1 or (target == said and not self.stale[axis]):
+                continue
+            if said == said and not self.stale[axis]:
+                scale = grids[axis].step * grids[axis].unit
+                if round(target / scale) == round(said / scale):
+                    continue
+            found.append(axis)
+        return found
+
+    def mark_unknown(self, which: Iterable[int]) -> None:
+        """Mark axes as unknown."""
+        for axis in which:
+            self.value[axis] = math.nan
+
+    def mark_stale(self, which: Iterable[int]) -> None:
+        """Mark axes as stale."""
+        for axis in which:
+            self.stale[axis] = True
+
+
+def vector_texts(vector: Sequence[float], decimals: int, plus: bool) -> tuple[str, str, str]:
+    """Return the formatted components of a tool vector."""
+    style = _SIGNED if plus else _BARE
+    x, y, z = vector
+    return format_number(x, decimals, style), format_number(y, decimals, style), format_number(z, decimals, style)
+
+
+# --- Simple blocks: lines with only a block number, a motion word, axis words and a feed ----------
+
+_ORDER = "XYZABCUVW"
+"""The order in which nearly all programs write their words; other orders go through the tokeniser."""
+VALUE = r"[+-]?+(?:\d{1,9}+(?:\.\d*+)?+|\.\d++)"
+"""A number in unambiguous form and of plausible size."""
+NOTHING = re.compile(r"(?!)")
+"""Matches no line."""
+
+
+class SimpleBlocks(NamedTuple):
+    """The pattern of simple blocks on one machine.
+
+    Attributes:
+        pattern: to be matched with a whole line. Its groups: two for the text before the words (defined by the dialect), one value
+            for each of ``axes``, then of ``others``, then those of the dialect's tail.
+        axes: group and index of each axis.
+        others: group and name of the words that are not axis words.
+        behind: the range of the values of ``others`` among all groups.
+    """
+
+    pattern: re.Pattern[str]
+    axes: tuple[tuple[int, int], ...]
+    others: tuple[tuple[int, str], ...]
+    behind: slice = slice(0)
+
+
+def simple_axis_letters(names: tuple[str, ...]) -> str:
+    """Return the axes a simple block can name, in order; none if an axis has a letter with another meaning."""
+    letters = [name.upper() for name in names if len(name) == 1]
+    return "".join(sorted(letters, key=_ORDER.index)) if all(letter in _ORDER for letter in letters) else ""
+
+
+def simple_blocks(
+    names: tuple[str, ...], head: str, value: str, others: tuple[str, ...], equals: str, tail: str
+) -> SimpleBlocks:
+    """Return the pattern of simple blocks.
+
+    Args:
+        names: axis names.
+        head: pattern of the text before the words, with two groups.
+        value: pattern of a number.
+        others: names of the words that may follow the axis words.
+        equals: separator after names of several letters among these.
+        tail: pattern of the rest of the line.
+    """
+    letters = simple_axis_letters(names)
+    if not letters:
+        return SimpleBlocks(NOTHING, (), ())
+    words = "".join(rf"(?:{letter}({value})(?!=)[ \t]*+)?+" for letter in letters)
+    more = "".join(rf"(?:{name}{equals if len(name) > 1 else ''}({value})[ \t]*+)?+" for name in others)
+    pattern = re.compile(rf"{head}(?=[{letters}]){words}{more}{tail}[\r\n]*+", re.ASCII | re.IGNORECASE)
+    index = {name.upper(): i for i, name in enumerate(names)}
+    axes = tuple((group, index[letter]) for group, letter in enumerate(letters, 3))
+    behind = len(letters) + 2
+    return SimpleBlocks(pattern, axes, tuple(enumerate(others, behind + 1)), slice(behind, behind + len(others)))
+
+
+# --- Axis words formatted together, with the same text as one by one (`twin.nc.text.format_number`)
+
+LARGEST_STEPS: Final = 1e11
+"""Larger values, in least increments, are written one by one: a double no longer holds all their decimals exactly."""
+_MINUS, _PLUS, _ZERO, _POINT, _SPACE = b"-+0. "
+
+
+@final
+@dataclass(frozen=True)
+class Formatting:
+    """Formatting of a program at some place.
+
+    Attributes:
+        style: number format.
+        spaced: whether words are separated by spaces.
+        lower: whether letters are small.
+    """
+
+    style: Style
+    spaced: bool
+    lower: bool
+
+
+@final
+class Grids:
+    """The steps of the axis words, for writing many together.
+
+    Args:
+        names: axis names.
+        increment: (axes,) least increments, mm and degrees.
+    """
+
+    def __init__(self, names: tuple[str, ...], increment: list[float]) -> None:
+        grids = [grid(one, False) for one in increment]
+        self.step = np.array([one.step for one in grids])
+        self.decimals = np.array([one.decimals for one in grids])
+        whole = self.step * 10.0**self.decimals
+        self.scale = np.round(whole).astype(np.int64)
+        self.exact = bool(np.all(np.abs(whole - self.scale) <= 1e-9 * whole))
+        self.letters = np.array([ord(name[0].upper()) for name in names], dtype=np.uint8)
+        self.own = np.array([ord(name[0]) for name in names], dtype=np.uint8)
+
+
+def lines_of_words(
+    rows: np.ndarray, said: OutputState, formatting: Formatting, grids: Grids, begin: str, ending: str
+) -> str | None:
+    """Return a line for each position after the first, with words for the axes that move; none for one at which no axis moves.
+
+    Args:
+        rows: (n, axes) positions, mm and degrees, of which the first has been written; NaN for axes without a target.
+        said: last values in the output; updated.
+        formatting: number format, separation of words and size of letters.
+        grids: of the axes.
+        begin: text at the begin of each line.
+        ending: line ending.
+
+    Returns:
+        The text; None (and nothing done) if an axis has a target only now and then, a value is too large or not known, or numbers
+        cannot be written together in this format.
+    """
+    known = np.isfinite(rows)
+    own = known[0]
+    doubtful = [i for i in np.flatnonzero(own).tolist() if said.stale[i] or said.value[i] != said.value[i]]
+    if doubtful or not (known == own).all() or formatting.style.comma or not grids.exact:
+        return None
+    steps = np.rint(np.where(own, rows, 0.0) / grids.step)
+    if np.abs(steps).max(initial=0.0) >= LARGEST_STEPS:
+        return None
+    steps = steps.astype(np.int64)
+    row, axis = np.nonzero(steps[1:] != steps[:-1])
+    if not row.size:
+        return ""
+    opens = np.append(True, row[1:] != row[:-1])
+    letters = grids.letters + 32 if formatting.lower else grids.own
+    ends = np.zeros((len(row), 2), dtype=np.uint8)
+    ends[np.append(opens[1:], True)] = np.frombuffer(ending.encode("latin-1").rjust(2, b"\0"), dtype=np.uint8)
+    style = formatting.style
+    text, _ = formatted_words(
+        steps[1:][row, axis],
+        axis,
+        (style.point, np.full(len(row), style.min_decimals), style.leading_zero, style.plus),
+        grids,
+        ~opens & formatting.spaced,
+        letters[axis],
+        ends,
+    )
+    for i in set(axis.tolist()):
+        said.value[i] = float(steps[-1, i] * grids.step[i])
+    lines = text.tobytes().decode("latin-1")
+    return begin + lines.replace(ending, ending + begin, int(opens.sum()) - 1) if begin else lines
+
+
+def formatted_words(
+    steps: np.ndarray,
+    axis: np.ndarray,
+    styles: tuple[np.ndarray | bool, np.ndarray, np.ndarray | bool, np.ndarray | bool],
+    grids: Grids,
+    spaced: np.ndarray,
+    letter: np.ndarray,
+    ending: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return words with numbers formatted as by `twin.nc.text.format_number`, concatenated, and the length of each.
+
+    Args:
+        steps: (n,) values in least increments.
+        axis: (n,) axis of each word.
+        styles: style of the numbers: point, minimum decimals, leading zero, plus.
+        grids: of the axes.
+        spaced: (n,) whether a space comes first.
+        letter: (n,) the following letter, 0 for none.
+        ending: (n, 2) characters after the number, 0 for none.
+    """
+    point, min_decimals, leading_zero, plus = styles
+    places = int(max(grids.decimals.max(initial=0), min_decimals.max(initial=0)))
+    size = np.abs(steps) * grids.scale[axis]
+    power = (10**grids.decimals)[axis]
+    whole = size // power
+    fraction = (size - whole * power) * (10 ** (places - grids.decimals))[axis]
+    digits = len(str(int(whole.max(initial=0))))
+    # One row per character position, for contiguous writes; characters not shown are zero and removed below.
+    text = np.empty((digits + places + 6, len(steps)), dtype=np.uint8)
+    text[0] = spaced * np.uint8(_SPACE)
+    text[1] = letter
+    text[2] = np.where(steps < 0, _MINUS, plus * np.uint8(_PLUS))
+    _digits(whole, text[3 : 3 + digits])
+    text[2 + digits] *= leading_zero | (whole > 0) | (fraction == 0)
+    for i in range(1, digits):
+        text[2 + digits - i] *= whole >= 10**i
+    _digits(fraction, text[4 + digits : -2])
+    wanted = np.array(min_decimals)
+    for i in range(places):
+        wanted[(text[4 + digits + i] != _ZERO) & (wanted <= i)] = i + 1
+        # Digits are visited in order, so the last nonzero one decides.
+    for i in range(places):
+        text[4 + digits + i] *= wanted > i
+    text[3 + digits] = ((wanted > 0) | point) * np.uint8(_POINT)
+    text[-2:] = ending.T
+    shown = np.ascontiguousarray(text.T).tobytes().translate(None, b"\0")
+    return np.frombuffer(shown, dtype=np.uint8), np.sum(text != 0, axis=0, dtype=np.uint8).astype(int)
+
+
+def _digits(number: np.ndarray, out: np.ndarray) -> None:
+    """Write the decimal digits of whole numbers, as characters, into the rows of an array."""
+    left = number
+    for row in range(len(out) - 1, -1, -1):
+        rest = left // 10
+        out[row] = left - rest * 10 + _ZERO
+        left = rest
+
+
+# --- Base of the ISO and Heidenhain writers: blocks rewritten word by word, every other byte kept -
 
 Segments = tuple[Rewrite, list[list[float]]]
 """A rewrite, and its positions as lists."""

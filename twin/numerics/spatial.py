@@ -30,7 +30,7 @@ from twin._common.errors import InputError
 
 SERIES_TERMS: Final = 6
 """Terms of the sine and cosine series of a small rotation: exact to double precision up to 0.3 rad, three times the largest angle that
-a calibration may have (`twin.machine.calibration.LARGEST_ANGLE_URAD`). They are a tenth of the operations of a pose.
+a calibration may have (`twin.model.calibration.LARGEST_ANGLE_URAD`). They are a tenth of the operations of a pose.
 """
 ORTHONORMAL: Final = 1e-9
 """Tolerance of RᵀR against the identity: a nanoradian, a thousandth of the last digit reported; rounding along a chain is 1e-14."""

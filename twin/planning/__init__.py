@@ -15,12 +15,11 @@ Manual: `twin doc plan`.
 # A measuring sequence: `sequences` (poses, reach, prediction), `measure` (SequencePlan), `programs` (for a control).
 # A thermal test: `drift` (schedules; DriftPlan).
 
+from twin.planning.design import duration
 from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit
 from twin.planning.measure import SequencePlan, judge_sequence, measuring_sequence
-from twin.planning.plan import judge, plan
-from twin.planning.result import Plan, Separation
-from twin.planning.route import duration
+from twin.planning.plan import Plan, Separation, judge, plan
 from twin.planning.separate import separate
 from twin.planning.sequences.specification import InstrumentSizes
 

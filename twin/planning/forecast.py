@@ -9,17 +9,16 @@ from typing import Any, final
 
 import numpy as np
 
-from twin._common.json_form import json_form
+from twin._common.records import json_form
 from twin.display import UNKNOWN, Html, card, chips, note, pairs, readable, table
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
-from twin.machine.effects import split_name, unit_of
+from twin.model.calibration import Calibration
+from twin.model.effects import split_name, unit_of
 from twin.numerics.observability import Determinability, Observability, observability
-from twin.planning.aims import POSES, SEED
 from twin.planning.design import covariance_of
-from twin.planning.model import NotIdentifiable, PlanModel
-from twin.uncertainty.at_tool import DEFINITION, ToolUncertainty, UncertaintyMap
-from twin.uncertainty.budget import volume
+from twin.planning.kit import NotIdentifiable, PlanModel
+from twin.planning.task import POSES, SEED
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap, volume
 
 
 @final

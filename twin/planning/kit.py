@@ -1,9 +1,18 @@
-"""Kit file: instruments, possible station positions, reflectors, and times of the operations."""
+"""Kit file: instruments, possible station positions, reflectors, and times of the operations.
+
+Linear model of planned readings: their derivatives with respect to every unknown, and the prior.
+
+The unknowns are those of `identify`: every error motion as orthonormal functions of its axis, squareness, location errors, stations,
+targets. The prior is the expected size of each: the coefficients of a curve decrease as those of the given calibration do
+(`twin.identification.fitting`); constants, stations and targets have their plausible size. The model is linearised about the expected
+errors.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal, final
@@ -13,14 +22,26 @@ import pinocchio as pin
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
+from twin._common.arrays import read_only
 from twin._common.bundled import find_bundled
 from twin._common.errors import InputError, closest_name
-from twin._common.units import DEG
+from twin._common.units import DEG, MM
 from twin._common.yaml_files import EntryPath, load_yaml
+from twin.identification.network import CHUNK, Network, SetUp
+from twin.identification.solve import all_unknowns, free_directions
+from twin.identification.unknowns import Unknowns, axes_with_known_places, least_determined_offset, spaces_for
 from twin.machine.machine import Machine
-from twin.measurement.instruments import INSTRUMENTS, Instrument
-from twin.measurement.simulate import Placement, Station
-from twin.uncertainty.budget import volume
+from twin.measurement.instruments import INSTRUMENTS, Instrument, StationInstruments
+from twin.measurement.simulate import Placement, Station, simulate
+from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects import split_name
+from twin.model.motion_curve import Curve
+from twin.numerics.curves import Basis, CurveSpace, bases_for
+from twin.numerics.observability import NOT_DETERMINED, Determinability, determinability
+from twin.numerics.spatial import rotation_exp
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import volume
 
 SCHEMA: Final = "twin.kit/1"
 ACCEPTANCE_DEG: Final = 30.0
@@ -291,3 +312,272 @@ def _speed(linear: bool) -> float:
 def _triple(values: Any) -> tuple[float, float, float]:
     x, y, z = (float(value) for value in values)
     return x, y, z
+
+
+# --- Linear model of planned readings: their derivatives with respect to every unknown, and the prior
+
+FALL: Final = 0.7
+"""Ratio of prior variances of successive orthonormal functions of a curve: decreases more slowly than for a smooth curve."""
+MOST_FUNCTIONS: Final = 13
+"""Most functions of a curve, as in `identify`."""
+EXPECTED_UM: Final = 5.0
+"""RMS of a curve, µm or µrad, if no calibration has it: typical of a machine in good order."""
+EXPECTED_FUNCTIONS: Final = 4
+ROUNDING: Final = 1e-6
+"""Share of a curve below which one of its coefficients is due to rounding."""
+LEAST_UM: Final = 0.5
+"""Smallest prior size of a curve, µm or µrad: errors a calibration leaves out are not zero."""
+
+
+MOST_NAMED: Final = 5
+"""Most unknowns named in a reason."""
+VAGUE: Final = "the readings determine it no better than its plausible size"
+
+
+@final
+@dataclass(frozen=True)
+class NotIdentifiable:
+    """Error that is not identifiable from the readings of a plan.
+
+    Attributes:
+        name: ISO 230-1 name.
+        reason: the combination with other unknowns that leaves all readings unchanged.
+    """
+
+    name: str
+    reason: str
+
+
+@final
+@dataclass(frozen=True)
+class PlanModel:
+    """Unknowns of a planned measurement and their prior.
+
+    Attributes:
+        machine: the machine.
+        plan: the readings.
+        instrument: the instrument.
+        unknowns: unknowns of the machine.
+        setting, setup: stations and targets as planned.
+        plausible: (p,) plausible size of every unknown; the coordinates used here are in these units.
+        free: (p, f) directions that the datum leaves free, in these units: the basis of the coordinates.
+        prior: (f, f) prior precision of the coordinates.
+        linearised_at: (columns,) expected errors, µm and µrad, about which the model is linearised. An expected angle that is not zero
+            makes target positions on their carrier observable, which no reading determines exactly.
+    """
+
+    machine: Machine
+    plan: Measurements
+    instrument: Instrument
+    unknowns: Unknowns
+    setting: Placement
+    setup: SetUp
+    plausible: np.ndarray
+    free: np.ndarray
+    prior: np.ndarray
+    linearised_at: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        machine: Machine,
+        plan: Measurements,
+        setting: Placement,
+        instrument: Instrument,
+        expected: Calibration,
+        known: Collection[str] = (),
+    ) -> PlanModel:
+        """Return the model with the unknowns of axes, stations and targets, as in `identify`.
+
+        A curve has no constant if the readings cannot separate it from a station or a location error.
+
+        Args:
+            machine: the machine.
+            plan: all readings in question; axes it does not move have no unknowns.
+            setting: poses of stations and positions of targets.
+            instrument: the instrument.
+            expected: expected size of the errors; curves it does not have get `EXPECTED_UM`.
+            known: names of the stations and targets that an evaluation treats as exactly known.
+        """
+        offsets: list[str] | None = None
+        while True:
+            model = cls._with_constants(machine, plan, setting, instrument, expected, known, offsets)
+            unseen = (
+                least_determined_offset(model.unknowns, model.determinability.remaining_variance)
+                if model.unknowns.offsets
+                else None
+            )
+            if unseen is None:
+                return model
+            offsets = [name for name in model.unknowns.offsets if name != unseen]
+
+    @classmethod
+    def _with_constants(
+        cls,
+        machine: Machine,
+        plan: Measurements,
+        setting: Placement,
+        instrument: Instrument,
+        expected: Calibration,
+        known: Collection[str],
+        offsets: list[str] | None,
+    ) -> PlanModel:
+        """Return the model with a constant in the curves named in ``offsets`` (`Unknowns`); None: in all that can have one."""
+        turning = {split_name(c.name)[2] for c in expected.curves.values() if c.family.periodic}
+        bases: dict[str, Basis] = {
+            axis.name: bases_for(rotary=not axis.linear, endless=axis.lower is None or axis.name in turning)[0]
+            for axis in machine.axes
+        }
+        spaces, constants = spaces_for(
+            machine, plan.positions, bases=bases, most=MOST_FUNCTIONS, wanted=lambda name: True
+        )
+        evaluated = as_evaluated(plan, known)
+        unknowns = Unknowns(
+            machine,
+            spaces,
+            constants,
+            axes_with_known_places(machine, evaluated),
+            None if offsets is None else sorted(offsets),
+        )
+        setup = setup_of(evaluated, setting, instrument)
+        plausible = np.concatenate([unknowns.plausible, setup.plausible])
+        free = free_directions(unknowns.datum, len(unknowns), len(setup))
+        precision = np.ones(len(plausible))
+        linearised_at = np.zeros(len(unknowns))
+        for space in spaces:
+            columns = unknowns.of(space.name)
+            precision[columns] = unknowns.plausible[columns] ** 2 / _sizes(space, expected) ** 2
+            if space.name in expected.curves:
+                linearised_at[columns] = _parts(space, expected.curves[space.name])
+        for name, value in (*expected.squareness.items(), *expected.location.items()):
+            linearised_at[unknowns.of(name)] = value
+        prior = free.T @ (precision[:, None] * free)
+        return cls(machine, plan, instrument, unknowns, setting, setup, plausible, free, prior, linearised_at)
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        """Derivatives (n, 3, f) of the whitened readings with respect to the coordinates; zero for coordinates not measured."""
+        readings, _ = simulate(
+            self.plan,
+            self.machine,
+            Calibration.zero(self.machine),
+            self.instrument,
+            np.random.default_rng(0),
+            setting=self.setting,
+            noise=False,
+        )
+        network = Network(
+            self.machine, readings, StationInstruments.same(self.instrument, readings.station), self.unknowns
+        )
+        found = np.empty((len(readings), 3, self.free.shape[1]))
+        for start in range(0, len(readings), CHUNK):
+            piece = network.chunk(self.linearised_at, self.setup, np.arange(start, min(start + CHUNK, len(readings))))
+            found[piece.rows] = (piece.jacobian * self.plausible) @ self.free
+        return found
+
+    def to_parameters(self, coordinates: np.ndarray) -> np.ndarray:
+        """Return the machine's unknowns (columns, …) in µm and µrad for coordinates (f, …)."""
+        return np.asarray(self.plausible[: len(self.unknowns), None] * (self.free[: len(self.unknowns)] @ coordinates))
+
+    def at_tool(self, positions: np.ndarray, tool_length_mm: float, without: Collection[str] = ()) -> np.ndarray:
+        """Return the derivatives (n, 3, f), µm, of the tool point in the work frame by the coordinates, without some errors."""
+        kinematics = Kinematics(self.machine, Calibration.zero(self.machine), tool_length_mm=tool_length_mm)
+        by_error = kinematics.sensitivities(positions).error[:, :3]
+        shapes = self.unknowns.shapes(np.asarray(positions))
+        own = np.zeros((len(positions), 3, len(self.unknowns)))
+        for k, parts in enumerate(shapes):
+            if self.unknowns.columns[k].entity in without:
+                continue
+            for at, values in parts:
+                own[:, :, k] += by_error[:, :, at] * values[:, None] * 1e6
+        return np.asarray((own * self.plausible[: len(self.unknowns)]) @ self.free[: len(self.unknowns)])
+
+    def tool_length(self, given_mm: float | None) -> float:
+        """Return the tool length as given, else of the machine file, else 100 mm: at the spindle nose tilts would have no effect."""
+        return given_mm if given_mm is not None else self.machine.tool_length_mm or 100.0
+
+    @cached_property
+    def determinability(self) -> Determinability:
+        """Determinability of every unknown from the readings, relative to its plausible size."""
+        flat = self.rows.reshape(-1, self.rows.shape[-1])
+        triangle = np.linalg.qr(flat, mode="r") if len(flat) > flat.shape[1] else flat
+        # Derivatives with respect to the coordinates, transformed back to the unknowns; zero outside the free directions.
+        return determinability(
+            triangle @ self.free.T / self.plausible,
+            all_unknowns(self.unknowns, self.setup),
+            free=self.free,
+            measurements=int(np.count_nonzero(np.any(flat != 0.0, axis=1))),
+        )
+
+    @cached_property
+    def hidden(self) -> tuple[NotIdentifiable, ...]:
+        """Errors of which not even the lowest order is determined; `identify` would leave them out."""
+        unseen = dict(zip(self.determinability.names, self.determinability.remaining_variance, strict=True))
+        # The machine's own unknowns come first.
+        names = dict(zip(self.unknowns.columns, self.determinability.names, strict=False))
+        found = []
+        for name in self.unknowns.entities:
+            space = self.curves.get(name)
+            columns = [column for column in self.unknowns.columns if column.entity == name]
+            lowest = [names[column] for column in (columns if space is None else columns[: len(space.groups()[0])])]
+            worst = max(lowest, key=lambda one: unseen[one])
+            if unseen[worst] > NOT_DETERMINED:
+                direction = self.determinability.null_direction_of(worst)
+                found.append(
+                    NotIdentifiable(name, VAGUE if direction is None else str(direction.shortened(MOST_NAMED)))
+                )
+        return tuple(found)
+
+    @cached_property
+    def curves(self) -> dict[str, CurveSpace]:
+        """Curve spaces of the error motions by name."""
+        return {space.name: space for space in self.unknowns.curves}
+
+
+def _sizes(space: CurveSpace, expected: Calibration) -> np.ndarray:
+    """Return the prior size (count − first,) of each orthonormal function of a curve, µm or µrad.
+
+    As in an estimate (`twin.identification.fitting`): functions that the expected curve has are unconstrained; the variance of those
+    beyond decreases by `FALL` per function, from the size that the expected ones have together.
+    """
+    count = space.count - space.first
+    fall = FALL ** np.arange(count)
+    curve = expected.curves.get(space.name)
+    if curve is None:
+        own = np.where(np.arange(count) < EXPECTED_FUNCTIONS, EXPECTED_UM / np.sqrt(EXPECTED_FUNCTIONS), 0.0)
+    else:
+        own = _parts(space, curve)
+    held = np.flatnonzero(np.abs(own) > ROUNDING * max(np.abs(own).max(initial=0.0), LEAST_UM))
+    has = int(held[-1]) + 1 if len(held) else 0
+    # Functions that the estimate did not resolve were left out of the expected curve and give no information on the size.
+    size = max(float(np.sum(own[:has] ** 2 / fall[:has])) / max(has - 1, 1), LEAST_UM**2)
+    open_ = np.arange(count) < has
+    return np.asarray(np.where(open_, expected.machine.plausible(space.name), np.sqrt(size * fall)))
+
+
+def _parts(space: CurveSpace, curve: Curve) -> np.ndarray:
+    """Return the coefficients (count − first,) of a curve in a space's orthonormal functions, without those fixed by the datum."""
+    q, w = space.grid()
+    return np.asarray(((w * curve(q)) @ space.functions(q))[space.first :])
+
+
+def as_evaluated(plan: Measurements, known: Collection[str]) -> Measurements:
+    """Return the plan as an evaluation will see it: poses and positions only where they are exactly known."""
+    station = np.array([name in known for name in plan.station])[:, None]
+    target = np.array([name in known for name in plan.target])[:, None]
+    return replace(
+        plan,
+        station_pose=read_only(np.where(station, plan.station_pose, np.nan)),
+        place_mm=read_only(np.where(target, plan.place_mm, np.nan)),
+    )
+
+
+def setup_of(plan: Measurements, setting: Placement, instrument: Instrument) -> SetUp:
+    """Return the set-up at the planned poses and positions; known are only those the plan gives to an evaluation."""
+    known = SetUp.from_table(plan, StationInstruments.same(instrument, plan.station))
+    return replace(
+        known,
+        rotation=rotation_exp(np.array([setting.stations[name].rotation_rad for name in known.stations])),
+        origin=np.array([setting.stations[name].origin_mm for name in known.stations]) * MM,
+        place=np.array([setting.places_mm[name] for name in known.targets]) * MM,
+    )

@@ -10,9 +10,9 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
-from twin._common.threads import one_blas_thread
+from twin._common.resources import one_blas_thread
+from twin._common.units import count_with_noun
 from twin.display import card, note, pairs, table
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, instrument_named

@@ -3,28 +3,303 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, final
 
 import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin._common.progress import Progress, silent
-from twin._common.threads import one_blas_thread
-from twin.machine.calibration import Calibration
+from twin._common.provenance import SourceWarning, warning_texts
+from twin._common.records import json_form
+from twin._common.resources import Progress, one_blas_thread, silent
+from twin._common.units import count_with_noun
+from twin.display import bar, card, note, pairs, table
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument
 from twin.measurement.simulate import Placement
 from twin.measurement.table import Measurements
-from twin.planning.aims import aim_of
-from twin.planning.candidates import candidates
-from twin.planning.design import DesignProblem
-from twin.planning.fill import fill
+from twin.model.calibration import Calibration
+from twin.planning.clearance import Clearance, candidates
+from twin.planning.design import DesignProblem, FilledPlan, Route, fill
 from twin.planning.forecast import Forecast, forecast
-from twin.planning.kit import Kit
-from twin.planning.model import PlanModel
-from twin.planning.result import Plan
-from twin.planning.task import Task
+from twin.planning.kit import Kit, PlanModel
+from twin.planning.task import Task, aim_of
+from twin.tool.uncertainty import DEFINITION
+
+SCHEMA: Final = "twin.plan/1"
+ODDS: Final = 100
+"""Odds below which `twin diagnose` reports two causes as equivalent."""
+SPENT: Final = MappingProxyType(
+    {
+        "station": "set-up",
+        "target": "changing targets",
+        "aim": "turning reflectors",
+        "travel": "travel",
+        "point": "readings",
+    }
+)
+"""Operations that take time (`Route.spent`), as displayed."""
+SHOWN: Final = 5
+"""Number of alternatives printed."""
+
+
+@final
+@dataclass(frozen=True)
+class Alternative:
+    """Choice of stations for one instrument, with the criterion after a first choice of readings.
+
+    Attributes:
+        instrument: name of the instrument.
+        stations: names of the stations.
+        points: number of readings the time allows.
+        value: value of the criterion.
+        unit: unit of ``value``.
+    """
+
+    instrument: str
+    stations: tuple[str, ...]
+    points: int
+    value: float
+    unit: str
+
+
+@final
+@dataclass(frozen=True)
+class Separation:
+    """Sizes at which a plan distinguishes two causes.
+
+    Attributes:
+        names: names of the two causes.
+        sizes: (value, unit) smallest size of each that is distinguished from the other with odds of `ODDS`:1.
+        given_sizes: size of each as given by the user, in the same unit; NaN if none was given.
+    """
+
+    names: tuple[str, str]
+    sizes: tuple[tuple[float, str], tuple[float, str]]
+    given_sizes: tuple[float, float]
+
+    def lines(self) -> list[str]:
+        """Return the text lines: smallest distinguishable size of each cause, compared with the size given."""
+        found = [
+            f"the two causes are distinguished with odds of {ODDS}:1 or better in 19 of 20 measurements, both estimated together:"
+        ]
+        for name, (size, unit), given in zip(self.names, self.sizes, self.given_sizes, strict=True):
+            shown = unit.replace("um", "µm").replace("urad", "µrad")
+            text = f"  {name}, if it is {size:.3g} {shown} or more"
+            if given == given:
+                share = abs(given) / size
+                text += f"; {abs(given):.3g} {shown} are {'enough' if share >= 1.0 else 'NOT ENOUGH'} ({share:.2g} times that)"
+            found.append(text)
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object."""
+        return {
+            "odds": ODDS,
+            "causes": [
+                {"name": name, "least_size": size, "unit": unit, "meant": None if given != given else given}
+                for name, (size, unit), given in zip(self.names, self.sizes, self.given_sizes, strict=True)
+            ],
+        }
+
+
+@final
+@dataclass(frozen=True)
+class Plan:
+    """Plan of a measurement.
+
+    Attributes:
+        machine, kit: the machine and the equipment.
+        aim: the uncertainty that is minimised.
+        instrument: the instrument.
+        stations: names of the stations in order.
+        route: the readings in order, with times.
+        forecast: predicted uncertainty of every error; None for a plan that separates two causes.
+        alternatives: station choices compared, best first, the plan's own included.
+        seed: random seed.
+        separation: how well two causes are distinguished; None for other plans.
+        warnings: warnings about the origin of the expected calibration.
+    """
+
+    machine: Machine
+    kit: Kit
+    aim: str
+    instrument: Instrument
+    stations: tuple[str, ...]
+    route: Route
+    forecast: Forecast | None
+    alternatives: tuple[Alternative, ...]
+    seed: int
+    separation: Separation | None = None
+    warnings: tuple[SourceWarning, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        task: Task,
+        aim: str,
+        filled: FilledPlan,
+        *,
+        forecast: Forecast | None = None,
+        separation: Separation | None = None,
+    ) -> Plan:
+        """Return the plan for the best of the station choices, with its route."""
+        best = filled.station_choices[0]
+        alternatives = tuple(
+            Alternative(one.problem.instrument.name, one.stations, one.points, one.value, one.problem.aim.unit)
+            for one in filled.station_choices
+        )
+        return cls(
+            task.machine,
+            task.kit,
+            aim,
+            best.problem.instrument,
+            best.stations,
+            filled.route,
+            forecast,
+            alternatives,
+            task.seed,
+            separation,
+            task.expected.warnings,
+        )
+
+    @property
+    def table(self) -> Measurements:
+        """Readings in order, as a measurement table without coordinates."""
+        return self.route.plan
+
+    @property
+    def minutes(self) -> float:
+        """Duration in minutes, including set-up."""
+        return self.route.seconds / 60.0
+
+    @property
+    def complete(self) -> bool:
+        """Whether every pose can be reached by a straight move with clearance from the one before."""
+        return not self.route.blocked
+
+    @cached_property
+    def _clearance(self) -> Clearance:
+        return Clearance(self.machine, self.kit)
+
+    def notices(self) -> list[str]:
+        """Return the instructions for carrying out the plan."""
+        found = [
+            "approach_… is the direction of approach of each axis: overrun the position by more than the reversal value and return",
+            "planned_… are approximate positions, which no evaluation treats as known; place_… and station_… count as exactly known",
+        ]
+        if self._clearance.has_shapes:
+            found.append(
+                "poses and straight moves keep the tool side clear of the work side for the shapes in the URDF and the reflectors. "
+                "Holders, clamps and workpiece are not checked: make a dry run first"
+            )
+        else:
+            found.append(
+                "THE URDF HAS NO SHAPES: only the reflectors are kept clear of each other. Check every pose and every move"
+            )
+        found += [f"before reading {row + 1}: {words}" for row, words in self.route.sessions]
+        if self.route.blocked:
+            rows = ", ".join(str(row + 1) for row in self.route.blocked[:20])
+            more = f" and {len(self.route.blocked) - 20} more" if len(self.route.blocked) > 20 else ""
+            found.append(f"RETRACT before readings {rows}{more}: the straight move to them has too little clearance")
+        return found
+
+    def save(self, path: str | Path) -> None:
+        """Write the plan atomically as a measurement table without coordinates."""
+        planned = {*self.kit.stations, *self.kit.targets} - self.kit.known
+        self.table.save(path, self.machine, comment=self.comment(), planned=planned)
+
+    def comment(self) -> str:
+        """Return the comment lines of the file."""
+        lines = [
+            f"plan by twin: {self.machine.name}, {count_with_noun(len(self.table), 'reading')} with {self.instrument.name}, "
+            f"{self.minutes:.0f} minutes, aim: {self.aim}, seed {self.seed}",
+            f"kit: {self.kit.source}",
+            ", ".join(f"{words} {self.route.spent[key] / 60:.0f} min" for key, words in SPENT.items()),
+            *self.notices(),
+        ]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        parts = ((words, self.route.spent[key]) for key, words in SPENT.items())
+        whole = max(self.route.seconds, 1.0)
+        rows = [(words, f"{seconds / 60:.0f}", bar(seconds / whole)) for words, seconds in parts]
+        facts = [("aim", self.aim), ("instrument", self.instrument.name), ("stations", ", ".join(self.stations))]
+        facts.append(("kit", self.kit.source))
+        tried = [
+            (one.instrument, ", ".join(one.stations), f"{one.points:,}", f"{one.value:.3g} {one.unit}")
+            for one in self.alternatives[:SHOWN]
+        ]
+        separation = [] if self.separation is None else [note(line) for line in self.separation.lines()]
+        forecast = [] if self.forecast is None else self.forecast.shown()
+        headers = ("instrument", "stations", "readings", "uncertainty to minimise")
+        return card(
+            f"Plan for {self.machine.name}",
+            pairs(facts),
+            table(("time for", "minutes", ""), rows, right=(1,)),
+            *separation,
+            *forecast,
+            table(
+                headers,
+                tried,
+                right=(2, 3),
+                title="stations compared (after a first choice of readings), best first",
+            ),
+            *(note(notice, loud=notice.startswith(("RETRACT", "THE URDF"))) for notice in self.notices()),
+            small=f"{count_with_noun(len(self.table), 'reading')}, {self.minutes:.0f} minutes",
+            wrong=not self.complete,
+        ).text
+
+    def to_text(self) -> str:
+        """Return the text report."""
+        lines = [
+            f"{self.machine.name}: {count_with_noun(len(self.table), 'reading')} with {self.instrument.name} "
+            f"from {', '.join(self.stations)}, {self.minutes:.0f} minutes",
+            *self.comment().splitlines()[1:3],
+            *(f"expected errors: {text}" for text in warning_texts(self.warnings)),
+            "",
+            *([] if self.separation is None else [*self.separation.lines(), ""]),
+            *([] if self.forecast is None else [*self.forecast.to_text().splitlines(), ""]),
+            "stations compared (after a first choice of readings):",
+        ]
+        for one in self.alternatives[:SHOWN]:
+            chosen = "  <- chosen" if (one.instrument, one.stations) == (self.instrument.name, self.stations) else ""
+            lines.append(
+                f"  {one.instrument} at {', '.join(one.stations)}: {one.points} readings, {one.value:.3g} {one.unit}{chosen}"
+            )
+        lines += ["", *(f"note: {notice}" for notice in self.notices())]
+        return "\n".join(lines) + "\n"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object (``schema: twin.plan/1``)."""
+        return json_form(
+            {
+                "schema": SCHEMA,
+                "machine": self.machine.name,
+                "kit": self.kit.source,
+                "aim": self.aim,
+                "instrument": self.instrument.name,
+                "stations": self.stations,
+                "points": len(self.table),
+                "minutes": self.minutes,
+                "seconds": {key if key == "travel" else f"{key}s": self.route.spent[key] for key in SPENT},
+                "separation": self.separation,
+                "forecast": self.forecast,
+                "definition": DEFINITION,
+                "alternatives": self.alternatives,
+                "retract_before": [row + 1 for row in self.route.blocked],
+                "notices": self.notices(),
+                "warnings": self.warnings,
+                "seed": self.seed,
+            }
+        )
+
+
+# --- Plan a measurement, or predict the result of an existing plan --------------------------------
 
 
 def plan(

@@ -16,11 +16,11 @@ from matplotlib.ticker import FuncFormatter
 from twin._common.errors import InputError
 from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, heading, new_figure, plot_markers, style_axes
 from twin.identification.result import Identification
-from twin.machine.calibration import Calibration
-from twin.machine.effects import split_name
 from twin.machine.machine import Machine
 from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects import split_name
 from twin.planning.forecast import Forecast
 
 STYLES: Final = ((BACKWARD, "s"), (FORWARD, "o"), (THIRD, "^"))

@@ -19,30 +19,25 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, closest_name
-from twin._common.progress import Progress, silent
 from twin._common.records import TIME, is_temperature, sensor_of
-from twin._common.threads import one_blas_thread
+from twin._common.resources import Progress, one_blas_thread, silent
 from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
-from twin.diagnosis.problem.nuisance import RANK_TOLERANCE
-from twin.diagnosis.problem.problem import Problem
+from twin.diagnosis.nuisance import RANK_TOLERANCE
+from twin.diagnosis.problem import Problem
 from twin.identification.fitting import agreeing_rows
-from twin.identification.network import Network
-from twin.identification.setup import SetUp
+from twin.identification.network import Network, SetUp
 from twin.identification.unknowns import Unknowns
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, Reads, StationInstruments, default_instrument
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
-from twin.planning.aims import LinearAim
-from twin.planning.candidates import ANY_STATE, CandidateReadings, Session, candidates
-from twin.planning.design import DesignProblem, covariance_of
-from twin.planning.fill import fill
-from twin.planning.kit import Kit
-from twin.planning.model import as_evaluated, setup_of
-from twin.planning.result import ODDS, Plan, Separation
-from twin.planning.task import Task
+from twin.model.calibration import Calibration
+from twin.planning.clearance import ANY_STATE, CandidateReadings, Session, candidates
+from twin.planning.design import DesignProblem, covariance_of, fill
+from twin.planning.kit import Kit, as_evaluated, setup_of
+from twin.planning.plan import ODDS, Plan, Separation
+from twin.planning.task import LinearAim, Task
 
 POWER: Final = 1.645
 """One-sided 95 % quantile of the normal distribution: probability that the odds are reached."""

@@ -9,16 +9,76 @@ from math import hypot, isfinite
 from pathlib import Path
 from typing import Any, Final, Literal, final
 
-from twin._common.json_form import json_form
+from twin._common.errors import InputError
+from twin._common.records import json_form
+from twin.compensation.tables import CorrectedShare, RemainingErrors, Request, account_of, make
+from twin.controls import TableSum, table_formats
 from twin.display import UNKNOWN, expanded, figure, with_half
-from twin.display.sentences import capital, listed, lower
-from twin.machine.calibration import Calibration
-from twin.machine.conditions import SETTINGS, needed_values
+from twin.display.numbers import capital, listed, lower
+from twin.model.calibration import Calibration
+from twin.model.conditions import SETTINGS, needed_values
 from twin.reporting.compensation import CompensationForecast
 from twin.reporting.contributions import Budget, Contribution
-from twin.reporting.identified import Identified
-from twin.reporting.readings import PointComparison
-from twin.reporting.tables import TablesLeft
+from twin.reporting.identified import Identified, PointComparison
+from twin.tool.forward import Kinematics
+
+
+@final
+@dataclass(frozen=True)
+class TablesLeft:
+    """Errors that remain with the tables of one format.
+
+    Attributes:
+        kind: name of the format; only formats with tables of single axes, not the volumetric ones ``isg`` and ``grid``.
+        at: positions of the other axes while one moves, by axis; mm, degrees.
+        tool_length_mm: tool length for which the tables are made.
+        remains: the error at the tool with them.
+        carried: every error of the calibration, and the part of it that the format compensates.
+    """
+
+    kind: str
+    at: Mapping[str, float]
+    tool_length_mm: float
+    remains: RemainingErrors
+    carried: tuple[CorrectedShare, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content for JSON."""
+        return json_form(self, rename={"kind": "format", "remains": "error_at_tool"}, leave_out=("carried",))
+
+
+def tables_left(
+    real: Kinematics, errors: Calibration, missing: Mapping[str, tuple[str, ...]]
+) -> tuple[TablesLeft, ...]:
+    """Make the tables of every format and return the remaining errors, the most effective format first.
+
+    The result is empty if the control has tables already, the estimate did not converge or there are no errors. Formats that cannot
+    hold tables of this machine are omitted.
+
+    Args:
+        real: machine, errors that can be evaluated under the conditions, tool length, conditions.
+        errors: the calibration as given.
+        missing: effects omitted for want of a channel, by channel.
+    """
+    if errors.control is not None or not errors.settled or real.calibration.empty:
+        return ()
+    found: list[TablesLeft] = []
+    required = None
+    for form in table_formats():
+        if form.correction is not TableSum:
+            continue
+        request = Request(form.name, tool_length_mm=real.tool_length_mm, conditions=real.conditions)
+        try:
+            made = make(real.machine, real.calibration, request, required)
+        except InputError:
+            continue
+        required = made.required
+        account = account_of(made, errors, real.calibration, missing)
+        found.append(TablesLeft(form.name, made.required.at, real.tool_length_mm, account.remains, account.carried))
+    return tuple(sorted(found, key=lambda one: -one.remains.reduction))
+
+
+# --- Summary of a machine report in words: largest errors, recommended actions, measurements, and what to avoid
 
 Kind = Literal["do", "measure", "never", "unknown"]
 Rating = Literal["well", "wrong", "unknown"]

@@ -2,23 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from types import MappingProxyType
 from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.json_form import json_form
+from twin._common.arrays import read_only
+from twin._common.records import json_form
 from twin.display.numbers import COVERAGE_FACTOR
-from twin.kinematics.forward import Kinematics, Poses
-from twin.machine.effects import split_name
-from twin.machine.iso16907 import error_motion_of, iso_class
-from twin.machine.unknown_errors import unknown_effects
-from twin.reporting.words import named
-from twin.uncertainty.at_tool import ToolUncertainty, radius_95
-from twin.uncertainty.budget import BudgetRow, PartialErrors, error_budget, random_approach, volume_inside_domains
+from twin.machine.error_names import DIRECTIONS
+from twin.model.conditions import APPROACH
+from twin.model.display import combined_uncertainty
+from twin.model.effects import Effect, PitchError, split_name, unit_of
+from twin.model.iso16907 import error_motion_of, iso_class
+from twin.model.unknown_errors import unknown_effects
+from twin.reporting.identified import curve_ranges, is_motion, sum_of_effects
+from twin.reporting.translation import named
+from twin.tool.forward import Kinematics, Poses
+from twin.tool.uncertainty import (
+    BudgetRow,
+    PartialErrors,
+    ToolUncertainty,
+    error_budget,
+    radius_95,
+    random_approach,
+    volume,
+    volume_inside_domains,
+)
 
 JSON_NAMES: Final = MappingProxyType(
     {
@@ -146,7 +160,7 @@ def budget(kinematics: Kinematics) -> Budget:
 
     U of one error includes the uncertainty of its own parameters only; U of a class includes the covariance between its errors, and the
     plausible size of those that could not be determined. First
-    order (JCGM 100, 5.2.2), as in `twin.uncertainty.at_tool`.
+    order (JCGM 100, 5.2.2), as in `twin.tool.uncertainty`.
 
     Args:
         kinematics: machine, errors, tool, conditions.
@@ -223,4 +237,361 @@ def _contribution(row: BudgetRow, share: _Shares, effects: list[str], motion: st
         u_max_um=u_max,
         u_complete=complete,
         illustrative=row.illustrative,
+    )
+
+
+# --- Error motions along their axes: value, 95 % interval, both directions of approach, and compensation by the control
+
+FINE: Final = 361
+A_PERIOD: Final = 16
+"""Points per period of a periodic error."""
+MOST: Final = 4001
+
+
+@final
+@dataclass(frozen=True)
+class Motion:
+    """One error motion of an axis over its range, with the other axes at mid-range.
+
+    Attributes:
+        name: ISO 230-1 name.
+        words: name in words.
+        axis: name of the axis.
+        linear: whether the axis is linear.
+        unit: ``um`` or ``urad``.
+        position: (k,) mm or degrees.
+        value: (k,) mean of both directions of approach.
+        half: (k,) half width of the 95 % interval; NaN if unknown.
+        ways: (2, k) value on approach from below and from above; None if they are equal.
+        corrected: (k,) value after compensation by the control's tables; None if they do not act on it.
+        order: degree, or number of harmonics, of its curve; None without a curve.
+        basis: basis of its curve, or empty.
+        source: source of its curve.
+        added: names of effects added to its curve.
+        illustrative: whether it is assumed, not measured.
+    """
+
+    name: str
+    words: str
+    axis: str
+    linear: bool
+    unit: str
+    position: np.ndarray
+    value: np.ndarray
+    half: np.ndarray
+    ways: np.ndarray | None
+    corrected: np.ndarray | None
+    order: int | None
+    basis: str
+    source: str
+    added: tuple[str, ...]
+    illustrative: bool
+
+    @property
+    def peak(self) -> tuple[float, float]:
+        """Value of largest magnitude over both directions, and its position."""
+        values = self.value[None] if self.ways is None else self.ways
+        row, column = np.unravel_index(int(np.argmax(np.abs(values))), values.shape)
+        return float(values[row, column]), float(self.position[column])
+
+    @property
+    def widest(self) -> float:
+        """Half width of its widest 95 % interval; NaN if unknown."""
+        return float(self.half.max())
+
+    @property
+    def axis_unit(self) -> str:
+        """Unit of the axis position, for display."""
+        return "mm" if self.linear else "°"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content for JSON."""
+        peak, at = self.peak
+        below, above = (None, None) if self.ways is None else self.ways
+        return json_form(
+            {
+                "name": self.name,
+                "words": self.words,
+                "axis": self.axis,
+                "unit": self.unit,
+                "peak": peak,
+                "peak_at": at,
+                "half_95_max": self.widest,
+                "order": self.order,
+                "basis": self.basis,
+                "source": self.source,
+                "added": self.added,
+                "illustrative": self.illustrative,
+                "position": self.position,
+                "value": self.value,
+                "half_95": self.half,
+                "from_below": below,
+                "from_above": above,
+                "with_control": self.corrected,
+            }
+        )
+
+
+def motions(kinematics: Kinematics) -> tuple[Motion, ...]:
+    """Return every error motion with a value in the calibration, in the order of the machine's names.
+
+    Args:
+        kinematics: machine, errors, conditions.
+    """
+    return tuple(found for name in kinematics.machine.motion_names if (found := _motion(kinematics, name)) is not None)
+
+
+def _motion(kinematics: Kinematics, name: str) -> Motion | None:
+    machine, calibration = kinematics.machine, kinematics.calibration
+    component, axis = DIRECTIONS.index(name[2]), machine.by_name[name[3:]]
+    own = [e for e in calibration.effects if e not in calibration.corrections and is_motion(e, axis.name, calibration)]
+    q = _positions(kinematics, axis.name, own)
+    state = _state(kinematics, axis.name, q)
+    parts = [effect for effect in own if component in effect.components(state)]
+    if not parts:
+        return None
+    value = sum_of_effects(parts, state, component)
+    sides = [state | {f"{APPROACH}{axis.name}": np.full(len(q), side)} for side in (1.0, -1.0)]
+    ways = np.stack([sum_of_effects(parts, side, component) for side in sides])
+    tables = [table for table in calibration.corrections if table.axis.name == axis.name]
+    taken = sum_of_effects(tables, state, component)
+    curve = calibration.curves.get(name)
+    added = tuple(effect.name for effect in parts if effect.name != name)
+    return Motion(
+        name=name,
+        words=named(name, machine),
+        axis=axis.name,
+        linear=axis.linear,
+        unit=unit_of(name),
+        position=read_only(q),
+        value=read_only(value),
+        half=read_only(
+            COVERAGE_FACTOR * combined_uncertainty(parts, calibration.covariance, state, component, q.shape)
+        ),
+        ways=read_only(ways) if np.any(ways[0] != ways[1]) else None,
+        corrected=read_only(value + taken) if np.any(taken) else None,
+        order=None if curve is None else curve.family.order(len(curve.coefficients)),
+        basis="" if curve is None else curve.basis,
+        source="" if curve is None else curve.source,
+        added=added,
+        illustrative=curve is not None and curve.illustrative,
+    )
+
+
+def _positions(kinematics: Kinematics, axis: str, effects: Sequence[Effect]) -> np.ndarray:
+    """Return positions over the domain of the curves, dense enough for periodic errors."""
+    low, high = curve_ranges(kinematics)[kinematics.machine.names.index(axis)]
+    periods = [abs(effect.period) for effect in effects if isinstance(effect, PitchError)]
+    count = max([FINE, *(int((high - low) / period * A_PERIOD) + 1 for period in periods)])
+    return np.linspace(low, high, min(count, MOST))
+
+
+def _state(kinematics: Kinematics, axis: str, q: np.ndarray) -> dict[str, Any]:
+    machine = kinematics.machine
+    middle = {one.name: np.full(len(q), 0.0 if one.lower is None else sum(one.domain) / 2.0) for one in machine.axes}
+    state: dict[str, Any] = middle | {axis: q} | {f"{APPROACH}{one.name}": np.zeros(len(q)) for one in machine.axes}
+    return state | dict(kinematics.conditions.channels)
+
+
+# --- Error of the tool point, and its U, as a field over the linear axes at fixed rotary positions
+
+COUNTS: Final = {1: 101, 2: 25, 3: 13}
+"""Grid positions per axis, by the number of linear axes; odd, to include the middle."""
+DRAWN: Final = 7
+"""Largest number of arrows per axis."""
+POSES: Final = 300
+"""Number of poses for a machine without linear axes."""
+
+
+@final
+@dataclass(frozen=True)
+class Slice:
+    """One plane of the error field.
+
+    Attributes:
+        horizontal, vertical: names of the two axes that span the plane.
+        fixed: positions of the other axes, mm and degrees.
+        across, up: (a,), (b,) positions of the two axes, mm.
+        error_um: (b, a) magnitude of the error of the tool point.
+        u_um: (b, a) U of the tool point; NaN if unknown.
+    """
+
+    horizontal: str
+    vertical: str
+    fixed: dict[str, float]
+    across: np.ndarray
+    up: np.ndarray
+    error_um: np.ndarray
+    u_um: np.ndarray
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content for JSON."""
+        return json_form(self, rename={"u_um": "U_um"})
+
+
+@final
+@dataclass(frozen=True)
+class Field:
+    """Error of the tool point at the nodes of a grid.
+
+    Attributes:
+        axes: names of all axes, in the order of the columns of ``positions``.
+        spread: names of the axes that vary: the linear ones, or all if there is none.
+        positions: (n, axes) commands, mm and degrees; on a grid over the linear axes, or random if there is none.
+        counts: number of grid positions of every axis of ``spread``; empty without a grid.
+        point_mm: (n, 3) nominal tool points in the work frame.
+        error_um: (n, 3) error of the tool point, mean of both directions of approach.
+        u_um: (n,) U of the tool point; NaN if unknown.
+        complete: whether all errors have an uncertainty; if not, a known U is a lower bound.
+    """
+
+    axes: tuple[str, ...]
+    spread: tuple[str, ...]
+    positions: np.ndarray
+    counts: tuple[int, ...]
+    point_mm: np.ndarray
+    error_um: np.ndarray
+    u_um: np.ndarray
+    complete: bool
+
+    @property
+    def standing(self) -> dict[str, float]:
+        """Positions of the fixed axes."""
+        return {name: float(self.positions[0, i]) for i, name in enumerate(self.axes) if name not in self.spread}
+
+    @property
+    def size_um(self) -> np.ndarray:
+        """(n,) magnitude of the error."""
+        return np.asarray(np.linalg.norm(self.error_um, axis=1))
+
+    @property
+    def mean_um(self) -> np.ndarray:
+        """(3,) mean error, which setting the workpiece zero removes."""
+        return np.asarray(self.error_um.mean(axis=0))
+
+    @property
+    def rms_um(self) -> float:
+        """Root mean square of the error."""
+        return float(np.sqrt(np.mean(self.size_um**2)))
+
+    @property
+    def rms_about_mean_um(self) -> float:
+        """Root mean square of the error minus its mean."""
+        return float(np.sqrt(np.mean(np.sum((self.error_um - self.mean_um) ** 2, axis=1))))
+
+    @property
+    def steps_mm(self) -> dict[str, float]:
+        """Grid spacing by axis."""
+        columns = [self.positions[:, self.axes.index(name)] for name in self.spread]
+        ways = zip(self.spread, self.counts, columns, strict=True)
+        return {name: float(np.ptp(column)) / max(count - 1, 1) for name, count, column in ways}
+
+    @property
+    def known(self) -> bool:
+        """Whether U is known at all positions."""
+        return bool(np.all(np.isfinite(self.u_um)))
+
+    @property
+    def drawn(self) -> np.ndarray:
+        """Indices of the positions drawn as arrows, on a coarser grid with its ends."""
+        if not self.counts:
+            return np.arange(len(self.positions))
+        thin = [np.unique(np.round(np.linspace(0, count - 1, min(count, DRAWN))).astype(int)) for count in self.counts]
+        return np.asarray(np.ravel_multi_index(np.meshgrid(*thin, indexing="ij"), self.counts).reshape(-1))
+
+    @cached_property
+    def slices(self) -> tuple[Slice, ...]:
+        """Planes: for three axes, three per direction at both ends and in the middle; for two axes one; for one axis none."""
+        places = [np.unique(self.positions[:, self.axes.index(name)]) for name in self.spread]
+        if len(self.counts) == 2:
+            return (self._slice(places, {}),)
+        if len(self.counts) < 2:
+            return ()
+        levels = [(axis, level) for axis in (2, 1, 0) for level in (0, self.counts[axis] // 2, self.counts[axis] - 1)]
+        return tuple(self._slice(places, {axis: level}) for axis, level in levels)
+
+    def _slice(self, places: list[np.ndarray], at: Mapping[int, int]) -> Slice:
+        """Return the plane at the given grid level of the fixed axes."""
+        across, up = (i for i in range(len(places)) if i not in at)
+        levels = tuple(at.get(i, slice(None)) for i in range(len(places)))
+        error, u = (read_only(values.reshape(self.counts)[levels].T.copy()) for values in (self.size_um, self.u_um))
+        fixed = {self.spread[i]: float(places[i][level]) for i, level in at.items()}
+        return Slice(
+            self.spread[across], self.spread[up], fixed, read_only(places[across]), read_only(places[up]), error, u
+        )
+
+    def edges(self) -> tuple[tuple[str, np.ndarray, np.ndarray], ...]:
+        """Return the edges of the grid's box, each with a label and its end points, mm; one edge per axis has a label."""
+        if not self.counts:
+            return ()
+        found = []
+        for i, name in enumerate(self.spread):
+            others = [(0, count - 1) for k, count in enumerate(self.counts) if k != i]
+            for first, corner in enumerate(product(*others)):
+                ends = []
+                for end in (0, self.counts[i] - 1):
+                    at = [*corner[:i], end, *corner[i:]]
+                    ends.append(int(np.ravel_multi_index(at, self.counts)))
+                low, high = (self.positions[end, self.axes.index(name)] for end in ends)
+                text = "" if first else f"{name} {low:g} … {high:g} mm".replace("-", "−")
+                found.append((text, self.point_mm[ends[0]], self.point_mm[ends[1]]))
+        return tuple(found)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content for JSON."""
+        return json_form(
+            {
+                "axes": self.axes,
+                "spread": self.spread,
+                "standing": self.standing,
+                "rms_um": self.rms_um,
+                "max_um": self.size_um.max(),
+                "mean_um": self.mean_um,
+                "U_known": self.known,
+                "U_complete": self.known and self.complete,
+                "positions": self.positions,
+                "point_mm": self.point_mm,
+                "error_um": self.error_um,
+                "U_um": self.u_um,
+                "slices": self.slices,
+            }
+        )
+
+
+def field(kinematics: Kinematics) -> Field:
+    """Return the error field of a machine, with the rotary axes at zero or at the end of their range nearest to zero.
+
+    Args:
+        kinematics: machine, errors, tool, conditions.
+    """
+    machine = kinematics.machine
+    bounds = curve_ranges(kinematics)
+    linear = machine.linear[:3]
+    if linear:
+        counts = tuple(COUNTS[len(linear)] for _ in linear)
+        steps = [
+            np.linspace(low, high, counts[linear.index(i)])
+            if i in linear
+            else np.array([(low + high) / 2.0 if axis.linear else float(np.clip(0.0, low, high))])
+            for i, (axis, (low, high)) in enumerate(zip(machine.axes, bounds, strict=True))
+        ]
+        q = np.array(list(product(*steps)))
+        # Linear and rotary axes may alternate in command order; a rotary axis has one position.
+        spread = tuple(machine.names[i] for i in linear)
+    else:
+        counts, spread = (), machine.names
+        q = volume(machine, POSES)
+        q = q[~kinematics.outside_domain(q).any(axis=1)]
+    meant, reached = nominal_machine(kinematics).forward(q), kinematics.forward(q)
+    error = (reached.point_mm - meant.point_mm) * 1e3
+    u = ToolUncertainty(kinematics).at(q)
+    return Field(
+        axes=machine.names,
+        spread=spread,
+        positions=read_only(q),
+        counts=counts,
+        point_mm=meant.point_mm,
+        error_um=read_only(error),
+        u_um=u.expanded_um,
+        complete=u.complete,
     )

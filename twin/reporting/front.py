@@ -1,22 +1,88 @@
-"""First page of a report: items with tolerance and verdict, the largest findings, and the facts of the test."""
+"""First page of a report: the job, items with tolerance and verdict, the largest findings, the facts of the test."""
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import isfinite, nan
-from typing import Any, Final, final
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, final
+from xml.etree import ElementTree
 
-from twin._common.conformity import Verdict, decide, is_accepted
+from pydantic import BaseModel, ConfigDict, Field
+
+from twin._common.distributions import Verdict, decide, is_accepted
 from twin._common.errors import InputError, closest_name
-from twin._common.json_form import json_form
+from twin._common.files import read_bytes
 from twin._common.provenance import UNSETTLED_ESTIMATE
+from twin._common.records import json_form
+from twin._common.yaml_files import load_yaml
 from twin.display import UNKNOWN, readable, with_half
-from twin.machine.effects import unit_of
 from twin.machine.machine import Machine
+from twin.model.effects import unit_of
 from twin.reporting.contributions import Contribution
-from twin.reporting.job import Job
 from twin.reporting.result import MachineReport
+
+SCHEMA: Final = "twin.job/1"
+LOGO_BYTES: Final = 512 * 1024
+"""Largest size of a logo."""
+PNG: Final = b"\x89PNG\r\n\x1a\n"
+EXPECTED: Final = "a PNG or an SVG picture"
+Line = Annotated[str, Field(max_length=80)]
+
+
+class Job(BaseModel):
+    """Facts of a test; every entry is optional, and what is missing is filled in by hand on paper."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    schema_: Literal["twin.job/1"] = Field(default="twin.job/1", alias="schema")
+    machine: Line = ""
+    serial_number: Line = ""
+    operator: Line = ""
+    customer: Line = ""
+    place: Line = ""
+    date: Line = ""
+    instrument: Line = ""
+    instrument_serial: Line = ""
+    certificate: Line = ""
+    temperature: Line = ""
+
+
+def load_job(path: Path) -> Job:
+    """Read a job file (``schema: twin.job/1``).
+
+    Raises:
+        InputError: an unknown key, or a value that is not text of at most 80 characters; put numbers into quotes.
+    """
+    return load_yaml(path, Job, SCHEMA)[0]
+
+
+def logo_uri(path: Path) -> str:
+    """Return a PNG or SVG picture as a data URI, to be embedded in a page.
+
+    Raises:
+        InputError: the file is larger than 512 KiB, or not such a picture.
+    """
+    content = read_bytes(path, most_bytes=LOGO_BYTES)
+    if content.startswith(PNG):
+        return _uri("png", content)
+    if b"<!ENTITY" in content or not content.strip():
+        raise InputError("not a logo", expected=EXPECTED, file=path)
+    try:
+        root = ElementTree.fromstring(content)
+    except ElementTree.ParseError:
+        raise InputError("not a logo", expected=EXPECTED, file=path) from None
+    if root.tag != "{http://www.w3.org/2000/svg}svg":
+        raise InputError("not a logo", expected=EXPECTED, file=path)
+    return _uri("svg+xml", content)
+
+
+def _uri(kind: str, content: bytes) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+
+
+# --- First page of a report: items with tolerance and verdict, the largest findings, and the facts of the test
 
 TOOL: Final = ("tool", "tool_after")
 """Names of the error of the tool point before compensation, and as expected after it."""
@@ -64,7 +130,7 @@ class FrontItem:
 
     @property
     def accepted(self) -> bool:
-        """Whether the item has no tolerance or a known value within it (`twin._common.conformity.is_accepted`)."""
+        """Whether the item has no tolerance or a known value within it (`twin._common.distributions.is_accepted`)."""
         return self.tolerance is None or self.verdict is None or is_accepted(self.verdict, self.value, self.tolerance)
 
     @property
@@ -148,7 +214,7 @@ def front_page(
         report: result of `twin.reporting.machine_report`.
         job: facts of the test.
         tolerances: largest permitted absolute value, µm or µrad, by ISO 230-1 name, ``tool`` or ``tool_after``.
-        logo: data URI of `twin.reporting.job.logo_uri`; empty for none.
+        logo: data URI of `twin.reporting.front.logo_uri`; empty for none.
 
     Raises:
         InputError: a tolerance of an unknown name.

@@ -7,34 +7,37 @@ text is in the templates next to this module, one per section.
 from __future__ import annotations
 
 import html
+import os
 import re
+import shutil
+import subprocess
+import tempfile
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import Final
 
 from matplotlib.figure import Figure
 
-from twin._common.language import Language
+from twin._common.errors import InputError
+from twin._common.families import Language
+from twin.controls import ControlSection
 from twin.display import Html, place, render, with_half
 from twin.display.figures import embedded
-from twin.display.numbers import COVERAGE_FACTOR
-from twin.display.sentences import listed
-from twin.machine.control import ControlSection
-from twin.machine.display import uncertainty_of
-from twin.machine.effects import Effect
+from twin.display.numbers import COVERAGE_FACTOR, listed
+from twin.model.display import uncertainty_of
+from twin.model.effects import Effect
 from twin.numerics.curves import Basis, basis_named
 from twin.reporting import plots
 from twin.reporting.compensation import MACHINES
+from twin.reporting.contributions import Motion
 from twin.reporting.front import FrontPage, front_page
-from twin.reporting.language import wording
-from twin.reporting.motions import Motion
-from twin.reporting.readings import PositionEstimates
+from twin.reporting.identified import PositionEstimates
 from twin.reporting.result import MachineReport
-from twin.reporting.scene.field import field_html
+from twin.reporting.scene.draw import field_html
 from twin.reporting.scene.path import scale_top_um
-from twin.reporting.translation import Translator, translator
-from twin.reporting.words import CLASSES
-from twin.uncertainty.at_tool import DEFINITION
+from twin.reporting.translation import CLASSES, Translator, translator, wording
+from twin.tool.uncertainty import DEFINITION
 
 COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de"}
 MARKS: Final = {"do": "✔ Do", "measure": "◎ Measure", "never": "✘ Do not", "unknown": "? Not known"}
@@ -185,3 +188,84 @@ def _rows_of(rows: Sequence[tuple[int, str]]) -> list[str]:
 
 def _tables_of(control: ControlSection) -> list[str]:
     return [f"{one.file.name} ({' '.join(one.classes)})" for one in control.tables]
+
+
+# --- Print an HTML page to PDF through an installed browser, headless and without network ---------
+
+VARIABLE: Final = "TWIN_BROWSER"
+"""Environment variable that names the browser."""
+BROWSERS: Final = (
+    "chromium",
+    "chromium-browser",
+    "google-chrome",
+    "google-chrome-stable",
+    "microsoft-edge",
+    "msedge",
+    "chrome",
+)
+WORKING: Final = f"a working browser; {VARIABLE} names another"
+TIMEOUT_S: Final = 120.0
+OPTIONS: Final = (
+    "--headless=new --no-first-run --disable-background-networking --disable-component-update --disable-sync --disable-extensions "
+    "--no-pdf-header-footer --host-resolver-rules=MAP\x00*\x00~NOTFOUND"
+)
+
+
+def find_browser() -> str:
+    """Return the path of a browser of the Chromium family.
+
+    Raises:
+        InputError: none is installed, or the environment variable ``TWIN_BROWSER`` names no program.
+    """
+    named = os.environ.get(VARIABLE)
+    if named:
+        found = shutil.which(named)
+        if found is None:
+            raise InputError(
+                f"{VARIABLE} names no program", expected="the path of Chromium, Chrome or Edge", value=named
+            )
+        return found
+    found = next((path for path in map(shutil.which, BROWSERS) if path), None)
+    if found is None:
+        raise InputError(
+            "no PDF without a browser",
+            expected=f"Chromium, Chrome or Edge (Debian: apt install chromium), or its path in {VARIABLE}; or print the HTML file",
+        )
+    return found
+
+
+def page_to_pdf(page: str, browser: str) -> bytes:
+    """Return a page as PDF.
+
+    Args:
+        page: self-contained HTML.
+        browser: path of the browser.
+
+    Raises:
+        InputError: the browser failed or took longer than 120 s.
+    """
+    with tempfile.TemporaryDirectory(prefix="twin-pdf-", ignore_cleanup_errors=True) as name:
+        folder = Path(name)
+        source, target = folder / "page.html", folder / "page.pdf"
+        source.write_text(page, encoding="utf-8")
+        options = [option.replace("\x00", " ") for option in OPTIONS.split(" ")]
+        if hasattr(os, "geteuid") and os.geteuid() == 0:
+            options.append("--no-sandbox")  # Chromium refuses to run as root otherwise
+        call = [browser, *options, f"--user-data-dir={folder / 'profile'}", f"--print-to-pdf={target}", source.as_uri()]
+        try:
+            done = subprocess.run(call, capture_output=True, timeout=TIMEOUT_S, check=False)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise InputError(
+                "the browser did not print the page",
+                expected=WORKING,
+                value=type(error).__name__,
+                file=browser,
+            ) from error
+        if done.returncode or not target.is_file() or not target.read_bytes().startswith(b"%PDF"):
+            raise InputError(
+                "the browser did not print the page",
+                expected=WORKING,
+                value=f"exit status {done.returncode}",
+                file=browser,
+            )
+        return target.read_bytes()

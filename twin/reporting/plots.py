@@ -25,20 +25,21 @@ from twin.display.figures import (
     RUN,
     SHADE,
     THIRD,
+    add_plain_axes,
+    add_plain_polar,
+    draw_plain_axes,
+    draw_plain_polar,
     new_figure,
     plot_markers,
     polar_ticks,
     style_axes,
     text_box_style,
 )
-from twin.display.plain_axes import add_plain_axes, add_plain_polar, draw_plain_axes, draw_plain_polar
 from twin.reporting.compensation import CompensationForecast
-from twin.reporting.contributions import Contribution
-from twin.reporting.field import Field, Slice
-from twin.reporting.motions import Motion
-from twin.reporting.readings import PointComparison, PositionEstimates
+from twin.reporting.contributions import Contribution, Field, Motion, Slice
+from twin.reporting.identified import PointComparison, PositionEstimates
 from twin.reporting.result import Constant
-from twin.reporting.scene.field import chosen_factor
+from twin.reporting.scene.draw import chosen_factor
 from twin.reporting.scene.path import scale_top_um, viridis
 
 WIDTH: Final = 4.4

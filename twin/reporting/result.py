@@ -2,42 +2,130 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from importlib import metadata
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
-from twin._common.json_form import json_form
-from twin._common.progress import Progress, silent
 from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, warnings_to_json
+from twin._common.records import json_form
+from twin._common.resources import Progress, silent
+from twin._common.units import count_with_noun
+from twin.compute.parallel import versions
+from twin.controls import ControlSection, file_sha256
 from twin.display.numbers import COVERAGE_FACTOR
-from twin.kinematics.forward import Kinematics
-from twin.machine.calibration import Calibration
-from twin.machine.calibration_file import UnidentifiedEntry
-from twin.machine.conditions import Conditions
-from twin.machine.control import ControlSection
-from twin.machine.datum import EXPLANATION, MEAN_LINES
-from twin.machine.display import uncertainty_of
-from twin.machine.effects import split_name, unit_of
 from twin.machine.machine import Axis, Machine
 from twin.measurement.table import Measurements
-from twin.reporting.advice import MachineAdvice, advise
+from twin.model.calibration import Calibration
+from twin.model.calibration_file import UnidentifiedEntry
+from twin.model.conditions import Conditions
+from twin.model.datum import EXPLANATION, MEAN_LINES
+from twin.model.display import uncertainty_of
+from twin.model.effects import split_name, unit_of
+from twin.reporting.advice import MachineAdvice, TablesLeft, advise, tables_left
 from twin.reporting.compensation import CompensationForecast, forecast_compensation
-from twin.reporting.contributions import Budget, budget
-from twin.reporting.field import Field, field
-from twin.reporting.identified import Identified
-from twin.reporting.motions import Motion, motions
-from twin.reporting.readings import PointComparison
-from twin.reporting.sources import Sources, sources
-from twin.reporting.tables import TablesLeft, tables_left
-from twin.reporting.words import named
-from twin.uncertainty.at_tool import DEFINITION
-from twin.uncertainty.budget import without_missing_channels
+from twin.reporting.contributions import Budget, Field, Motion, budget, field, motions
+from twin.reporting.identified import Identified, PointComparison
+from twin.reporting.translation import named
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import BUDGET_SEED, DEFINITION, without_missing_channels
+
+MORE: Final = ("matplotlib", "meshcat")
+MISSING: Final = "not installed"
+
+
+@final
+@dataclass(frozen=True)
+class Source:
+    """One source file.
+
+    Attributes:
+        role: kind of file, in words.
+        path: its path.
+        sha256: SHA-256 digest of its bytes, in hexadecimal.
+    """
+
+    role: str
+    path: str
+    sha256: str
+
+
+@final
+@dataclass(frozen=True)
+class Sources:
+    """Files, programs and seeds from which a report was made.
+
+    Attributes:
+        files: the source files.
+        programs: version of every program, by name.
+        seeds: random seeds, by their use.
+        made: date and time.
+    """
+
+    files: tuple[Source, ...]
+    programs: Mapping[str, str]
+    seeds: Mapping[str, int]
+    made: datetime
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content for JSON."""
+        return json_form(self, leave_out=("made",)) | {"made": self.made.isoformat(timespec="seconds")}
+
+
+def sources(
+    calibration: Calibration, identified: Path | None, measured: Sequence[Path], seed: int, made: datetime
+) -> Sources:
+    """Return the sources of a report.
+
+    Args:
+        calibration: the calibration, with its machine.
+        identified: JSON file of the identification, or None.
+        measured: measurement tables.
+        seed: random seed of the draws from the covariance.
+        made: date and time.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    machine = calibration.machine
+    files = [("machine file", machine.path), ("URDF", machine.urdf)]
+    if calibration.path is not None:
+        files.append(("calibration", calibration.path))
+    if identified is not None:
+        files.append(("identification", identified))
+    files += [("measured", path) for path in measured]
+    # The control's tables as listed in the calibration: they are not read, so the files may be absent.
+    tables = () if calibration.control is None else calibration.control.entries
+    return Sources(
+        files=(
+            *(Source(role, str(path), file_sha256(path)) for role, path in files),
+            *(Source(f"table in the control ({one.format})", str(one.file), one.sha256) for one in tables),
+        ),
+        programs=MappingProxyType(
+            versions() | {"python": platform.python_version()} | {name: _version(name) for name in MORE}
+        ),
+        seeds=MappingProxyType(
+            {"poses and directions of approach": BUDGET_SEED, "uncertainty of the calibration": seed}
+        ),
+        made=made,
+    )
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return MISSING
+
+
+# --- Compute every number of a machine report, and its JSON ---------------------------------------
 
 SCHEMA: Final = "twin.reporting/1"
 SEED: Final = 0
@@ -315,7 +403,7 @@ def _comparisons(
 ) -> Iterator[PointComparison]:
     if not measured:
         return
-    from twin.reporting.comparing import compare_points  # imports the diagnosis: slow, and needed only here
+    from twin.reporting.compensation import compare_points  # imports the diagnosis: slow, and needed only here
 
     for i, (path, data) in enumerate(measured):
         progress("measured", 0.5 + 0.35 * i / len(measured))

@@ -8,19 +8,167 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
 from importlib import resources
+from types import MappingProxyType
 from typing import Any, Final, final
 
 import yaml
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from twin._common.language import Language
-from twin.display.numbers import with_joined_units
-from twin.reporting.language import wording
+from twin._common.families import Language
+from twin.display import UNKNOWN
+from twin.display.numbers import capital, with_joined_units
+from twin.machine.machine import Machine
+from twin.model.effects import MACHINE_EFFECTS, split_name
+from twin.model.effects.base import motion_in_words
+from twin.model.effects.specification import title_of
+
+CLASSES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "L-POS": "positioning of the linear axes",
+        "L-STR": "straightness of the linear axes",
+        "L-SQU": "squareness between the linear axes",
+        "L-ANG": "angular error motions of the linear axes",
+        "R-POS": "angular positioning of the rotary axes",
+        "R-RAX": "radial and axial error motions of the rotary axes",
+        "R-POR": "position and orientation of the rotary axes",
+        "R-ANG": "tilt error motions of the rotary axes",
+        "control": "compensation by the control",
+        "all": "all errors together",
+    }
+)
+
+
+def named(name: str, machine: Machine) -> str:
+    """Return an error, an effect or a class in words, or its symbol if there are no words for it.
+
+    Args:
+        name: ISO 230-1 name, ``reversal:Y``, or the class of ISO/TR 16907.
+        machine: the machine it belongs to.
+    """
+    if name in CLASSES:
+        return capital(CLASSES[name])
+    if name.startswith("E_"):
+        return _of_motion(name, machine)
+    effect, colon, where = name.partition(":")
+    if not colon:
+        return name
+    if effect == "control":
+        return f"Table in the control: {where}"
+    return _title(effect, where.partition("[")[0])
+
+
+def motion_kind(name: str, machine: Machine) -> str:
+    """Return the kind of an error of an axis.
+
+    ``positioning``, ``straightness``, ``pitch`` (any angle), ``square``, ``displaced``, ``tilted``, ``angular_positioning``, ``tilt``,
+    ``axial`` or ``radial``.
+
+    Args:
+        name: ISO 230-1 name.
+        machine: the machine it belongs to.
+    """
+    component, average, axis = split_name(name)
+    one = machine.by_name[axis]
+    if average:
+        return "square" if one.linear else "displaced" if component < 3 else "tilted"
+    along = max(range(3), key=lambda i: abs(one.direction[i]))
+    if one.linear:
+        return "pitch" if component >= 3 else "positioning" if component == along else "straightness"
+    if component >= 3:
+        return "angular_positioning" if component == along + 3 else "tilt"
+    return "axial" if component == along else "radial"
+
+
+_MOTIONS: Final = {
+    "positioning": "Positioning of {axis}",
+    "straightness": "Straightness of {axis} in {direction}",
+    "pitch": "Angular error motion of {axis} about {direction}",
+    "angular_positioning": "Angular positioning of {axis}",
+    "tilt": "Tilt error motion of {axis} about {direction}",
+    "axial": "Axial error motion of {axis} in {direction}",
+    "radial": "Radial error motion of {axis} in {direction}",
+}
+
+
+def _of_motion(name: str, machine: Machine) -> str:
+    component, average, axis = split_name(name)
+    if average:
+        return _title("squareness", name) if machine.by_name[axis].linear else capital(motion_in_words(name))
+    return _MOTIONS[motion_kind(name, machine)].format(axis=axis, direction="xyz"[component % 3])
+
+
+def _title(effect: str, where: str) -> str:
+    """Return the name of a machine effect at a place; a calibration holds no effects of instruments."""
+    return title_of({one.name: one for one in MACHINE_EFFECTS}.get(effect), effect, where)
+
+
+# --- Wording of a report in several languages: one YAML file per language next to this module, in `wording`
+
+DECIMAL_POINT: Final = re.compile(r"(?<=\d)\.(?=\d)")
+
+
+@final
+@dataclass(frozen=True)
+class Wording:
+    """Texts of one language.
+
+    Attributes:
+        language: the language.
+        texts: text by key; names in braces are filled in.
+    """
+
+    language: Language
+    texts: Mapping[str, str]
+
+    def __call__(self, key: str, **values: object) -> str:
+        """Return a text with its values filled in.
+
+        Raises:
+            KeyError: there is no such text, or a value is missing.
+        """
+        return self.texts[key].format(**values)
+
+    def number(self, text: str) -> str:
+        """Return a number, formatted by `twin.display.numbers`, with the decimal mark and the words of the language."""
+        if self.language is Language.de:
+            text = DECIMAL_POINT.sub(",", text)
+        return text.replace(UNKNOWN, self.texts["unknown"])
+
+    def knows(self, name: str) -> bool:
+        """Return whether an error has words in this language (`error`)."""
+        return name.startswith("E_") or f"item_{name}" in self.texts
+
+    def error(self, name: str, machine: Machine, to: str = "") -> str:
+        """Return an error in words.
+
+        Args:
+            name: ISO 230-1 name, ``tool`` or ``tool_after``, or another effect, whose words are English.
+            machine: the machine it belongs to.
+            to: for a squareness, the reference axis; empty if unknown.
+        """
+        if not self.knows(name):
+            return named(name, machine)
+        if f"item_{name}" in self.texts:
+            return self(f"item_{name}")
+        component, _, axis = split_name(name)
+        kind = motion_kind(name, machine)
+        key = "square_about" if kind == "square" and not to else kind
+        return self(key, axis=axis, direction="xyz"[component % 3], to=to)
+
+
+@cache
+def wording(language: Language) -> Wording:
+    """Return the texts of a language."""
+    text = (resources.files("twin.reporting") / "wording" / f"{language.value}.yaml").read_text(encoding="utf-8")
+    return Wording(language, yaml.safe_load(text))
+
+
+# --- Translate the sentences of a rendered page and of its pictures with a catalogue: `wording/<language>_sentences.yaml`
 
 INLINE: Final = r"(?:/?(?:b|code|i|em|sub|sup)\b)"
 TAG: Final = re.compile(rf"(<style.*?</style>|<script.*?</script>|<(?!{INLINE})[^>]+>)", re.DOTALL)

@@ -4,7 +4,7 @@ Three curves are published numbers: the translational error motions of X, recove
 3.11 of Ellingsdalen (2021) prints. All other errors of that machine were published only as pictures and words. The remaining 27
 curves and the squareness errors are illustrative: drawn by a seeded random generator with the magnitudes stated in words.
 
-The file is in the datum `mean lines` (`twin.machine.datum`). It describes the same machine at the tool, with the constants and lines
+The file is in the datum `mean lines` (`twin.model.datum`). It describes the same machine at the tool, with the constants and lines
 of the drawn curves moved to squareness and locations.
 """
 
@@ -19,10 +19,10 @@ from typing import Final
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from twin.machine.calibration import Calibration
-from twin.machine.datum import MEAN_LINES
 from twin.machine.machine import Machine
-from twin.machine.motion_curve import Curve
+from twin.model.calibration import Calibration
+from twin.model.datum import MEAN_LINES
+from twin.model.motion_curve import Curve
 
 FIGURE_3_11: Final = np.array(
     [

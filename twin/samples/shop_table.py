@@ -14,11 +14,11 @@ from typing import Final
 import numpy as np
 
 from twin._common.files import write_atomic
-from twin.machine.calibration import Calibration
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
 from twin.samples import PLANS, TABLES
 
 SEED: Final = 11

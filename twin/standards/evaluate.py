@@ -11,21 +11,23 @@ import numpy as np
 from twin._common.errors import InputError, require_type
 from twin._common.provenance import SIMULATED
 from twin.machine.machine import Machine
-from twin.measurement.bar_length import with_length
-from twin.measurement.evaluation import Straightness
 from twin.measurement.instruments import Instrument
-from twin.measurement.observation import Observation
-from twin.measurement.state import of_angles
-from twin.measurement.table import Measurements
-from twin.standards.angular import angular_tests
-from twin.standards.circles import circle_test
-from twin.standards.kinematic import kinematic_test
-from twin.standards.linear import linear_positioning, squareness_tests, straightness_tests
-from twin.standards.readings import NotPossible, reading_uncertainty_mm, station_frame
+from twin.measurement.observation import Observation, of_angles
+from twin.measurement.table import Measurements, with_length
+from twin.standards.iso230_1 import Straightness
+from twin.standards.linear_axes import angular_tests, linear_positioning, squareness_tests, straightness_tests
+from twin.standards.readings import (
+    MeasuredRun,
+    NotPossible,
+    TableRuns,
+    directions,
+    find_runs,
+    place_of,
+    reading_uncertainty_mm,
+    station_frame,
+)
 from twin.standards.result import EvaluationResult, NotEvaluated, StandardTest, check_limits, check_tolerances
-from twin.standards.rotary import rotary_tests
-from twin.standards.runs import MeasuredRun, TableRuns, directions, find_runs
-from twin.standards.words import place_of
+from twin.standards.rotary_axes import circle_test, kinematic_test, rotary_tests
 
 NO_RUN: Final = {
     "positioning": "no run in which one axis alone moves to at least three targets, or repeatedly to two",

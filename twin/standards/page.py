@@ -9,24 +9,19 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from twin._common.counts import count_with_noun
 from twin._common.provenance import warning_texts
+from twin._common.units import count_with_noun
 from twin.display import Html, figure, readable, render
 from twin.display.figures import BACKWARD, FORWARD, THIRD, embedded, new_figure, style_axes
 from twin.measurement.checks import grouped_notes
-from twin.measurement.evaluation import (
-    AngularError,
-    CircularTest,
-    DriftSeries,
-    Positioning,
-    RotaryMotion,
-    Straightness,
-    UnidirectionalPositioning,
-)
-from twin.measurement.evaluation.drift_plot import plot_drift
-from twin.measurement.evaluation.plots import (
+from twin.standards.drift.iso230_3 import DriftSeries
+from twin.standards.iso230_1 import AngularError, Straightness
+from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning
+from twin.standards.iso230_4 import CircularTest, RotaryMotion
+from twin.standards.plots import (
     plot_angular_error,
     plot_circular,
+    plot_drift,
     plot_error_motion,
     plot_positioning,
     plot_straightness,

@@ -9,24 +9,18 @@ from typing import Any, Final, Literal, Protocol, final
 
 import numpy as np
 
-from twin._common.conformity import Verdict, decide, is_accepted
-from twin._common.counts import count_with_noun
+from twin._common.distributions import Verdict, decide, is_accepted
 from twin._common.errors import InputError
-from twin._common.json_form import json_form
 from twin._common.provenance import SourceWarning, warning_texts, warnings_to_json
+from twin._common.records import json_form
+from twin._common.units import count_with_noun
 from twin.display import card, figure, note, readable, table
 from twin.display.numbers import COVERAGE_FACTOR, with_joined_units
 from twin.measurement.checks import RowNote, grouped_notes
-from twin.measurement.evaluation import (
-    AngularError,
-    CircularTest,
-    DriftSeries,
-    Positioning,
-    RotaryMotion,
-    SquarenessError,
-    Straightness,
-    UnidirectionalPositioning,
-)
+from twin.standards.drift.iso230_3 import DriftSeries
+from twin.standards.iso230_1 import AngularError, SquarenessError, Straightness
+from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning
+from twin.standards.iso230_4 import CircularTest, RotaryMotion
 
 SCHEMA: Final = "twin.evaluation/1"
 WIDTH: Final = 110

@@ -9,10 +9,14 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
-from twin._common.progress import silent
-from twin.thermal.candidates import (
+from twin._common.resources import silent
+from twin._common.units import count_with_noun
+from twin.thermal.evidence import (
+    STEPS,
+    Average,
+    DrawnModels,
+    Evidence,
     Inputs,
     TermCandidate,
     averaged,
@@ -22,15 +26,99 @@ from twin.thermal.candidates import (
     features,
     sensor_groups,
 )
-from twin.thermal.evidence import STEPS, DrawnModels, Evidence
-from twin.thermal.model import DisplacementModel, ThermalModel
-from twin.thermal.named_terms import named_terms
+from twin.thermal.model import DisplacementModel, ThermalModel, ThermalTerm
 from twin.thermal.record import ThermalRecord
+
+CERTAIN: Final = 0.95
+"""Share of the models above which an input has no alternatives."""
+LISTED: Final = 1.0
+"""Least contribution of a term that matters, in standard deviations of the residual."""
+
+
+def input_name(term: TermCandidate) -> str:
+    """Return the name of the input that a candidate follows."""
+    if term.sensors:
+        return term.sensors[0] if len(term.sensors) == 1 else f"group {', '.join(term.sensors)}"
+    return "drift" if term.effect == "thermal_drift" else "speed"
+
+
+def named_terms(
+    displacement: str,
+    candidates: Sequence[TermCandidate],
+    x: np.ndarray,
+    draws: DrawnModels,
+    average: Average,
+    factor: float,
+) -> tuple[ThermalTerm, ...]:
+    """Return the terms of a displacement, by falling contribution.
+
+    Args:
+        displacement: its name.
+        candidates: all candidates.
+        x: candidates over the fitted rows (n, candidates).
+        draws: the models drawn for its group.
+        average: its average.
+        factor: factor of the standard uncertainties, from held-out data.
+    """
+    families: dict[tuple[str, str], list[int]] = {}
+    for j, term in enumerate(candidates):
+        families.setdefault((term.effect, input_name(term)), []).append(j)
+    followed = [{input_name(candidates[j]) for j in model} for model in draws.models]
+    found = []
+    for (effect, name), members in families.items():
+        index = np.array(members)
+        weight = average.mean[index] ** 2 + np.diag(average.covariance)[index]
+        if weight.sum() <= 0.0:
+            continue
+        weight = weight / weight.sum()
+        tau = np.array([candidates[j].time_constant_s for j in members])
+        centre = float(weight @ tau)
+        moved = x[:, index] @ average.mean[index]
+        share, others = _share(name, followed)
+        contribution = float(moved.std())
+        found.append(
+            ThermalTerm(
+                effect=effect,
+                name=f"{displacement} by {name}" if candidates[members[0]].sensors else displacement,
+                input=name,
+                coefficient=float(average.mean[index].sum()),
+                standard_uncertainty=factor * float(np.sqrt(max(average.covariance[np.ix_(index, index)].sum(), 0.0))),
+                time_constant_s=centre,
+                u_time_constant_s=float(np.sqrt(weight @ (tau - centre) ** 2)),
+                exponent=float(weight @ [candidates[j].exponent for j in members])
+                if effect.startswith("spindle")
+                else None,
+                share=share,
+                alternatives=others,
+                contribution_um=contribution,
+                matters=contribution > LISTED * average.residual_um,
+            )
+        )
+    return tuple(sorted(found, key=lambda term: -term.contribution_um))
+
+
+def _share(name: str, followed: Sequence[set[str]]) -> tuple[float, tuple[str, ...]]:
+    """Return the share of the models that follow an input, and the inputs that the others follow clearly more often."""
+    having = [names for names in followed if name in names]
+    lacking = [names for names in followed if name not in names]
+    share = len(having) / len(followed)
+    if not lacking or share > CERTAIN:
+        return share, ()
+    found = []
+    for other in sorted({one for names in lacking for one in names}):
+        without = sum(other in names for names in lacking) / len(lacking)
+        beside = sum(other in names for names in having) / max(len(having), 1)
+        if having and without > 0.3 and without > beside + 0.15:
+            found.append((beside - without, other))
+    return share, tuple(other for _, other in sorted(found))
+
+
+# --- Fit a thermal model to a record and estimate its error on unseen data from parts of the record that were not fitted
 
 PARTS: Final = 139
 """The record is averaged to some 140 rows: shorter changes are noise to the lags of the candidates."""
 LEAST_ROWS: Final = 60
-FORWARD: Final = (0.4, 0.55, 0.7)
+FORWARD_SHARES: Final = (0.4, 0.55, 0.7)
 """Shares of the record that are fitted to predict the rest."""
 BLOCKS: Final = 6
 """Number of blocks of time of which each is left out once."""
@@ -165,7 +253,7 @@ def _fit(problem: AveragedRecord, rows: np.ndarray, seed: int, *, steps: int = S
 def _held_out(problem: AveragedRecord, seed: int, progress: Callable[[str, float], None]) -> HeldOutErrors:
     """Fit parts of the record and compare the errors on the rest with the uncertainty."""
     count = len(problem.x)
-    folds = [np.arange(count) >= round(share * count) for share in FORWARD]
+    folds = [np.arange(count) >= round(share * count) for share in FORWARD_SHARES]
     folds += [np.isin(np.arange(count), block) for block in np.array_split(np.arange(count), BLOCKS)]
     top = _highest_speed_left_out(problem)
     if top is not None:
@@ -178,7 +266,7 @@ def _held_out(problem: AveragedRecord, seed: int, progress: Callable[[str, float
         expected.append(variance.mean(axis=0))
     squares, variances = np.array(errors), np.array(expected)
     factor = np.sqrt((squares / variances).mean(axis=0))
-    forward, blocks = slice(0, len(FORWARD)), slice(len(FORWARD), len(FORWARD) + BLOCKS)
+    forward, blocks = slice(0, len(FORWARD_SHARES)), slice(len(FORWARD_SHARES), len(FORWARD_SHARES) + BLOCKS)
     return HeldOutErrors(np.maximum(factor, 1.0), np.sqrt(squares[blocks].mean(axis=0)), np.sqrt(squares[forward]))
 
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin._common.json_form import json_form
-from twin._common.records import SPEED
-from twin.thermal.candidates import Inputs, TermCandidate, drivers, features, lagged
+from twin._common.records import SPEED, json_form
+from twin.thermal.evidence import Inputs, TermCandidate, drivers, features, lagged
 from twin.thermal.record import ThermalRecord
 
 SCHEMA: Final = "twin.thermal-model/1"

@@ -13,7 +13,7 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin._common.yaml_files import load_yaml, yaml_text
-from twin.thermal.candidates import Inputs, TermCandidate
+from twin.thermal.evidence import Inputs, TermCandidate
 from twin.thermal.model import SCHEMA, DisplacementModel, ThermalModel, ThermalTerm
 
 Effect = Literal["thermal_lag", "spindle_growth", "spindle_shift", "thermal_drift"]

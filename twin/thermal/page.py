@@ -8,13 +8,88 @@ from typing import Final
 
 import numpy as np
 
-from twin._common.counts import count_with_noun
+from twin._common.files import write_atomic
+from twin._common.units import count_with_noun
 from twin.display import Html, measured, render
 from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, SHADE, embedded, new_figure, style_axes
-from twin.thermal.fit import FORWARD as SHARES
-from twin.thermal.model import ThermalModel, ThermalPrediction
+from twin.thermal.fit import FORWARD_SHARES
+from twin.thermal.fit import FORWARD_SHARES as SHARES
+from twin.thermal.model import ThermalModel, ThermalPrediction, ThermalTerm
 from twin.thermal.record import ThermalRecord
-from twin.thermal.text import time_constant_text
+
+
+def model_lines(model: ThermalModel) -> list[str]:
+    """Return the terms of every displacement, the groups of sensors and the held-out errors."""
+    lines = [f"Thermal model of {model.source}"]
+    for one in model.displacements:
+        lines += ["", f"{one.name}: residual {one.residual_um:.2g} µm"]
+        if np.isfinite(one.held_out_um):
+            forward = ", ".join(f"{value:.2g}" for value in one.forward_um)
+            shares = ", ".join(f"{share:.0%}" for share in FORWARD_SHARES)
+            lines[-1] += (
+                f"; held out {one.held_out_um:.2g} µm RMS on blocks of time, {forward} µm on the rest after {shares} of the record"
+            )
+        lines += [f"  {term_text(term)}" for term in one.listed]
+        rest = [term for term in one.terms if not term.matters]
+        if rest:
+            together = float(np.sqrt(sum(term.contribution_um**2 for term in rest)))
+            lines.append(f"  {len(rest)} smaller terms, together {together:.2g} µm RMS")
+    lines.append("")
+    for group in model.groups:
+        if len(group) > 1:
+            lines.append(f"sensors that this record cannot distinguish: {', '.join(group)}")
+    return [*lines, *model.notices]
+
+
+def term_text(term: ThermalTerm) -> str:
+    """Return one term in a line."""
+    text = f"{term.effect:<15} {term.name}: {measured(term.coefficient, term.standard_uncertainty, term.unit)}"
+    if term.effect.startswith("spindle"):
+        text += f" at the highest speed, exponent {term.exponent:.2g}"
+    if term.effect != "spindle_shift":
+        text += f", {time_constant_text(term)}"
+    if term.alternatives:
+        text += f"; in {term.share:.0%} of the models, else {' or '.join(term.alternatives)}"
+    return text
+
+
+def time_constant_text(term: ThermalTerm) -> str:
+    """Return the time constant with its standard deviation over the models."""
+    if term.time_constant_s < term.u_time_constant_s / 2.0:
+        return "mostly without lag"
+    return f"time constant {round(term.time_constant_s, -2):.0f} s (u = {round(term.u_time_constant_s, -2):.0f} s)"
+
+
+def prediction_lines(path: str, prediction: ThermalPrediction) -> list[str]:
+    """Return the expected error for a record and, where it was measured, the error found."""
+    lines = [f"Prediction for {path}", *(f"warning: {text}" for text in prediction.warnings)]
+    for k, name in enumerate(prediction.displacements):
+        u = prediction.standard_uncertainty_um[:, k]
+        line = f"  {name}: expected RMS error {prediction.expected_rms_um[k]:.2f} µm"
+        line += f" (standard uncertainty {u.min():.2g} to {u.max():.2g} µm)"
+        if np.isfinite(prediction.rms_um[k]):
+            inside = float((np.abs(prediction.residual_um[:, k]) <= 2.0 * u).mean())
+            line += f"; measured minus predicted {prediction.rms_um[k]:.2f} µm RMS, {inside:.0%} of the rows within U (k = 2)"
+        lines.append(line)
+    return lines
+
+
+def save_prediction(prediction: ThermalPrediction, path: str | Path) -> None:
+    """Write a table with ``time_s`` and, for each displacement, the prediction ``<name>_um`` and ``u_<name>_um``, atomically.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    header = ["time_s"]
+    columns = [prediction.time_s]
+    for k, name in enumerate(prediction.displacements):
+        header += [f"{name}_um", f"u_{name}_um"]
+        columns += [prediction.displacement_um[:, k], prediction.standard_uncertainty_um[:, k]]
+    rows = [",".join([f"{row[0]:.10g}", *(f"{value:.3f}" for value in row[1:])]) for row in zip(*columns, strict=True)]
+    write_atomic(Path(path), "\n".join([",".join(header), *rows, ""]))
+
+
+# --- A thermal model as one HTML file: expected errors, terms, measured and predicted displacements. Needs the extra ``plots`
 
 MOST_PICTURES: Final = 20
 HOUR: Final = 3600.0

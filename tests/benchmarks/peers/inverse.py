@@ -18,11 +18,11 @@ from scipy.optimize import root
 from tests.benchmarks.peers.chain import SerialChain, pinocchio_model, serial_chain
 from tests.benchmarks.peers.record import Measured, Peer, Section, section
 from tests.benchmarks.timing import timed
-from tests.kinematics.test_kinematics import random_commands
-from twin.kinematics.forward import Kinematics, Poses
-from twin.kinematics.inverse import Inverse
-from twin.machine.calibration import Calibration
+from tests.tool.test_kinematics import random_commands
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.tool.forward import Kinematics, Poses
+from twin.tool.inverse import Inverse
 
 LENGTH_MM = 100.0
 TILT_DEG = (20.0, 160.0)

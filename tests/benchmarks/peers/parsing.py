@@ -18,11 +18,11 @@ from tests.benchmarks import programs
 from tests.benchmarks.peers.record import Measured, Peer, Section, section
 from tests.benchmarks.timing import timed
 from twin.compensation import Options
-from twin.compensation.prepared import PreparedMachine
-from twin.compensation.stream.parts import PartReader, ProgramFile
-from twin.compensation.toolpath.words import axis_words
-from twin.machine.calibration import Calibration
+from twin.compensation.programs.prepared import PreparedMachine
+from twin.compensation.programs.stream import PartReader, ProgramFile
+from twin.compensation.programs.words import axis_words
 from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.nc import dialect_for
 from twin.nc.blocks import Move
 

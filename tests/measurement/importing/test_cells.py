@@ -8,12 +8,8 @@ from pathlib import Path
 import pytest
 
 import twin
-from twin.measurement.importing.cells import read_cells
-from twin.measurement.importing.decimals import decimal_sign, decimal_value
-from twin.measurement.importing.headers import meaning_of
-from twin.measurement.importing.layout import layout_of
-from twin.measurement.importing.units import unit_named
-from twin.measurement.importing.vocabulary import direction_of
+from twin.measurement.importing.cells import decimal_sign, decimal_value, layout_of, read_cells
+from twin.measurement.importing.headers import direction_of, meaning_of, unit_named
 
 
 @pytest.mark.parametrize(

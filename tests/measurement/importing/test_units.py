@@ -14,11 +14,10 @@ import pytest
 from scipy import constants as si
 
 from twin.machine.machine import Machine
-from twin.measurement.importing.apply import Applied
-from twin.measurement.importing.cells import read_cells
-from twin.measurement.importing.layout import layout_of
+from twin.measurement.importing.cells import layout_of, read_cells
+from twin.measurement.importing.headers import UNITS, table_unit, unit_named, units_of
 from twin.measurement.importing.mapping import ColumnMapping
-from twin.measurement.importing.units import UNITS, table_unit, unit_named, units_of
+from twin.measurement.importing.propose import Applied
 
 DEG = 1.0 / si.degree
 """Degrees per radian."""

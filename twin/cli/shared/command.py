@@ -9,24 +9,26 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any, Final, TypeVar, final, get_args, get_type_hints
 
 import typer
 
-from twin._common.bundled import find_bundled, find_program
-from twin._common.defaults import bundled_folder
-from twin._common.errors import InputError, closest_name
+from twin._common.bundled import bundled_folder, find_bundled, find_program
+from twin._common.errors import InputError, closest_name, did_you_mean
 from twin._common.files import check_writable, names_beside, read_bytes, tracked_files, write_json
+from twin.cli.shared.complete import ListingCommand
 from twin.cli.shared.installation import NOT_ALL_MET
-from twin.cli.shared.lists import ListingCommand
-from twin.cli.shared.terminal import echo, is_silenced, print_error, silenced
-from twin.cli.shared.words import positive, usable_number
+from twin.cli.shared.terminal import echo, is_silenced, positive, print_error, silenced, usable_number
 from twin.samples import PLANS
 
 HELP: Final = {"help_option_names": ["-h", "--help"]}
@@ -258,3 +260,105 @@ def _check_output(path: Path, mark: Output) -> None:
             expected=f"a name ending in {' or '.join(mark.suffixes)}",
             file=path,
         )
+
+
+# --- Handle SIGTERM and SIGHUP like Ctrl-C: remove temporary files and stop child processes -------
+
+NAMES: Final = ("SIGTERM", "SIGHUP")
+
+
+@final
+class Received:
+    """The signal that ended the command, if one did."""
+
+    def __init__(self) -> None:
+        self.number: int | None = None
+
+    def interrupt(self, number: int, frame: FrameType | None) -> None:
+        """Raise KeyboardInterrupt on the first signal; ignore later ones, so that the clean-up completes.
+
+        Raises:
+            KeyboardInterrupt: on the first signal.
+        """
+        if self.number is None:
+            self.number = number
+            raise KeyboardInterrupt
+
+    @property
+    def status(self) -> int:
+        """Exit status of an interrupted command: 128 plus the signal's number; that of SIGINT if none was received."""
+        return 128 + (signal.SIGINT if self.number is None else self.number)
+
+    @property
+    def reason(self) -> str:
+        """Reason for the end of the command, in a few words."""
+        return "interrupted" if self.number is None else f"ended by {signal.Signals(self.number).name}"
+
+
+@contextmanager
+def as_interrupt() -> Iterator[Received]:
+    """Turn the signals into KeyboardInterrupt inside the context; a signal that is ignored, as under nohup, stays ignored."""
+    received = Received()
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for name in NAMES:
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+                before[number] = signal.signal(number, received.interrupt)
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+# --- Usage errors in one line: the offending text, the nearest valid name, and the help to consult
+
+# Not every version of typer exports the parser's exception classes; this is their common base.
+UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+
+
+def usage_message(error: Any) -> str:
+    """Return the message of a usage error, in one line.
+
+    Args:
+        error: an instance of `UsageError`.
+    """
+    context = getattr(error, "ctx", None)
+    path = "twin" if context is None else str(context.command_path)
+    example = _example(context) if type(error).__name__ == "MissingParameter" else None
+    if example is not None:
+        return f"{_message(error, context)}; expected, for example, `{example}` (all options: {path} --help)"
+    return f"{_message(error, context)}; expected what `{path} --help` lists"
+
+
+def help_text(error: Any) -> str | None:
+    """Return the help text if the command line was empty; None otherwise."""
+    if type(error).__name__ != "NoArgsIsHelpError":
+        return None
+    return str(error.ctx.get_help())
+
+
+def _example(context: Any) -> str | None:
+    """Return the first example of a command's help; None if it has none."""
+    examples = [
+        line for line in (getattr(context.command, "epilog", None) or "").splitlines() if line.startswith("twin ")
+    ]
+    return examples[0] if examples else None
+
+
+def _message(error: Any, context: Any) -> str:
+    text = " ".join(str(error.format_message()).split()).rstrip(".")
+    option = getattr(error, "option_name", None)
+    if option is not None and context is not None and type(error).__name__ == "NoSuchOption":
+        known = [name for one in context.command.params for name in (*one.opts, *one.secondary_opts)]
+        return f"no such option: {option!r}{did_you_mean(option, [name for name in known if name.startswith('-')])}"
+    command = re.search(r"No such command '([^']*)'", text)
+    if command is not None and context is not None:
+        known = context.command.list_commands(context)
+        return f"no such command: {command[1]!r}{did_you_mean(command[1], known)}"
+    choice = re.search(r"'([^']*)' is not one of (.*)$", text)
+    if choice is not None:
+        known = re.findall(r"'([^']*)'", choice[2])
+        text = text.replace("Value error, ", "") + did_you_mean(choice[1], known)
+    return text[0].lower() + text[1:] if text else "cannot be used"

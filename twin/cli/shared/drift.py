@@ -12,7 +12,7 @@ from twin._common.errors import InputError
 from twin._common.families import DRIFT_INSTRUMENTS, DRIFTS
 from twin.cli.shared import complete
 from twin.cli.shared.command import POSITIVE, CommandResult
-from twin.cli.shared.words import three_numbers
+from twin.cli.shared.terminal import three_numbers
 
 if TYPE_CHECKING:
     from twin.machine.machine import Machine

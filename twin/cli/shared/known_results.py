@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pinocchio as pin
 
-from twin._common.defaults import DEFAULT
+from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError, OutputError
 from twin.cli.shared.installation import Finding
 
 if TYPE_CHECKING:
-    from twin.kinematics.forward import Kinematics
-    from twin.machine.calibration import Calibration
     from twin.machine.machine import Machine
+    from twin.model.calibration import Calibration
+    from twin.tool.forward import Kinematics
 
 SAME_MM: Final = 1e-9
 """Agreement of two formulations of a 1 m chain in double precision."""
@@ -30,9 +30,9 @@ PROGRAM: Final = "G21 G90\nG1 X100 Y100 Z-200 B30 C40 F1000\nX140 Y130 Z-210 B35
 
 def known_results() -> list[Finding]:
     """Check computations on the bundled machine."""
-    from twin.kinematics.forward import Kinematics
-    from twin.machine.calibration import Calibration
     from twin.machine.machine import Machine
+    from twin.model.calibration import Calibration
+    from twin.tool.forward import Kinematics
 
     try:
         machine = Machine.load(DEFAULT)
@@ -79,9 +79,9 @@ def _forward(machine: Machine, real: Kinematics, q: np.ndarray) -> tuple[bool, s
 
 def _inverse(machine: Machine, real: Kinematics, q: np.ndarray) -> tuple[bool, str]:
     """Solve for commands that reach nominal poses on the machine with errors, and check the poses reached."""
-    from twin.kinematics.forward import Kinematics
-    from twin.kinematics.inverse import Inverse, Status
-    from twin.machine.calibration import Calibration
+    from twin.model.calibration import Calibration
+    from twin.tool.forward import Kinematics
+    from twin.tool.inverse import Inverse, Status
 
     meant = Kinematics(machine, Calibration.zero(machine), tool_length_mm=real.tool_length_mm).forward(q)
     solved = Inverse(real).solve(meant, q)

@@ -14,15 +14,14 @@ from twin._common.bundled import find_program
 from twin._common.errors import InputError, closest_name
 from twin.cli.shared import complete
 from twin.cli.shared.command import EXISTING, MACHINE, POSITIVE
-from twin.cli.shared.terminal import echo
-from twin.cli.shared.words import axis_values, number, pairs, three_numbers
+from twin.cli.shared.terminal import axis_values, echo, number, pairs, three_numbers
 
 if TYPE_CHECKING:
-    from twin.compensation.toolpath import Setup
+    from twin.compensation.programs.words import Setup
     from twin.compute.parallel import Workers
-    from twin.machine.calibration import Calibration
-    from twin.machine.conditions import Conditions
     from twin.machine.machine import Machine
+    from twin.model.calibration import Calibration
+    from twin.model.conditions import Conditions
 
 
 class Mode(StrEnum):
@@ -178,7 +177,7 @@ def machine(name: str) -> Machine:
 
 def calibration_of(path: Path | None, machine: Machine) -> Calibration:
     """Load a calibration, or the machine's default if no path is given."""
-    from twin.machine.calibration import Calibration
+    from twin.model.calibration import Calibration
 
     return Calibration.default(machine) if path is None else Calibration.load(path, machine)
 
@@ -261,8 +260,8 @@ def setup(
     Raises:
         InputError: an unknown axis, an axis given twice, text that is not a number; a table that cannot be read.
     """
-    from twin.compensation.toolpath import Setup
-    from twin.nc.tables import load_offsets, load_tools
+    from twin.compensation.programs.words import Setup
+    from twin.controls.offsets import load_offsets, load_tools
 
     return Setup(
         work_offset=axis_values("--work-offset", offset, machine.names),
@@ -296,8 +295,7 @@ def conditions(
     Raises:
         InputError: text that is not NAME=°C, or a name given twice; a log that cannot be read.
     """
-    from twin.machine.conditions import Conditions
-    from twin.machine.machine_log import MachineLog
+    from twin.model.conditions import Conditions, MachineLog
 
     words = pairs("--temperature", temperatures, "axis or sensor and °C: X=23.1")
     found = {name: number("--temperature", text, entry) for name, text, entry in words}

@@ -9,18 +9,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, final
+from pathlib import Path
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from twin._common.errors import OutputError
+from twin._common.csv_tables import split_cells
+from twin._common.errors import InputError, OutputError
+from twin._common.files import read_lines
+from twin._common.units import count_with_noun
+from twin.compensation.fewer_blocks.fit import largest_distance, lengths
 from twin.compensation.fewer_blocks.runs import Run
-from twin.compensation.prepared import PreparedMachine
-from twin.compensation.toolpath import WordSpace, turns_tool
-from twin.kinematics.inverse import SLACK
-from twin.nc.blocks import Interpretation, Move, Program
-from twin.nc.columns import NewPositions
+from twin.compensation.programs.backlash import Backlash
+from twin.compensation.programs.follow import follow
+from twin.compensation.programs.motions import PathMotion
+from twin.compensation.programs.prepared import PreparedMachine
+from twin.compensation.programs.words import WordSpace, turns_tool
+from twin.nc.blocks import AxisWords, Interpretation, Move, NewPositions, Program
 from twin.nc.dialect import Dialect
+from twin.tool.forward import Kinematics
+from twin.tool.inverse import SLACK
 
 
 @final
@@ -164,3 +172,199 @@ def _exactly(move: Move, exact: Mapping[int, np.ndarray], space: WordSpace, *, p
         return move._replace(position=position)
     x, y, z = _axis(words, move, space)
     return move._replace(position=position, vector=(float(x), float(y), float(z)))
+
+
+# --- Independent check: the output text executed densely on the machine with errors and compared with the input path
+
+PLACES: Final = 7
+"""Points per block at which the path is evaluated; deliberately no multiple of the numbers used by fit and chords."""
+NEAR: Final = 0.25
+"""Share of the tolerance below which a closer point on the other path is not searched for."""
+TURN_STEP_DEG: Final = 0.25
+LINEAR_STEP_MM: Final = 5.0
+
+
+@final
+@dataclass(frozen=True)
+class Executed:
+    """A program executed on a machine, block by block.
+
+    Attributes:
+        block: (n,) index of each point's move among those of the program.
+        words: (n, axes) commanded words.
+        point_mm: (n, 3) tool points in the work frame.
+    """
+
+    block: np.ndarray
+    words: np.ndarray
+    point_mm: np.ndarray
+
+    def without(self, blocks: np.ndarray) -> Executed:
+        """Return the points without those of some moves."""
+        keep = ~np.isin(self.block, blocks)
+        return Executed(self.block[keep], self.words[keep], self.point_mm[keep])
+
+    def between(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return words and points of the moves from ``first`` to ``last``, both included."""
+        part = slice(*np.searchsorted(self.block, [first, last + 1]))
+        return self.words[part], self.point_mm[part]
+
+
+def execute_words(
+    program: Program, reading: Interpretation, space: WordSpace, real: Kinematics, dense: np.ndarray
+) -> Executed:
+    """Execute a program as its control would, on straight lines in words.
+
+    Args:
+        program: as read.
+        reading: its moves.
+        space: conversion between words and commands.
+        real: the machine with its errors.
+        dense: (moves,) which moves are evaluated along their whole length, not only at their end points.
+    """
+    path = follow(program, reading, space)
+    moves = path.columns.move
+    motions = zip(path.motions, dense[moves].tolist(), strict=True)
+    words, of = path.dense([_fractions(motion) if looked_at else np.array([1.0]) for motion, looked_at in motions])
+    commands = space.commands(words, path.columns.tcp[of])
+    sides = Backlash(real.calibration).sides(path, of, commands)
+    point = real.reached(commands * space.machine.scale, sides)[1] * 1e3
+    return Executed(moves[of], words, point)
+
+
+def _fractions(motion: PathMotion) -> np.ndarray:
+    if not motion.interpolated:
+        return np.array([1.0])
+    size = np.abs(motion.end - motion.start)
+    steps = max(size[:3].max() / LINEAR_STEP_MM, size[3:].max(initial=0.0) / TURN_STEP_DEG, PLACES)
+    return np.arange(int(np.ceil(steps)) + 1) / np.ceil(steps)
+
+
+def path_distance_mm(
+    one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray], lever_mm: float, tolerance_mm: float
+) -> float:
+    """Return the largest distance between two executed paths in both directions, mm; each is given by words and points.
+
+    The nearest point is first searched at about the same distance along the path. Rotary words count towards this distance, so that it
+    also increases while a tool only turns.
+    """
+    at = [_shares(words, points, lever_mm) for words, points in (one, other)]
+    return largest_distance(one[1], at[0], other[1], at[1], NEAR * tolerance_mm, tolerance_mm, anywhere=True)
+
+
+def _shares(words: np.ndarray, points: np.ndarray, lever_mm: float) -> np.ndarray:
+    way = lengths(np.concatenate([points, np.radians(words[:, 3:]) * lever_mm], axis=1))
+    return np.asarray(way / way[-1]) if way[-1] > 0.0 else way
+
+
+# --- Read points of a curve as a program with one straight block per point, to be refitted like any other
+
+POINT: Final = ("x_mm", "y_mm", "z_mm")
+VECTOR: Final = ("i", "j", "k")
+SUFFIX: Final = ".csv"
+
+
+def is_points(path: Path) -> bool:
+    """Return whether a file is a table of points, by its name."""
+    return path.suffix.lower() == SUFFIX
+
+
+def points_program(
+    path: Path, axes: AxisWords, dialects: Sequence[Dialect], written: Dialect, feed: float | None
+) -> tuple[Program, Dialect]:
+    """Return a program with one straight block per point of a table, and its language.
+
+    Args:
+        path: the table: ``x_mm,y_mm,z_mm``, then nothing, dialect column ``<axis>_deg`` per rotary axis, or the tool vector ``i,j,k``;
+            ``#`` begins a comment.
+        axes: the machine's words.
+        dialects: all languages.
+        written: the language of the output.
+        feed: mm/min; None for no feed word.
+
+    Returns:
+        The program and its language: that of the output, but cutter locations for points with a tool vector.
+
+    Raises:
+        InputError: with line and value, if it is no such table; rotary axes for an output language without words for them.
+    """
+    header, lines, values = _table(path, axes)
+    vectors = header[3:] == VECTOR
+    if written.cutter_locations and len(header) > 3 and not vectors:
+        raise InputError(
+            "rotary axis columns cannot be written as cutter locations",
+            expected="columns i,j,k, or an output file ending in .nc or .h",
+            file=path,
+            line=lines[0] - 1,
+            value=",".join(header),
+            setting="output",
+        )
+    dialect = next(dialect for dialect in dialects if dialect.cutter_locations) if vectors else written
+    if vectors:
+        size = np.linalg.norm(values[:, 3:], axis=1)
+        wrong = np.flatnonzero(np.abs(size - 1.0) > 1e-3)
+        if wrong.size:
+            at = int(wrong[0])
+            raise InputError(
+                "not a tool vector",
+                expected="i,j,k of unit length",
+                file=path,
+                line=lines[at],
+                value=",".join(f"{v:g}" for v in values[at, 3:]),
+            )
+    text = dialect.from_points(_names(header, axes), values, feed, _shown(path), path.stem)
+    return dialect.read(text.encode("latin-1", "replace"), str(path)), dialect
+
+
+def _table(path: Path, axes: AxisWords) -> tuple[tuple[str, ...], list[int], np.ndarray]:
+    """Return header, line number of every row, and (n, columns) values."""
+    rotary = tuple(f"{name}_deg" for name in axes.rotary)
+    known = [POINT, *([POINT + rotary] if rotary else []), *([POINT + VECTOR] if rotary else [])]
+    expected = "header " + " or ".join(",".join(columns) for columns in known)
+    header: tuple[str, ...] | None = None
+    lines: list[int] = []
+    rows: list[list[float]] = []
+    for number, text in enumerate(read_lines(path), start=1):
+        if not text.strip() or text.lstrip().startswith("#"):
+            continue
+        cells = [cell.strip() for cell in split_cells(text, path, number)]
+        if header is None:
+            header = tuple(cells)
+            if header not in known:
+                raise InputError("not a table of points", expected=expected, file=path, line=number, value=text)
+            continue
+        if len(cells) != len(header):
+            raise InputError(
+                f"row with {count_with_noun(len(cells), 'value')}",
+                expected=f"{len(header)} values: {','.join(header)}",
+                file=path,
+                line=number,
+                value=text,
+            )
+        rows.append([_number(cell, name, path, number) for cell, name in zip(cells, header, strict=True)])
+        lines.append(number)
+    if header is None:
+        raise InputError("no header row", expected=expected, file=path)
+    if len(rows) < 2:
+        raise InputError(f"only {count_with_noun(len(rows), 'point')}", expected="two or more", file=path)
+    return header, lines, np.array(rows)
+
+
+def _number(cell: str, column: str, path: Path, line: int) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < 1e6:
+        raise InputError(
+            f"{column} is not a coordinate", expected="a number below 1e6", file=path, line=line, value=cell
+        )
+    return value
+
+
+def _names(header: tuple[str, ...], axes: AxisWords) -> tuple[str, ...]:
+    return axes.linear if len(header) == 3 or header[3:] == VECTOR else axes.names
+
+
+def _shown(path: Path) -> str:
+    return "points of " + "".join(c if c.isascii() and c.isprintable() and c not in "()~;$" else "_" for c in path.name)

@@ -4,6 +4,13 @@ All fits of a degree use the same nodes, so the matrix from points to control po
 accuracy (`twin.numerics.curves.fg_bernstein`; Díaz Pérez et al. 2019, eq. 13–14), and a fit is a matrix product. End points, and the
 tangent at a joint, are exact constraints: the least-squares curve with some control points fixed is c + G Cᵀ (C G Cᵀ)⁻¹ (b − C c),
 G = (AᵀA)⁻¹ = A⁺A⁺ᵀ (Björck 1996, ch. 5).
+
+Cut a curve into as few straight blocks as keep within a tolerance of the polyline to which the curve was fitted.
+
+The vertices are spread so that every chord needs the same tolerance. Chords with both end points on the curve lie on one side of it and
+use only half of the tolerance band. The vertices are therefore moved off the curve to the outside by half the mean height of their two
+chords, so that vertices and chord middles are equally far from it. The end points of the curve stay fixed; the chords next to them
+deviate more and are made slightly shorter.
 """
 
 from __future__ import annotations
@@ -16,8 +23,110 @@ from typing import Final, Literal, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin.compensation.fewer_blocks.distance import largest_distance, lengths
 from twin.numerics.curves.fg_bernstein import FGBernstein
+
+WINDOWS: Final = (1, 4, 16, 64, 256)
+"""Segments searched on either side of a point's parameter; the wider windows only for points still too far away."""
+HOPELESS: Final = (16, 0.1)
+"""If more than this share of the points is too far away after this window, the lines differ and the search ends."""
+MOST_PAIRS: Final = 500_000
+"""Pairs of points and segments evaluated at once: about 50 MB."""
+TINY: Final = 1e-30
+"""Least squared length of a segment, for segments of length zero."""
+
+
+def lengths(points: np.ndarray) -> np.ndarray:
+    """Return (n,) the distance along (n, d) points, from 0, in their unit."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+
+
+def distances_near(
+    points: np.ndarray, at: np.ndarray, line: np.ndarray, line_at: np.ndarray, near: float, limit: float
+) -> np.ndarray:
+    """Return (n,) distances of points from a polyline, searched near each point's parameter; never too small.
+
+    Args:
+        points: (n, d).
+        at: (n,) parameter of each point, as in ``line_at``.
+        line: (m, d) vertices, m ≥ 2.
+        line_at: (m,) their parameters, not decreasing.
+        near: distance below which no closer point is searched for.
+        limit: distance with which the results are compared; if many are larger, the search ends.
+    """
+    here = np.clip(np.searchsorted(line_at, at, side="right") - 1, 0, len(line) - 2)
+    found = np.full(len(points), np.inf)
+    start, way = line[:-1], np.diff(line, axis=0)
+    square = np.maximum(np.einsum("ij,ij->i", way, way), TINY)
+    for window in WINDOWS:
+        far = np.flatnonzero(found > near)
+        beyond = np.count_nonzero(found > limit)
+        if not far.size or (window > HOPELESS[0] and beyond > max(HOPELESS[1] * len(points), 1.0)):
+            break
+        step = max(1, MOST_PAIRS // (2 * window + 1))
+        for first in range(0, far.size, step):
+            some = far[first : first + step]
+            segment = here[some, None] + np.arange(-window, window + 1)
+            np.minimum(np.maximum(segment, 0, out=segment), len(way) - 1, out=segment)
+            found[some] = _distances(points[some, None, :], start[segment], way[segment], square[segment]).min(axis=1)
+    return found
+
+
+def distances_anywhere(points: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """Return (n,) distances of points from the nearest point anywhere on a polyline."""
+    start, way = line[:-1], np.diff(line, axis=0)
+    square = np.maximum(np.einsum("ij,ij->i", way, way), TINY)
+    found = np.empty(len(points))
+    step = max(1, MOST_PAIRS // len(way))
+    for first in range(0, len(points), step):
+        some = slice(first, first + step)
+        found[some] = _distances(points[some, None, :], start[None], way[None], square[None]).min(axis=1)
+    return found
+
+
+def _distances(points: np.ndarray, start: np.ndarray, way: np.ndarray, square: np.ndarray) -> np.ndarray:
+    """Return (n, m) distances of points (n, 1, d) from segments (n or 1, m, d); ``square``: squared lengths of the segments."""
+    gap = points - start
+    share = np.einsum("...i,...i->...", gap, way) / square
+    np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)
+    gap -= share[..., None] * way
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", gap, gap)))
+
+
+def largest_distance(
+    one: np.ndarray,
+    one_at: np.ndarray,
+    other: np.ndarray,
+    other_at: np.ndarray,
+    near: float,
+    limit: float,
+    *,
+    anywhere: bool = False,
+) -> float:
+    """Return the largest distance between two polylines, from the vertices of each to the other; the caller provides dense vertices.
+
+    Args:
+        one: (n, d) vertices, n ≥ 2.
+        one_at: (n,) their parameters.
+        other: (m, d) vertices, m ≥ 2.
+        other_at: (m,) their parameters; equal at corresponding points.
+        near: as for `distances_near`.
+        limit: as for `distances_near`.
+        anywhere: whether points still beyond the limit are compared with the whole other line; otherwise the search may end at a
+            distance beyond the limit.
+    """
+    worst = 0.0
+    for points, at, line, line_at in ((one, one_at, other, other_at), (other, other_at, one, one_at)):
+        found = distances_near(points, at, line, line_at, near, limit)
+        far = np.flatnonzero(found > limit)
+        if anywhere and far.size:
+            found[far] = distances_anywhere(points[far], line)
+        worst = max(worst, float(found.max()))
+        if worst > limit and not anywhere:
+            break
+    return worst
+
+
+# --- Fit piecewise fg-Bernstein curves to a polyline, with as few control points as keep within a tolerance
 
 Kind = Literal["polynomial", "trigonometric"]
 CANDIDATES: Final[tuple[tuple[Kind, int], ...]] = (
@@ -28,7 +137,7 @@ CANDIDATES: Final[tuple[tuple[Kind, int], ...]] = (
 """Bases and degrees tried from every joint. The trigonometric functions of degree 2 describe a circular arc, here over the angle
 through which the blocks turn.
 """
-HOPELESS: Final = 5
+HOPELESS_FIT: Final = 5
 """If no curve up to this degree saves a block per control point, higher degrees are not tried."""
 MOST_SKIPPED: Final = 8
 """Most blocks left unchanged before a curve is tried again: where one start fails, the next few usually do too."""
@@ -216,7 +325,7 @@ class Fitter:
         for kind, degree in CANDIDATES:
             piece = self._longest(first, kind, degree, tangent)
             if piece is None or (piece.blocks <= degree and piece.last < self.end):
-                if degree >= HOPELESS and not candidates:
+                if degree >= HOPELESS_FIT and not candidates:
                     break
                 continue
             candidates.append(piece)
@@ -318,3 +427,112 @@ def _second(basis: FGBernstein, start: np.ndarray, slope: np.ndarray) -> np.ndar
 def _rounded_up(count: int) -> int:
     """Return the next power of two, to limit the number of cached tables."""
     return 1 << (count - 1).bit_length()
+
+
+# --- Cut a curve into as few straight blocks as keep within a tolerance of the polyline to which the curve was fitted
+
+OUTWARD: Final = 0.25
+"""Outward shift of a vertex, as a fraction of the sum of both chord heights: half their mean."""
+END_CHORD: Final = 0.845
+"""√(5/7): length of first and last chord relative to the others, for the same deviation in the middle: e²(1 − 1/8) − 1/8 = 1/2."""
+SAMPLES: Final = 16
+"""Points per chord at which its distance is evaluated."""
+GROWTH: Final = 1.15
+
+
+def few_blocks(
+    line: Polyline, curve: np.ndarray, curve_at: np.ndarray, tool: Tool, allowed_mm: float
+) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Return the vertices, without the first, of the fewest straight blocks that stay near a polyline.
+
+    Args:
+        line: the polyline; its vertices in the words in which the blocks are straight.
+        curve: (n, axes) dense points of a curve near it in such words, with the same end points.
+        curve_at: (n,) their parameters along the line.
+        tool: function from such words to coordinates at the tool.
+        allowed_mm: largest distance allowed between blocks and polyline.
+
+    Returns:
+        (m, axes) words, the last one that of the line; (m+1,) parameters from the start; largest distance in mm. None if as many blocks
+        as the line has are needed.
+    """
+    most = len(line.words) - 2
+    sums = _demand(curve, curve_at, tool)
+    still = np.ptp(line.words, axis=0) == 0.0
+    low, high, best = 0, most + 1, None
+    # A chord may use twice the tolerance from its vertices to its middle: √(c/(16 a)) chords per unit.
+    step = min(max(int(0.8 * sums[-1] / np.sqrt(16.0 * allowed_mm)), 1), most)
+    while low < step < high:
+        found = _blocks(line, curve, curve_at, sums, step, tool, allowed_mm, still)
+        if found is None:
+            low = step
+            step = min(max(int(GROWTH * step), step + 1), most) if high > most else (low + high) // 2
+        else:
+            high, best = step, found
+            step = (low + high) // 2 if low else min(int(step / GROWTH), step - 1)
+    return best
+
+
+def between(words: np.ndarray, at: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return points on straight blocks, ``parts`` per block, and their parameters."""
+    share = np.arange(parts) / parts
+    dense = words[:-1, None, :] + share[:, None] * np.diff(words, axis=0)[:, None, :]
+    dense_at = at[:-1, None] + share * np.diff(at)[:, None]
+    return np.concatenate([dense.reshape(-1, words.shape[1]), words[-1:]]), np.append(dense_at.ravel(), at[-1])
+
+
+def _demand(curve: np.ndarray, at: np.ndarray, tool: Tool) -> np.ndarray:
+    """Return (n,) ∫ √|c|, with c the second derivative across the curve: the deviation of a short block's middle divided by h²/8."""
+    places = tool(curve)
+    before, behind = np.diff(at)[:-1], np.diff(at)[1:]
+    share = (before / (before + behind))[:, None]
+    middle = tool(curve[:-2] + share * (curve[2:] - curve[:-2]))
+    way = places[2:] - places[:-2]
+    gap = middle - places[1:-1]
+    square = np.einsum("ij,ij->i", way, way)
+    along = np.einsum("ij,ij->i", gap, way) / np.where(square == 0.0, 1.0, square)
+    bend = np.linalg.norm(gap - along[:, None] * way, axis=1) * 2.0 / (before * behind)
+    rate = np.sqrt(np.concatenate([bend[:1], bend, bend[-1:]]))
+    steps = (rate[1:] + rate[:-1]) / 2.0 * np.diff(at)
+    # Straight parts need vertices too: a thousandth of the total, spread evenly, keeps the integral strictly increasing.
+    steps += 1e-3 * max(float(steps.sum()), 1e-12) * np.diff(at) / (at[-1] - at[0])
+    return np.append(0.0, np.cumsum(steps))
+
+
+def _blocks(
+    line: Polyline,
+    curve: np.ndarray,
+    curve_at: np.ndarray,
+    sums: np.ndarray,
+    count: int,
+    tool: Tool,
+    allowed_mm: float,
+    still: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Return ``count`` blocks; None if they exceed the tolerance."""
+    at = _spread(sums, curve_at, count)
+    if np.any(np.diff(at) <= 0.0):
+        return None
+    words = _points(curve, curve_at, at)
+    rise = _points(curve, curve_at, (at[1:] + at[:-1]) / 2.0) - (words[1:] + words[:-1]) / 2.0
+    words[1:-1] += OUTWARD * (rise[1:] + rise[:-1])
+    words[[0, -1]] = line.words[[0, -1]]
+    words[:, still] = line.words[0, still]
+    dense, dense_at = between(words, at, SAMPLES)
+    places = tool(dense)
+    off = largest_distance(places, dense_at, line.dense_tool, line.dense_at, allowed_mm, allowed_mm)
+    return (words[1:], at, off) if off <= allowed_mm else None
+
+
+def _spread(sums: np.ndarray, curve_at: np.ndarray, count: int) -> np.ndarray:
+    """Return (count+1,) parameters of vertices with equal shares of the demand, slightly less for the first and last chord."""
+    shares = np.full(count, 1.0)
+    if count > 2:
+        shares[[0, -1]] = END_CHORD
+    at = np.interp(np.append(0.0, np.cumsum(shares)) / shares.sum() * sums[-1], sums, curve_at)
+    at[0], at[-1] = curve_at[0], curve_at[-1]
+    return np.asarray(at)
+
+
+def _points(curve: np.ndarray, curve_at: np.ndarray, at: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(at, curve_at, column) for column in curve.T], axis=1)

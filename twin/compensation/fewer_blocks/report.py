@@ -13,10 +13,10 @@ from math import sqrt
 from pathlib import Path
 from typing import Any, Final, final
 
-from twin._common.counts import count_with_noun
-from twin._common.json_form import json_form
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts
-from twin.compensation.account import NO_ERRORS, LineNote, Report, grouped
+from twin._common.records import json_form
+from twin._common.units import count_with_noun
+from twin.compensation.programs.report import NO_ERRORS, LineNote, Report, grouped
 from twin.display import UNKNOWN, bar, card, note, pairs, table
 
 SCHEMA = "twin.path/1"

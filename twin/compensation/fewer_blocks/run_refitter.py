@@ -10,14 +10,12 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.compensation.fewer_blocks.chords import between, few_blocks
-from twin.compensation.fewer_blocks.distance import largest_distance
 from twin.compensation.fewer_blocks.emit import RunEndPoints
-from twin.compensation.fewer_blocks.fit import CurvePiece, Fitter, Polyline, Tool
+from twin.compensation.fewer_blocks.fit import CurvePiece, Fitter, Polyline, Tool, between, few_blocks, largest_distance
 from twin.compensation.fewer_blocks.report import ToleranceShares
 from twin.compensation.fewer_blocks.runs import SAME_MM, Run, corners
-from twin.compensation.prepared import PreparedMachine
-from twin.compensation.toolpath import ToolPath
+from twin.compensation.programs.motions import ToolPath
+from twin.compensation.programs.prepared import PreparedMachine
 
 LEVER_MM: Final = 100.0
 """Distance from the tip at which the tool axis must keep the tolerance if the tool has no length."""

@@ -12,10 +12,10 @@ from typing import Final, final
 import numpy as np
 
 from twin.compensation.fewer_blocks.fit import PARTS, Polyline
-from twin.compensation.toolpath import PathMotion, ToolPath, WordSpace
+from twin.compensation.programs.motions import PathMotion, ToolPath
+from twin.compensation.programs.words import WordSpace
 from twin.nc.blocks import Kind, Program
-from twin.nc.dialect import Dialect
-from twin.nc.technology import FeedUnit
+from twin.nc.dialect import Dialect, FeedUnit
 
 FEWEST: Final = 3
 """Least number of blocks of a run: two cannot be reduced."""

@@ -3,20 +3,24 @@
 Manual: `twin doc speed`.
 """
 
-from twin.compute.native.along import CompiledAlong, Totals
-from twin.compute.native.cpp import ROUNDING
-from twin.compute.native.loading import equal_portions, only_idle_threads, solver_description, worth_compiling
-from twin.compute.native.problem import (
+from twin.compute.native.compiler import (
+    ROUNDING,
+    equal_portions,
+    only_idle_threads,
+    solver_description,
+    worth_compiling,
+)
+from twin.compute.native.rows import CompiledAlong, RowFunction, Totals
+from twin.compute.native.solver import (
     CONVERGED,
     OUT_OF_RANGE,
     SINGULAR,
     Batch,
     BatchOutcome,
     InverseProblem,
+    Solver,
     StepFunctions,
 )
-from twin.compute.native.rows import RowFunction
-from twin.compute.native.solver import Solver
 
 __all__ = [
     "CONVERGED",

@@ -4,39 +4,41 @@ from __future__ import annotations
 
 from typing import Final
 
-from twin.diagnosis.candidates import (
-    added_payload,
-    affine_scale,
-    alignment,
-    curves,
-    following_error,
-    machine_effects,
-    misplaced,
-    probe_lobing,
-    refraction_scale,
-    reversal_spike,
-    station_drift,
-    time_skew,
-)
+from twin.diagnosis.candidates import misplaced
 from twin.diagnosis.candidates.candidate import CandidateInputs, CandidateSource, Catalogue
-from twin.machine.calibration import Calibration
-from twin.machine.effects import MACHINE_EFFECTS, Specification
+from twin.diagnosis.candidates.instrument import (
+    AFFINE_SCALE_SOURCE,
+    ALIGNMENT_SOURCE,
+    PROBE_LOBING_SOURCE,
+    REFRACTION_SCALE_SOURCE,
+    STATION_DRIFT_SOURCE,
+    TIME_SKEW_SOURCE,
+)
+from twin.diagnosis.candidates.machine import (
+    ADDED_PAYLOAD_SOURCE,
+    CURVES_SOURCE,
+    FOLLOWING_ERROR_SOURCE,
+    MACHINE_EFFECTS_SOURCE,
+    REVERSAL_SPIKE_SOURCE,
+)
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, StationInstruments
 from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects import MACHINE_EFFECTS, Specification
 
 SOURCES: Final[tuple[CandidateSource, ...]] = (
-    machine_effects.SOURCE,
-    added_payload.SOURCE,
-    curves.SOURCE,
-    alignment.SOURCE,
-    refraction_scale.SOURCE,
-    affine_scale.SOURCE,
-    station_drift.SOURCE,
-    time_skew.SOURCE,
-    reversal_spike.SOURCE,
-    following_error.SOURCE,
-    probe_lobing.SOURCE,
+    MACHINE_EFFECTS_SOURCE,
+    ADDED_PAYLOAD_SOURCE,
+    CURVES_SOURCE,
+    ALIGNMENT_SOURCE,
+    REFRACTION_SCALE_SOURCE,
+    AFFINE_SCALE_SOURCE,
+    STATION_DRIFT_SOURCE,
+    TIME_SKEW_SOURCE,
+    REVERSAL_SPIKE_SOURCE,
+    FOLLOWING_ERROR_SOURCE,
+    PROBE_LOBING_SOURCE,
     misplaced.SOURCE,
 )
 SPECIFICATIONS: Final[dict[str, Specification]] = {

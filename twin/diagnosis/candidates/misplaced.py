@@ -14,20 +14,25 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import Build, Candidate, CandidateInputs, CandidateSource, Catalogue, Variant
-from twin.diagnosis.candidates.signatures import (
+from twin.diagnosis.candidates.candidate import (
+    Build,
+    Candidate,
+    CandidateInputs,
+    CandidateSource,
+    Catalogue,
     Column,
     SignatureTerm,
+    Variant,
     component_column,
     first_component,
     scaled_column,
     tabulated_column,
 )
-from twin.machine.calibration import Calibration
-from twin.machine.effects import Effect, ErrorMotion, split_name
-from twin.machine.effects.specification import Advice, FittedCause, Specification
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Axis
+from twin.model.calibration import Calibration
+from twin.model.effects import Effect, ErrorMotion, split_name
+from twin.model.effects.specification import Advice, FittedCause, Specification
 from twin.numerics.functions import Functions
 from twin.numerics.functions import tabulated as tabulated
 

@@ -3,11 +3,8 @@
 Manual: `twin doc interferometer`.
 """
 
-from twin.identification.axis_run.layout import AxisLayout
-from twin.identification.axis_run.motions import AxisCurves, Motions, axis_curves, error_motions
-from twin.identification.axis_run.readings import BeamReadings, load_readings
-from twin.identification.axis_run.report import to_dict, to_text
-from twin.identification.axis_run.simulate import carriage_poses, simulate_run
+from twin.identification.axis_run.motions import AxisCurves, Motions, axis_curves, error_motions, to_dict, to_text
+from twin.identification.axis_run.readings import AxisLayout, BeamReadings, carriage_poses, load_readings, simulate_run
 
 __all__ = [
     "AxisCurves",

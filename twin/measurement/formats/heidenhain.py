@@ -16,8 +16,16 @@ from typing import Final, final
 
 from twin._common.errors import InputError, closest_name
 from twin.machine.machine import Machine
-from twin.measurement.formats.base import ContactRow, Conversion, FormatSpecification, Given, MeasuredFormat, reduced
-from twin.measurement.formats.lines import file_lines, number_in
+from twin.measurement.formats.base import (
+    ContactRow,
+    Conversion,
+    FormatSpecification,
+    Given,
+    MeasuredFormat,
+    file_lines,
+    number_in,
+    reduced,
+)
 
 START: Final = "CONTACT"
 MASK: Final = '"CONTACT X=%+.4lf Y=%+.4lf Z=%+.4lf B=%+.4lf C=%+.4lf SPHERE=%.0lf",Q201,Q202,Q203,Q204,Q205,Q206;'

@@ -11,11 +11,19 @@ import re
 from pathlib import Path
 from typing import Final, final
 
-from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
+from twin._common.units import count_with_noun
 from twin.machine.machine import Machine
-from twin.measurement.formats.base import ContactRow, Conversion, FormatSpecification, Given, MeasuredFormat, reduced
-from twin.measurement.formats.lines import file_lines, numbers_in
+from twin.measurement.formats.base import (
+    ContactRow,
+    Conversion,
+    FormatSpecification,
+    Given,
+    MeasuredFormat,
+    file_lines,
+    numbers_in,
+    reduced,
+)
 
 AXES: Final = tuple("XYZABCUVW")
 LINE: Final = re.compile(r"[-+.\deE]+(\s+[-+.\deE]+){8}")

@@ -34,8 +34,7 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.xml_files import Element, parse_xml
 from twin.machine.machine import Machine
-from twin.measurement.formats.base import Conversion, FormatSpecification, Given, MeasuredFormat
-from twin.measurement.formats.lines import file_text, number_in
+from twin.measurement.formats.base import Conversion, FormatSpecification, Given, MeasuredFormat, file_text, number_in
 from twin.measurement.table import Measurements
 
 LENGTHS: Final[Mapping[str, float]] = {"UT_LENGTH_MM": 1.0, "UT_LENGTH_UM": 1e-3, "UT_LENGTH_M": 1e3}

@@ -30,8 +30,18 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.files import read_bytes
 from twin.machine.machine import Machine
-from twin.measurement.formats.base import Conversion, FormatSpecification, Given, MeasuredFormat
-from twin.measurement.formats.lines import MAX_BYTES, code_in, file_lines, number_in, numbers_in, whole_number_in
+from twin.measurement.formats.base import (
+    MAX_BYTES,
+    Conversion,
+    FormatSpecification,
+    Given,
+    MeasuredFormat,
+    code_in,
+    file_lines,
+    number_in,
+    numbers_in,
+    whole_number_in,
+)
 from twin.measurement.table import Measurements
 
 SECTION: Final = re.compile(r"([A-Z][A-Z -]*)::")

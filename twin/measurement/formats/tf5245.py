@@ -18,12 +18,21 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
+from twin._common.units import count_with_noun
 from twin.machine.machine import Machine
 from twin.measurement.contacts import linear_columns, numbered_rounds, probe_table
-from twin.measurement.formats.base import ContactRow, Conversion, FormatSpecification, Given, MeasuredFormat, reduced
-from twin.measurement.formats.lines import file_lines, number_in, whole_number_in
+from twin.measurement.formats.base import (
+    ContactRow,
+    Conversion,
+    FormatSpecification,
+    Given,
+    MeasuredFormat,
+    file_lines,
+    number_in,
+    reduced,
+    whole_number_in,
+)
 from twin.measurement.table import Measurements
 
 ASSIGNMENT: Final = re.compile(r"(V\.\w+\.\w+(?:\[\d+\])?)\s*=\s*(V\.\w+\.\w+(?:\[\d+\])?|[-+.\deE]+)(?=\s|$)")

@@ -10,15 +10,17 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, time
+from decimal import Decimal
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 from xml.etree.ElementTree import ParseError
 
-from twin._common.counts import count_with_noun
 from twin._common.errors import InputError, closest_name
 from twin._common.files import read_bytes
+from twin._common.units import count_with_noun
+from twin.measurement.importing.headers import unit_named
 
 MAX_BYTES: Final = 2**26
 """Largest file; a measurement of a machine has less than 10 MB."""
@@ -335,3 +337,221 @@ def _cell_text(value: Any) -> str:
     if isinstance(value, date | time):
         return value.isoformat()
     return str(value)
+
+
+# --- Numbers of table cells: the decimal sign from the content, and exact decimal values ----------
+
+POINT: Final = "."
+COMMA: Final = ","
+SIGNS: Final = {POINT: "point", COMMA: "comma"}
+"""Decimal signs with their names in a mapping file."""
+MINUS: Final = str.maketrans({"−": "-", "–": "-", "\u00a0": " ", "\u202f": " ", "’": "'"})
+_EXPONENT: Final = r"(?:[eE][-+]?\d{1,2})?"
+_NUMBER: Final = {
+    sign: re.compile(
+        rf"[-+]?(?:\d+|\d{{1,3}}(?:['{other} ]\d{{3}})+)?(?:{re.escape(sign)}\d*)?{_EXPONENT}(?<=[\d{re.escape(sign)}])",
+        re.ASCII,
+    )
+    for sign, other in ((POINT, COMMA), (COMMA, POINT))
+}
+_EITHER: Final = re.compile(r"[-+]?[\d.,' ]*\d[\d.,' ]*(?:[eE][-+]?\d+)?", re.ASCII)
+_GROUPED: Final = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
+"""A number whose only sign may be a decimal sign or a sign of thousands."""
+
+
+class DecimalSign(NamedTuple):
+    """Decimal sign of a file.
+
+    Attributes:
+        sign: the sign.
+        ambiguous: a cell with a sign that could be a decimal sign or a sign of thousands; empty if there is none.
+        contrary: a cell that is clear and has the other sign; empty otherwise.
+    """
+
+    sign: str
+    ambiguous: str = ""
+    contrary: str = ""
+
+
+def looks_like_number(cell: str) -> bool:
+    """Return whether a cell is a number with whatever decimal sign."""
+    text = cell.translate(MINUS)
+    return len(text) < 60 and bool(_EITHER.fullmatch(text)) and any(p.fullmatch(text) for p in _NUMBER.values())
+
+
+def decimal_value(cell: str, sign: str) -> Decimal | None:
+    """Return the exact number in a cell; None if it is not a number with this decimal sign.
+
+    Thousands may be separated by the other sign, an apostrophe or a blank.
+    """
+    text = cell.translate(MINUS)
+    if len(text) > 60 or not re.search("[0-9]", text) or not _NUMBER[sign].fullmatch(text):
+        return None
+    other = COMMA if sign == POINT else POINT
+    value = Decimal(text.replace(other, "").replace("'", "").replace(" ", "").replace(sign, POINT))
+    return value if abs(value.adjusted()) < 40 else None
+
+
+def decimal_text(value: Decimal) -> str:
+    """Return a number as a cell of a measurement table, in full and without digits lost."""
+    return format(value, "f") if value else "0"
+
+
+def decimal_sign(cells: Iterable[str]) -> DecimalSign:
+    """Return the decimal sign of cells: the one that a clear cell has; a sign followed by three digits alone is ambiguous.
+
+    Args:
+        cells: cells of the rows that hold measured points.
+    """
+    clear: dict[str, str] = {}
+    unclear: dict[str, str] = {}
+    for cell in cells:
+        text = cell.translate(MINUS)
+        if not _EITHER.fullmatch(text) or len(text) > 60:
+            continue
+        signs = [sign for sign in text if sign in SIGNS]
+        if not signs:
+            continue
+        last = signs[-1]
+        if not _NUMBER[last].fullmatch(text):
+            continue
+        if _GROUPED.fullmatch(text):
+            unclear.setdefault(last, cell)
+        else:
+            clear.setdefault(last, cell)
+    if len(clear) == 1:
+        (sign,) = clear
+        return DecimalSign(sign, ambiguous=unclear.get(COMMA if sign == POINT else POINT, ""))
+    if clear:
+        return DecimalSign(COMMA, contrary=clear[POINT])
+    if len(unclear) == 1:
+        sign, cell = next(iter(unclear.items()))
+        return DecimalSign(sign, ambiguous=cell)
+    return DecimalSign(POINT, ambiguous=unclear.get(COMMA, ""))
+
+
+# --- Parts of a raw table: title rows, header, row of units, rows of measured points --------------
+
+SHARE: Final = 0.6
+"""Share of rows that have a number in a column of numbers."""
+
+Row = tuple[int, tuple[str, ...]]
+
+
+@final
+@dataclass(frozen=True)
+class Layout:
+    """A raw table with its parts identified.
+
+    Attributes:
+        raw: the raw cells.
+        header_line: line of the header; 0 if the file has none.
+        names: names of the columns, each one once: as in the header, or ``column 1`` and so on.
+        units: unit of each column from the row of units; empty where it gives none.
+        rows: rows of measured points with their lines, each with as many cells as there are names.
+        titles: rows above the header, as text.
+        left_out: rows below the header that hold no number, with their text.
+    """
+
+    raw: RawTable
+    header_line: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    rows: tuple[Row, ...]
+    titles: tuple[str, ...]
+    left_out: tuple[tuple[int, str], ...]
+
+    def column(self, name: str) -> list[str]:
+        """Return the cells of a column."""
+        place = self.names.index(name)
+        return [cells[place] for _, cells in self.rows]
+
+
+def layout_of(raw: RawTable) -> Layout:
+    """Return the parts of a raw table.
+
+    Raises:
+        InputError: no row with two numbers or more; a row with more cells than the header.
+    """
+    numeric = [[looks_like_number(cell) for cell in row] for _, row in raw.rows]
+    candidates = [mask for mask in numeric if sum(mask) >= 2]
+    if not candidates:
+        line = raw.rows[0][0]
+        raise InputError(
+            "no row with numbers", expected="a table with one row for each measured point", file=raw.path, line=line
+        )
+    counts = Counter(i for mask in candidates for i, is_number in enumerate(mask) if is_number)
+    columns = {i for i, count in counts.items() if count >= SHARE * len(candidates)} or set(counts)
+    is_data = [_is_point(mask, columns) for mask in numeric]
+    first = is_data.index(True) if any(is_data) else numeric.index(candidates[0])
+    header, units, titles = _header(raw.rows[:first], len(columns))
+    width = max(len(row) for (_, row), used in zip(raw.rows, is_data, strict=True) if used)
+    rows, left_out = [], []
+    for line, row in raw.rows[first:]:
+        if any(looks_like_number(cell) for cell in row[:1000]) and not _is_repeated(row, header):
+            rows.append((line, row))
+        else:
+            left_out.append((line, " ".join(filter(None, row))))
+    if header and len(header) < width:
+        line, row = next((line, row) for line, row in rows if len(row) > len(header))
+        raise InputError(
+            f"{len(row)} cells, more than the {len(header)} of the header",
+            expected="one cell for each column",
+            file=raw.path,
+            line=line,
+            value=" | ".join(row),
+        )
+    names = _unique([header[i] if i < len(header) and header[i] else f"column {i + 1}" for i in range(width)])
+    return Layout(
+        raw=raw,
+        header_line=raw.rows[first - 1 - bool(any(units))][0] if header else 0,
+        names=tuple(names),
+        units=tuple(units[i] if i < len(units) else "" for i in range(width)),
+        rows=tuple((line, (*row, *[""] * (width - len(row)))[:width]) for line, row in rows),
+        titles=tuple(" ".join(filter(None, row)) for _, row in titles),
+        left_out=tuple(left_out),
+    )
+
+
+def _is_point(mask: Sequence[bool], columns: set[int]) -> bool:
+    """Return whether a row has numbers in at least half of the columns of numbers."""
+    return 2 * sum(i < len(mask) and mask[i] for i in columns) >= len(columns)
+
+
+def _is_repeated(row: Sequence[str], header: Sequence[str]) -> bool:
+    return bool(header) and list(row) == list(header)[: len(row)]
+
+
+def _header(above: Sequence[Row], numbers: int) -> tuple[list[str], list[str], Sequence[Row]]:
+    """Return the names of columns, their units, and the rows above, from the rows before the first measured point."""
+    units: list[str] = []
+    rest = list(above)
+    if rest and _is_units(rest[-1][1]):
+        units = [cell.strip("[]() ") if cell else "" for cell in rest.pop()[1]]
+    if not rest or sum(bool(cell) for cell in rest[-1][1]) < max(2, numbers / 2):
+        return [], units, rest
+    header = list(rest.pop()[1])
+    if rest and len(set(filter(None, header))) < sum(map(bool, header)) and sum(map(bool, rest[-1][1])) >= 2:
+        # Two rows of headers: "nominal" above X, Y, Z and "actual" above X, Y, Z.
+        upper, last = list(rest.pop()[1]), ""
+        for i, cell in enumerate(header):
+            last = upper[i] if i < len(upper) and upper[i] else last
+            header[i] = f"{last} {cell}".strip() if cell else last
+    return header, units, rest
+
+
+def _is_units(row: Sequence[str]) -> bool:
+    """Return whether all cells of a row that are not empty are units, and two or more are."""
+    cells = [cell.strip("[]() ") for cell in row if cell]
+    known = [cell for cell in cells if unit_named(cell) is not None]
+    return len(known) >= 2 and len(known) == len([cell for cell in cells if cell.strip("-–")])
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    """Return names with a number appended to those that repeat an earlier one."""
+    seen: Counter[str] = Counter()
+    found = []
+    for name in names:
+        seen[name] += 1
+        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return found

@@ -10,18 +10,26 @@ by a rotation of the station.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Final, NamedTuple, final
+from pathlib import Path
+from typing import Final, NamedTuple, Protocol, final
 
 import numpy as np
 
-from twin._common.counts import count_with_noun
-from twin._common.units import MM
+from twin._common.csv_tables import read_table
+from twin._common.errors import InputError, closest_name
+from twin._common.units import MM, count_with_noun
 from twin.machine.machine import Axis, Machine
 from twin.measurement.checks import RANGE_SLACK, SYSTEMATIC_ROWS
+from twin.measurement.columns import table_columns
+from twin.measurement.importing.cells import Layout
+from twin.measurement.importing.headers import Unit, meaning_of, table_unit, unit_named, units_of
+from twin.measurement.importing.mapping import PlanEntry
 from twin.measurement.observation import observation_of
+from twin.measurement.table import Measurements
 
 RATIO: Final = 10.0
 """Ratio of RMS residuals from which the other fit is reported."""
@@ -261,3 +269,272 @@ def _placed_rms_mm(machine: Machine, rows: FrameRows, fit: RigidFit) -> float:
     matrix, right = design.reshape(-1, design.shape[2]), wanted.ravel()
     rest = right - matrix @ np.linalg.lstsq(matrix, right, rcond=None)[0]
     return float(np.sqrt(np.sum(rest**2) / len(wanted)))
+
+
+# --- Units of columns: as the file states them, else from the size of the numbers compared with the machine's ranges
+
+LEAST_SHARE: Final = 0.02
+"""Share of an axis's range that positions must span in a unit for that unit to be likely."""
+LARGEST_U_MM: Final = 0.2
+"""Uncertainty beyond which a number without a unit is taken as micrometres."""
+LENGTHS: Final = ("mm", "m", "inch", "um")
+ANGLES: Final = ("deg", "rad", "mrad")
+
+
+class Columns(Protocol):
+    """A proposal whose units are determined."""
+
+    layout: Layout
+    machine: Machine
+
+    def values(self, name: str) -> np.ndarray:
+        """Return the numbers of a column of the file."""
+
+    def assume(self, text: str, column: str, remark: str = "check") -> None:
+        """Add an assumption."""
+
+
+def unit_by_size(found: Columns, sources: Mapping[str, tuple[str, str]]) -> dict[str, str]:
+    """Return the unit of every column, and add an assumption for each one that the file does not state.
+
+    Args:
+        found: the proposal.
+        sources: column of the file and unit in its header (empty if none), by column of the measurement table.
+    """
+    units: dict[str, str] = {}
+    missing: dict[str, str] = {}
+    for column, (name, stated) in sources.items():
+        below = found.layout.units[found.layout.names.index(name)]
+        fitting = [unit for text in (stated, below) if (unit := _fitting(text, column)) is not None]
+        if fitting:
+            units[column] = fitting[0].name
+            if len({unit.name for unit in fitting}) > 1:
+                found.assume(
+                    f"'{name}' is in {fitting[0].name}: its header and the row of units differ", column, "unit"
+                )
+        elif table_unit(column) and name != column:
+            missing[column] = name
+            if stated or below:
+                found.assume(f"the unit '{stated or below}' of '{name}' does not fit {column}", column, "unit")
+    for columns in _families(missing, found.machine):
+        name, why = _likely(found, columns, missing, units)
+        units |= dict.fromkeys(columns, name)
+        if not any(np.nan_to_num(found.values(missing[column])).any() for column in columns):
+            continue  # zero in any unit
+        names = ", ".join(f"'{missing[column]}'" for column in columns)
+        found.assume(f"no unit is given for {names}: {name}{why}", columns[0], "unit")
+    return units
+
+
+def _fitting(text: str, column: str) -> Unit | None:
+    """Return a unit by its spelling if a column can have it."""
+    unit = unit_named(text) if text else None
+    return unit if unit is not None and unit in units_of(column) else None
+
+
+def _families(missing: Mapping[str, str], machine: Machine) -> list[list[str]]:
+    """Return the columns without a unit in groups that have the same one."""
+    families: dict[str, list[str]] = {}
+    for column in missing:
+        family = f"{_kind(column, machine)} {table_unit(column)}"
+        families.setdefault(family, []).append(column)
+    return list(families.values())
+
+
+def _kind(column: str, machine: Machine) -> str:
+    axes = {f"{axis.name}_{axis.unit}" for axis in machine.axes}
+    return (
+        "command"
+        if column.removeprefix("readback_") in axes
+        else column[:2]
+        if column.startswith(("u_", "T_"))
+        else "measured"
+    )
+
+
+def _likely(
+    found: Columns, columns: Sequence[str], names: Mapping[str, str], known: Mapping[str, str]
+) -> tuple[str, str]:
+    """Return the likely unit of columns of one kind, and the reason."""
+    axes = {f"{axis.name}_{axis.unit}": axis for axis in found.machine.axes}
+    own = table_unit(columns[0])
+    if columns[0] in axes:
+        return _by_range([(axes[column], found.values(names[column])) for column in columns if column in axes])
+    if columns[0].startswith("u_"):
+        largest = max(float(np.nanmax(found.values(names[column]), initial=0.0)) for column in columns)
+        return ("um", f", because the numbers reach {largest:g}") if largest > LARGEST_U_MM else ("mm", " assumed")
+    if own == "mm":
+        commands = [known[name] for name, axis in axes.items() if axis.linear and name in known]
+        return (
+            (commands[0], ", as the commanded positions")
+            if commands
+            else _by_extent(found, [names[c] for c in columns])
+        )
+    return units_of(columns[0])[0].name, " assumed"
+
+
+def _by_range(columns: Sequence[tuple[Axis, np.ndarray]]) -> tuple[str, str]:
+    """Return the unit in which commanded positions fit the ranges of their axes best."""
+    axis, _ = columns[0]
+    fitting: dict[str, float] = {}
+    for name in LENGTHS if axis.linear else ANGLES:
+        fitting[name] = _share_of_range(columns, _factor(name))
+    first = next(iter(fitting))
+    best = next((name for name, share in fitting.items() if LEAST_SHARE <= share <= 1.0), first)
+    low = min(float(np.nanmin(q, initial=0.0)) for _, q in columns)
+    high = max(float(np.nanmax(q, initial=0.0)) for _, q in columns)
+    if best == first:
+        return best, f", because {low:g} … {high:g} fits the machine's ranges" if fitting[best] <= 1.0 else " assumed"
+    return best, f", because {low:g} … {high:g} looks like {best} on this machine (factor {_factor(best):.6g})"
+
+
+def _factor(name: str) -> float:
+    unit = unit_named(name)
+    return 1.0 if unit is None else float(unit.factor)
+
+
+def _share_of_range(columns: Sequence[tuple[Axis, np.ndarray]], factor: float) -> float:
+    """Return the largest share of its range that an axis moves; infinity if a position is outside."""
+    share = 0.0
+    for axis, q in columns:
+        own = q[np.isfinite(q)] * factor
+        low, high = axis.domain
+        limited = axis.lower is not None
+        if not len(own):
+            continue
+        if limited and (own.min() < low - RANGE_SLACK or own.max() > high + RANGE_SLACK):
+            return np.inf
+        # A turn of an unlimited axis, and a step of half a turn, are no limits: several turns are possible.
+        share = max(share, min(float(np.ptp(own)) / (high - low), 1.0 if not limited else np.inf))
+    return share
+
+
+def _by_extent(found: Columns, names: Sequence[str]) -> tuple[str, str]:
+    """Return the unit in which measured coordinates extend over the size of the machine."""
+    size = max((axis.domain[1] - axis.domain[0] for axis in found.machine.axes if axis.linear), default=1000.0)
+    extent = max(
+        (float(np.ptp(q[np.isfinite(q)])) for name in names if np.isfinite(q := found.values(name)).any()), default=0.0
+    )
+    for name in ("mm", "m", "inch"):
+        if LEAST_SHARE * size <= extent * _factor(name) <= 4.0 * size:
+            return name, f", because the readings extend over {extent:g}"
+    return "mm", " assumed"
+
+
+# --- Rows of a plan for the rows of a file: matched by the names of points, or by their order -----
+
+FIELDS: Final = ("positions", "target", "carrier", "station", "station_carrier", "instrument", "round", "approach")
+"""Fields of a measurement table that a plan gives."""
+
+
+@final
+@dataclass(frozen=True)
+class PlanPoints:
+    """A plan with the names of its points.
+
+    Attributes:
+        table: its rows.
+        points: (n) name of each point; empty if the plan has no such column.
+    """
+
+    table: Measurements
+    points: tuple[str, ...]
+
+    @classmethod
+    def load(cls, path: Path, machine: Machine) -> PlanPoints:
+        """Read a plan.
+
+        Raises:
+            InputError: it is not a plan, or some of its rows cannot be used.
+        """
+        table = Measurements.load(path, machine, plan=True)
+        if table.set_aside:
+            first = table.set_aside[0]
+            raise InputError(
+                f"a row of the plan cannot be used: {first.text}", expected="a usable row", file=path, line=first.line
+            )
+        header, rows, _ = read_table(path)
+        place = next((i for i, name in enumerate(header) if meaning_of(name, machine).kind == "point"), None)
+        return cls(table, () if place is None else tuple(cells[place] for _, cells in rows))
+
+    def matches(self, names: list[str]) -> bool:
+        """Return whether every name is a point of the plan, and these are unique."""
+        return bool(self.points) and len(set(self.points)) == len(self.points) and {*names} <= {*self.points}
+
+    def rows_for(self, layout: Layout, entry: PlanEntry) -> np.ndarray:
+        """Return (n,) the row of the plan for each row of a file.
+
+        Raises:
+            InputError: the number of rows differs, or a row has a name that the plan does not have at its place.
+        """
+        if entry.match == "order":
+            return self._by_order(layout)
+        names = layout.column(entry.point) if entry.point in layout.names else []
+        if not names or not self.points:
+            whose = layout.raw.path if not names else self.table.source
+            raise InputError("no names of points", expected="a column with the name of each point", file=whose)
+        twice = next((name for name, count in Counter(self.points).items() if count > 1), None)
+        if twice is not None:
+            raise InputError(
+                "two points of one name", expected="a name for each point", file=self.table.source, value=twice
+            )
+        known = {name: row for row, name in enumerate(self.points)}
+        for (line, _), name in zip(layout.rows, names, strict=True):
+            if name not in known:
+                raise InputError(
+                    "a point that the plan does not have",
+                    expected=f"a point of {self.table.source}",
+                    file=layout.raw.path,
+                    line=line,
+                    value=name,
+                    nearest=closest_name(name, known),
+                )
+        return np.array([known[name] for name in names], dtype=int)
+
+    def _by_order(self, layout: Layout) -> np.ndarray:
+        count, wanted = len(layout.rows), len(self.table)
+        if count != wanted:
+            line = layout.rows[min(count, wanted + 1) - 1][0]
+            last = "the file ends with this row" if count < wanted else "this row has no row in the plan"
+            raise InputError(
+                f"{count_with_noun(count, 'measured point')}, and {self.table.source} has {wanted:,}: {last}",
+                expected="one row for each row of the plan, in its order, or names of points in both",
+                file=layout.raw.path,
+                line=line,
+            )
+        return np.arange(wanted)
+
+    def columns(self, rows: np.ndarray, machine: Machine) -> dict[str, list[str]]:
+        """Return the cells of the columns that the plan gives, for some of its rows."""
+        found: dict[str, list[str]] = {}
+        for part in table_columns(machine):
+            if part.field in FIELDS:
+                cells = part.written(getattr(self.table, part.field))
+                found |= {name: [values[row] for row in rows] for name, values in cells.items()}
+        return found
+
+    @staticmethod
+    def check_commands(
+        own: dict[str, list[str]], given: dict[str, list[str]], layout: Layout, machine: Machine
+    ) -> None:
+        """Raise `InputError` for the first row whose commanded position or target differs from the plan's."""
+        compared = given.keys() & {"target", *(f"{axis.name}_{axis.unit}" for axis in machine.axes)}
+        for row, (line, _) in enumerate(layout.rows):
+            for name in (name for name in own if name in compared):
+                mine, planned = own[name][row], given[name][row]
+                if mine and mine != planned and (name == "target" or _differ(mine, planned)):
+                    raise InputError(
+                        f"{name} is not that of the plan",
+                        expected=f"{planned}, as in the plan",
+                        file=layout.raw.path,
+                        line=line,
+                        value=mine,
+                    )
+
+
+def _differ(own: str, planned: str) -> bool:
+    """Return whether two cells are numbers that differ by more than a rounded digit."""
+    try:
+        return abs(float(own) - float(planned)) > 0.002
+    except ValueError:
+        return False

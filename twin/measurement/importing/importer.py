@@ -11,26 +11,21 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.counts import count_with_noun
 from twin._common.errors import InputError, printable
-from twin._common.file_kinds import other_kind
-from twin._common.files import read_bytes, scratch_folder, write_atomic
+from twin._common.files import other_kind, read_bytes, scratch_folder, write_atomic
 from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, warnings_to_json
+from twin._common.units import count_with_noun
 from twin.display import card, note, table
 from twin.machine.machine import Machine
 from twin.measurement.columns import SIMULATED as SIMULATED_WORD
 from twin.measurement.columns import comment_lines, csv_text, table_columns
 from twin.measurement.formats import other_format
-from twin.measurement.importing.apply import TIME, Applied, moment_in
-from twin.measurement.importing.cells import MAX_BYTES, read_cells
-from twin.measurement.importing.frames import FrameFinding, FrameRows, findings
-from twin.measurement.importing.layout import Layout, layout_of
+from twin.measurement.importing.cells import MAX_BYTES, Layout, layout_of, read_cells
+from twin.measurement.importing.frames import FrameFinding, FrameRows, PlanPoints, findings
 from twin.measurement.importing.mapping import ColumnMapping, OriginEntry
-from twin.measurement.importing.plan_rows import PlanPoints
-from twin.measurement.importing.proposal import Proposal
-from twin.measurement.importing.propose import proposed
+from twin.measurement.importing.propose import TIME, Applied, Proposal, moment_in, proposed
 from twin.measurement.instruments import default_instrument, others_alike
-from twin.measurement.state import FEWEST_REPEATS, repeats_dof
+from twin.measurement.observation import FEWEST_REPEATS, repeats_dof
 from twin.measurement.table import Measurements
 
 PREVIEW_ROWS: Final = 5

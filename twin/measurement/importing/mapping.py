@@ -14,10 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from twin._common.errors import InputError, closest_name
 from twin._common.yaml_files import EntryPath, line_of, load_yaml, quoted, yaml_text
 from twin.machine.machine import Machine
-from twin.measurement.importing.cells import DELIMITERS
-from twin.measurement.importing.decimals import SIGNS
-from twin.measurement.importing.headers import is_table_column, table_names
-from twin.measurement.importing.units import UNITS, unit_named, units_of
+from twin.measurement.importing.cells import DELIMITERS, SIGNS
+from twin.measurement.importing.headers import UNITS, is_table_column, table_names, unit_named, units_of
 
 SCHEMA: Final = "twin.columns/1"
 _Number = Annotated[float, Field(ge=-1e9, le=1e9)]

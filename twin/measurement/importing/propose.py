@@ -2,21 +2,354 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from decimal import Decimal
+from typing import Any, Final, final
+
+import numpy as np
 
 from twin._common.errors import InputError
-from twin.machine.machine import Machine
-from twin.measurement.importing.apply import WORD_COLUMNS
-from twin.measurement.importing.decimals import COMMA, POINT, SIGNS, decimal_sign, decimal_value, looks_like_number
-from twin.measurement.importing.headers import Meaning, meaning_of
-from twin.measurement.importing.layout import Layout
-from twin.measurement.importing.mapping import PlanEntry, entry_of
-from twin.measurement.importing.other_columns import add_directions, add_names, add_times
-from twin.measurement.importing.plan_rows import PlanPoints
-from twin.measurement.importing.proposal import Proposal, axis_columns, quoted
-from twin.measurement.importing.sizes import unit_by_size
-from twin.measurement.importing.units import units_of
-from twin.measurement.importing.vocabulary import ROLES, plain_words
+from twin.machine.machine import Axis, Machine
+from twin.measurement.columns import CARRIERS
+from twin.measurement.importing.cells import (
+    COMMA,
+    POINT,
+    SIGNS,
+    Layout,
+    decimal_sign,
+    decimal_text,
+    decimal_value,
+    looks_like_number,
+)
+from twin.measurement.importing.frames import PlanPoints, unit_by_size
+from twin.measurement.importing.headers import (
+    CARRIER_WORDS,
+    ROLES,
+    Meaning,
+    Unit,
+    direction_of,
+    meaning_of,
+    plain_words,
+    table_unit,
+    unit_named,
+    units_of,
+)
+from twin.measurement.importing.mapping import ColumnMapping, ColumnsFile, OriginEntry, PlanEntry, entry_of
+
+
+@final
+@dataclass
+class Proposal:
+    """A mapping in the making.
+
+    Attributes:
+        layout: the file.
+        machine: the machine.
+        plan: the plan that gives positions, or None.
+        entries: origin of each column of the measurement table.
+        assumptions: what was assumed, one sentence each.
+        remarks: comment for an entry of the mapping file, by its column.
+        notes: facts that need no confirmation.
+    """
+
+    layout: Layout
+    machine: Machine
+    plan: PlanPoints | None = None
+    entries: dict[str, OriginEntry] = field(default_factory=dict)
+    assumptions: list[str] = field(default_factory=list)
+    remarks: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    sign: str = POINT
+    matched: PlanEntry | None = None
+    used: set[str] = field(default_factory=set)
+
+    def mapping(self) -> ColumnMapping:
+        """Return the mapping."""
+        raw = self.layout.raw
+        content: dict[str, Any] = {
+            "file": raw.path.name,
+            "encoding": raw.encoding,
+            "delimiter": raw.delimiter,
+            "decimal": SIGNS[self.sign],
+            "sheet": raw.sheet,
+            "columns": self.entries,
+            "plan": self.matched,
+        }
+        return ColumnMapping(ColumnsFile(**content))
+
+    def assume(self, text: str, column: str, remark: str = "check") -> None:
+        """Add an assumption, and a remark at the entry that it concerns."""
+        self.assumptions.append(text)
+        self.remarks[column] = f"{self.remarks[column]}; {remark}" if column in self.remarks else remark
+
+    def add(self, column: str, entry: OriginEntry) -> bool:
+        """Add an entry; return False, with a note, if the column has one already."""
+        if column in self.entries:
+            taken, other = self.entries[column].sources, entry.sources
+            text = f"{column} is taken from {quoted(taken)}, not from {quoted(other)}"
+            self.assume(text, column, f"or {', '.join(other)}")
+            return False
+        self.entries[column] = entry
+        self.used |= {*entry.sources}
+        return True
+
+    def values(self, name: str) -> np.ndarray:
+        """Return the numbers of a column of the file, NaN where a cell holds none."""
+        found = [decimal_value(cell, self.sign) if cell else None for cell in self.layout.column(name)]
+        return np.array([np.nan if value is None else float(value) for value in found])
+
+
+def quoted(names: Sequence[str]) -> str:
+    """Return names in quotes, separated by commas."""
+    return ", ".join(f"'{name}'" for name in names)
+
+
+def axis_columns(machine: Machine) -> dict[str, Axis]:
+    """Return the columns of commanded positions, each with its axis."""
+    return {f"{axis.name}_{axis.unit}": axis for axis in machine.axes}
+
+
+# --- Application of a mapping: the cells of a measurement table from those of the file, exactly as the mapping says
+
+WORD_COLUMNS: Final = ("target", "carrier", "station", "station_carrier", "instrument", "round")
+TIME: Final = "time_s"
+
+
+@final
+@dataclass(frozen=True)
+class Applied:
+    """Application of a mapping to a file.
+
+    Attributes:
+        layout: the file.
+        mapping: the mapping.
+    """
+
+    layout: Layout
+    mapping: ColumnMapping
+
+    def columns(self) -> dict[str, list[str]]:
+        """Return the cells of every mapped column of the measurement table, by its name.
+
+        Raises:
+            InputError: a column of the mapping is not in the file; a cell that is not a number, direction, side or date.
+        """
+        return {name: self.column(name, entry) for name, entry in self.mapping.entries.columns.items()}
+
+    def column(self, name: str, entry: OriginEntry) -> list[str]:
+        """Return the cells of one column.
+
+        Raises:
+            InputError: as `columns`.
+        """
+        if entry.source is None:
+            value = "" if entry.value is None else entry.value
+            return [f"{value:g}" if isinstance(value, float) else str(value)] * len(self.layout.rows)
+        self._check_sources(name, entry.sources)
+        if name in WORD_COLUMNS:
+            return self._words(name, entry)
+        if name.startswith("approach_"):
+            return self._directions(name, entry)
+        if name == TIME and entry.format is not None:
+            return self._seconds(entry)
+        return self._numbers(name, entry)
+
+    def _check_sources(self, name: str, sources: Sequence[str]) -> None:
+        for source in sources:
+            if source not in self.layout.names:
+                names = self.layout.names
+                raise self.mapping.error(
+                    f"{self.layout.raw.path} has no such column",
+                    ("columns", name, "from"),
+                    expected=f"one of {', '.join(names)}",
+                    value=source,
+                    known=names,
+                )
+
+    def _error(self, what: str, row: int, value: str, expected: str) -> InputError:
+        line = self.layout.rows[row][0]
+        return InputError(what, expected=expected, file=self.layout.raw.path, line=line, value=value)
+
+    def _words(self, name: str, entry: OriginEntry) -> list[str]:
+        words = {plain_words(word): str(meaning) for word, meaning in (entry.words or {}).items()}
+        cells = self.layout.column(entry.sources[0])
+        if name in ("carrier", "station_carrier"):
+            words = {**CARRIER_WORDS, "base": "base", **words}
+            for row, cell in enumerate(cells):
+                if plain_words(cell) not in words:
+                    expected = f"{' or '.join(CARRIERS)}, or an entry of `words` in the mapping"
+                    raise self._error(f"{name} is not a side of the machine", row, cell, expected)
+        return [words.get(plain_words(cell), cell) for cell in cells]
+
+    def _directions(self, name: str, entry: OriginEntry) -> list[str]:
+        words = {plain_words(word): meaning for word, meaning in (entry.words or {}).items()}
+        found = []
+        for row, cell in enumerate(self.layout.column(entry.sources[0])):
+            value = words.get(plain_words(cell), direction_of(cell))
+            if value is None or str(value) not in ("-1", "0", "1"):
+                expected = "+, -, up, down, vorwärts, rückwärts, +1, -1 or 0, or an entry of `words` in the mapping"
+                raise self._error(f"{name} is not a direction", row, cell, expected)
+            found.append(str(int(value) * entry.sign))
+        return found
+
+    def _numbers(self, name: str, entry: OriginEntry) -> list[str]:
+        unit, sign = self._unit(name, entry), self.mapping.entries.sign
+        offset = Decimal(repr(entry.offset))
+        found = []
+        for row, cell in enumerate(self.layout.column(entry.sources[0])):
+            if not cell:
+                found.append("")
+                continue
+            value = decimal_value(cell, "." if self.layout.raw.sheet and "," not in cell else sign)
+            if value is None:
+                expected = f"a number with a decimal {SIGNS[sign]}, or an empty cell"
+                raise self._error(f"{entry.sources[0]} ({name}) is not a number", row, cell, expected)
+            value = value if unit is None else unit.to_table(value)
+            found.append(decimal_text(value * entry.sign + offset if entry.sign < 0 or offset else value))
+        return found
+
+    def _unit(self, name: str, entry: OriginEntry) -> Unit | None:
+        return unit_named(entry.unit) if entry.unit else next(iter(units_of(name)), None) if table_unit(name) else None
+
+    def _seconds(self, entry: OriginEntry) -> list[str]:
+        """Return times in seconds since the first row that has one."""
+        columns = [self.layout.column(source) for source in entry.sources]
+        texts = [" ".join(parts) for parts in zip(*columns, strict=True)]
+        first: datetime | None = None
+        found = []
+        for row, text in enumerate(texts):
+            if not text.strip():
+                found.append("")
+                continue
+            moment = moment_in(text, entry.format or "")
+            if moment is None:
+                raise self._error("not a date and time", row, text, f"the form {entry.format}")
+            first = moment if first is None else first
+            found.append(decimal_text(Decimal((moment - first) // timedelta(microseconds=1)) / 1_000_000))
+        return found
+
+
+def moment_in(text: str, form: str) -> datetime | None:
+    """Return a date and time, without its time zone; None if the text does not have this form (``iso``, or as `datetime.strptime`)."""
+    try:
+        moment = datetime.fromisoformat(text) if form == "iso" else datetime.strptime(text, form)
+    except ValueError:
+        return None
+    return moment.replace(tzinfo=None) if moment.tzinfo is None else moment.astimezone(UTC).replace(tzinfo=None)
+
+
+# --- Proposal of the columns that are not numbers: names, sides, directions of approach, dates and times
+
+DATE_FORMS: Final = tuple(
+    f"{day}{clock}"
+    for day in ("%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "")
+    for clock in (" %H:%M:%S", " %H:%M:%S.%f", " %H:%M:%S,%f", " %H:%M", " %I:%M:%S %p", " %I:%M %p")
+)
+"""Forms of dates and times that are tried after ISO 8601; those without a date only where the file has none."""
+SERIAL: Final = ("datetime", "date", "time")
+
+
+def add_names(found: Proposal, meanings: Mapping[str, Meaning]) -> None:
+    """Add target, carrier, station, round and instrument."""
+    for name, meaning in meanings.items():
+        if meaning.kind == "exact" and name in WORD_COLUMNS:
+            found.add(name, entry_of(name))
+        elif meaning.kind in ("target", "station", "round"):
+            found.add(meaning.kind, entry_of(name))
+        elif meaning.kind == "carrier":
+            wrong = [cell for cell in found.layout.column(name) if plain_words(cell) not in CARRIER_WORDS]
+            if wrong:
+                found.notes.append(f"'{name}' is not used: '{wrong[0]}' is not a side of the machine")
+            else:
+                found.add("carrier", entry_of(name))
+    if found.plan is not None:
+        return
+    points = [name for name, one in meanings.items() if one.kind == "point"]
+    if "target" not in found.entries:
+        _add_target(found, points)
+    if "carrier" not in found.entries:
+        moving = [axis for axis, q in zip(found.machine.axes, commands_of(found).T, strict=True) if np.ptp(q) > 1e-3]
+        side = "work" if moving and all(axis.side == "work" for axis in moving) else "tool"
+        found.entries["carrier"] = entry_of(value=side)
+        found.assume(f"the targets sit on the {side} side of the machine (carrier: {side})", "carrier", "tool or work")
+
+
+def commands_of(found: Proposal) -> np.ndarray:
+    """Return (n, axes) the commanded positions in the file's units; zero for an axis that the file does not give."""
+    columns = [found.entries.get(name) for name in axis_columns(found.machine)]
+    zero = np.zeros(len(found.layout.rows))
+    return np.stack(
+        [np.nan_to_num(found.values(one.sources[0])) if one and one.sources else zero for one in columns], axis=1
+    )
+
+
+def _add_target(found: Proposal, points: Sequence[str]) -> None:
+    for name in points:
+        names = dict.fromkeys(found.layout.column(name))
+        if 2 * len(names) <= len(found.layout.rows):
+            found.add("target", entry_of(name))
+            shown = ", ".join(list(names)[:5]) + (", …" if len(names) > 5 else "")
+            found.assume(f"each name of '{name}' is a target: {shown}", "target", f"{len(names)} targets")
+            return
+    found.entries["target"] = entry_of(value="1")
+    found.assume("all rows are of one target, named 1", "target", "name of the target")
+
+
+def add_directions(found: Proposal, meanings: Mapping[str, Meaning]) -> None:
+    """Add directions of approach."""
+    machine = found.machine
+    for name, meaning in meanings.items():
+        exact = meaning.kind == "exact" and name.startswith("approach_")
+        if meaning.kind != "approach" and not exact:
+            continue
+        if any(direction_of(cell) is None for cell in found.layout.column(name)):
+            wrong = next(cell for cell in found.layout.column(name) if direction_of(cell) is None)
+            found.notes.append(f"'{name}' is not used: '{wrong}' is not a direction")
+            continue
+        axis = machine.by_name.get(meaning.name)
+        if exact:
+            found.add(name, entry_of(name))
+        elif axis is not None:
+            found.add(f"approach_{axis.name}", entry_of(name))
+        else:
+            spans = np.ptp(commands_of(found), axis=0)
+            if np.count_nonzero(spans > 1e-3) == 1:
+                column = f"approach_{machine.names[int(np.argmax(spans))]}"
+                if found.add(column, entry_of(name)):
+                    found.assume(f"'{name}' is the direction of {column[9:]}, the only axis that moves", column)
+
+
+def add_times(found: Proposal, meanings: Mapping[str, Meaning]) -> None:
+    """Add the time of each row from columns of dates and times."""
+    kinds = {kind: [name for name, one in meanings.items() if one.kind == kind] for kind in SERIAL}
+    if "time_s" in found.entries or not any(kinds.values()):
+        return
+    candidates = [*([one] for one in kinds["datetime"]), *([d, t] for d in kinds["date"] for t in kinds["time"])]
+    candidates += [*([one] for one in kinds["time"]), *([one] for one in kinds["date"])]
+    for sources in candidates:
+        texts = [" ".join(parts).strip() for parts in zip(*map(found.layout.column, sources), strict=True)]
+        texts = [text for text in texts if text]
+        forms = [form.strip() for form in ("iso", *DATE_FORMS)]
+        fitting = [form for form in forms if texts and all(moment_in(text, form) is not None for text in texts)]
+        if not fitting or (fitting[0] == "iso" and len(texts[0]) <= 10):
+            continue
+        if any(form.endswith("%p") for form in fitting):  # clocks of twelve hours come with the month first
+            fitting.sort(key=lambda form: not form.startswith("%m"))
+        source = sources[0] if len(sources) == 1 else tuple(sources)
+        if found.add("time_s", entry_of(source, form=fitting[0])):
+            found.notes.append(f"time_s counts from the first row, {texts[0]}")
+            if {form[:2] for form in fitting} >= {"%d", "%m"}:
+                order = "month" if fitting[0].startswith("%m") else "day"
+                found.assume(f"dates have the {order} first: {texts[0]}", "time_s", "order of day and month")
+        return
+    found.notes.append(
+        f"no time: {quoted([name for names in kinds.values() for name in names])} cannot be read as dates"
+    )
+
+
+# --- Proposal of a mapping: the columns of a file by their headers, with every assumption in words
 
 
 def proposed(layout: Layout, machine: Machine, plan: PlanPoints | None) -> Proposal:

@@ -12,15 +12,23 @@ import numpy as np
 from twin._common import families
 from twin._common.errors import require_name
 from twin.measurement.instruments.ball_bar import BallBar
-from twin.measurement.instruments.base import SIDES, Instrument, InstrumentSpecification, Reads, StationInstruments
+from twin.measurement.instruments.base import (
+    SIDES,
+    STANDARD_AIR,
+    Air,
+    Instrument,
+    InstrumentSpecification,
+    Reads,
+    StationInstruments,
+    length_scale,
+    refractive_index,
+)
 from twin.measurement.instruments.interferometer import TrackingInterferometer
 from twin.measurement.instruments.level import Level
 from twin.measurement.instruments.linear import LinearInterferometer
-from twin.measurement.instruments.multi_axis import MultiAxis
-from twin.measurement.instruments.multi_axis_solve import Displacement, measure
+from twin.measurement.instruments.multi_axis import Displacement, MultiAxis, measure
 from twin.measurement.instruments.probe import TouchProbe
 from twin.measurement.instruments.r_test import RTest
-from twin.measurement.instruments.refraction import STANDARD_AIR, Air, length_scale, refractive_index
 from twin.measurement.instruments.tracker import LaserTracker
 
 INSTRUMENTS: Final[tuple[Instrument, ...]] = families.members(__name__, families.INSTRUMENTS)

@@ -3,23 +3,274 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from math import nan
 from typing import Final, final
 
 import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.nc.apt.locations import VECTOR_DECIMALS
-from twin.nc.apt.program import read, rewritten
-from twin.nc.apt.statements import statement_at, statements
-from twin.nc.apt.technology import line_words
-from twin.nc.blocks import AxisWords, Interpretation, Kind, Program
-from twin.nc.columns import NewPositions, as_columns
-from twin.nc.dialect import Dialect
-from twin.nc.header import first_lines, insert_comments
-from twin.nc.technology import FeedUnit, LineWords
-from twin.nc.text import MM_PER_INCH, Style, format_number
+from twin.nc.apt.locations import (
+    MOST_DECIMALS,
+    POSITION_DECIMALS,
+    VECTOR_DECIMALS,
+    Said,
+    Together,
+    TogetherJob,
+    together_code,
+)
+from twin.nc.apt.reader import AptReader, Statement, locations, scan, statement_at, statements
+from twin.nc.blocks import (
+    AxisWords,
+    Interpretation,
+    Kind,
+    MoveBuilder,
+    MoveColumns,
+    NewPositions,
+    Program,
+    Rewrite,
+    as_columns,
+)
+from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords
+from twin.nc.lines.chunks import DELETED_LINE, Chunk, chunks, runs
+from twin.nc.text import (
+    MM_PER_INCH,
+    Style,
+    apply_edits,
+    ending,
+    first_lines,
+    format_number,
+    insert_comments,
+    newline_of,
+    number,
+    style_of,
+)
+from twin.nc.writer import vector_texts
+
+_STATEMENT: Final = re.compile(r"[ \t]*(UNITS|FEDRAT|SPINDL|DELAY|FINI)\b[ \t]*/?([^$\r\n]*)", re.ASCII | re.IGNORECASE)
+_UNITS: Final = {"MMPR": FeedUnit.TURN, "IPR": FeedUnit.TURN, "PERREV": FeedUnit.TURN, "INVERS": FeedUnit.INVERSE}
+_SURFACE: Final = frozenset({"SFM", "SMM", "SURF"})
+
+
+def line_words(text: str) -> LineWords:
+    """Return what a line says."""
+    found = _STATEMENT.match(text)
+    if found is None:
+        return NOTHING
+    word, arguments = found[1].upper(), [part.strip().upper() for part in found[2].split(",")]
+    numbers = [value for value in map(number, arguments) if value == value]
+    first = numbers[0] if numbers else nan
+    if word == "UNITS":
+        return LineWords(inch=arguments[0].startswith("INCH"))
+    if word == "DELAY":
+        return LineWords(dwell_s=first)
+    if word == "FEDRAT":
+        unit = next((_UNITS[one] for one in arguments if one in _UNITS), FeedUnit.MINUTE)
+        inch, metric = (bool(set(arguments) & those) for those in ({"IPM", "IPR"}, {"MMPM", "MMPR"}))
+        return LineWords(feed=first * (MM_PER_INCH if inch else 1.0), unit=unit, metric=inch or metric)
+    if word == "FINI" or "OFF" in arguments:
+        return LineWords(off_after=word == "FINI", turning=None if word == "FINI" else False)
+    varying = next((one for one in arguments if one in _SURFACE), None)
+    return LineWords(speed_rpm=first if numbers else None, turning=True, varying=varying)
+
+
+# --- Writer of APT statements: locations replaced, every other byte kept --------------------------
+
+_EXPONENT: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)[EeDd][+-]?\d{1,3}", re.ASCII)
+
+
+@final
+class AptWriter:
+    """Writer of statements that keeps track of the last tool vector.
+
+    Args:
+        newline: line ending of the program.
+        together: how simple statements are written together.
+    """
+
+    def __init__(self, newline: str, together: Together) -> None:
+        self.newline = newline
+        self._together = together
+        self._said: Said | None = vector_texts((0.0, 0.0, 1.0), VECTOR_DECIMALS, False)
+
+    def unchanged(self, raw: str, *, tilts: bool) -> str:
+        """Return a statement unchanged; ``tilts``: whether it has a tool vector."""
+        if tilts:
+            self._said = None
+        return raw
+
+    def location(self, statement: Statement, rewrite: Rewrite, rows: list[list[float]], unit: float) -> str:
+        """Return the segments of a location.
+
+        Args:
+            statement: the statement.
+            rewrite: its replacement.
+            rows: the positions of the replacement, as lists.
+            unit: mm per program unit.
+        """
+        raw, fields = statement.raw, statement.fields
+        style = Style()
+        decimals = [max(POSITION_DECIMALS, _decimals(text)) for _, _, text in fields[:3]]
+        edits: list[tuple[int, int, str]] = []
+        for (start, end, text), places, target in zip(fields, decimals, rows[0], strict=False):
+            if target == target:
+                style = style_of(text, style)
+                if style.min_decimals != places or style.comma:
+                    style = style._replace(min_decimals=places, comma=False)
+                edits.append((start, end, format_number(target / unit, places, style)))
+        vectors: list[list[float] | None] = [None] * len(rows) if rewrite.vectors is None else rewrite.vectors.tolist()
+        written = len(fields) == 6
+        texts = self._vector(vectors[0], again=written)
+        if written:
+            edits += [(start, end, text) for (start, end, _), text in zip(fields[3:], texts, strict=False)]
+            self._said = self._said if texts else None
+        elif texts:
+            edits.append((fields[2].end, fields[2].end, f",{','.join(texts)}"))
+        end_of_line = ending(raw)
+        newline = end_of_line or self.newline
+        lines = [apply_edits(raw, edits) + ("" if end_of_line or len(rows) == 1 else newline)]
+        head = raw[: fields[0].start]
+        goto = head if "$" not in head and statement.word == "GOTO" else "GOTO/"
+        rapid = f"RAPID{newline}" if rewrite.move.kind is Kind.RAPID else ""
+        for row, vector in zip(rows[1:], vectors[1:], strict=True):
+            numbers = [
+                format_number(target / unit, places, style._replace(min_decimals=places))
+                for target, places in zip(row, decimals, strict=False)
+            ]
+            lines.append(f"{rapid}{goto}{','.join([*numbers, *self._vector(vector, again=False)])}{newline}")
+        if not end_of_line and len(rows) > 1:
+            lines[-1] = lines[-1].removesuffix(newline)
+        return "".join(lines)
+
+    def together(self, job: TogetherJob) -> str:
+        """Return simple ``GOTO`` statements with new locations."""
+        text, self._said = self._together(job, self._said)
+        return text
+
+    def _vector(self, vector: list[float] | None, *, again: bool) -> tuple[str, ...]:
+        """Return the components of a tool vector, none if it is the last one written; ``again``: always."""
+        if vector is None:
+            return ()
+        texts = vector_texts(vector, VECTOR_DECIMALS, False)
+        new = again or texts != self._said
+        self._said = texts
+        return texts if new else ()
+
+
+def _decimals(text: str) -> int:
+    fraction = text.partition(".")[2]
+    return min(MOST_DECIMALS, len(fraction)) if fraction.isdigit() or not _EXPONENT.fullmatch(text) else 0
+
+
+# --- APT programs read and written: runs of simple ``GOTO`` statements together, all other statements one by one
+
+
+@final
+@dataclass(frozen=True)
+class _Run:
+    """Simple statements to be processed together.
+
+    Attributes:
+        chunk: the chunk they are in.
+        begin, end: the range of lines in it, with comments in between.
+        lines: indices of the statements in it.
+    """
+
+    chunk: Chunk
+    begin: int
+    end: int
+    lines: np.ndarray
+
+
+def read(program: Program, axes: AxisWords) -> Interpretation:
+    """Return the moves of a program.
+
+    Raises:
+        InputError: as `twin.nc.dialect.Dialect.moves`.
+    """
+    reader, found = AptReader(program.source, axes), MoveBuilder(axes.names)
+    for part in _parts(program, lambda chunk: chunk.scan.simple, lambda: reader.rapid or bool(reader.unknown)):
+        if isinstance(part, _Run):
+            found.extend(reader.run(part.chunk.first + part.lines, locations(part.chunk.scan, part.lines)))
+        elif (move := reader.step(part)) is not None:
+            found.add(move)
+    return Interpretation(found.moves(), tuple(reader.notices))
+
+
+def rewritten(program: Program, axes: AxisWords, moves: MoveColumns, new: NewPositions) -> str:
+    """Return a program with its moves replaced, and every other byte kept.
+
+    Args:
+        program: the program.
+        axes: axis words.
+        moves: its moves.
+        new: their replacements.
+    """
+    reader = AptReader(program.source, axes)
+    writer = AptWriter(newline_of(program), together_code(len(program.texts)))
+    out: list[str] = []
+    for part in _parts(program, lambda chunk: _replaced_together(chunk, moves, new), lambda: False):
+        if isinstance(part, _Run):
+            lines, scanned = part.lines, part.chunk.scan
+            reader.run(part.chunk.first + lines, locations(scanned, lines))
+            which = np.searchsorted(moves.line, part.chunk.first + lines)
+            rows = new.rows(which)
+            whole = slice(int(scanned.start[part.begin]), int(scanned.end[part.end - 1]))
+            positions, vectors = new.positions[rows] / reader.unit, new.vectors[rows]
+            out.append(writer.together(TogetherJob(scanned, whole, lines, new.count[which], positions, vectors)))
+            continue
+        moved = reader.step(part) is not None
+        index = int(np.searchsorted(moves.line, part.line)) if moved else -1
+        rewrite = new.of_move(index, moves[index]) if moved else None
+        if rewrite is None:
+            out.append(writer.unchanged(part.raw, tilts=moved and len(part.texts) == 6))
+        else:
+            out.append(writer.location(part, rewrite, rewrite.positions.tolist(), reader.unit))
+    return "".join(out).replace(DELETED_LINE, "")
+
+
+def _parts(
+    program: Program, together: Callable[[Chunk], np.ndarray], alone: Callable[[], bool]
+) -> Iterator[_Run | Statement]:
+    """Yield runs of statements to process together, and single statements, in order.
+
+    Args:
+        program: the program.
+        together: function that returns (lines,) which lines of a chunk can be processed together.
+        alone: function that returns whether the next statement must be processed alone.
+    """
+    behind = 0
+    for chunk in chunks(program, (), scan):
+        able = together(chunk)
+        for begin, end, long in runs(able, chunk.scan.blank):
+            at = max(chunk.first + begin, behind)
+            lines = begin + np.flatnonzero(able[begin:end]) if long else np.zeros(0, dtype=int)
+            while at < chunk.first + end:
+                if lines.size and lines[-1] >= at - chunk.first and not alone():
+                    yield _Run(chunk, at - chunk.first, end, lines[lines >= at - chunk.first])
+                    at = chunk.first + end
+                else:
+                    statement, at = statement_at(program.texts, at)
+                    yield statement
+            behind = at
+
+
+def _replaced_together(chunk: Chunk, moves: MoveColumns, new: NewPositions) -> np.ndarray:
+    """Return (lines,) which statements of a chunk can be replaced together: feed moves in plain numbers, with a tool vector."""
+    scanned, words = chunk.scan, chunk.scan.words
+    part = slice(*np.searchsorted(moves.line, [chunk.first, chunk.first + len(chunk)]))
+    able = np.zeros(len(chunk), dtype=bool)
+    able[moves.line[part] - chunk.first] = (new.count[part] > 0) & ~moves.rapid[part]
+    rows = new.rows(np.arange(part.start, part.stop))
+    if not (np.isfinite(new.positions[rows, :3]).all() and np.isfinite(new.vectors[rows]).all()):
+        return np.zeros(len(chunk), dtype=bool)
+    able[words.line[(words.axis < 3) & ((words.sign == ord("+")) | (words.whole == 0))]] = False
+    return able & scanned.simple
+
+
+# --- The APT dialect: cutter locations (``.cls``, ``.apt``), ``GOTO/x,y,z,i,j,k`` in the work frame
 
 _REMARK: Final = re.compile(r"[ \t]*+(?:\$\$[^\r\n]*+)?+[\r\n]*+", re.ASCII)
 _LOCATION: Final = re.compile(r"[ \t]*+GOTO[ \t]*+/[ \t\d.,+-]++[\r\n]*+", re.ASCII | re.IGNORECASE)

@@ -10,7 +10,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.compute.native import loading
+from twin.compute.native import compiler
 from twin.nc.lines.scan import Scan, scan
 from twin.nc.text import Style, ending, format_number
 
@@ -26,7 +26,7 @@ _POINTERS: Final = ctypes.c_void_p
 _SCANNED: Final = ("text", "start", "end", "first")
 _WORDS: Final = ("start", "end", "fraction")
 _SAMPLE: Final = b"    X1.5Y-2Z0.1234567A0B0C1\r\n\n    X1Y2Z3.0000000000001\r\n    X0Y0Z-.5\n%\n    X1Y1Z1A1B0C0\n"
-"""In the form of ISO lines, as `twin.nc.apt.lines.scan` makes it of a program."""
+"""In the form of ISO lines, as `twin.nc.apt.reader.scan` makes it of a program."""
 
 
 @final
@@ -95,7 +95,7 @@ def _fixed(values: np.ndarray, places: np.ndarray) -> list[str]:
 
 
 def _shortest(values: np.ndarray) -> list[str]:
-    """Return the components of tool vectors as `twin.nc.emit.vector_texts` does."""
+    """Return the components of tool vectors as `twin.nc.writer.vector_texts` does."""
     found = [
         text.rstrip("0").rstrip(".") if text[-1] == "0" else text for text in map(_COMPONENT.__mod__, values.tolist())
     ]
@@ -165,7 +165,7 @@ def together_code(lines: int) -> Together:
     Args:
         lines: number of lines of the program.
     """
-    found = _compiled() if loading.worth_compiling(lines) else None
+    found = _compiled() if compiler.worth_compiling(lines) else None
     return written if found is None else found.written
 
 
@@ -173,7 +173,7 @@ def together_code(lines: int) -> Together:
 def _compiled() -> _CompiledLocations | None:
     """Return the compiled code; None if it cannot be compiled, or differs from `written` on a sample."""
     jobs = {"write_locations": _LocationJob}
-    found = loading.confirmed_library(
+    found = compiler.confirmed_library(
         "twin.nc.apt", "locations.cpp", jobs, lambda one: _agrees(_CompiledLocations(one))
     )
     return None if found is None else _CompiledLocations(found)

@@ -1,20 +1,189 @@
-"""Interpreter of APT statements."""
+"""Interpreter of APT statements.
+
+Simple ``GOTO`` statements found all at once, through an image of the text that has the form of ISO lines.
+
+The simple statements here are ``GOTO/x,y,z`` and ``GOTO/x,y,z,i,j,k`` in a line of their own, without blanks before or between their
+numbers, and with a tool vector of nearly unit length. The image has the same length, so that the places of its words are those of the
+text: ``GOTO/1.5,2,3`` becomes ``····X1.5Y2Z3`` (· is a blank).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Final, final
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.nc.apt.lines import NOTED
-from twin.nc.apt.statements import Statement
-from twin.nc.blocks import AxisWords, Kind, Move, Notice
-from twin.nc.columns import MoveColumns, fill_forward
-from twin.nc.emit import Vector
-from twin.nc.text import MM_PER_INCH, UNIT_LENGTH, number, unit_vector
+from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, Notice, fill_forward, line_ends
+from twin.nc.lines.chunks import DELETED_LINE
+from twin.nc.lines.compiled import LineCode
+from twin.nc.lines.scan import Scan
+from twin.nc.text import BOM, MM_PER_INCH, UNIT_LENGTH, number, unit_vector
+from twin.nc.writer import Vector
+
+_STATEMENT = re.compile(r"[ \t\f\x1a]*+([A-Za-z][A-Za-z0-9_ -]*+)(?:(/)(.*))?", re.ASCII | re.DOTALL)
+_new = tuple.__new__
+_CONTINUED = re.compile(r"\$[ \t]*(?:\r\n|\n|\r)")
+
+
+class AptField(NamedTuple):
+    """One argument of a statement: its range in the raw text, without surrounding spaces, and its text."""
+
+    start: int
+    end: int
+    text: str
+
+
+class Statement(NamedTuple):
+    """One statement: lines joined over ``$``.
+
+    Attributes:
+        line: 0-based index of its first line.
+        raw: its lines as written.
+        word: its major word in capitals, without spaces; empty for comments and blank lines.
+        at: start of its arguments in the raw text.
+        arguments: the arguments, joined into one line.
+    """
+
+    line: int
+    raw: str
+    word: str
+    at: int = 0
+    arguments: str = ""
+
+    @property
+    def texts(self) -> list[str]:
+        """The texts of the arguments."""
+        return [field.strip() for field in self._split_arguments()]
+
+    @property
+    def fields(self) -> list[AptField]:
+        """The arguments with their ranges."""
+        found = []
+        at = self.at + (1 if self.arguments.startswith(",") else 0)
+        for field in self._split_arguments():
+            bare = field.strip()
+            start = at + field.find(bare)
+            found.append(_new(AptField, (start, start + len(bare), bare)))
+            at += len(field) + 1
+        return found
+
+    def _split_arguments(self) -> list[str]:
+        arguments = self.arguments
+        return arguments.removeprefix(",").split(",") if arguments else []
+
+
+def statements(texts: Sequence[str]) -> Iterator[Statement]:
+    """Yield the statements of a program's lines in order; their raw texts together are the program."""
+    index = 0
+    while index < len(texts):
+        statement, index = statement_at(texts, index)
+        yield statement
+
+
+def statement_at(texts: Sequence[str], first: int) -> tuple[Statement, int]:
+    """Return the statement that begins at a line, and the index of the line after it."""
+    raw = text = texts[first]
+    index = first + 1
+    if "$" in text:
+        parts = [text]
+        while _continues(text) and index < len(texts):
+            text = texts[index]
+            parts.append(text)
+            index += 1
+        raw = "".join(parts)
+    return _statement(first, raw), index
+
+
+def _continues(text: str) -> bool:
+    at = text.find("$")
+    return at >= 0 and not text.startswith("$$", at) and not text[at + 1 :].strip()
+
+
+def _statement(line: int, raw: str) -> Statement:
+    text = raw
+    begin = len(BOM) if line == 0 and raw.startswith(BOM) else 0
+    if begin:
+        text = " " * begin + raw[begin:]
+    if "$" in text:
+        text = _CONTINUED.sub(lambda match: " " * len(match.group()), text)
+        text = text.split("$$", 1)[0].rstrip("\r\n\t $")
+    found = _STATEMENT.match(text)
+    if found is None:
+        return Statement(line, raw, text.strip(" \t\r\n\f\x1a%") and "?")
+    word = found.group(1).upper().replace(" ", "").replace("-", "")
+    if found.group(2) is None:
+        return Statement(line, raw, word)
+    return Statement(line, raw, word, found.start(3), found.group(3).rstrip())
+
+
+# --- Simple ``GOTO`` statements found all at once, through an image of the text that has the form of ISO lines
+
+_NAMES: Final = ("X", "Y", "Z", "A", "B", "C")
+NOTED: Final = 1e-3
+"""Difference of a tool vector's length from one above which a notice is given."""
+_LETTERS: Final = np.frombuffer(b"YZABC", dtype=np.uint8)
+"""Letters in place of the commas of a statement."""
+_HEAD: Final = np.frombuffer(b"GOTO", dtype=np.uint8)
+_NOTE: Final = re.compile(rb"[ \t]*+(?:\$\$[^\r\n]*+)?+[\r\n]*+|" + re.escape(DELETED_LINE.encode()))
+"""Comment lines, blank ones and deleted ones."""
+_CAPITAL: Final = 0xDF
+"""Mask that makes a small letter a capital."""
+
+
+def scan(data: bytes, names: tuple[str, ...], code: LineCode) -> Scan:
+    """Find and read the simple statements of whole lines of a program.
+
+    Args:
+        data: the lines.
+        names: axis names of the machine; the words of the result are always those of x, y, z, i, j, k.
+        code: how ISO lines are read.
+    """
+    text = np.frombuffer(data, dtype=np.uint8)
+    image = text.copy()
+    starts = np.concatenate([[0], line_ends(text, data) + 1])
+    at = np.flatnonzero(text == ord("/"))
+    line = np.searchsorted(starts, at, side="right") - 1
+    good = at - starts[line] == len(_HEAD)
+    at, line = at[good], line[good]
+    good = (text[at[:, None] + np.arange(-len(_HEAD), 0)] & _CAPITAL == _HEAD).all(axis=1)
+    at, line = at[good], line[good]
+    image[at[:, None] + np.arange(-len(_HEAD), 0)], image[at] = ord(" "), ord("X")
+    headed = np.zeros(len(starts), dtype=bool)
+    headed[line] = True
+    commas = np.flatnonzero(text == ord(","))
+    line = np.searchsorted(starts, commas, side="right") - 1
+    place = np.arange(len(commas)) - np.searchsorted(commas, starts)[line]
+    image[commas] = np.where(headed[line], _LETTERS[np.minimum(place, len(_LETTERS) - 1)], ord(","))
+    notes = starts[:-1][text.take(starts[:-1], mode="clip") == ord("$")]
+    image[notes[text.take(notes + 1, mode="clip") == ord("$")]] = ord("%")
+    found = code.scan(image.tobytes(), _NAMES)
+    count = np.diff(found.first)
+    simple = found.simple & headed[: len(found.simple)] & ((count == 3) | (count == 6))
+    tilted = np.flatnonzero(simple & (count == 6))
+    length = np.linalg.norm(found.words.value[found.first[tilted, None] + [3, 4, 5]], axis=1)
+    simple[tilted[np.abs(length - 1.0) > 0.5 * NOTED]] = False
+    blank = np.zeros(len(simple), dtype=bool)
+    blank[[i for i in np.flatnonzero(found.blank).tolist() if _NOTE.fullmatch(data, found.start[i], found.end[i])]] = (
+        True
+    )
+    return replace(found, data=data, text=text, simple=simple, blank=blank)
+
+
+def locations(found: Scan, lines: np.ndarray) -> np.ndarray:
+    """Return (lines, 6) the numbers of simple statements, NaN where there are only three."""
+    numbers = np.full((len(lines), len(_NAMES)), np.nan)
+    words = slice(found.first[lines[0]], found.first[lines[-1] + 1])
+    row = np.repeat(np.arange(len(lines)), np.diff(found.first)[lines])
+    numbers[row, found.words.axis[words]] = found.words.value[words]
+    return numbers
+
+
+# --- Interpreter of APT statements ----------------------------------------------------------------
 
 _PASSED = frozenset(
     """SPINDL COOLNT TOOLNO PAINT MSYS MULTAX PARTNO MACHIN CUTTER END FINI STOP OPSTOP DELAY HEAD

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import nan
 from pathlib import Path
 from typing import Final, final
 
@@ -12,21 +14,218 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.nc.blocks import AxisWords, Interpretation, Notice, Program
-from twin.nc.columns import NewPositions, as_columns
-from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
-from twin.nc.header import first_lines, insert_comments, missing_comments
+from twin.nc.blocks import (
+    AxisWords,
+    Interpretation,
+    Kind,
+    Move,
+    MoveColumns,
+    NewPositions,
+    Notice,
+    Program,
+    Rewrite,
+    as_columns,
+)
+from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram, as_comment, points_words
 from twin.nc.heidenhain import vocabulary
-from twin.nc.heidenhain.calls import HeidenhainInliner
+from twin.nc.heidenhain.calls import HeidenhainInliner, PathBlock, scan
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
-from twin.nc.heidenhain.lines import scan
-from twin.nc.heidenhain.rewriter import HeidenhainRewriter
-from twin.nc.heidenhain.technology import line_words
-from twin.nc.heidenhain.vocabulary import HEAD, numbered_as, renumbered, with_continued_marked
-from twin.nc.lines.chunks import ChunkReader, chunks
-from twin.nc.lines.compiled import line_code
-from twin.nc.technology import LineWords
-from twin.nc.text import Style, newline_of, style_in
+from twin.nc.heidenhain.vocabulary import HEAD, UNNUMBERED, numbered_as, renumbered, with_continued_marked
+from twin.nc.lines.chunks import Chunk, ChunkReader, ChunkRewriter, SimpleRun, chunks
+from twin.nc.lines.compiled import LineCode, line_code
+from twin.nc.text import Style, first_lines, insert_comments, missing_comments, newline_of, number, style_in
+from twin.nc.writer import Edit, Formatting, Segments, WordWriter, vector_texts
+
+_ASIDE: Final = re.compile(r"\"[^\"]*\"|;.*", re.ASCII)
+_VALUE: Final = r"[+-]?[ \t]*[\d.,]+"
+_FEED: Final = re.compile(rf"(?<![A-Z\d])F[ \t]*(?:MAX|(U)?[ \t]*({_VALUE})|([A-Z]))", re.ASCII | re.IGNORECASE)
+_MISC: Final = re.compile(r"(?<![A-Z\d])M(\d+)", re.ASCII | re.IGNORECASE)
+_TOOL: Final = re.compile(rf"TOOL[ \t]+CALL\b.*?[ \t]S[ \t]*(?:({_VALUE})|([A-Z]))", re.ASCII | re.IGNORECASE)
+_DWELL: Final = re.compile(rf"CYCL[ \t]+DEF[ \t]+9\.1[ \t]+\D*({_VALUE})", re.ASCII | re.IGNORECASE)
+_UNIT: Final = re.compile(r"BEGIN[ \t]+PGM\b.*[ \t](MM|INCH)[ \t]*[\r\n]*$", re.ASCII | re.IGNORECASE)
+_TURNING: Final = frozenset({3, 4, 13, 14})
+_OFF: Final = frozenset({2, 5, 30})
+_UNITS: Final = {136: FeedUnit.TURN, 137: FeedUnit.MINUTE}
+
+
+def line_words(text: str) -> LineWords:
+    """Return what a line says. A feed per tooth, an automatic feed and a Q parameter are not a number."""
+    bare = _ASIDE.sub(" ", text)
+    if (dwell := _DWELL.search(bare)) is not None:
+        return LineWords(dwell_s=number(dwell[1]))
+    if (unit := _UNIT.search(bare)) is not None:
+        return LineWords(inch=unit[1].upper() == "INCH")
+    codes = [int(code) for code in _MISC.findall(bare)]
+    feed = next((match for match in _FEED.finditer(bare) if match[2] or match[3]), None)
+    tool = _TOOL.search(bare)
+    words = LineWords(
+        feed=None if feed is None else number(feed[2]) if feed[2] else nan,
+        unit=FeedUnit.TURN
+        if feed is not None and feed[1]
+        else next((_UNITS[code] for code in codes if code in _UNITS), None),
+        speed_rpm=None if tool is None else number(tool[1]) if tool[1] else nan,
+        turning=True if _TURNING & set(codes) else None,
+        off_after=bool(_OFF & set(codes)),
+    )
+    return NOTHING if words == NOTHING else words
+
+
+# --- Writer of Heidenhain blocks: moves replaced, every other byte kept ---------------------------
+
+VECTOR_DECIMALS = 7
+
+
+@final
+class HeidenhainWriter(WordWriter[PathBlock]):
+    """Writer of a program block by block that keeps track of the values written.
+
+    Args:
+        source, axes, newline, style: as for `WordWriter`.
+
+    Attributes:
+        inserted: whether lines have been inserted among numbered blocks.
+    """
+
+    equals = ""
+    signed = True
+    inserted = False
+
+    def block(self, block: PathBlock, segments: Segments | None) -> str:
+        """Return the output for one block, with its move replaced if there are segments for it."""
+        if block.unknown_axes:
+            self.said.mark_unknown(block.unknown_axes)
+        if block.tcp_switched:
+            self._vector_text = None
+        lines = [block.text]
+        if segments is not None and block.moves:
+            if block.words:
+                self.lower = block.text[block.words[-1].value_start - 1].islower()
+            lines = self.rewritten(block, segments)
+            if block.unknown_axes and not block.tcp_switched:
+                self.said.mark_unknown(block.unknown_axes)
+        elif block.moves:
+            self.record(block)
+        self.inserted |= block.numbered and len(lines) > 1
+        return "".join(lines)
+
+    def _begin(self, block: PathBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
+        keyword = block.text[block.head_end : block.keyword_end]
+        if rewrite.move.kind is Kind.ARC:
+            keyword = "l" if keyword.islower() else "L"
+        return keyword
+
+    def _insert(self, block: PathBlock, begin: str, added: list[str], tool: list[str], edits: list[Edit]) -> str:
+        text = block.text
+        if tool and begin.upper() == "L":  # only LN blocks take a vector
+            begin = "ln" if begin.islower() else "LN"
+        if block.keyword and begin != text[block.head_end : block.keyword_end]:
+            edits.append((block.head_end, block.keyword_end, begin))
+        words = " ".join(added + tool)
+        if words:
+            at = max((word.end for word in block.words), default=block.keyword_end)
+            if block.keyword or block.words:
+                edits.append((at, at, f" {words}"))
+            else:
+                edits.append((at, at, f"L {words} "))
+            if not block.keyword and block.words:
+                edits.append((block.head_end, block.head_end, "L "))  # a paraxial block moves one axis only
+        indent = text[: block.head_end] if block.numbered or not text[: block.head_end].strip() else ""
+        return f"{indent}{begin if block.keyword else 'L'} "
+
+    def _tails(self, block: PathBlock, rewrite: Rewrite, edits: list[Edit]) -> list[str]:
+        return [block.rapid_text] * len(rewrite.positions) if block.rapid_text else []
+
+    def _later(self, block: PathBlock, row: list[float], vector: list[float] | None) -> list[str]:
+        words = self._missing(block, row, 0)
+        if vector is not None:
+            before = self._vector_text
+            if block.keyword == "LN":
+                self._vector_text = None  # an LN block has its vectors in full
+            tool = self._vector(block, vector, None)
+            if words or self._vector_text != before:
+                words += [*block.normal_text, *tool]
+        return words
+
+    def _vector_words(self, vector: list[float]) -> tuple[str, str, str]:
+        x, y, z = vector_texts(vector, VECTOR_DECIMALS, True)
+        return (x.replace(".", ","), y.replace(".", ","), z.replace(".", ",")) if self.style.comma else (x, y, z)
+
+    def _vector_names(self, block: PathBlock) -> tuple[str, ...]:
+        return ("TX", "TY", "TZ")
+
+
+# --- Heidenhain programs written in chunks (`twin.nc.lines.chunks`), with blocks renumbered where lines were inserted
+
+_SPLIT: Final = re.compile(
+    rb"(?:\A|(?<=[\r\n]))([ \t]*+(?:\d++[ \t]*+)?+L)([ \t][^\r\n]*+)(\r\n|\n|\r)((?:[A-CU-Za-cu-z][^\r\n]*+(?:\r\n|\n|\r))++)"
+)
+"""An L block followed by the words of further segments, each in a line that begins with an axis."""
+_RAPID: Final = re.compile(rb"[ \t]FMAX(?=[ \t]|\Z)")
+_SEGMENT: Final = re.compile(rb"([^\r\n]++)([\r\n]++)")
+
+
+@final
+class HeidenhainRewriter(ChunkRewriter):
+    """Writer of a program, chunk by chunk.
+
+    Args:
+        source: file name for messages.
+        axes: axis words.
+        newline: line ending of the program.
+        style: its number format (`twin.nc.text.style_in`).
+        tcp: whether tool centre point control is on at the first move.
+        code: how simple lines are written.
+    """
+
+    def __init__(self, source: str, axes: AxisWords, newline: str, style: Style, *, tcp: bool, code: LineCode) -> None:
+        self._interpreter = HeidenhainInterpreter(source, axes, tcp=tcp)
+        self._writer = HeidenhainWriter(source, axes, newline, style)
+        self._comma = False
+        super().__init__(axes, self._interpreter, self._writer, code)
+
+    def whole(self, parts: Iterator[Chunk], moves: MoveColumns, new: NewPositions) -> str:
+        """See `ChunkRewriter.whole`."""
+        text = super().whole(parts, moves, new)
+        return renumbered(text, _consecutive_lines) if self._writer.inserted else text.replace(UNNUMBERED, "")
+
+    def line(self, line: int, text: str, segments: Mapping[int, Segments]) -> str:
+        """See `ChunkRewriter.line`."""
+        continued = self._interpreter.continued
+        move: Move | None = segments[0][0].move if segments else None
+        written = self._writer.block(self._interpreter.step(line, text, move), segments.get(0))
+        return f"{UNNUMBERED}{written}" if continued else written
+
+    def formatting(self, run: SimpleRun) -> Formatting | None:
+        """See `ChunkRewriter.formatting`. Lines with decimal commas are written as if with points: None if both occur."""
+        data, style = run.scan.data[run.whole], self._writer.style
+        if (b"." if style.comma else b",") in data:
+            return None
+        self._comma = style.comma
+        return Formatting(style, True, False)
+
+    def written(self, run: SimpleRun, text: bytes, formatting: Formatting) -> bytes:
+        """See `ChunkRewriter.written`."""
+        if run.per_line.max() > 1:
+            text = _SPLIT.sub(self._segments, text)
+        if self._comma:
+            text = text.replace(b".", b",")
+            self._writer.style = formatting.style._replace(comma=True)
+        return text
+
+    def _segments(self, match: re.Match[bytes]) -> bytes:
+        """Return the blocks of a move with the beginning of the first one repeated in the others, and so ``FMAX``."""
+        head, words, end, others = match.groups()
+        self._writer.inserted |= head.strip() != b"L"
+        tail = rb" FMAX\2" if _RAPID.search(words) else rb"\2"
+        return head + words + end + _SEGMENT.sub(head + rb" \1" + tail, others)
+
+
+def _consecutive_lines(numbers: Sequence[str]) -> Iterable[int]:
+    """Return consecutive block numbers that begin with the first of the old ones."""
+    return itertools.count(int(numbers[0][:15])) if numbers else ()
+
+
+# --- The Heidenhain plain-language dialect --------------------------------------------------------
 
 _REMARK: Final = re.compile(r"[ \t]*+(?:\d++[ \t]*+)?+(?:[;*][^\r\n~]*+)?+[\r\n]*+", re.ASCII)
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Final
 
-from twin.nc.simple_blocks import SimpleBlocks, simple_blocks
 from twin.nc.text import number
+from twin.nc.writer import SimpleBlocks, simple_blocks
 
 _VALUE = r"[+-]?+[ \t]*+(?:[\d.,]++|Q[LR]?\d++)"
 

@@ -3,25 +3,200 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, final
 
 import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.nc.blocks import AxisWords, Interpretation, Program
-from twin.nc.columns import MoveColumns, NewPositions, as_columns
-from twin.nc.dialect import Dialect, NewProgram, as_comment, points_words
-from twin.nc.header import first_lines, insert_comments
+from twin.nc.blocks import AxisWords, Interpretation, Kind, MoveColumns, NewPositions, Program, as_columns
+from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram, as_comment, points_words
 from twin.nc.iso import vocabulary
 from twin.nc.iso.calls import IsoInliner
-from twin.nc.iso.stream import IsoRewriter, iso_reader
-from twin.nc.iso.technology import line_words
-from twin.nc.lines.chunks import chunks
-from twin.nc.lines.compiled import line_code
-from twin.nc.technology import LineWords
-from twin.nc.text import BOM, Style, newline_of, style_in
+from twin.nc.iso.interpreter import IsoInterpreter
+from twin.nc.iso.writer import CODE, IsoWriter
+from twin.nc.lines.chunks import ChunkReader, ChunkRewriter, SimpleRun, chunks, only_places
+from twin.nc.lines.compiled import ARRAYS, LineCode, line_code
+from twin.nc.text import BOM, Style, first_lines, insert_comments, newline_of, number, style_in
+from twin.nc.writer import Formatting, Segments
+
+_UNITS: Final = {"93": FeedUnit.INVERSE, "94": FeedUnit.MINUTE, "95": FeedUnit.TURN}
+_INCH: Final = {"20": True, "70": True, "700": True, "21": False, "71": False, "710": False}
+_VARYING: Final = frozenset({"96", "961", "962"})
+_SWITCHES: Final = {3: True, 4: True}
+_OFF: Final = frozenset({2, 5, 30})
+MILLISECONDS: Final = 100.0
+"""Least whole number after P of a dwell that counts milliseconds; controls that count seconds do not wait that long."""
+
+
+def line_words(text: str) -> LineWords:
+    """Return what a line says. A dwell (G4) has its time in F, X, U or P; revolutions (S) are not counted."""
+    found = [_word(match) for match in vocabulary.TOKEN.finditer(text)]
+    codes = [vocabulary.canonical(f"G{value}")[1:] for name, value in found if name == "G"]
+    switches = [int(value) for name, value in found if name == "M" and value.isdigit()]
+    values = dict(found)
+    if "4" in codes:
+        return LineWords(dwell_s=_dwell(values))
+    words = LineWords(
+        feed=_number(values, "F"),
+        unit=next((_UNITS[code] for code in codes if code in _UNITS), None),
+        inch=next((_INCH[code] for code in codes if code in _INCH), None),
+        speed_rpm=_number(values, "S"),
+        turning=next((_SWITCHES[code] for code in switches if code in _SWITCHES), None),
+        off_after=any(code in _OFF for code in switches),
+        varying=next((f"G{code}" for code in codes if code in _VARYING), None),
+    )
+    return NOTHING if words == NOTHING else words
+
+
+def _word(match: re.Match[str]) -> tuple[str, str]:
+    """Return letter and value of a word, of ``S1=8000`` too; empty for any other token."""
+    kind = match.lastgroup
+    name, value = {"word": (2, 3), "given": (6, 8), "late": (14, 15)}.get(kind or "", (0, 0))
+    letter = match[name].upper() if name else ""
+    return (letter[:1], match[value]) if len(letter) == 1 or letter[1:].isdigit() else ("", "")
+
+
+def _number(values: Mapping[str, str], name: str) -> float | None:
+    return number(values[name]) if name in values else None
+
+
+def _dwell(values: Mapping[str, str]) -> float:
+    seconds = next((_number(values, name) for name in "FXU" if name in values), None)
+    if seconds is not None:
+        return seconds
+    pause = _number(values, "P")
+    if pause is None:
+        return 0.0
+    return pause / 1000.0 if "." not in values["P"] and pause >= MILLISECONDS else pause
+
+
+# --- ISO programs processed in chunks (`twin.nc.lines.chunks`) ------------------------------------
+
+_LINE: Final = re.compile(rb"[^\r\n]*+(?:\r\n|\n|\r)")
+
+
+def iso_reader(source: str, axes: AxisWords, *, tcp: bool) -> ChunkReader:
+    """Return a reader of ISO programs.
+
+    Args:
+        source: file name for messages.
+        axes: axis words.
+        tcp: whether tool centre point control is on from the start.
+    """
+    return ChunkReader(IsoInterpreter(source, axes, tcp=tcp))
+
+
+@final
+class IsoRewriter(ChunkRewriter):
+    """Writer of a program, chunk by chunk.
+
+    Args:
+        source: file name for messages.
+        axes: axis words.
+        newline: line ending of the program.
+        style: its number format (`twin.nc.text.style_in`).
+        tcp: whether tool centre point control is on at the first move.
+        expand_cycles: whether drilling cycles are expanded into blocks.
+        rigid_lines: as for `IsoWriter`.
+        code: how simple lines are written.
+    """
+
+    def __init__(
+        self,
+        source: str,
+        axes: AxisWords,
+        newline: str,
+        style: Style,
+        *,
+        tcp: bool,
+        expand_cycles: bool = False,
+        rigid_lines: frozenset[int] = frozenset(),
+        code: LineCode = ARRAYS,
+    ) -> None:
+        self._interpreter = IsoInterpreter(source, axes, tcp=tcp)
+        self._writer = IsoWriter(source, axes, newline, style, expand_cycles=expand_cycles, rigid_lines=rigid_lines)
+        super().__init__(axes, self._interpreter, self._writer, code)
+
+    def line(self, line: int, text: str, segments: Mapping[int, Segments]) -> str:
+        """See `ChunkRewriter.line`."""
+        block = self._interpreter.step(line, text)
+        return text if block is None else self._writer.block(line, block, segments)
+
+    def formatting(self, run: SimpleRun) -> Formatting | None:
+        """See `ChunkRewriter.formatting`."""
+        writer, scan, lines = self._writer, run.scan, run.lines
+        if self._interpreter.feed_mode == "93" or (scan.code[lines[0]] < 0 and writer.motion != run.motion[0]):
+            return None
+        if self._interpreter.cycle is not None and not self._drills_alike(run):
+            return None
+        writer.motion = int(run.motion[-1])
+        return Formatting(writer.style, writer.spaced, writer.lower)
+
+    def _drills_alike(self, run: SimpleRun) -> bool:
+        """Return whether lines, one after the other, name places of holes, and every segment of a stroke moves."""
+        writer, scan, lines, text = self._writer, run.scan, run.lines, run.scan.text
+        if not writer.expand_cycles or not only_places(scan, lines, writer.linear - 1):
+            return False
+        first, second = scan.words.start[scan.first[lines]] - 1, scan.first[lines] + 1
+        second = second[second < scan.first[lines + 1]]
+        spaced = writer.spaced and np.all(text[scan.words.start[second] - 2] <= ord(" "))
+        small = text[first] >= ord("a")
+        alike = spaced and np.all(small == small[0])
+        strokes = self._interpreter.strokes()
+        moving = [stroke for stroke in strokes if stroke.height == stroke.height]
+        if any(stroke.thread is not None for stroke in strokes):
+            return False
+        ends = bool(moving) and (moving[-1].kind is Kind.RAPID) == (run.motion[0] == 0)
+        consecutive = (
+            run.whole == slice(int(scan.start[lines[0]]), int(scan.end[lines[-1]]))
+            and len(lines) == lines[-1] - lines[0] + 1
+        )
+        if not (alike and ends and consecutive and len(run.segments) == len(lines) * (1 + len(moving))):
+            return False
+        steps = np.rint(np.nan_to_num(run.targets) / self._grids.step)
+        moved = (steps[1:] != steps[:-1]).any(axis=1)
+        moved[np.cumsum(run.per_line)[:-1] - 1] = True
+        return bool(moved.all())
+
+    def written(self, run: SimpleRun, text: bytes, formatting: Formatting) -> bytes:
+        """See `ChunkRewriter.written`."""
+        self._writer.spaced = formatting.spaced
+        coded = run.lines[run.scan.code[run.lines] >= 0]
+        if coded.size:
+            self._writer.wide = bool(run.scan.wide[coded[-1]])
+        return text if self._interpreter.cycle is None else self._with_strokes(run, text)
+
+    def _with_strokes(self, run: SimpleRun, text: bytes) -> bytes:
+        """Return lines of holes whose strokes have been written as segments, with their motion words, feeds and blocks behind."""
+        out = _LINE.findall(text)
+        strokes = self._interpreter.strokes()
+        moving = [stroke for stroke in strokes if stroke.height == stroke.height]
+        codes = np.tile([int(run.motion[0]), *(CODE[stroke.kind] for stroke in moving)], len(run.lines))
+        codes = np.repeat(codes, run.segments)
+        for row in (np.flatnonzero(codes[1:] != codes[:-1]) + 1).tolist():
+            out[row] = f"{self._writer.g(int(codes[row]))} ".encode("latin-1") + out[row]
+        each, behind, place = 1 + len(moving), np.cumsum(run.segments), 0
+        for stroke in strokes:
+            place += stroke.height == stroke.height
+            last = behind[place::each]
+            for row in _ranges(last - run.segments[place::each], last) if stroke.feed else ():
+                body = out[row].rstrip(b"\r\n")
+                out[row] = body + f" {stroke.feed}".encode("latin-1") + out[row][len(body) :]
+            for row in (last - 1).tolist() if stroke.after else ():
+                end = out[row][len(out[row].rstrip(b"\r\n")) :]
+                out[row] += stroke.after.encode("latin-1") + end
+        return b"".join(out)
+
+
+def _ranges(begin: np.ndarray, end: np.ndarray) -> Iterator[int]:
+    """Yield the whole numbers of ranges."""
+    for first, last in zip(begin.tolist(), end.tolist(), strict=True):
+        yield from range(first, last)
+
+
+# --- The ISO dialect (G-code) ---------------------------------------------------------------------
 
 _TAPE: Final = re.compile(
     r"%.*|;\$PATH=.*|PROC\b.*|<[^<>]*>|[O:][ \t]*\d+(?![\w.])(?![ \t]*(?:SUB|CALL|IF|DO|WHILE|REPEAT|RETURN)\b).*",

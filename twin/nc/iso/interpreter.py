@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, final
 
 from twin._common.errors import InputError
-from twin.nc.block import AxisWord, Block, Span
 from twin.nc.blocks import AxisWords, Move
 from twin.nc.iso import vocabulary
-from twin.nc.iso.block import IsoBlock, Item
 from twin.nc.iso.cycles import SINUMERIK
+from twin.nc.iso.frame import IsoBlock, Item
 from twin.nc.iso.motion import CENTRE, SPINDLE_VECTOR, IsoMotion
+from twin.nc.modal import AxisWord, Block, Span
 from twin.nc.text import BLANK, BOM, MM_PER_INCH, number
 
 _AXIS_LETTERS: Final = frozenset("XYZABCUVW")

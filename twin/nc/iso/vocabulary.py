@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-from twin.nc.simple_blocks import VALUE, SimpleBlocks, simple_blocks
 from twin.nc.text import number
+from twin.nc.writer import VALUE, SimpleBlocks, simple_blocks
 
 _STRING = r'"[^"\r\n]*+"'
 _ARGS = rf'\((?:[^()"\r\n]++|{_STRING}|\((?:[^()"\r\n]++|{_STRING}|\([^()"\r\n]*+\))*+\))*+\)'

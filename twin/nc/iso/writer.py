@@ -7,15 +7,14 @@ from collections.abc import Mapping
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.nc.block import AxisWord, Span
 from twin.nc.blocks import AxisWords, Kind, Rewrite
 from twin.nc.dialect import as_comment
-from twin.nc.emit import vector_texts
-from twin.nc.iso.block import IsoBlock
 from twin.nc.iso.cycles import Drilling, Thread
+from twin.nc.iso.frame import IsoBlock
 from twin.nc.iso.vocabulary import DIRECTION_FORMS
+from twin.nc.modal import AxisWord, Span
 from twin.nc.text import Style, apply_edits, ending, format_number, number, style_of
-from twin.nc.writer import Edit, Segments, WordWriter, drop
+from twin.nc.writer import Edit, Segments, WordWriter, drop, vector_texts
 
 VECTOR_DECIMALS: Final = 7
 CODE: Final = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}

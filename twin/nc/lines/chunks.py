@@ -1,6 +1,6 @@
 """Programs processed in chunks: read and written, with the modal state carried from chunk to chunk.
 
-Runs of simple lines are processed together (`twin.nc.lines.scan`, `twin.nc.lines.bulk`), all other lines by the interpreter and the
+Runs of simple lines are processed together (`twin.nc.lines.scan`, `twin.nc.lines.scan`), all other lines by the interpreter and the
 writer of blocks of the language.
 """
 
@@ -12,15 +12,25 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from twin.nc.blocks import AxisWords, FrameChange, Interpretation, LostPositions, Notice, Program
-from twin.nc.columns import NO_VECTOR, MoveBuilder, MoveColumns, NewPositions, fill_forward
-from twin.nc.encoded import encoded
+from twin.nc.blocks import (
+    NO_VECTOR,
+    AxisWords,
+    FrameChange,
+    Interpretation,
+    LostPositions,
+    MoveBuilder,
+    MoveColumns,
+    NewPositions,
+    Notice,
+    Program,
+    encoded,
+    fill_forward,
+)
 from twin.nc.lines.compiled import ARRAYS, LineCode, line_code
 from twin.nc.lines.scan import MOST_DIGITS, Scan
 from twin.nc.modal import Interpreter
 from twin.nc.text import MM_PER_INCH
-from twin.nc.word_texts import LARGEST_STEPS, Formatting
-from twin.nc.writer import Segments, WordWriter
+from twin.nc.writer import LARGEST_STEPS, Formatting, Segments, WordWriter
 
 SHORTEST_RUN: Final = 12
 """Smallest number of simple lines processed together; fewer are faster one by one."""

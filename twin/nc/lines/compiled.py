@@ -10,13 +10,11 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.compute.native import loading
+from twin.compute.native import compiler
 from twin.nc.blocks import AxisWords
-from twin.nc.emit import SAME_NUMBER, OutputState
-from twin.nc.lines.bulk import rewritten_lines
-from twin.nc.lines.scan import NOTE, Scan, Words, scan, tables
+from twin.nc.lines.scan import NOTE, Scan, Words, rewritten_lines, scan, tables
 from twin.nc.text import Style, count_of
-from twin.nc.word_texts import Formatting, Grids
+from twin.nc.writer import SAME_NUMBER, Formatting, Grids, OutputState
 
 _POINTERS: Final = ctypes.c_void_p
 _TABLES: Final = ("text", "kind", "rank", "axis")
@@ -135,7 +133,7 @@ class _Compiled:
         formatting: Formatting,
         grids: Grids,
     ) -> tuple[bytes, Formatting]:
-        """As `twin.nc.lines.bulk.rewritten_lines`."""
+        """As `twin.nc.lines.scan.rewritten_lines`."""
         axes = targets.shape[1]
         own = {
             "line": np.ascontiguousarray(lines, dtype=np.int64),
@@ -175,7 +173,7 @@ class LineCode:
 
     Attributes:
         scan: `twin.nc.lines.scan.scan`.
-        rewritten_lines: `twin.nc.lines.bulk.rewritten_lines`.
+        rewritten_lines: `twin.nc.lines.scan.rewritten_lines`.
     """
 
     scan: Callable[[bytes, tuple[str, ...]], Scan]
@@ -191,7 +189,7 @@ def line_code(lines: int) -> LineCode:
     Args:
         lines: approximate number of lines of the program.
     """
-    found = _compiled() if loading.worth_compiling(lines) else None
+    found = _compiled() if compiler.worth_compiling(lines) else None
     return ARRAYS if found is None else LineCode(found.scan, found.rewritten_lines)
 
 
@@ -199,7 +197,7 @@ def line_code(lines: int) -> LineCode:
 def _compiled() -> _Compiled | None:
     """Return the compiled code; None if it cannot be compiled, or differs from the arrays on a sample."""
     jobs = {"scan": _Job, "rewrite": _RewriteJob}
-    found = loading.confirmed_library("twin.nc.lines", "lines.cpp", jobs, lambda one: _agrees(_Compiled(one)))
+    found = compiler.confirmed_library("twin.nc.lines", "lines.cpp", jobs, lambda one: _agrees(_Compiled(one)))
     return None if found is None else _Compiled(found)
 
 

@@ -3,11 +3,58 @@
 Manual: `twin doc curves`.
 """
 
-from twin.numerics.curves.basis import Basis
-from twin.numerics.curves.conversion import conversion, legendre_in_basis
-from twin.numerics.curves.family import BASES, POWER, bases_for, basis_named, basis_of
+from __future__ import annotations
+
+from functools import cache
+from typing import Final
+
+from twin._common.errors import InputError, closest_name
+from twin.numerics.curves.basis import Basis, CurveSpace, conversion, legendre_in_basis
+from twin.numerics.curves.bernstein import Bernstein
+from twin.numerics.curves.cubic_spline import CubicSpline
 from twin.numerics.curves.fg_bernstein import FGBernstein
-from twin.numerics.curves.space import CurveSpace
+from twin.numerics.curves.fourier import Fourier
+from twin.numerics.curves.power import Power
+
+BASES: Final[tuple[type[Basis], ...]] = (Power, Fourier, Bernstein, CubicSpline)
+POWER: Final = Power()
+
+
+def basis_named(name: str) -> type[Basis]:
+    """Return the basis with a name as in a calibration file.
+
+    Raises:
+        InputError: there is no such basis.
+    """
+    found = next((basis for basis in BASES if basis.name == name), None)
+    if found is None:
+        known = [basis.name for basis in BASES]
+        expected = f"one of {', '.join(known)}"
+        raise InputError("no such basis", expected=expected, value=name, nearest=closest_name(name, known))
+    return found
+
+
+@cache
+def basis_of(name: str, knots: tuple[float, ...] = ()) -> Basis:
+    """Return a basis by its name and knots; cached.
+
+    Raises:
+        InputError: there is no basis of that name, or none with these knots.
+    """
+    return basis_named(name)(knots)
+
+
+def bases_for(*, rotary: bool, endless: bool) -> tuple[Basis, ...]:
+    """Return the bases that `identify` tries for the curves of one kind of axis, the first choice first.
+
+    Args:
+        rotary: whether the axis is rotary.
+        endless: whether it has no limits.
+    """
+    places = [(basis.preference(rotary=rotary, endless=endless), basis) for basis in BASES]
+    tried = sorted(((place, basis) for place, basis in places if place is not None), key=lambda one: one[0])
+    return tuple(basis() for _, basis in tried)
+
 
 __all__ = [
     "BASES",

@@ -7,7 +7,7 @@ from math import pi
 from typing import Any, final
 
 from twin.numerics.curves.basis import Basis
-from twin.numerics.elementary import cos, sin
+from twin.numerics.functions import cos, sin
 
 
 @final

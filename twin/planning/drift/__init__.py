@@ -11,7 +11,7 @@ from twin._common import families
 from twin._common.errors import require_name
 from twin.machine.machine import Machine
 from twin.planning.drift.plan import DriftPlan, make_drift_plan
-from twin.planning.drift.specification import DriftSequence
+from twin.planning.drift.tests import DriftSequence
 from twin.planning.kit import Kit
 
 DRIFTS: Final[tuple[DriftSequence, ...]] = families.members(__name__, families.DRIFTS)

@@ -12,22 +12,16 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.counts import count_with_noun
 from twin._common.errors import InputError
 from twin._common.families import DRIFT_INSTRUMENTS
 from twin._common.files import write_atomic
+from twin._common.units import count_with_noun
 from twin.display import card, note, pairs, readable
 from twin.machine.machine import Machine
 from twin.measurement.columns import comment_lines, csv_text, number_cells
 from twin.measurement.instruments import instrument_named
 from twin.measurement.table import Measurements
-from twin.planning.drift.specification import (
-    STANDARD,
-    UNVERIFIED,
-    DriftSchedule,
-    DriftSequence,
-    DriftTask,
-)
+from twin.planning.drift.tests import STANDARD, UNVERIFIED, DriftSchedule, DriftSequence, DriftTask
 from twin.planning.kit import Kit
 from twin.planning.sequences import (
     SET_UPS,
@@ -38,7 +32,7 @@ from twin.planning.sequences import (
     reach,
     sequence_table,
 )
-from twin.standards.drift.axis_design import design_of
+from twin.standards.drift.iso230_3 import design_of
 
 SCHEMA: Final = "twin.plan/1"
 MOST_MINUTES: Final = 7.0 * 24.0 * 60.0

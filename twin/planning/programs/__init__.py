@@ -12,12 +12,11 @@ from typing import Final
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.nc import dialect_for
-from twin.planning.programs.drift_steps import drift_steps
 from twin.planning.programs.heidenhain import HEIDENHAIN
 from twin.planning.programs.linuxcnc import LINUXCNC
 from twin.planning.programs.siemens import SIEMENS
 from twin.planning.programs.specification import ProgramFormat, ProgramStep, ProgramSteps
-from twin.planning.programs.steps import program_steps
+from twin.planning.programs.steps import drift_steps, program_steps
 
 PROGRAMS: Final = (LINUXCNC, HEIDENHAIN, SIEMENS)
 """All controls for which measuring programs are written."""

@@ -11,16 +11,26 @@ from typing import Final
 
 from twin._common import families
 from twin._common.errors import InputError, closest_name
-from twin.planning.sequences.contacts import ContactPose, contact_poses
-from twin.planning.sequences.expectation import Expectation, expectation, minutes_of, sequence_table
-from twin.planning.sequences.interpolation import NOT_DESCRIBED
-from twin.planning.sequences.reach import Reached, apart_clearance, clearance_of, default_place, reach
+from twin.planning.sequences.contacts import (
+    ContactPose,
+    Reached,
+    apart_clearance,
+    clearance_of,
+    contact_poses,
+    default_place,
+    reach,
+)
+from twin.planning.sequences.moves import NOT_DESCRIBED
 from twin.planning.sequences.specification import (
     SET_UPS,
+    Expectation,
     InstrumentSizes,
     MeasuringSequence,
     SequencePoints,
     SequenceTask,
+    expectation,
+    minutes_of,
+    sequence_table,
 )
 
 SEQUENCES: Final[tuple[MeasuringSequence, ...]] = families.members(__name__, families.SEQUENCES)

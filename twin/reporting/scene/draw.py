@@ -1,54 +1,150 @@
 """Draw the animation of a program on its machine as one HTML page.
 
 Lengths in this module are in metres; the path and its deviations are given in mm.
+
+Meshcat's viewer as one self-contained HTML page, made without a browser, network or server.
+
+The page embeds meshcat's drawing commands, like meshcat's ``static_html``, which gets them from a server process. Here they are
+collected from meshcat's classes, so that no server is started. Lengths are in metres.
 """
 
 from __future__ import annotations
 
+import base64
+import importlib.resources
+import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
+from pathlib import Path
 from typing import Any, Final, final
 
 import coal
 import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
+import umsgpack
 from meshcat import transformations
 from meshcat.animation import Animation, AnimationClip, AnimationTrack
 from meshcat.commands import SetAnimation, SetObject, SetProperty, SetTransform
 from meshcat.path import Path as NodePath
 
+from twin._common.bundled import find_program
 from twin._common.errors import InputError
+from twin._common.files import write_atomic
 from twin._common.provenance import SourceWarning, warning_texts
+from twin._common.resources import Progress, silent
 from twin._common.units import MM
-from twin.display import compact
-from twin.kinematics.forward import Kinematics
+from twin.compensation.programs.execute import Execution, execute_file
+from twin.compensation.programs.words import Setup
+from twin.display import compact, in_iframe, render
+from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.conditions import Conditions
 from twin.reporting.scene.path import (
     MAX_POINTS,
     Keyframes,
+    Mesh,
     ScenePath,
     arrow,
     arrow_blocks,
     chosen_exaggeration,
     joined,
     keyframes,
+    rounded_125,
     runs,
     scale_top_um,
     thinned,
     tube,
     viridis,
 )
-from twin.reporting.scene.viewer import (
-    FIRST_LINK,
-    bare_stage,
-    lines_command,
-    mesh_command,
-    node_of,
-    outermost,
-    viewer_page,
-)
+from twin.tool.forward import Kinematics
+
+FIRST_LINK: Final = "machine"
+"""Node of the scene tree that contains all objects."""
+_EDGE: Final = 0x4A525C
+_WAYS: Final = np.array(list(product((-2, -1, 0, 1, 2), repeat=3)), dtype=float)
+
+
+def viewer_page(template: str, commands: Sequence[Any], data: Mapping[str, Any], top_um: float, **words: Any) -> str:
+    """Return the page's text, several megabytes.
+
+    Args:
+        template: name of the template, which extends ``viewer.html.j2``.
+        commands: meshcat's drawing commands.
+        data: numbers for the page's script.
+        top_um: end of the colour scale.
+        words: further variables of the template.
+    """
+    colours = viridis(np.linspace(0.0, 1.0, 17))
+    main = importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js"
+    return render(
+        f"reporting/scene/templates/{template}.html.j2",
+        viewer=main.read_text(encoding="utf-8"),
+        commands=json.dumps([packed(command) for command in commands]),
+        page=json.dumps(data).replace("</", "<\\/"),
+        gradient=", ".join(f"rgb({', '.join(str(round(255 * c)) for c in colour)})" for colour in colours),
+        ticks=[compact(top_um * share / 4) for share in range(5)],
+        **words,
+    )
+
+
+def node_of(*names: str) -> NodePath:
+    """Return a node of the viewer's scene tree."""
+    return NodePath(("meshcat", FIRST_LINK, *names))
+
+
+def bare_stage() -> list[Any]:
+    """Return commands that hide the viewer's default objects."""
+    return [SetProperty("visible", False, NodePath((name,))) for name in ("Grid", "Axes", "Background")]
+
+
+def mesh_command(mesh: Mesh, node: NodePath) -> SetObject:
+    """Return the command that draws a mesh."""
+    # Unlit, so that colours match the legend.
+    geometry = shapes.TriangularMeshGeometry(mesh.vertices, mesh.faces, mesh.colours)
+    return SetObject(geometry, shapes.MeshBasicMaterial(vertexColors=True), node)
+
+
+def lines_command(segments: np.ndarray, colours: np.ndarray | None, node: NodePath) -> SetObject:
+    """Return the command that draws segments with (2k, 3) end points and colours, or in the edge colour if None."""
+    ends = segments.astype(np.float32).T
+    if colours is None:
+        drawn = shapes.PointsGeometry(ends), shapes.LineBasicMaterial(color=_EDGE, opacity=0.55)
+    else:
+        drawn = shapes.PointsGeometry(ends, colours.astype(np.float32).T), shapes.LineBasicMaterial(vertexColors=True)
+    return SetObject(shapes.LineSegments(*drawn), path=node)
+
+
+def outermost(points: np.ndarray) -> np.ndarray:
+    """Return the indices of the outermost of (n, 3) points, which the camera must keep in view."""
+    return np.asarray(np.unique(np.argmax(points @ _WAYS.T, axis=0)))
+
+
+def packed(command: Any) -> str:
+    """Return a drawing command as msgpack in base64, with fixed object names, so that equal input gives an equal page."""
+    data = command.lower()
+    if isinstance(command, SetObject):
+        entry = data["object"]
+        for kind, mark in (("geometries", "geometry"), ("materials", "material")):
+            entry[kind][0]["uuid"] = entry["object"][mark] = mark
+        entry["object"]["uuid"] = data["path"]
+    # Single precision halves the size; 0.1 µm at 1 m is invisible.
+    return base64.b64encode(umsgpack.packb(_plain(data), force_float_precision="single")).decode("ascii")
+
+
+def _plain(data: Any) -> Any:
+    """Return the data with NumPy numbers converted to Python numbers, as msgpack needs."""
+    if isinstance(data, dict):
+        return {key: _plain(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_plain(value) for value in data] if not isinstance(data, umsgpack.Ext) else data
+    return data.item() if isinstance(data, np.generic) else data
+
+
+# --- Draw the animation of a program on its machine as one HTML page ------------------------------
 
 SECONDS: Final = 20.0
 """Duration of the animation."""
@@ -376,3 +472,160 @@ def _moved(placement: np.ndarray, points: np.ndarray) -> np.ndarray:
 def _hex(colour: tuple[float, float, float]) -> int:
     red, green, blue = (round(255 * part) for part in colour)
     return red << 16 | green << 8 | blue
+
+
+# --- Error field as one HTML page: an arrow at every point, exaggerated by a stated factor and coloured by magnitude
+
+LONGEST: Final = 0.12
+"""Approximate length of the longest arrow, as a share of the field's extent."""
+THIN: Final = 0.0035
+"""Radius of an arrow, as a share of the field's extent."""
+MOST_ARROWS: Final = 1500
+"""Largest number of arrows that the browser of a phone rotates smoothly."""
+SMALLEST: Final = 0.3
+"""Smallest radius of a short arrow, as a share of the regular radius."""
+
+
+def chosen_factor(points_mm: np.ndarray, errors_um: np.ndarray) -> float:
+    """Return the exaggeration factor that draws the largest error at about `LONGEST` of the field's extent: 1, 2 or 5 · 10ⁿ, n ≥ 0.
+
+    Args:
+        points_mm: (n, 3) tool points.
+        errors_um: (n, 3) errors.
+    """
+    extent = float(np.linalg.norm(np.ptp(points_mm, axis=0)))
+    largest = float(np.linalg.norm(errors_um, axis=1).max())
+    if extent <= 0.0 or largest <= 0.0:
+        return 1.0
+    return max(1.0, rounded_125(LONGEST * extent / (largest * 1e-3)))
+
+
+def field_html(
+    points_mm: np.ndarray,
+    errors_um: np.ndarray,
+    *,
+    title: str,
+    edges: tuple[tuple[str, np.ndarray, np.ndarray], ...] = (),
+    illustrative: bool = False,
+) -> str:
+    """Return the page with arrows, a labelled box and a colour bar; drag rotates it, wheel or two fingers zoom.
+
+    Args:
+        points_mm: (n, 3) nominal tool points.
+        errors_um: (n, 3) errors of the tool point.
+        title: title of the page, plain text.
+        edges: edges of the box, each with its label (or empty) and its (3,) end points, mm.
+        illustrative: state on the page that the errors are assumed, not measured.
+
+    Raises:
+        InputError: no points, too many, or arrays of different length.
+    """
+    count = len(points_mm)
+    if points_mm.shape != (count, 3) or errors_um.shape != (count, 3) or not 1 <= count <= MOST_ARROWS:
+        raise InputError(
+            "field cannot be drawn", expected=f"(n, 3) points and errors, n from 1 to {MOST_ARROWS}", value=count
+        )
+    factor = chosen_factor(points_mm, errors_um)
+    size = np.linalg.norm(errors_um, axis=1)
+    top = scale_top_um(float(size.max()))
+    colours = viridis(np.clip(size / top, 0.0, 1.0))
+    extent = max(float(np.linalg.norm(np.ptp(points_mm, axis=0))), 1.0) * MM
+    ends = (points_mm + factor * errors_um * 1e-3) * MM
+    arrows = [
+        _arrow(start, end, THIN * extent, colour)
+        for start, end, colour in zip(points_mm * MM, ends, colours, strict=True)
+        if np.linalg.norm(end - start) > 0.0
+    ]
+    commands = [*bare_stage()]
+    if arrows:
+        commands.append(mesh_command(joined(arrows), node_of("arrows")))
+    if edges:
+        box = np.array([end for _, *both in edges for end in both]) * MM
+        commands.append(lines_command(box, None, node_of("edges")))
+    outline = np.concatenate([points_mm * MM, ends, *(np.array(both) * MM for _, *both in edges)])
+    data = {
+        "outline": outline[outermost(outline)].round(5).tolist(),
+        "labels": [{"text": text, "at": ((a + b) / 2.0 * MM).round(5).tolist()} for text, a, b in edges if text],
+    }
+    return viewer_page("field", commands, data, top, title=title, factor=factor, illustrative=illustrative)
+
+
+def _arrow(start: np.ndarray, end: np.ndarray, radius: float, colour: np.ndarray) -> Mesh:
+    """Return an arrow; a short one is thinner, so that a small error looks small."""
+    length = float(np.linalg.norm(end - start))
+    return arrow(start, end, min(radius, max(length / 9.0, SMALLEST * radius)), colour)
+
+
+# --- Animate a program from a script or a notebook in one call ------------------------------------
+
+HEIGHT_PX: Final = 600
+"""Height of the frame in a notebook."""
+
+
+@final
+@dataclass(frozen=True)
+class Scene:
+    """Animation of a machine running a program; displayed by a notebook.
+
+    Attributes:
+        html: the self-contained page.
+        execution: the simulated execution that it shows.
+    """
+
+    html: str
+    execution: Execution
+
+    def save(self, path: str | Path) -> None:
+        """Write the page atomically."""
+        write_atomic(Path(path), self.html)
+
+    def _repr_html_(self) -> str:
+        return in_iframe(self.html, HEIGHT_PX).text
+
+
+def draw_program(
+    program: str | Path,
+    machine: Machine,
+    calibration: Calibration | None = None,
+    *,
+    tool_length_mm: float | None = None,
+    tcp: bool = False,
+    setup: Setup | None = None,
+    conditions: Conditions | None = None,
+    exaggeration: float | None = None,
+    progress: Progress = silent,
+) -> Scene:
+    """Return the animation of a machine running an NC program.
+
+    Args:
+        program: path of the program, or the name of a bundled one.
+        machine: the machine it runs on.
+        calibration: the machine's errors; the machine file's own if None.
+        tool_length_mm: the machine file's own if None.
+        tcp: whether tool centre point control (RTCP) is active from the start.
+        setup: work offsets and origin; none if None.
+        conditions: temperatures and time, for the effects that need them.
+        exaggeration: factor of the drawn deviation; None chooses a round number.
+        progress: callback, called with stage and completed fraction.
+
+    Raises:
+        InputError: as `twin.compensation.programs.execute.execute_file`; no motion within the axis ranges.
+    """
+    errors = Calibration.default(machine) if calibration is None else calibration
+    progress("running", 0.0)
+    run = execute_file(
+        program, machine, errors, tool_length_mm=tool_length_mm, tcp=tcp, setup=setup, conditions=conditions
+    )
+    source = find_program(program)
+    if len(run.positions) < 2:
+        raise InputError("no motion within the axis ranges", expected="a program with motion", file=source)
+    progress("drawing", 0.5)
+    page = scene_html(
+        Kinematics(machine, errors, tool_length_mm=tool_length_mm, conditions=conditions),
+        ScenePath(run.positions, run.meant_mm, run.reached_mm, run.cutting, run.lines, run.gaps),
+        title=source.name,
+        exaggeration=exaggeration,
+        warnings=errors.warnings,
+        omitted=run.omitted,
+    )
+    return Scene(page, run)

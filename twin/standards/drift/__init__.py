@@ -1,5 +1,5 @@
 """Thermal tests after ISO 230-3: displacements of the tool relative to the work over time."""
 
-from twin.standards.drift.evaluate import evaluate_drift
+from twin.standards.drift.tests import evaluate_drift
 
 __all__ = ["evaluate_drift"]

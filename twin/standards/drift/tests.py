@@ -1,19 +1,331 @@
-"""The tests of ISO 230-3 that a drift record allows, with their values."""
+"""The tests of ISO 230-3 that a drift record allows, with their values.
+
+The test of thermal distortion caused by rotary motion of components: the axis's location, orientation and zero over time.
+
+Readings at the same positions of the axis are repeated while it turns in between. The changes of one cycle of readings since the first
+reading at each position are a rigid motion of the axis and a radial expansion of the table or head that it carries, by least squares.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 import scipy
 
+from twin._common.arrays import read_only
+from twin._common.errors import InputError, require_type
+from twin._common.provenance import SIMULATED
+from twin._common.records import SPEED
+from twin._common.units import DEG, MM, UM
 from twin.machine.machine import Machine
-from twin.measurement.evaluation.drift import FIRST_S, DriftSeries, drift_series, spread
-from twin.standards.drift.record import DriftRecord
-from twin.standards.drift.rotary import rotary_test
-from twin.standards.readings import NotPossible
-from twin.standards.result import StandardTest, StandardValue
+from twin.measurement.instruments import Instrument
+from twin.measurement.observation import Observation, of_angles
+from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.standards.drift.iso230_3 import FIRST_S, AxisDesign, DriftSeries, axis_design, drift_series, spread
+from twin.standards.drift.record import DriftRecord, SensorMap, is_displacement_record, load_displacements
+from twin.standards.readings import SAME_AS_MACHINE, NotPossible, reading_uncertainty_mm
+from twin.standards.result import (
+    EvaluationResult,
+    NotEvaluated,
+    StandardTest,
+    StandardValue,
+    check_limits,
+    check_tolerances,
+)
+
+ROTARY_SAME_POSE: Final = 1.0
+"""Difference in mm or degrees up to which positions are one pose."""
+FEWEST_POSES: Final = 3
+RANK_TOLERANCE: Final = 1e-3
+"""Singular value, relative to the largest, up to which the positions do not separate the quantities."""
+DIRECTIONS: Final = "XYZ"
+WORDS: Final = {
+    "axial": "shift of the carried side along {axis}",
+    "zero": "zero of {axis}",
+    "radial": "radial expansion of the side carried by {axis}",
+}
+REMARKS: Final = (
+    "the public scope of ISO 230-3:2020 names this test; positions, figures and signs are choices of twin, as is usual in R-tests of "
+    "thermal errors: the standard's text was not read",
+    "locations are those at the level of the sphere along the axis",
+    "locations and shifts contain drifts of the spindle and the linear axes; the zero contains a tangential shift of the sphere",
+)
+
+
+def rotary_test(record: DriftRecord, rows: np.ndarray, standard: str) -> StandardTest:
+    """Evaluate the test of a moving rotary axis.
+
+    Args:
+        record: the record, with the design of the axis.
+        rows: rows of the test.
+        standard: name of the standard.
+
+    Raises:
+        NotPossible: no design, a direction that was not read, fewer than three positions, positions that do not separate the
+            quantities, or no repeated cycle.
+    """
+    if record.design is None or any(name not in record.displacement for name in DIRECTIONS):
+        raise NotPossible(
+            "a rotary axis moves: its test needs a measurement table of a touch probe or an R-test, with X, Y and Z at three or more "
+            "positions of the axis"
+        )
+    design = record.design.select(rows)
+    pose = _poses(record, rows)
+    if pose.max() + 1 < FEWEST_POSES:
+        raise NotPossible(f"{design.axis} was read at {pose.max() + 1} positions: three or more are needed")
+    values = np.stack([record.displacement[name][rows] for name in DIRECTIONS], axis=1)
+    cycles = _cycles(pose)
+    change, factor, residual, dof = _fitted(design, values, pose, cycles)
+    kept = np.flatnonzero(np.isfinite(change[:, 0]))
+    if len(kept) < 2:
+        raise NotPossible(f"the positions of {design.axis} were not repeated, or do not separate its errors")
+    from_residuals = float(np.sqrt(residual / (2.0 * dof))) if dof > 0 else np.nan
+    u_um = float(np.fmax(record.u_um, from_residuals))
+    time = np.array([record.time_s[rows[cycle]].mean() for cycle in cycles])[kept]
+    found = drift_series(
+        "rotary axis",
+        time,
+        {name: change[kept, k] for k, name in enumerate(design.names)},
+        units=dict(zip(design.names, design.units, strict=True)),
+        temperature_degC={
+            name: np.array([values[rows[cycle]].mean() for cycle in cycles])[kept]
+            for name, values in record.temperature_degC.items()
+        },
+    )
+    return StandardTest(
+        kind="moving rotary axis",
+        name=design.axis,
+        standard=standard,
+        axes=(design.axis,),
+        place=f"{pose.max() + 1} positions, {len(kept)} cycles of readings, sphere {design.radius_mm:.0f} mm from the axis",
+        values=tuple(_values(design, change[kept], np.sqrt(2.0) * u_um * factor)),
+        remarks=(*REMARKS, *record.remarks, *_noise_remarks(record, from_residuals, len(cycles) - len(kept))),
+        detail=found,
+    )
+
+
+def _poses(record: DriftRecord, rows: np.ndarray) -> np.ndarray:
+    """Return the number (n,) of the pose of each row, from 0: the same parts at the same positions."""
+    seen: list[tuple[str, np.ndarray]] = []
+    found = np.zeros(len(rows), dtype=int)
+    for k, row in enumerate(rows):
+        spot, at = str(record.spot[row]), record.positions[row]
+        same = [n for n, (name, q) in enumerate(seen) if name == spot and np.abs(at - q).max() <= ROTARY_SAME_POSE]
+        found[k] = same[0] if same else len(seen)
+        if not same:
+            seen.append((spot, at))
+    return found
+
+
+def _cycles(pose: np.ndarray) -> list[np.ndarray]:
+    """Return the rows of each cycle: one ends where a pose is read again."""
+    starts, inside = [0], set[int]()
+    for k, number in enumerate(pose.tolist()):
+        if number in inside:
+            starts.append(k)
+            inside = set()
+        inside.add(number)
+    return np.split(np.arange(len(pose)), starts[1:])
+
+
+def _fitted(
+    design: AxisDesign, values_um: np.ndarray, pose: np.ndarray, cycles: list[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, float, int]:
+    """Return the changes (cycles, 7), their uncertainty per that of a change of one reading (7,), and the residuals.
+
+    The last two results are the sum of squares of the residuals and the degrees of freedom.
+    """
+    first = np.array([values_um[np.flatnonzero(pose == number)[0]] for number in range(pose.max() + 1)])
+    since = values_um - first[pose]
+    count = len(design.names)
+    change, factors = np.full((len(cycles), count), np.nan), []
+    residual, dof = 0.0, 0
+    for k, rows in enumerate(cycles):
+        read = np.isfinite(since[rows]).reshape(-1)
+        matrix, change_um = design.matrix[rows].reshape(-1, count)[read], since[rows].reshape(-1)[read]
+        size = np.linalg.norm(matrix, axis=0)
+        if len(matrix) < count or not np.all(size > 0.0):
+            continue
+        singular = np.linalg.svd(matrix / size, compute_uv=False)
+        if singular[-1] < RANK_TOLERANCE * singular[0]:
+            continue
+        inverse = np.linalg.pinv(matrix)
+        change[k] = inverse @ change_um
+        factors.append(np.linalg.norm(inverse, axis=1))
+        if k:
+            off = change_um - matrix @ change[k]
+            residual, dof = residual + float(off @ off), dof + len(matrix) - count
+    return change, np.max(factors, axis=0) if factors else np.full(count, np.nan), residual, dof
+
+
+def _values(design: AxisDesign, change: np.ndarray, u: np.ndarray) -> Iterator[StandardValue]:
+    for k, (name, unit) in enumerate(zip(design.names, design.units, strict=True)):
+        what = WORDS[name.partition("_")[0]].format(axis=design.axis) if name[:2] != "E_" else name
+        symbol, own, uncertainty = name.replace("_", " ") if name[:2] != "E_" else name, change[:, k], float(u[k])
+        yield StandardValue(
+            f"Δ({symbol})end",
+            f"{name}_end",
+            float(own[-1] - own[0]),
+            unit,
+            f"change of {what} until the end",
+            uncertainty,
+        )
+        yield StandardValue(
+            f"Δ({symbol})t", f"{name}_t", float(np.ptp(own)), unit, f"range of {what} over the test", uncertainty
+        )
+
+
+def _noise_remarks(record: DriftRecord, from_residuals: float, incomplete: int) -> Iterator[str]:
+    if np.isfinite(from_residuals):
+        source = "larger than" if not from_residuals <= record.u_um else "within"
+        stated = f"{source} the {record.u_um:.1f} µm stated" if np.isfinite(record.u_um) else "none is stated"
+        used = ", and gives U" if source != "within" else ""
+        yield f"standard uncertainty of a reading from the residuals: {from_residuals:.2f} µm ({stated}){used}"
+    else:
+        yield "no degrees of freedom: more positions of the axis would check the rigid motion"
+    if incomplete:
+        yield f"{incomplete} cycles without enough positions were not used"
+
+
+# --- Displacements of the tool relative to the work from a measurement table: probe, R-test or tracker, repeated over time
+
+PARALLEL: Final = f"directions {SAME_AS_MACHINE}"
+UNTURNED: Final = (
+    "x, y and z are those of the station, whose orientation is unknown: give its pose for directions of the machine"
+)
+NOT_RELATIVE: Final = "motions of the station and of the table are contained: no target on the work was read"
+WORK_REMOVED: Final = "the displacement of target {} on the work, interpolated over time, is subtracted"
+
+
+def relative_displacements(
+    data: Measurements, machine: Machine, instrument: Instrument | None, ambient: str
+) -> DriftRecord:
+    """Return the displacements of the tool relative to the work.
+
+    The nominal motion between the commanded positions is subtracted: for a touch probe the displacements are those of the recorded
+    positions. Only changes at one pose count, so unknown places of station and target have no influence.
+
+    Args:
+        data: the table, of one side of the station.
+        machine: the machine.
+        instrument: instrument whose noise model gives the uncertainty where the table does not; None for unknown.
+        ambient: sensor of the ambient temperature; empty if unknown.
+
+    Raises:
+        InputError: times are missing or equal, angles or lengths instead of coordinates, stations on different sides.
+    """
+    _check(data)
+    data = data.select(np.argsort(data.time_s, kind="stable"))
+    base = str(data.station_carrier[0]) == "base"
+    posed = bool(np.isfinite(data.station_pose).all())
+    deviation = _deviation_um(data, machine)
+    on_work = data.carrier == "work"
+    signed = np.where(on_work[:, None], -1.0, 1.0) * deviation
+    remarks = [] if posed else [UNTURNED if base else PARALLEL]
+    rows = np.arange(len(data))
+    if base:
+        signed, rows, more = _without_work(data, deviation, on_work)
+        remarks.append(more)
+    data, names = data.select(rows), ("x", "y", "z") if base and not posed else ("X", "Y", "Z")
+    used = {name: read_only(signed[rows, k]) for k, name in enumerate(names)}
+    u = _uncertainty_mm(data, instrument)
+    speed = data.channels.get(SPEED, np.full(len(data), np.nan))
+    return DriftRecord(
+        source=data.source,
+        time_s=data.time_s,
+        part=data.round,
+        spot=read_only(
+            np.array([f"target {t}, station {s}" for t, s in zip(data.target, data.station, strict=True)], dtype=object)
+        ),
+        positions=data.positions,
+        displacement=MappingProxyType(used),
+        units=MappingProxyType(dict.fromkeys(used, "um")),
+        temperature_degC=data.temperature_degC,
+        ambient=ambient,
+        speed_rpm=read_only(np.abs(speed)) if np.isfinite(speed).any() else None,
+        u_um=float(np.sqrt(np.nanmean(u**2))) * (MM / UM) if np.isfinite(u).any() else float("nan"),
+        remarks=tuple(remarks),
+        notices=data.notices,
+        set_aside=data.set_aside,
+        simulated=data.simulated,
+        design=axis_design(data, machine),
+    )
+
+
+def _uncertainty_mm(data: Measurements, instrument: Instrument | None) -> np.ndarray:
+    """Return (n, 3) standard uncertainties of the readings, mm, those of a touch probe at its zero; NaN if unknown."""
+    if instrument is None or instrument.specification.reads != "null":
+        return reading_uncertainty_mm(data, instrument)
+    model = np.diagonal(instrument.covariance(np.zeros((len(data), 3))), axis1=1, axis2=2)
+    return np.where(np.isfinite(data.u_mm), data.u_mm, np.sqrt(model) / MM)
+
+
+def _check(data: Measurements) -> None:
+    missing = np.flatnonzero(~np.isfinite(data.time_s))
+    if len(missing):
+        raise data.error("no time in this row", expected="time_s in every row", row=missing[0])
+    unread = np.flatnonzero(~np.isfinite(data.point_mm).all(axis=1) | of_angles(data))
+    if len(unread):
+        raise data.error(
+            "no three coordinates in this row",
+            expected="x_mm, y_mm and z_mm: touch probe, R-test or tracker",
+            row=unread[0],
+        )
+    other = np.flatnonzero(data.station_carrier != data.station_carrier[0])
+    if len(other):
+        raise data.error(
+            "stations on different sides",
+            expected=f"station_carrier {data.station_carrier[0]} in every row",
+            row=other[0],
+            value=data.station_carrier[other[0]],
+        )
+
+
+def _deviation_um(data: Measurements, machine: Machine) -> np.ndarray:
+    """Return (n, 3) the readings minus the nominal motion, along the axes of the machine frame, µm.
+
+    Where the station stands on the base without a pose, along those of the station; the nominal motion is then left in.
+    """
+    q = np.asarray(data.positions) * machine.scale
+    observation = Observation(machine)
+    errors = observation.errors(Calibration.zero(machine), data, check=False)
+    places = np.nan_to_num(np.asarray(data.place_mm)) * MM
+    carried = observation.carried(q, errors, data.carrier, places, data.station_carrier)
+    posed = np.isfinite(data.station_pose).all(axis=1)
+    if data.station_carrier[0] == "base" and not posed.all():
+        return np.asarray(data.point_mm) * (MM / UM)
+    turn = scipy.spatial.transform.Rotation.from_rotvec(np.where(posed[:, None], data.station_pose[:, 3:], 0.0) * DEG)
+    deviation = turn.apply(np.array(data.point_mm)) * MM - carried.points
+    return np.asarray(np.einsum("nij,nj->ni", carried.ride, deviation)) / UM
+
+
+def _without_work(
+    data: Measurements, deviation_um: np.ndarray, on_work: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Return the displacements (n, 3) of tool targets relative to a target on the work, the rows of tool targets, and a remark."""
+    tool = np.flatnonzero(~on_work)
+    if not on_work.any():
+        return deviation_um, tool, NOT_RELATIVE
+    if not len(tool):
+        return (
+            -deviation_um,
+            np.arange(len(data)),
+            NOT_RELATIVE.replace("table", "tool").replace("the work", "the tool"),
+        )
+    name = data.target[on_work][0]
+    work = np.flatnonzero(on_work & (data.target == name))
+    found = deviation_um.copy()
+    for k in range(3):
+        found[:, k] -= np.interp(data.time_s, data.time_s[work], deviation_um[work, k])
+    return found, tool, WORK_REMOVED.format(name)
+
+
+# --- The tests of ISO 230-3 that a drift record allows, with their values -------------------------
 
 STANDARD: Final = "after ISO 230-3:2020 (not verified)"
 SAME_POSE: Final = 1.0
@@ -274,3 +586,70 @@ def _noise_remark(record: DriftRecord, found: DriftSeries) -> list[str]:
 
 def _hours(seconds: float) -> str:
     return f"{seconds / 3600.0:.1f} h" if seconds >= 7200.0 else f"{seconds / 60.0:.0f} min"
+
+
+# --- Evaluate the thermal tests of ISO 230-3 from a file ------------------------------------------
+
+TITLE: Final = "thermal tests (ISO 230-3)"
+BUDGET: Final = (
+    "U (95 %) contains the noise of two readings only: no drift of the instrument, no expansion of mandrel or fixture."
+)
+
+
+def evaluate_drift(
+    path: str | Path,
+    machine: Machine,
+    *,
+    tolerances: Mapping[str, float] | None = None,
+    instrument: Instrument | None = None,
+    sensors: Sequence[str] = (),
+) -> EvaluationResult:
+    """Evaluate the tests of ISO 230-3: environment, rotating spindle, moving linear axes.
+
+    Args:
+        path: a record of displacement sensors (``time_s``, ``<name>_um``), or a measurement table with ``time_s``.
+        machine: the machine that was measured.
+        tolerances: largest permitted values by key (``d_Z_t``) or name of the test and key (``spindle:d_Z_t``); µm, µrad.
+        instrument: instrument whose noise model gives the uncertainty of a table's readings.
+        sensors: directions of displacement sensors (``d1=X1``), distances (``X1-X2=76``), ambient sensor (``t5=ambient``).
+
+    Raises:
+        InputError: a file that is neither, directions that cannot be read, a negative tolerance.
+    """
+    require_type("machine", machine, Machine)
+    check_limits(tolerances or {})
+    directions = SensorMap.parse(sensors)
+    record = _record(path, machine, directions, instrument)
+    tests: list[StandardTest] = []
+    missing: list[NotEvaluated] = []
+    try:
+        tests += drift_tests(record, machine)
+    except NotPossible as reason:
+        missing.append(NotEvaluated(TITLE, str(reason)))
+    return EvaluationResult(
+        data=record,
+        machine=machine.name,
+        tests=tuple(tests),
+        not_evaluated=tuple(missing),
+        assumptions=(),
+        uncertainty=BUDGET if np.isfinite(record.u_um) else "",
+        checks=check_tolerances(tolerances or {}, tests),
+        warnings=(SIMULATED,) if record.simulated else (),
+    )
+
+
+def _record(path: str | Path, machine: Machine, directions: SensorMap, instrument: Instrument | None) -> DriftRecord:
+    if is_displacement_record(path):
+        if instrument is not None:
+            raise InputError(
+                "a record of displacement sensors has no noise model", expected="no instrument", value=instrument.name
+            )
+        return load_displacements(path, machine, directions)
+    if directions.sensor or directions.distance_mm:
+        raise InputError(
+            "directions of sensors are for records with columns <name>_um", expected="such a record", file=Path(path)
+        )
+    data = Measurements.load(path, machine)
+    if directions.ambient:
+        directions.check([], list(data.temperature_degC))
+    return relative_displacements(data, machine, instrument, directions.ambient_of(data.temperature_degC))

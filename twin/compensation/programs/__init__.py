@@ -1,0 +1,1 @@
+"""Compensation of programs, from blocks to blocks."""

@@ -1,0 +1,246 @@
+"""Simulated execution of a program on the machine with errors: nominal and real tool poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.units import count_with_noun
+from twin.compensation.programs.backlash import Backlash
+from twin.compensation.programs.block_conditions import CONSTANT, BlockConditions, block_conditions
+from twin.compensation.programs.follow import follow, motionless, motions_of, sections, spaces
+from twin.compensation.programs.motions import (
+    CHORD_MM,
+    SAMPLES_A_PIECE,
+    LostBlock,
+    PathMotion,
+    ToolPath,
+    by_reason,
+    increments_hinted,
+    spacings,
+)
+from twin.compensation.programs.pieces import check_one_mode
+from twin.compensation.programs.words import Setup, WordSpace, check_domains, outside_range
+from twin.display import card, histogram, note, pairs
+from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.conditions import Conditions
+from twin.nc import read_program
+from twin.nc.blocks import Program
+from twin.nc.inline import errors_in_files
+from twin.tool.forward import Kinematics
+
+SAME_POSITION: Final = 1e-6
+"""Largest difference of an axis between two conversions of one position, mm or degrees."""
+
+
+@final
+@dataclass(frozen=True)
+class Execution:
+    """Result of executing a program once.
+
+    Attributes:
+        positions: (n, axes) commands, mm and degrees, command order.
+        meant_mm: (n, 3) nominal tool points in the work frame.
+        sides: (n, axes) approach directions, as in `twin.compensation.programs.backlash`.
+        reached_mm: (n, 3) real tool points.
+        tilt_urad: (n, 2) tilt of the tool axis from its nominal direction (`Poses.tilt_urad`).
+        cutting: (n,) False on rapids.
+        ends: (n,) whether the point is the end point of a block.
+        lines: (n,) program line of each point.
+        gaps: (n,) whether the way from the point before is unknown or left out; True at the first point.
+        left_out: number of points outside an axis's range, for which no errors are known.
+        unknown: blocks left out because their places are unknown.
+    """
+
+    positions: np.ndarray
+    meant_mm: np.ndarray
+    sides: np.ndarray
+    reached_mm: np.ndarray
+    tilt_urad: np.ndarray
+    cutting: np.ndarray
+    ends: np.ndarray
+    lines: np.ndarray
+    gaps: np.ndarray
+    left_out: int
+    unknown: tuple[LostBlock, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether every point and every cutting block is executed."""
+        return not self.left_out and not any(one.cutting for one in self.unknown)
+
+    @property
+    def omitted(self) -> str:
+        """Parts left out, in words; empty if there are none."""
+        points = f"{count_with_noun(self.left_out, 'point')} outside the axis ranges" if self.left_out else ""
+        blocks = [
+            f"{count_with_noun(len(moves), 'block')} from line {moves[0].line + 1} on ({reason})"
+            for reason, moves in by_reason(self.unknown).items()
+        ]
+        return "; ".join([*([points] if points else []), *blocks])
+
+    def _repr_html_(self) -> str:
+        off = np.linalg.norm(self.reached_mm - self.meant_mm, axis=1) * 1e3
+        if not len(off):
+            return card("Executed", note("no point within the axis ranges", loud=True), wrong=True).text
+        worst = int(np.argmax(off))
+        rows = [
+            (
+                "error of the tool point",
+                f"{np.sqrt(np.mean(off**2)):.2f} µm RMS, {off[worst]:.2f} µm largest (line {self.lines[worst]})",
+            ),
+            ("tilt of the tool axis", f"{np.sqrt(np.mean(np.sum(self.tilt_urad**2, axis=1))):.1f} µrad RMS"),
+            ("left out", self.omitted),
+        ]
+        small = f"{count_with_noun(len(off), 'point')}, {self.ends.sum():,} of them block end points"
+        return card(
+            "Executed", pairs(rows), histogram(off, "error (µm)", "points"), small=small, wrong=not self.complete
+        ).text
+
+
+def execute_file(
+    program: str | Path,
+    machine: Machine,
+    calibration: Calibration | None = None,
+    *,
+    tool_length_mm: float | None = None,
+    tcp: bool = False,
+    setup: Setup | None = None,
+    conditions: Conditions | None = None,
+) -> Execution:
+    """Execute the program of a file, or a sample program of twin.
+
+    Args:
+        program: its path.
+        machine: the machine it runs on.
+        calibration: the machine's errors; the machine file's own if None.
+        tool_length_mm: the machine file's own if None.
+        tcp: whether tool-centre-point mode is on from the start.
+        setup: work offsets and origin; none if None.
+        conditions: temperatures, time and speed, for the effects that need them.
+
+    Raises:
+        InputError: as for `execute`; the program cannot be read, or moves no axis to a known position; an effect needs a
+            temperature or time that is not given.
+    """
+    errors = Calibration.default(machine) if calibration is None else calibration
+    errors = errors.with_transformation() if tcp else errors
+    at = Conditions() if conditions is None else conditions
+    at.require(errors)
+    read, dialect = read_program(program)
+    space = WordSpace(machine, Setup() if setup is None else setup, tool_length_mm)
+    with errors_in_files(read), increments_hinted(machine, dialect, lambda line: "".join(read.texts[line - 1 : line])):
+        reading = dialect.moves(read, space.axes, tcp=tcp)
+        found = sections(space, read.source, reading)
+        path = follow(read, reading, *spaces(found))
+        if not path.motions:
+            raise motionless(read.source, path.unknown)
+        check_one_mode(errors, path.columns.tcp, read.source, tcp=tcp)
+        parts = motions_of(found, path)
+        by_block = block_conditions(read, dialect, path, [(part.begin, part.space) for part in parts], errors, at)
+        runs = []
+        of_length: dict[float, Kinematics] = {}
+        for part in parts:
+            length = part.space.nominal.tool_length_mm
+            if length not in of_length:
+                of_length[length] = Kinematics(
+                    machine, errors, tool_length_mm=length, conditions=at, by_pose=by_block.names
+                )
+            conditions_of = by_block.part(part.begin - part.context, part.end)
+            runs.append(execute(read, part.path, part.space, of_length[length], conditions_of, context=part.context))
+    whole = runs[0] if len(runs) == 1 else _joined(runs)
+    numbered = tuple(one._replace(line=int(read.numbers[one.line]) - 1) for one in path.unknown)
+    return replace(whole, unknown=numbered)
+
+
+def execute(
+    program: Program,
+    path: ToolPath,
+    space: WordSpace,
+    real: Kinematics,
+    conditions: BlockConditions = CONSTANT,
+    *,
+    context: int = 0,
+) -> Execution:
+    """Execute a program as its control would: straight lines in words between blocks, also for rapids.
+
+    Args:
+        program: the program.
+        path: its motions (`twin.compensation.programs.follow`).
+        space: conversion from words to commands on the machine without errors.
+        real: the machine with errors, the same tool length, and the temperatures and time its effects need.
+        conditions: those of every motion.
+        context: number of first motions that belong to the section before.
+
+    Raises:
+        InputError: a position within the axis's range that its error motions do not cover.
+    """
+    fractions = [_fractions(motion) for motion in path.motions]
+    words, of = path.dense(fractions)
+    columns = path.columns
+    ends, lines = np.append(of[1:] != of[:-1], True), columns.line[of] + 1
+    positions = space.commands(words, columns.tcp[of])
+    check_domains(real, program.source, lines[ends], positions[ends])
+    sides = Backlash(real.calibration).sides(path, of, positions)
+    state = conditions.at(sides, of, np.concatenate(fractions))
+    own = of >= context
+    inside = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
+    gaps = _gaps(path, space, positions, ends) | ~np.append(True, inside[:-1])
+    keep = own & inside
+    positions, sides = positions[keep], sides[keep]
+    nominal, reached = space.nominal.forward(positions), real.forward(positions, state[keep])
+    return Execution(
+        positions=positions,
+        meant_mm=nominal.point_mm,
+        sides=sides,
+        reached_mm=reached.point_mm,
+        tilt_urad=reached.tilt_urad(nominal),
+        cutting=~columns.rapid[of][keep],
+        ends=ends[keep],
+        lines=program.numbers[lines[keep] - 1],
+        gaps=gaps[keep],
+        left_out=int(np.count_nonzero(own & ~keep)),
+    )
+
+
+def _gaps(path: ToolPath, space: WordSpace, positions: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Return (n,) whether a point is the first one of a motion that does not begin where the motion before ended.
+
+    Args:
+        path: the motions.
+        space: conversion from words to commands.
+        positions: (n, axes) commands of the points.
+        ends: (n,) whether a point is the end point of its motion.
+    """
+    begins = space.simulated_commands(path.columns.start, path.columns.tcp)
+    distance = np.abs(begins[1:] - positions[ends][:-1]).max(axis=1)
+    gaps = np.append(True, ends[:-1])
+    gaps[gaps] = np.append(True, ~(distance <= SAME_POSITION))  # also where the start is not a number
+    return gaps
+
+
+def _joined(runs: Sequence[Execution]) -> Execution:
+    """Return the executions of consecutive sections as one."""
+    arrays = {
+        one.name: np.concatenate([getattr(run, one.name) for run in runs])
+        for one in fields(Execution)
+        if one.name not in ("left_out", "unknown")
+    }
+    return Execution(**arrays, left_out=sum(run.left_out for run in runs), unknown=())
+
+
+def _fractions(motion: PathMotion) -> np.ndarray:
+    """Return fractions of a motion at which to evaluate it; only its end point if its start is unknown.
+
+    They are those of the account of a compensation (`twin.compensation.account`): both find the same largest error in the same line.
+    """
+    if not np.isfinite(motion.start).all():
+        return np.array([1.0])
+    long = spacings(motion.start[None], motion.end[None])[0]
+    count = int(np.ceil(max(SAMPLES_A_PIECE, long, motion.chords(CHORD_MM))))
+    return np.append((np.arange(count) + 0.5) / count, 1.0)

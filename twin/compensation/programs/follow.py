@@ -1,0 +1,562 @@
+"""Convert a program's moves to motions, tracking the position of every axis.
+
+Coordinates of a program that selects work offsets and tools: the set-up and the tool length of every frame.
+
+The position of an axis is its word plus the work offset. To the third linear axis the control adds the length of the tool while one
+is in force; without a table of tools, but with one of work offsets, always. In tool centre point mode the work offset moves the
+program's zero on the workpiece instead: it is the place of the spindle nose at the offset's linear values and rotary axes at zero. In a
+tilted plane the words are places on the tilted workpiece, and the control keeps the rotary axes at the positions of the plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from twin._common.errors import InputError
+from twin.compensation.programs.motions import (
+    CHORD_MM,
+    MOST_SAMPLES,
+    SAMPLE_SPACING,
+    LostBlock,
+    MotionColumns,
+    Passage,
+    PathMotion,
+    ProgramMotions,
+    ToolPath,
+)
+from twin.compensation.programs.words import Tilt, WordSpace
+from twin.model.calibration import Calibration
+from twin.nc.blocks import (
+    Interpretation,
+    Kind,
+    LostPositions,
+    Move,
+    MoveColumns,
+    Notice,
+    Plane,
+    Program,
+    WordFrame,
+    as_columns,
+)
+from twin.tool.forward import Kinematics
+
+TextOf = Callable[[int], str]
+"""Function from a line's index in the program to its text."""
+
+
+def follow(
+    program: Program, reading: Interpretation, space: WordSpace, later: Sequence[tuple[int, WordSpace]] = ()
+) -> ToolPath:
+    """Return a program as motions with known end points.
+
+    Args:
+        program: as read.
+        reading: its moves.
+        space: conversion from words to commands.
+        later: other conversions that apply from a line (0-based index) on, in order.
+
+    Raises:
+        InputError: a feed move from or to a position the program has not given, or a tool vector the machine cannot reach.
+    """
+    follower = Follower(program.source, space, later)
+    moves = as_columns(space.axes.names, reading.moves)
+    columns = follower.columns(moves, reading.lost_positions, lambda line: program.texts[line])
+    passed = tuple(follower.notices), tuple(follower.passages), tuple(follower.unknown)
+    return ToolPath(ProgramMotions(columns, moves), columns, *passed)
+
+
+def motionless(source: str, unknown: Sequence[LostBlock] = ()) -> InputError:
+    """Return the error for a program without a motion between known positions; ``unknown``: its blocks that go to unknown places."""
+    what = "no block moves an axis to a known position"
+    if not unknown:
+        return InputError(what, expected="a program with axis motion", file=source)
+    expected = "statements whose effect is known, or machine coordinates of every axis after them"
+    return InputError(f"{what}: {unknown[0].reason}", expected=expected, file=source, line=unknown[0].line + 1)
+
+
+@final
+class Follower:
+    """Converts a program's moves to motions, in one stretch or several, tracking the position of every axis.
+
+    Args:
+        source: the program's name.
+        space: conversion from words to commands.
+        later: other conversions that apply from a line (0-based index) on, in order.
+
+    Attributes:
+        notices: notices on lines that move axes but are passed through unchanged, and on assumptions, so far.
+        passages: axis positions after lines between motions, so far.
+        unknown: blocks that go to unknown places, so far.
+    """
+
+    def __init__(self, source: str, space: WordSpace, later: Sequence[tuple[int, WordSpace]] = ()) -> None:
+        self.notices: list[Notice] = []
+        self.passages: list[Passage] = []
+        self.unknown: list[LostBlock] = []
+        self._count = 0
+        self._source = source
+        self._space = space
+        self._later = list(later)[::-1]
+        self._words = np.full(len(space.axes.names), np.nan)
+        self._tcp: bool | None = None
+        self._assumed = False
+        self._left: list[LostPositions] = []
+
+    def columns(self, moves: MoveColumns, left: Sequence[LostPositions], text_of: TextOf) -> MotionColumns:
+        """Return the motions of the next moves; consecutive plain ones are converted together.
+
+        Args:
+            moves: the moves.
+            left: lines among them that leave axes at unknown positions.
+            text_of: function that returns the text of a line.
+
+        Raises:
+            InputError: as for `follow`.
+        """
+        self._left = [*left[::-1], *self._left]
+        if np.any(moves.by_vector):
+            self._space.branches  # noqa: B018  # refuses a machine that cannot follow tool vectors
+        single = {i for i, move in moves.special.items() if move.arc is not None or move.passes}
+        changes = np.searchsorted(moves.line, [one.line for one in left], side="right")
+        later = np.searchsorted(moves.line, [line for line, _ in self._later])
+        modes = (np.diff(moves.tcp) | np.diff(moves.by_vector)).nonzero()[0] + 1
+        stops = np.array(sorted({*single, *(i + 1 for i in single), *modes, *changes, *later, len(moves)}), dtype=int)
+        parts: list[MotionColumns] = []
+        loose: dict[int, PathMotion] = {}
+        at = 0
+        while at < len(moves):
+            self._forget_before(int(moves.line[at]))
+            end = int(stops[np.searchsorted(stops, at, side="right")])
+            plain = (
+                end > at + 1 and at not in single and self._tcp == bool(moves.tcp[at]) and not self._moved(moves, at)
+            )
+            if plain and np.isfinite(self._words).all():
+                found = self._plain(moves, at, end)
+                if len(found):
+                    parts += [MotionColumns.of(loose, len(self._words)), found]
+                    loose = {}
+                    at += len(found)
+                    continue
+            motion = self._step(moves[at], text_of)
+            if motion is not None:
+                loose[at] = motion
+            at += 1
+        return self._checked(MotionColumns.joined([*parts, MotionColumns.of(loose, len(self._words))]), text_of)
+
+    def _moved(self, moves: MoveColumns, at: int) -> bool:
+        """Return whether a conversion begins at a move that is not yet in force."""
+        return bool(self._later) and self._later[-1][0] <= int(moves.line[at])
+
+    def _plain(self, moves: MoveColumns, begin: int, end: int) -> MotionColumns:
+        """Return the motions of moves that only name positions or tool vectors, when every axis position is known.
+
+        They end before the first tool vector that the machine cannot reach.
+        """
+        part = slice(begin, end)
+        named = moves.position[part]
+        ends = np.where(np.isnan(named), self._words, named)
+        if np.isfinite(moves.vector[begin, 0]):
+            solutions = self._space.branches.all(moves.vector[part])
+            rotary = self._space.branches.along(solutions, self._words[3:], self._space.offset[3:])
+            ends = ends[: len(rotary)]
+            ends[:, 3:] = rotary
+            part = slice(begin, begin + len(rotary))
+        starts = np.concatenate([self._words[None, :], ends[:-1]])[: len(ends)]
+        self._words = ends[-1].copy() if len(ends) else self._words
+        self._count += len(ends)
+        return MotionColumns(
+            np.arange(part.start, part.stop),
+            moves.line[part],
+            moves.rapid[part],
+            moves.tcp[part],
+            starts,
+            ends,
+            moves.by_vector[part],
+            {},
+        )
+
+    def _forget_before(self, line: int) -> None:
+        """Mark axis positions as unknown that lines before this one have made unknown."""
+        while self._left and self._left[-1].line < line:
+            left, words = self._left.pop(), self._words
+            forgotten = np.isin(np.arange(len(words)), left.axes)
+            self._pass(np.full(len(words), np.nan), forgotten)
+            if left.moved:
+                self._words = np.where(forgotten, np.nan, words)
+                self._assumed = self._assumed and not forgotten[3:].any()
+
+    def _pass(self, commands: np.ndarray, moved: np.ndarray) -> None:
+        """Record a passage; both arguments are in word order."""
+        ordered, which = np.empty_like(commands), np.empty_like(moved)
+        ordered[self._space.order], which[self._space.order] = commands, moved
+        self.passages.append(Passage(self._count, ordered, which))
+
+    def _step(self, move: Move, text_of: TextOf) -> PathMotion | None:
+        """Return one move as a motion; None if it is not a motion between known positions."""
+        self._forget_before(move.line)
+        while self._later and self._later[-1][0] <= move.line:
+            self._change_space(self._later.pop()[1])
+        if move.tcp != self._tcp:
+            if self._tcp is not None:
+                self._words = self._switched(move.tcp)
+            self._tcp = move.tcp
+        if move.unknown:
+            self._lose(move)
+            return None
+        words, end = self._words, np.array(move.position)
+        if move.machine:
+            self._pass(end, np.isfinite(end))
+            self._words = np.where(self._named(move), end - self._space.offset, words)
+            if move.tcp or self._space.tilt is not None:
+                self._words[:3] = np.nan  # the position of the tip then depends on the control
+            self.notices.append(Notice(move.line, "machine coordinates: passed through unchanged"))
+            return None
+        end = np.where(np.isnan(end), words, end)
+        if move.vector is not None:
+            end[3:] = self._along_vector(move, words[3:])
+        if np.isnan(end[3:]).any():
+            end[3:] = self._assume(move.line, end[3:])
+        start = words.copy()
+        start[3:] = np.where(np.isnan(start[3:]), end[3:], start[3:])
+        self._words = end
+        if np.isnan(end[:3]).any():
+            self._unknown_position(move, end, text_of)
+            return None
+        self._count += 1
+        return PathMotion(move, start, end)
+
+    def _lose(self, move: Move) -> None:
+        """Pass a block to an unknown place through."""
+        self.unknown.append(LostBlock(move.line, move.kind is not Kind.RAPID, move.unknown))
+        everywhere = np.full(len(self._words), np.nan)
+        known = not self.passages or np.isfinite(self.passages[-1].commands).any() or not self.passages[-1].moved.all()
+        if known or self.passages[-1].before != self._count:
+            self._pass(everywhere, np.ones(len(everywhere), dtype=bool))
+        self._words, self._assumed = everywhere, False
+
+    def _checked(self, motions: MotionColumns, text_of: TextOf) -> MotionColumns:
+        """Return motions; raise `InputError` for the first that needs more than `MOST_SAMPLES` samples."""
+        long = motions.spacings > MOST_SAMPLES
+        for i, move in motions.special.items():
+            long[i] |= move.arc is not None and motions[i].chords(CHORD_MM) > MOST_SAMPLES
+        if not long.any():
+            return motions
+        line = int(motions.line[int(np.argmax(long))])
+        most_mm, most_deg = (MOST_SAMPLES * one for one in SAMPLE_SPACING)
+        raise InputError(
+            "the motion is too long",
+            expected=f"at most {most_mm:,.0f} mm, {most_deg:,.0f}° or {MOST_SAMPLES:,} chords of an arc: is a decimal point missing?",
+            file=self._source,
+            line=line + 1,
+            value=text_of(line).strip(),
+        )
+
+    def _named(self, move: Move) -> np.ndarray:
+        """Return (axes,) which words a move has."""
+        return np.array([name in move.named for name in self._space.axes.names])
+
+    def _change_space(self, space: WordSpace) -> None:
+        """Convert the axis positions to words of another conversion, in which the program goes on."""
+        words, tcp, tilt = self._words, bool(self._tcp), space.tilt
+        known = np.isfinite(words).all()
+        self._words = words + self._space.offset - space.offset
+        if known and (tilt is None or tilt.stays):
+            mode = np.array([tcp])
+            commands = self._space.commands(words[None, :], mode)
+            if tilt is not None:
+                commands[:, space.order[3:]] = tilt.rotary_deg
+            self._words = space.words(commands, mode)[0]
+        elif tcp or tilt is not None or self._space.tilt is not None:
+            self._words[:3] = np.nan
+        if tilt is not None:
+            self._words[3:] = space.start
+        self._space = space
+
+    def _switched(self, tcp: bool) -> np.ndarray:
+        """Return the axis positions in the words of the other mode."""
+        if not np.isfinite(self._words).all():
+            return np.concatenate([np.full(3, np.nan), self._words[3:]])
+        return self._space.switched(self._words[None, :], tcp=tcp)[0]
+
+    def _assume(self, line: int, rotary: np.ndarray) -> np.ndarray:
+        """Return rotary words, with the set-up's values for unknown ones; a notice is recorded the first time."""
+        space, unknown = self._space, np.isnan(rotary)
+        if not self._assumed:
+            assumed = {
+                name: value
+                for name, value, missing in zip(space.axes.rotary, space.start, unknown, strict=True)
+                if missing
+            }
+            at = ", ".join(f"{name} = {value:g}°" for name, value in assumed.items())
+            self.notices.append(
+                Notice(
+                    line, f"the program gives no position of {' and '.join(assumed)} before this line: taken as {at}"
+                )
+            )
+            self._assumed = True
+        return np.where(unknown, space.start, rotary)
+
+    def _unknown_position(self, move: Move, end: np.ndarray, text_of: TextOf) -> None:
+        """Pass a rapid move to an unknown position through; raise `InputError` for a feed move."""
+        space = self._space
+        names = ", ".join(name for name, value in zip(space.axes.linear, end, strict=False) if np.isnan(value))
+        if move.kind is not Kind.RAPID:
+            raise InputError(
+                f"feed move before the program has given a position of {names}",
+                expected="a position of every linear axis before the first feed move",
+                file=self._source,
+                line=move.line + 1,
+                value=text_of(move.line).strip(),
+            )
+        self.notices.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
+        commands = end + space.offset
+        if move.tcp or space.tilt is not None:
+            commands[:3] = np.nan
+        self._pass(commands, self._named(move))
+
+    def _along_vector(self, move: Move, before: np.ndarray) -> np.ndarray:
+        space = self._space
+        standing = np.where(np.isnan(before), space.start, before) + space.offset[3:]
+        (found,) = space.branches.nearest(space.branches.all(np.array([move.vector])), standing[None])
+        if np.isnan(found).any():
+            raise InputError(
+                f"{space.machine.name} cannot reach this tool vector",
+                expected="a tool vector within the ranges of its rotary axes",
+                file=self._source,
+                line=move.line + 1,
+                value=move.vector,
+            )
+        return np.asarray(found - space.offset[3:])
+
+
+# --- Coordinates of a program that selects work offsets and tools: the set-up and the tool length of every frame
+
+
+@final
+class FrameSpaces:
+    """Conversions of words in the frames of one machine.
+
+    Args:
+        base: conversion with the tables of work offsets and tools; its tool length applies where they do not say one.
+    """
+
+    def __init__(self, base: WordSpace) -> None:
+        self._base = base
+        self._made: dict[Hashable, WordSpace] = {}
+        self._nose = Kinematics(base.machine, Calibration.zero(base.machine), tool_length_mm=0.0)
+
+    def of(self, frame: WordFrame, source: str, line: int, standing_deg: np.ndarray) -> WordSpace:
+        """Return the conversion of words in a frame; the same object for equal work offsets and tool lengths.
+
+        Args:
+            frame: the frame.
+            source: name of the program, for messages.
+            line: line of its first move in this frame.
+            standing_deg: (rotary axes,) commands of the rotary axes before it.
+
+        Raises:
+            InputError: an unknown work offset or tool; a tilted plane that the machine cannot reach.
+        """
+        base, setup, length = self._base, self._base.setup, self._base.tool_length_mm
+        tools = setup.tools
+        tool = frame.length or frame.tool
+        if tools is not None and tool not in ("", "0"):
+            length = tools.of(tool, source, line) + frame.delta_mm
+        elif tools is not None and tool == "0":
+            length = 0.0
+        shift = dict(setup.work_offset)
+        origin = setup.work_origin_mm
+        if setup.offsets is not None:
+            row = setup.offsets.of(frame.offset, source, line)
+            shift = {name: row.get(name, 0.0) for name in base.axes.names}
+            origin = self._origin(shift)
+        if frame.length or (tools is None and setup.offsets is not None):
+            along = base.axes.linear[2]
+            added = base.nominal.tool_length_mm if length is None else length
+            shift[along] = shift.get(along, 0.0) + added
+        key: tuple[Hashable, ...] = tuple(sorted(shift.items())), origin, length
+        if key not in self._made:
+            plain = replace(setup, work_offset=shift, work_origin_mm=origin, offsets=None, tools=None)
+            self._made[key] = WordSpace(base.machine, plain, length)
+        space = self._made[key]
+        if frame.plane is None:
+            return space
+        rotary = self._rotary(space, frame.plane, standing_deg, source, line)
+        key = (*key, frame.plane, tuple(rotary.tolist()))
+        if key not in self._made:
+            self._made[key] = WordSpace(base.machine, space.setup, length, self._tilt(space, frame.plane, rotary))
+        return self._made[key]
+
+    def _tilt(self, space: WordSpace, plane: Plane, rotary_deg: np.ndarray) -> Tilt:
+        """Return a plane whose zero is given in the words of ``space``, with the rotary axes at zero."""
+        if self._base.setup.offsets is None:
+            zero = np.zeros((1, len(space.order)))
+            zero[:, space.order] = np.where(np.arange(len(space.order)) < 3, space.offset, 0.0)
+            origin = space.nominal.forward(zero).point_mm[0]
+        else:
+            origin = space.origin
+        return Tilt(np.array(plane.rotation), origin + np.array(plane.origin_mm), rotary_deg, plane.stays)
+
+    def _rotary(self, space: WordSpace, plane: Plane, standing_deg: np.ndarray, source: str, line: int) -> np.ndarray:
+        """Return the commands of the rotary axes for a plane, rounded to their least increments.
+
+        Raises:
+            InputError: the machine does not reach it.
+        """
+        normal = np.array(plane.rotation)[:, 2]
+        solutions = space.branches.all(normal[None])[0]
+        if plane.choice:
+            wrong = plane.choice * solutions[:, space.branches.master] < -1e-9
+            solutions[wrong & ~wrong.all()] = np.nan
+        (found,) = space.branches.nearest(solutions[None], standing_deg[None])
+        if np.isnan(found).any():
+            raise InputError(
+                f"{space.machine.name} cannot reach this tilted plane",
+                expected="a plane within the ranges of its rotary axes",
+                file=source,
+                line=line,
+                value=" ".join(f"{value:.4g}" for value in normal),
+            )
+        increment = np.array([space.axes.increment[name] for name in space.axes.rotary])
+        return np.asarray(np.round(found / increment) * increment)
+
+    def _origin(self, shift: dict[str, float]) -> tuple[float, float, float]:
+        commands = np.array([[shift[axis.name] if axis.linear else 0.0 for axis in self._base.machine.axes]])
+        x, y, z = self._nose.forward(commands).point_mm[0].tolist()
+        return x, y, z
+
+
+# --- Sections of a program: consecutive motions in the same frame, with its own work offset and tool
+
+
+@final
+@dataclass(frozen=True)
+class Section:
+    """Lines of a program in the same frame.
+
+    Attributes:
+        line: 0-based index of the first line.
+        frame: the frame.
+        space: conversion of its words, with its work offset and tool.
+        from_tables: whether a table of work offsets or tools is known.
+        assumed_offset: name of the work offset in force before the program selects one; empty without a table of them.
+    """
+
+    line: int
+    frame: WordFrame
+    space: WordSpace
+    from_tables: bool = False
+    assumed_offset: str = ""
+
+
+@final
+@dataclass(frozen=True)
+class SectionMotions:
+    """The motions of a section.
+
+    Attributes:
+        space: conversion of the section's words.
+        path: the motions, after ``context`` motions of the section before in the words of this one.
+        begin, end: the range of its own motions among those of the program.
+        context: 1, or 0 in the first section.
+    """
+
+    space: WordSpace
+    path: ToolPath
+    begin: int
+    end: int
+    context: int
+
+
+def sections(base: WordSpace, source: str, reading: Interpretation) -> list[Section]:
+    """Return the sections of a program; one if it has neither a table of work offsets nor one of tools.
+
+    Args:
+        base: conversion of words, with the tables of work offsets and tools.
+        source: name of the program, for messages.
+        reading: its moves.
+
+    Raises:
+        InputError: a work offset or a tool that is not in its table.
+    """
+    setup = base.setup
+    if setup.offsets is None and setup.tools is None and not reading.frames:
+        return [Section(0, WordFrame(), base)]
+    frames = FrameSpaces(base)
+    standing = base.start + base.offset[3:]
+    assumed = "" if setup.offsets is None else setup.offsets.assumed
+    moves = as_columns(base.axes.names, reading.moves)
+    lines, positions = moves.line[~moves.passes], moves.position[~moves.passes]
+    starts = [(0, WordFrame()), *reading.frames]
+    found: list[Section] = []
+    for place, (line, frame) in enumerate(starts):
+        end = starts[place + 1][0] if place + 1 < len(starts) else np.inf
+        own = lines[(lines >= line) & (lines < end)]
+        if own.size:
+            before = positions[: np.searchsorted(lines, line)]
+            at = standing if frame.plane is None else _standing(before, standing, base)
+            space = frames.of(frame, source, int(own[0]) + 1, at)
+            standing = standing if space.tilt is None else space.tilt.rotary_deg
+            if not found or found[-1].space is not space:
+                found.append(Section(line if found else 0, frame, space, True, assumed))
+    return found or [Section(0, WordFrame(), base)]
+
+
+def _standing(positions: np.ndarray, first: np.ndarray, base: WordSpace) -> np.ndarray:
+    """Return (rotary axes,) the commands of the rotary axes after moves; ``first``: those at the beginning of their section."""
+    words = positions[-1, 3:] + base.offset[3:] if len(positions) else first
+    return np.where(np.isnan(words), first, words)
+
+
+def spaces(found: Sequence[Section]) -> tuple[WordSpace, list[tuple[int, WordSpace]]]:
+    """Return the conversion of the first section, and those of the others with their first lines, as `follow` takes them."""
+    return found[0].space, [(section.line, section.space) for section in found[1:]]
+
+
+def motions_of(found: Sequence[Section], path: ToolPath) -> list[SectionMotions]:
+    """Return the motions of every section that has any."""
+    if len(found) == 1:
+        return [SectionMotions(found[0].space, path, 0, len(path.columns), 0)]
+    cuts = np.searchsorted(path.columns.line, [section.line for section in found[1:]]).tolist()
+    parts: list[SectionMotions] = []
+    before: WordSpace | None = None
+    for section, begin, end in zip(found, [0, *cuts], [*cuts, len(path.columns)], strict=True):
+        if begin == end:
+            continue
+        space = section.space
+        context = 0 if before is None else 1
+        part = path.part(begin - context, end)
+        if before is not None:
+            part = replace_first(part, before, space)
+        parts.append(SectionMotions(space, part, begin, end, context))
+        before = space
+    return parts or [SectionMotions(found[0].space, path, 0, 0, 0)]
+
+
+def replace_first(path: ToolPath, before: WordSpace, space: WordSpace) -> ToolPath:
+    """Return a path whose first motion has no length: it stays on its end point, in words of another conversion.
+
+    Args:
+        path: the path.
+        before: conversion of its first motion.
+        space: conversion of the other motions.
+    """
+    columns = path.columns
+    mode = columns.tcp[:1]
+    end = space.words(before.commands(columns.end[:1], mode), mode)
+    special = {i: move for i, move in columns.special.items() if i}
+    changed = MotionColumns(
+        columns.move,
+        columns.line,
+        columns.rapid,
+        columns.tcp,
+        np.concatenate([end, columns.start[1:]]),
+        np.concatenate([end, columns.end[1:]]),
+        columns.by_vector & (np.arange(len(columns)) > 0),
+        special,
+    )
+    return replace(path, motions=changed, columns=changed)

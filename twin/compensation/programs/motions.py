@@ -1,0 +1,302 @@
+"""Motions of a program: moves with known end points, one by one or in columns."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from twin._common.arrays import MadeOnAccess
+from twin._common.errors import InputError
+from twin.machine.machine import Machine
+from twin.nc.blocks import Kind, Move, Notice
+from twin.nc.dialect import Dialect
+
+SAMPLE_SPACING: Final = (10.0, 3.0)
+"""Largest distance between two samples: mm of linear and degrees of rotary motion."""
+SAMPLES_A_PIECE: Final = 5
+"""Least number of interior points at which a piece is simulated; long pieces have more."""
+
+CHORD_MM: Final = 0.01
+"""Chord tolerance on arcs in a simulated execution."""
+MOST_SAMPLES: Final = 100_000
+"""Samples of one motion beyond which it is refused: 1 km, 833 turns of a rotary axis, an arc of as many chords."""
+
+
+def spacings(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Return (n,) the distance between (n, axes) words and others, in units of `SAMPLE_SPACING`."""
+    limits = np.repeat(SAMPLE_SPACING, [3, start.shape[1] - 3])
+    return np.maximum.reduce([np.abs(b - a) / limit for a, b, limit in zip(start.T, end.T, limits, strict=True)])
+
+
+# --- Numbers without a decimal point that may count least increments, as on Fanuc controls: ``X100500`` is X 100.5 there
+
+INCREMENTS: Final = "increments? (no decimal point, outside the axis's range)"
+"""Hint for the user."""
+FEWEST_INCREMENTS: Final = 1000.0
+"""Least number without a decimal point that is taken for increments: 1 mm in micrometres."""
+_WORD: Final = re.compile(r"([XYZABCUVW])[ \t]*=?[ \t]*[+-]?[ \t]*(\d+)(?![\d.,])", re.ASCII | re.IGNORECASE)
+"""A word of an axis whose number has no decimal point."""
+
+
+def numbers_of_increments(text: str) -> list[tuple[str, float]]:
+    """Return the axis words of a line that may count increments: letter, and number without its sign."""
+    words = _WORD.findall(text.split(";")[0])
+    return [(letter.upper(), float(digits)) for letter, digits in words if float(digits) >= FEWEST_INCREMENTS]
+
+
+@contextmanager
+def increments_hinted(machine: Machine, dialect: Dialect, text_of: Callable[[int], str]) -> Iterator[None]:
+    """Let an `InputError` at a line say if a number of that line may count increments.
+
+    Args:
+        machine: the machine: such a number is larger than the range of its axis.
+        dialect: the language of the program.
+        text_of: function that returns the text of a line by its number.
+    """
+    try:
+        yield
+    except InputError as error:
+        if dialect.has_increments and error.line is not None and INCREMENTS not in error.what:
+            ranges = {
+                axis.name: axis.upper - axis.lower
+                for axis in machine.axes
+                if axis.lower is not None and axis.upper is not None
+            }
+            if any(number > ranges.get(name, number) for name, number in numbers_of_increments(text_of(error.line))):
+                error.what += f"; {INCREMENTS}"
+        raise
+
+
+# --- Motions of a program: moves with known end points, one by one or in columns ------------------
+
+COLUMNS: Final = ("move", "line", "rapid", "tcp", "start", "end", "by_vector")
+"""Names of the arrays of `MotionColumns`."""
+
+
+@final
+@dataclass(frozen=True)
+class PathMotion:
+    """One move with known end points, in words of its own mode.
+
+    Attributes:
+        move: the move as read.
+        start: (axes,) words of the start point; NaN where the program has not given them.
+        end: (axes,) words of the end point; with rotary words also where the program gave a tool vector.
+    """
+
+    move: Move
+    start: np.ndarray
+    end: np.ndarray
+
+    @property
+    def interpolated(self) -> bool:
+        """Whether the control follows a line or arc from a known start; the path of a rapid move is not known."""
+        return self.move.kind is not Kind.RAPID and bool(np.isfinite(self.start).all())
+
+    def along(self, fractions: np.ndarray) -> np.ndarray:
+        """Return (k, axes) words at fractions (0…1]: on the line or arc, with rotary words and pitch in proportion."""
+        words = self.start + fractions[:, None] * (self.end - self.start)
+        arc = self.move.arc
+        if arc is not None:
+            plane = list(arc.plane[:2])
+            # With a centre rounded to the increment, start and end radius differ: the radius changes linearly.
+            first, last = self.start[plane] - arc.centre_mm, self.end[plane] - arc.centre_mm
+            radius = np.hypot(*first) + fractions * (np.hypot(*last) - np.hypot(*first))
+            begin, finish = np.arctan2(first[1], first[0]), np.arctan2(last[1], last[0])
+            sweep = arc.angle_rad + np.mod(finish - begin - arc.angle_rad + np.pi, 2 * np.pi) - np.pi
+            angle = begin + fractions * sweep
+            words[:, plane] = np.add(arc.centre_mm, radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+            words[fractions == 1.0] = self.end
+        return np.asarray(words)
+
+    def chords(self, tolerance_mm: float) -> int:
+        """Return the number of chords that stay within a tolerance of the motion: 1 for a line."""
+        arc = self.move.arc
+        if arc is None:
+            return 1
+        radius = float(np.hypot(*(self.start[list(arc.plane[:2])] - arc.centre_mm)))
+        step = np.pi / 2 if radius <= tolerance_mm else 2.0 * np.arccos(1.0 - tolerance_mm / radius)
+        return max(1, int(np.ceil(abs(arc.angle_rad) / step)))
+
+
+@final
+@dataclass(frozen=True)
+class MotionColumns(MadeOnAccess[PathMotion]):
+    """Motions in columns; `PathMotion` objects are created on access.
+
+    Attributes:
+        move: (n,) index of each motion's move among the moves converted with it.
+        line: (n,) index of its line.
+        rapid: (n,) whether it is a rapid.
+        tcp: (n,) whether its words are tool-tip coordinates.
+        start, end: (n, axes) as in `PathMotion`.
+        by_vector: (n,) whether it has a tool vector.
+        special: by index, moves with further data: arcs.
+    """
+
+    move: np.ndarray
+    line: np.ndarray
+    rapid: np.ndarray
+    tcp: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    by_vector: np.ndarray
+    special: dict[int, Move]
+
+    @classmethod
+    def of(cls, motions: dict[int, PathMotion], width: int) -> MotionColumns:
+        """Create columns from motions by the index of their move; ``width``: number of axes."""
+        moves = [motion.move for motion in motions.values()]
+        return cls(
+            np.array([*motions], dtype=int),
+            np.array([move.line for move in moves], dtype=int),
+            np.array([move.kind is Kind.RAPID for move in moves], dtype=bool),
+            np.array([move.tcp for move in moves], dtype=bool),
+            np.array([motion.start for motion in motions.values()]).reshape(-1, width),
+            np.array([motion.end for motion in motions.values()]).reshape(-1, width),
+            np.array([move.vector is not None for move in moves], dtype=bool),
+            {i: move for i, move in enumerate(moves) if move.arc is not None},
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[MotionColumns]) -> MotionColumns:
+        """Concatenate one or more column sets."""
+        begins = np.cumsum([0, *map(len, parts)]).tolist()
+        special = {at + i: move for at, part in zip(begins, parts, strict=False) for i, move in part.special.items()}
+        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
+        return cls(special=special, **columns)
+
+    def part(self, begin: int, end: int) -> MotionColumns:
+        """Return the motions from index ``begin`` up to ``end``."""
+        if (begin, end) == (0, len(self)):
+            return self
+        special = {i - begin: move for i, move in self.special.items() if begin <= i < end}
+        return MotionColumns(special=special, **{name: getattr(self, name)[begin:end] for name in COLUMNS})
+
+    @cached_property
+    def spacings(self) -> np.ndarray:
+        """(motions,) length of each motion in units of the largest distance between two samples."""
+        return spacings(self.start, self.end)
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def item(self, index: int) -> PathMotion:
+        """Return one motion."""
+        move = self.special.get(index)
+        if move is None:
+            kind = Kind.RAPID if self.rapid[index] else Kind.LINEAR
+            end = tuple(self.end[index].tolist())
+            move = Move(int(self.line[index]), kind, bool(self.tcp[index]), end, frozenset())
+        return PathMotion(move, self.start[index], self.end[index])
+
+
+@final
+@dataclass(frozen=True)
+class ProgramMotions(MadeOnAccess[PathMotion]):
+    """Motions of a whole program with their moves as read, created on access.
+
+    Attributes:
+        columns: the motions.
+        moves: the moves of the program.
+    """
+
+    columns: MotionColumns
+    moves: Sequence[Move]
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    def item(self, index: int) -> PathMotion:
+        """Return one motion with its move as read."""
+        columns = self.columns
+        return PathMotion(self.moves[int(columns.move[index])], columns.start[index], columns.end[index])
+
+
+@final
+@dataclass(frozen=True)
+class Passage:
+    """Axis positions after a line between two motions that is passed through unchanged.
+
+    Attributes:
+        before: index of the next motion.
+        commands: (axes,) new positions of the moved axes, mm and degrees, command order; NaN where unknown.
+        moved: (axes,) whether each axis was moved.
+    """
+
+    before: int
+    commands: np.ndarray
+    moved: np.ndarray
+
+
+class LostBlock(NamedTuple):
+    """A block that is passed through unchanged because nothing is known of where it goes.
+
+    Attributes:
+        line: 0-based index of its line.
+        cutting: whether it is a feed.
+        reason: why, in words.
+    """
+
+    line: int
+    cutting: bool
+    reason: str
+
+
+def by_reason(moves: Iterable[LostBlock]) -> dict[str, list[LostBlock]]:
+    """Return blocks by the reason why nothing is known of them, in order."""
+    found: dict[str, list[LostBlock]] = {}
+    for move in moves:
+        found.setdefault(move.reason, []).append(move)
+    return found
+
+
+@final
+@dataclass(frozen=True)
+class ToolPath:
+    """A program as motions.
+
+    Attributes:
+        motions: motions with all positions known.
+        columns: the same in columns.
+        notices: notices on lines that move axes but are passed through unchanged, and on assumptions.
+        passages: axis positions after those lines, and after lines that leave an axis at an unknown position.
+        unknown: blocks that go to unknown places.
+    """
+
+    motions: Sequence[PathMotion]
+    columns: MotionColumns
+    notices: tuple[Notice, ...] = ()
+    passages: tuple[Passage, ...] = ()
+    unknown: tuple[LostBlock, ...] = ()
+
+    def part(self, begin: int, end: int) -> ToolPath:
+        """Return the motions from index ``begin`` up to ``end``, with the passages between them."""
+        columns = self.columns.part(begin, end)
+        passages = tuple(
+            replace(passage, before=passage.before - begin)
+            for passage in self.passages
+            if begin < passage.before < end or passage.before == begin == 0
+        )
+        return ToolPath(columns, columns, (), passages)
+
+    def dense(self, fractions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Return words at fractions of all motions; of a motion with unknown start, only those of the end point.
+
+        Args:
+            fractions: those of each motion.
+
+        Returns:
+            (n, axes) words, and (n,) the index of the motion each belongs to.
+        """
+        words = [
+            motion.along(share) if np.isfinite(motion.start).all() else motion.end[None]
+            for motion, share in zip(self.motions, fractions, strict=True)
+        ]
+        return np.concatenate(words), np.repeat(np.arange(len(words)), [len(one) for one in words])

@@ -1,0 +1,341 @@
+"""Data common to all programs: machine, calibration, tool and options."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Literal, final
+
+import numpy as np
+
+from twin._common.arrays import all_within
+from twin._common.bundled import DEFAULT_ROTARY_LIMIT_DEG
+from twin._common.errors import InputError
+from twin._common.families import BASIC
+from twin._common.provenance import program_comments
+from twin.compensation.programs.backlash import Backlash
+from twin.compensation.programs.block_conditions import channels_by_block
+from twin.compensation.programs.comparison import PoseComparison, ThesisMethod
+from twin.compensation.programs.words import Setup, WordSpace, outside_range
+from twin.display import Html, card, pairs
+from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.conditions import Conditions, values_in_words
+from twin.model.effects import ControlCorrection
+from twin.model.iso16907 import Scope, error_motion_of, iso_class
+from twin.nc.dialect import Dialect
+from twin.tool.forward import Kinematics
+from twin.tool.inverse import SLACK, Inverse
+from twin.tool.uncertainty import ToolUncertainty
+
+Keep = Callable[[str], bool]
+KeepTable = Callable[[ControlCorrection], bool]
+
+
+@final
+@dataclass(frozen=True)
+class Options:
+    """Options of a compensation.
+
+    Attributes:
+        setup: work offsets and origin.
+        tool_length_mm: tool length; None for that of the machine file.
+        tcp: whether tool-centre-point mode is on from the start.
+        scope: classes to correct; None for everything the program can carry.
+        tolerance_mm: error allowed between the end points of a block, and of a chord.
+        rotary_limit_deg: largest motion of a rotary axis to correct an orientation.
+        method: ``exact``, or ``thesis`` for the baseline of `twin.compensation.programs.comparison`.
+        conditions: temperatures, time and speed.
+    """
+
+    setup: Setup = field(default_factory=Setup)
+    tool_length_mm: float | None = None
+    tcp: bool = False
+    scope: Scope | None = None
+    tolerance_mm: float = 1e-3
+    rotary_limit_deg: float = DEFAULT_ROTARY_LIMIT_DEG
+    method: Literal["exact", "thesis"] = "exact"
+    conditions: Conditions = field(default_factory=Conditions)
+
+    def _repr_html_(self) -> str:
+        length = "the machine file's own" if self.tool_length_mm is None else f"{self.tool_length_mm:g} mm"
+        at = ", ".join(f"{name} {value:g}" for name, value in self.conditions.channels.items())
+        rows = [
+            ("tool length", length),
+            ("scope", "everything the program can carry" if self.scope is None else str(self.scope)),
+            (
+                "tool-centre-point mode",
+                "on from the start (tcp)" if self.tcp else "off until the program switches it on",
+            ),
+            ("tolerance between block end points", f"{self.tolerance_mm * 1e3:g} µm"),
+            ("rotary motion to correct an orientation", f"{self.rotary_limit_deg:g}° at most"),
+            ("method", self.method),
+            ("conditions", at),
+        ]
+        return card("Options", pairs(rows), Html(self.setup._repr_html_())).text
+
+
+@final
+class PreparedMachine:
+    """One machine with one calibration and the options of a compensation, ready for any program.
+
+    Args:
+        machine: the machine.
+        calibration: its errors.
+        options: the options.
+        space: conversion between words and commands; that of the options if None.
+
+    Attributes:
+        by_block: names of the channels that differ from block to block.
+        space: conversion between words and commands on the machine without errors.
+        real: the machine with all its errors.
+        backlash: its reversal values.
+        comparison: pose comparison of the machine with all its errors with the nominal pose.
+        nominal_comparison: displacement of the tool between nominal and other commands, on the machine without errors.
+        thesis: the baseline method, if chosen.
+        machine_increment: (axes,) least increments in command order.
+        increment: (axes,) the same in word order.
+        limits: (axes, 2) mm and degrees within which commands stay: axis ranges, or domains of curves where these are narrower.
+
+    Raises:
+        InputError: the machine cannot run programs; the calibration did not converge; the method does not apply; a temperature or time
+            that the calibration needs is missing, or a temperature is given that it does not know.
+    """
+
+    def __init__(
+        self, machine: Machine, calibration: Calibration, options: Options, space: WordSpace | None = None
+    ) -> None:
+        self.machine = machine
+        self.options = options
+        self._given = calibration
+        self._within: dict[WordSpace, PreparedMachine] = {}
+        calibration.check_settled()
+        self.calibration = calibration = calibration.with_transformation() if options.tcp else calibration
+        options.conditions.require(calibration)
+        self.by_block = channels_by_block(calibration, options.conditions)
+        self.space = WordSpace(machine, options.setup, options.tool_length_mm) if space is None else space
+        self.real = Kinematics(
+            machine,
+            calibration,
+            tool_length_mm=options.tool_length_mm,
+            conditions=options.conditions,
+            by_pose=self.by_block,
+        )
+        self.backlash = Backlash(calibration)
+        self.comparison = self.compared(self.real)
+        self.nominal_comparison = self.compared(self.space.nominal)
+        if calibration.corrections and options.method == "thesis":
+            raise InputError(
+                "the method of the thesis does not model the control's own tables and would correct their share twice",
+                expected="the method exact, or a calibration without `control:`",
+                file=calibration.path,
+                setting="method",
+            )
+        self.thesis = ThesisMethod(calibration, self.space.nominal) if options.method == "thesis" else None
+        self.machine_increment = np.array([axis.increment for axis in machine.axes])
+        self.increment = self.machine_increment[self.space.order]
+        ranges, domains = machine.limits / machine.scale[:, None], calibration.domains()
+        self.limits = np.stack(
+            [np.maximum(ranges[:, 0], domains[:, 0]), np.minimum(ranges[:, 1], domains[:, 1])], axis=1
+        )
+
+    def within(self, space: WordSpace) -> PreparedMachine:
+        """Return the machine prepared for the words of a frame (`twin.compensation.programs.follow.FrameSpaces`)."""
+        if space is self.space:
+            return self
+        if space not in self._within:
+            options = replace(self.options, setup=space.setup, tool_length_mm=space.tool_length_mm)
+            self._within[space] = PreparedMachine(self.machine, self._given, options, space)
+        return self._within[space]
+
+    @cached_property
+    def at_unknown(self) -> ToolUncertainty:
+        """Uncertainty at the functional point from the errors that the calibration could not determine; nothing corrects them."""
+        return ToolUncertainty(self.real, "unknown")
+
+    @cached_property
+    def constant(self) -> dict[str, float]:
+        """Channels that the calibration needs and that have one value for the whole program."""
+        used = self.options.conditions.used(self.calibration)
+        return {name: value for name, value in used.items() if name not in self.by_block}
+
+    @cached_property
+    def comments(self) -> tuple[str, ...]:
+        """Comments for the header of an output: warnings, and the conditions that it is for."""
+        conditions = self.options.conditions
+        parts = [values_in_words(self.constant)] if self.constant else []
+        if self.by_block:
+            source = "with the speeds of the program" if conditions.log is None else f"of {conditions.log.path.name}"
+            parts.append(f"a start at {conditions.time_s or 0.0:g} s {source}")
+        held = (f"twin: only for {'; '.join(parts).replace('°C', 'degC')}",) if parts else ()
+        return (*program_comments(self.calibration.warnings), *held)
+
+    @cached_property
+    def control_alone(self) -> Kinematics | None:
+        """Machine without errors under the control's tables; None if the tables do not act on these errors."""
+        return self.with_errors(lambda name: False, lambda table: True) if self.calibration.corrections else None
+
+    def with_errors(self, keep: Keep, keep_table: KeepTable) -> Kinematics:
+        """Return the machine with only some of its errors.
+
+        Args:
+            keep: whether to keep an error, by the ISO 230-1 name of the error motion it is part of.
+            keep_table: whether to keep the correction by a table of the control.
+        """
+        tables = {table.name: table for table in self.calibration.corrections}
+        return self.real.where(lambda name: keep_table(tables[name]) if name in tables else keep(self._acts_as[name]))
+
+    @cached_property
+    def _acts_as(self) -> dict[str, str]:
+        return {effect.name: error_motion_of(effect, self.machine) for effect in self.calibration.effects}
+
+    def compared(self, real: Kinematics) -> PoseComparison:
+        """Return the pose comparison of a machine with errors with the nominal pose."""
+        return PoseComparison(real, self.space.nominal, self.space.commands_at)
+
+    def outside(self, commands: np.ndarray) -> np.ndarray:
+        """(n,) whether commands (mm, degrees) leave an axis's range."""
+        return outside_range(self.machine, commands)
+
+    def printed_increment(self, dialect: Dialect, *, posted: bool) -> np.ndarray:
+        """Return the (axes,) least increments of the output's words, in word order.
+
+        Args:
+            dialect: language of the program.
+            posted: whether the output is posted to another language.
+        """
+        increment = self.increment.copy()
+        if dialect.linear_increment_mm is not None and not posted:
+            increment[:3] = dialect.linear_increment_mm
+        return increment
+
+    def on_grid(self, words: np.ndarray, tips: np.ndarray, increment: np.ndarray) -> np.ndarray:
+        """Return words rounded to their increments; one within its axis's limits is not rounded beyond them.
+
+        Args:
+            words: (n, axes).
+            tips: (n,) whether the linear words are coordinates of the tool tip; these, and those of a tilted plane, have no limits.
+            increment: (axes,) in word order.
+        """
+        offset = self.space.offset
+        rounded = np.round(words / increment) * increment
+        low, high = self.limits[self.space.order].T
+        if all_within(rounded + offset, low - SLACK, high + SLACK):  # the usual case
+            return rounded
+        first = np.ceil((low - offset - SLACK) / increment) * increment
+        last = np.floor((high - offset + SLACK) / increment) * increment
+        bounded = (words + offset >= low - SLACK) & (words + offset <= high + SLACK)
+        bounded[tips | (self.space.tilt is not None), :3] = False
+        return np.where(bounded, np.clip(rounded, first, last), rounded)
+
+    def aim(self, *, turns: bool) -> CorrectionAim:
+        """Return the errors to correct in a program; ``turns``: whether it moves rotary axes."""
+        return self._aims[turns]
+
+    @cached_property
+    def _aims(self) -> tuple[CorrectionAim, CorrectionAim]:
+        return CorrectionAim(self, False), CorrectionAim(self, True)
+
+
+@final
+class CorrectionAim:
+    """Errors to correct in one program, and machine models with only these errors.
+
+    Args:
+        prepared: machine, calibration and options.
+        turns: whether the program moves rotary axes.
+
+    Attributes:
+        prepared: as given.
+        turns: whether the program moves rotary axes.
+        scope: classes that are corrected.
+        backlash: reversal values that are corrected.
+    """
+
+    def __init__(self, prepared: PreparedMachine, turns: bool) -> None:
+        self.prepared = prepared
+        self.turns = turns
+        self.scope = scope = prepared.options.scope or Scope.everything(orientation=turns)
+        corrected = prepared.with_errors(
+            lambda name: (
+                scope.at_point(name, prepared.machine) or (turns and scope.in_orientation(name, prepared.machine))
+            ),
+            self._table_at_point,
+        )
+        self.backlash = Backlash((prepared.space.nominal if prepared.thesis is not None else corrected).calibration)
+
+    def _table_at_point(self, table: ControlCorrection) -> bool:
+        return self.scope.covers(_classes_of(table))
+
+    @cached_property
+    def point(self) -> Kinematics:
+        """Machine with the errors corrected at the functional point, less the control's own correction of them."""
+        machine = self.prepared.machine
+        return self.prepared.with_errors(lambda name: self.scope.at_point(name, machine), self._table_at_point)
+
+    @cached_property
+    def comparison(self) -> PoseComparison:
+        """Pose comparison of that machine with the nominal pose."""
+        return self.prepared.compared(self.point)
+
+    @cached_property
+    def point_inverse(self) -> Inverse:
+        """Inverse kinematics of that machine."""
+        return Inverse(self.point)
+
+    @cached_property
+    def orientation(self) -> Kinematics | None:
+        """Machine with the errors corrected by the rotary axes; None if these do not move for it."""
+        limited = self.prepared.with_errors(
+            lambda name: self.scope.in_orientation(name, self.prepared.machine),
+            lambda table: not table.axis.linear and (self.scope.orientation or self._table_at_point(table)),
+        )
+        return limited if self.turns and not limited.calibration.empty else None
+
+    @cached_property
+    def orientation_inverse(self) -> Inverse | None:
+        """Inverse kinematics of that machine; None if the rotary axes do not move for it."""
+        if self.orientation is None:
+            return None
+        return Inverse(self.orientation, rotary_limit_deg=self.prepared.options.rotary_limit_deg)
+
+    @property
+    def idle(self) -> bool:
+        """Whether there is nothing to correct."""
+        return self.point.calibration.empty and self.orientation is None and self.prepared.thesis is None
+
+    @cached_property
+    def at_point(self) -> ToolUncertainty:
+        """Uncertainty of the corrected errors at the functional point."""
+        return ToolUncertainty(self.point, "identified")
+
+    @cached_property
+    def at_axis(self) -> ToolUncertainty | None:
+        """Uncertainty of the corrected orientation; None if it is not corrected.
+
+        It is the same object as `at_point` if every error corrected by the rotary axes is also corrected at the point.
+        """
+        if self.orientation is None:
+            return None
+        names = [{effect.name for effect in machine.calibration.effects} for machine in (self.orientation, self.point)]
+        return self.at_point if names[0] <= names[1] else ToolUncertainty(self.orientation, "identified")
+
+    @cached_property
+    def by_class(self) -> Mapping[str, Kinematics]:
+        """Machine with the errors of one class alone, for every class in which it has errors."""
+        prepared = self.prepared
+        found = {
+            basic: prepared.with_errors(partial(_is_of, basic, prepared.machine), lambda table: False)
+            for basic in BASIC
+        }
+        return {name: alone for name, alone in found.items() if not alone.calibration.empty}
+
+
+def _classes_of(table: ControlCorrection) -> tuple[str, ...]:
+    """Return the classes a table corrects through the axis it moves: a rotary axis its own position, the linear axes all others."""
+    return tuple(name for name in table.classes if (name == "R-POS") is not table.axis.linear)
+
+
+def _is_of(basic: str, machine: Machine, name: str) -> bool:
+    return iso_class(name, machine) == basic

@@ -1,0 +1,393 @@
+"""Report of a compensation as text, HTML and JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, final
+
+from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts
+from twin._common.records import json_form
+from twin._common.units import count_with_noun
+from twin.compensation.programs.uncertainty import CompensationTally, Corrections
+from twin.compensation.programs.uncorrected import SHOWN, FrameUse, Shortfall, line_numbers
+from twin.display import bar, card, note, pairs, readable, table
+from twin.model.conditions import values_in_words
+from twin.tool.uncertainty import DEFINITION
+
+SCHEMA = "twin.compensation/1"
+NO_ERRORS = "NOTHING CORRECTED: no error motion is in scope, so no position is changed"
+IN_SCOPE: Final = {True: "corrected", False: "not in scope", None: ""}
+
+
+@final
+@dataclass(frozen=True)
+class Deviation:
+    """Deviation of the tool from its nominal pose, over all end points and the dense points between them.
+
+    Attributes:
+        rms_um, max_um: distance at the functional point.
+        rms_urad, max_urad: angle of the tool axis.
+        worst_line: program line of the largest distance.
+        points: number of poses.
+        tilt_rms_urad, tilt_max_urad: tilt about x and about y of the tool frame, RMS and largest amount
+            (`twin.tool.forward.Poses.tilt_urad`).
+    """
+
+    rms_um: float
+    max_um: float
+    rms_urad: float
+    max_urad: float
+    worst_line: int
+    points: int
+    tilt_rms_urad: tuple[float, float]
+    tilt_max_urad: tuple[float, float]
+
+    @classmethod
+    def of(cls, tally: CompensationTally) -> Deviation:
+        """Return the deviation from a tally of distances, angles and both tilts."""
+        rms, angle_rms, x_rms, y_rms = tally.rms
+        largest, angle, x, y = tally.largest.diagonal().tolist()
+        line = int(tally.lines[0])
+        return cls(rms, largest, angle_rms, angle, line, tally.count, (x_rms, y_rms), (x, y))
+
+
+@final
+@dataclass(frozen=True)
+class ClassShare:
+    """Share of one ISO/TR 16907 class in the error.
+
+    Attributes:
+        name: the class.
+        corrected: whether the class is in scope; None if the method does not work by class. Blocks that are not corrected are listed in
+            the report.
+        before_rms_um, before_max_um: error of its error motions alone at the functional point.
+        before_max_urad: their error of the tool axis.
+        left_rms_um: residual at the functional point; None as above, and where blocks that are not corrected retain some of it.
+    """
+
+    name: str
+    corrected: bool | None
+    before_rms_um: float
+    before_max_um: float
+    before_max_urad: float
+    left_rms_um: float | None
+
+
+@final
+@dataclass(frozen=True)
+class LineNote:
+    """Note on one program line."""
+
+    line: int
+    text: str
+
+
+def grouped(notes: Sequence[LineNote]) -> list[str]:
+    """Return one line per text, with the line numbers of all notes of that text."""
+    found: dict[str, list[int]] = {}
+    for line_note in notes:
+        found.setdefault(line_note.text, []).append(line_note.line)
+    return [f"{line_numbers(lines)}: {text}" for text, lines in found.items()]
+
+
+@final
+@dataclass(frozen=True)
+class ReversalNote:
+    """Treatment of the reversal value (backlash) of one axis.
+
+    Attributes:
+        axis: its name.
+        unit: ``um`` or ``urad``.
+        size: the reversal value, in ``unit``.
+        corrected: whether it is in scope.
+        taken_up: number of reversals at which a move was inserted that takes it up.
+    """
+
+    axis: str
+    unit: str
+    size: float
+    corrected: bool
+    taken_up: int
+
+
+@final
+@dataclass(frozen=True)
+class ControlNote:
+    """Errors that the control corrects by its own tables, so that the program must not correct them again.
+
+    Attributes:
+        errors_are: ``uncorrected``: the tables reduce the calibration's errors as stated below; ``remaining``: the calibration's errors
+            were measured with the tables active.
+        tables: the files.
+        axes: axes they correct; empty if the errors are the remaining ones.
+        rms_um, max_um: displacement of the tool by the tables over the program; None if the errors are the remaining ones.
+        caution: a further condition; empty if none.
+    """
+
+    errors_are: str
+    tables: tuple[str, ...]
+    axes: tuple[str, ...]
+    rms_um: float | None
+    max_um: float | None
+    caution: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """Statement in the report."""
+        files = ", ".join(self.tables)
+        if self.rms_um is None or self.max_um is None:
+            return (
+                f"these errors were measured with its tables active ({files}): keep them active; "
+                f"the program corrects only the remaining errors{'. ' if self.caution else ''}{self.caution}"
+            )
+        return (
+            f"its tables ({files}; axes {' '.join(self.axes)}) correct {self.rms_um:.3f} µm RMS, {self.max_um:.3f} µm at most "
+            "at the tool; the program corrects only the remaining errors and is valid only with these tables active"
+        )
+
+
+@final
+@dataclass(frozen=True)
+class Report:
+    """Report of a compensation; every field is in the JSON report under its name.
+
+    Attributes:
+        tool_length_mm: tool length; of the first tool if there are several (``frames``).
+        warnings: warnings on the origin of the calibration's numbers; they also stand at the head of the program.
+        largest_correction: by axis, in mm or degrees, and that unit.
+        rounding_um: largest distance caused by rounding to the least increment at a block end point.
+        solver_um: largest distance left by the solver there.
+        not_corrected: blocks that could not be corrected, or not within the tolerance, by reason.
+        notes: lines passed through unchanged, and assumptions.
+        uncertainty: uncertainty of the correction, from the calibration's covariance.
+        cutting: number of cutting moves: all but rapids.
+        idle: whether there is nothing to correct: no error motion of the calibration is in scope.
+        conditions: temperatures (``T_X_degC``) and time (``time_s``) at which the effects were evaluated, over the whole program.
+        reversals: treatment of backlash by axis; approach directions follow from the program.
+        control: errors that the control corrects itself; None if the calibration has no tables of the control.
+        frames: work offsets and tools of the program, if their tables are known.
+    """
+
+    program: str
+    machine: str
+    calibration: str
+    calibration_source: str
+    warnings: tuple[SourceWarning, ...]
+    method: str
+    scope: str
+    tool_length_mm: float
+    tolerance_um: float
+    lines: int
+    moves: int
+    rewritten: int
+    split: int
+    added: int
+    largest_correction: Mapping[str, tuple[float, str]]
+    before: Deviation
+    after: Deviation
+    rounding_um: float
+    solver_um: float
+    classes: tuple[ClassShare, ...]
+    not_corrected: tuple[Shortfall, ...]
+    notes: tuple[LineNote, ...]
+    uncertainty: Corrections
+    cutting: int = 0
+    idle: bool = False
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    reversals: tuple[ReversalNote, ...] = ()
+    control: ControlNote | None = None
+    frames: tuple[FrameUse, ...] = ()
+
+    @property
+    def illustrative(self) -> bool:
+        """Whether some of the errors are illustrative, not measured."""
+        return ILLUSTRATIVE in self.warnings
+
+    @property
+    def complete(self) -> bool:
+        """Whether something was corrected and no cutting block is out of tolerance (exit status 0, else 3)."""
+        return not (self.nothing_corrected or any(shortfall.missed for shortfall in self.not_corrected))
+
+    @property
+    def strictly_complete(self) -> bool:
+        """Whether everything was corrected, rapids and the orientation included."""
+        return not (self.nothing_corrected or self.not_corrected)
+
+    @property
+    def nothing_corrected(self) -> bool:
+        """Whether the program is written unchanged."""
+        return self.rewritten == 0
+
+    @property
+    def headline(self) -> str:
+        """Result in one line."""
+        if self.idle:
+            return NO_ERRORS
+        outside = self._lines_of(lambda shortfall: shortfall.lines if shortfall.kind == "range" else ())
+        hint = "; is the work offset missing?" if 2 * outside > self.moves else ""
+        if self.nothing_corrected:
+            return f"NOTHING CORRECTED: {outside:,} of {count_with_noun(self.moves, 'block')} would leave the range of an axis{hint}"
+        missed = self._lines_of(lambda shortfall: shortfall.missed)
+        if missed:
+            unknown = any(one.missed for one in self.not_corrected if one.kind == "unknown")
+            how = "are left as written or remain" if unknown else "remain"
+            return f"NOT ALL CORRECTED: {missed:,} of {self.cutting:,} cutting blocks {how} out of tolerance{hint}"
+        left = self._lines_of(lambda shortfall: shortfall.lines)
+        return (
+            f"corrected, except {left:,} of {count_with_noun(self.moves, 'block')} (see the list in the report)"
+            if left
+            else "corrected"
+        )
+
+    def _lines_of(self, lines: Callable[[Shortfall], Sequence[int]]) -> int:
+        return len({line for shortfall in self.not_corrected for line in lines(shortfall)})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON report."""
+        largest = self.largest_correction.items()
+        return {
+            "schema": SCHEMA,
+            "complete": self.complete,
+            "strictly_complete": self.strictly_complete,
+            "headline": self.headline,
+            **json_form(self),
+            "largest_correction": {name: {"value": value, "unit": unit} for name, (value, unit) in largest},
+            "illustrative": self.illustrative,
+        }
+
+    @property
+    def _errors(self) -> tuple[tuple[str, Deviation], tuple[str, Deviation]]:
+        return ("before", self.before), ("after, as predicted", self.after)
+
+    @property
+    def _how(self) -> str:
+        tool = "" if self.frames else f", tool length {self.tool_length_mm:g} mm"
+        return f"{self.method}, scope {self.scope}{tool}"
+
+    @property
+    def _largest_moves(self) -> str:
+        return ", ".join(
+            f"{name} {value * 1e3:.1f} µm" if unit == "mm" else f"{name} {value:.4f}°"
+            for name, (value, unit) in self.largest_correction.items()
+        )
+
+    def _repr_html_(self) -> str:
+        worst = max(self.before.max_um, self.after.max_um, 1e-9)
+        headers = (
+            f"error at the tool over {self.before.points:,} poses",
+            *("RMS, µm", "largest, µm", "line", "axis RMS, µrad", ""),
+        )
+        errors = [
+            (
+                words,
+                *(f"{one.rms_um:.2f}", f"{one.max_um:.2f}", f"{one.worst_line}", f"{one.rms_urad:.1f}"),
+                bar(one.rms_um / worst, loud=one is self.before),
+            )
+            for words, one in self._errors
+        ]
+        by_class = ("ISO/TR 16907 class, alone", "RMS before, µm", "largest, µm", "", "")
+        classes = [
+            (
+                one.name,
+                *(f"{one.before_rms_um:.2f}", f"{one.before_max_um:.2f}", IN_SCOPE[one.corrected]),
+                bar(one.before_rms_um / worst, loud=True),
+            )
+            for one in self.classes
+        ]
+        blocks = f"{self.rewritten:,} rewritten, {self.split:,} split (+{self.added:,} blocks)"
+        rows = [
+            ("calibration", self.calibration_source if self.calibration == "none" else self.calibration),
+            *((one.label, one.headline) for one in self.uncertainty),
+            ("", self.uncertainty.unknown or ""),
+            ("not known", "" if self.uncertainty.not_identified is None else self.uncertainty.not_identified.text),
+            ("control", "" if self.control is None else self.control.sentence),
+            ("method", self._how),
+            ("program", f"{count_with_noun(self.moves, 'move')}: {blocks}"),
+            *(("" if i else "set-up", one.sentence) for i, one in enumerate(self.frames)),
+            ("largest shift of an axis", self._largest_moves),
+            ("error of rounding", f"up to {self.rounding_um:.2f} µm at a block end point"),
+        ]
+        parts = (
+            note(self.headline, loud=not self.complete),
+            table(headers, errors, right=range(1, 5)),
+            pairs(rows),
+            table(by_class, classes, right=(1, 2)),
+            *(note(f"not corrected: {one.text}", loud=bool(one.missed)) for one in self.not_corrected),
+            *(note(text) for text in grouped(self.notes)),
+        )
+        title = f"{Path(self.program).name} on {self.machine}, compensated"
+        return card(title, *parts, illustrative=self.illustrative, wrong=not self.complete).text
+
+    def to_text(self) -> str:
+        """Return the report as text."""
+        unknown, not_identified = self.uncertainty.unknown, self.uncertainty.not_identified
+        tilts = [f"{' / '.join(f'{about:.1f}' for about in one.tilt_rms_urad)}" for _, one in self._errors]
+        out = [
+            f"{self.program} on {self.machine}: {self.headline}",
+            f"  calibration   {self.calibration}",
+            *(f"                {text}" for text in warning_texts(self.warnings)),
+            *(f"  {one.label:<14}{one.headline}" for one in self.uncertainty),
+            *([] if unknown is None else [f"  {unknown}"]),
+            *([] if not_identified is None else [f"  not known     {not_identified.text}"]),
+            *([] if self.control is None else [f"  control       {self.control.sentence}"]),
+            f"  method        {self._how}",
+            f"  program       {self.lines} lines, {self.moves} moves: {self.rewritten} rewritten, "
+            f"{self.split} split to stay within {self.tolerance_um:g} µm between end points (+{self.added} blocks)",
+            *(f"  {'' if i else 'set-up':<14}{one.sentence}" for i, one in enumerate(self.frames)),
+            *self._channels_text(),
+            f"  largest shift {self._largest_moves}",
+            "",
+            f"  error at the tool over {self.before.points} poses   RMS        max      tool axis RMS   max",
+            *(
+                f"    {words:<19}  {_um(one.rms_um)} {_um(one.max_um)} "
+                f"(line {one.worst_line})   {one.rms_urad:8.1f} {one.max_urad:8.1f} µrad"
+                for words, one in self._errors
+            ),
+            f"    tilt of the tool axis about x / y of the tool frame, RMS: before {tilts[0]}, after {tilts[1]} µrad",
+            f"    residual at block end points: up to {self.rounding_um:.3f} µm by rounding, {self.solver_um:.1e} µm by the solver",
+            *self._uncertainty_text(),
+            "",
+            "  by class (ISO/TR 16907)   before RMS     max        after RMS",
+            *self._classes_text(),
+        ]
+        lists = (("not corrected", [one.text for one in self.not_corrected]), ("notes", grouped(self.notes)))
+        for title, lines in lists:
+            if lines:
+                out += ["", f"  {title}", *(f"    {line}" for line in lines)]
+        return "\n".join(out) + "\n"
+
+    def _channels_text(self) -> list[str]:
+        """Return lines on temperatures, time and backlash."""
+        held = values_in_words(self.conditions)
+        out = [f"  conditions    {held}, over the whole program"] if held else []
+        for reversal in self.reversals:
+            done = (
+                f"taken up by extra moves at {reversal.taken_up} reversals of {reversal.axis}"
+                if reversal.corrected
+                else "not in scope"
+            )
+            out.append(f"  backlash      {reversal.axis} {reversal.size:.1f} {readable(reversal.unit)}: {done}")
+        return out
+
+    def _uncertainty_text(self) -> list[str]:
+        """Return lines on the uncertainty of the correction, which limits how well the predicted error is known."""
+        known = [correction for correction in self.uncertainty if correction.known]
+        if not known:
+            return []
+        out = ["", f"  {DEFINITION}; without rounding, repeatability and temperature"]
+        return out + [line for correction in known for line in correction.to_text(SHOWN)]
+
+    def _classes_text(self) -> list[str]:
+        corrected = "corrected" if not self.not_corrected else "corrected, except the blocks below"
+        out = []
+        for share in self.classes:
+            kept = "" if share.left_rms_um is None else f"{_um(share.left_rms_um)} (not in scope)"
+            left = corrected if share.corrected else kept
+            out.append(f"    {share.name:<22}{_um(share.before_rms_um)} {_um(share.before_max_um)}  {left}")
+        return out
+
+
+def _um(value: float) -> str:
+    return f"{value:8.3f} µm"

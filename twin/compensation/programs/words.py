@@ -1,0 +1,313 @@
+"""Words and commands: conversion between a program's numbers and axis positions of one machine.
+
+*Words* are a program's numbers made absolute, in the order of `AxisWords.names`: x, y, z, then rotary axes. *Commands* are axis
+coordinates in command order. In mode ``axis`` words are commands less the work offset. In mode ``tcp`` the first three words are the
+tool tip in the work frame, and the control finds the commands by the nominal inverse. Between blocks the control moves on straight
+lines in words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from twin._common.arrays import all_within, rows_all_true
+from twin._common.errors import InputError
+from twin._common.units import MM
+from twin.compute.along import BatchFunction
+from twin.controls.offsets import OffsetTable, ToolTable
+from twin.display import card, pairs
+from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.effects.empirical import check_ranges
+from twin.nc.blocks import AxisWords, Move
+from twin.tool.forward import Kinematics, Poses
+from twin.tool.inverse import Branches, Inverse
+
+
+@final
+@dataclass(frozen=True)
+class Setup:
+    """Set-up of the workpiece.
+
+    Attributes:
+        work_offset: added to axis words, by axis name, mm and degrees.
+        work_origin_mm: the program's zero in the work frame, for tool-tip coordinates.
+        start_deg: positions of rotary axes before the program names them, by axis name; 0 if missing.
+        offsets: the machine's work offsets, from which the program selects; they replace the two above.
+        tools: lengths of the tools that the program calls.
+        one_tool: whether a program without that table must keep to one tool. Its length is of no effect on a machine without errors.
+    """
+
+    work_offset: Mapping[str, float] = field(default_factory=dict)
+    work_origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start_deg: Mapping[str, float] = field(default_factory=dict)
+    offsets: OffsetTable | None = None
+    tools: ToolTable | None = None
+    one_tool: bool = True
+
+    def __post_init__(self) -> None:
+        """Raise `InputError` if offsets are given twice."""
+        if self.offsets is not None and (any(self.work_offset.values()) or any(self.work_origin_mm)):
+            raise InputError(
+                "work offsets given twice",
+                expected="the table of work offsets, or one work offset and origin",
+                file=self.offsets.path,
+                setting="work offset",
+            )
+
+    def _repr_html_(self) -> str:
+        x, y, z = self.work_origin_mm
+        offsets = ", ".join(f"{name} {value:g}" for name, value in self.work_offset.items())
+        rows = [
+            ("work offset of axis words (mm, °)", offsets or "none"),
+            ("program zero in the work frame", f"x {x:g}, y {y:g}, z {z:g} mm"),
+            ("rotary axes start at", ", ".join(f"{name} {value:g}°" for name, value in self.start_deg.items()) or "0°"),
+            ("table of work offsets", "none" if self.offsets is None else str(self.offsets.path)),
+            ("table of tools", "none" if self.tools is None else str(self.tools.path)),
+        ]
+        return card("Setup", pairs(rows)).text
+
+
+def axis_words(machine: Machine) -> AxisWords:
+    """Return the words of a machine's programs, with its linear axes in the order x, y, z of the work frame.
+
+    Raises:
+        InputError: the machine cannot run programs.
+    """
+    machine.check_programs()
+    data = machine.model.createData()
+    pin.framesForwardKinematics(machine.model, data, pin.neutral(machine.model))
+    to_work = data.oMf[machine.work_frame].rotation.T
+    order: dict[int, str] = {}
+    for i in machine.linear:
+        axis = machine.axes[i]
+        frame = next(frame for frame in machine.frames if frame.axis == axis.name and frame.role == "motion")
+        motion = to_work @ data.oMi[frame.joint].rotation @ np.array(axis.direction)
+        motion = -motion if axis.side == "work" else motion
+        along = int(np.argmax(motion))
+        if motion[along] < 1.0 - 1e-9:
+            raise InputError(
+                f"axis {axis.name} does not move the tool along x, y or z",
+                expected="linear axes along the work frame",
+                file=machine.path,
+            )
+        order[along] = axis.name
+    if sorted(order) != [0, 1, 2]:
+        raise InputError(
+            "the machine does not have three perpendicular linear axes",
+            expected="a five-axis machine, to run programs",
+            file=machine.path,
+        )
+    return AxisWords(
+        linear=tuple(order[i] for i in range(3)),
+        rotary=tuple(machine.axes[i].name for i in machine.rotary),
+        increment={axis.name: axis.increment for axis in machine.axes},
+        tcp_on=machine.tcp_on,
+        tcp_off=machine.tcp_off,
+        harmless=machine.harmless,
+    )
+
+
+def turns_tool(moves: Iterable[Move], axes: AxisWords) -> bool:
+    """Return whether any move names a rotary axis or gives a tool vector."""
+    rotary = set(axes.rotary)
+    return any(move.vector is not None or move.named & rotary for move in moves)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Tilt:
+    """A tilted plane on one machine.
+
+    Attributes:
+        rotation: (3, 3) its axes in the work frame, as columns.
+        origin_mm: (3,) its zero in the work frame.
+        rotary_deg: (rotary axes,) commands at which the tool is perpendicular to it.
+        stays: whether the linear axes stay while the rotary axes turn there.
+    """
+
+    rotation: np.ndarray
+    origin_mm: np.ndarray
+    rotary_deg: np.ndarray
+    stays: bool
+
+
+@final
+class WordSpace:
+    """Conversion between words and commands, for one machine, tool length and set-up.
+
+    Args:
+        machine: the machine.
+        setup: work offsets and origin.
+        tool_length_mm: tool length; None for the machine file's own.
+        tilt: the tilted plane of the words; None if they are parallel to the linear axes.
+
+    Attributes:
+        axes: the axis words.
+        setup, tool_length_mm, tilt: as given.
+        nominal: the machine without errors.
+        order: (axes,) column of the commands that belongs to each word.
+    """
+
+    def __init__(self, machine: Machine, setup: Setup, tool_length_mm: float | None, tilt: Tilt | None = None) -> None:
+        self.machine, self.setup, self.tool_length_mm = machine, setup, tool_length_mm
+        self.axes = replace(
+            axis_words(machine),
+            offsets_known=setup.offsets is not None,
+            tools_known=setup.tools is not None,
+            one_tool=setup.one_tool,
+        )
+        self.nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm)
+        self.inverse = Inverse(self.nominal)
+        self.order = np.array([machine.names.index(name) for name in self.axes.names])
+        self.offset = np.array([setup.work_offset.get(name, 0.0) for name in self.axes.names])
+        self.origin = np.array(setup.work_origin_mm)
+        self.start = np.array([setup.start_deg.get(name, 0.0) for name in self.axes.rotary])
+        self.tilt = tilt
+        if tilt is not None:
+            self.origin, self.start = tilt.origin_mm, tilt.rotary_deg - self.offset[3:]
+
+    @cached_property
+    def branches(self) -> Branches:
+        """Rotary solutions for tool vectors."""
+        return Branches(self.nominal)
+
+    def commands(self, words: np.ndarray, tcp: np.ndarray) -> np.ndarray:
+        """Return the (n, axes) commands that the control derives from (n, axes) words; ``tcp``: (n,) mode of each."""
+        return self._converted(words, tcp, self._solved)
+
+    def simulated_commands(self, words: np.ndarray, tcp: np.ndarray) -> np.ndarray:
+        """Return the same up to rounding in a fraction of the time, for the many points between those that are written."""
+        return self._converted(words, tcp, self._linear_axes_of_many)
+
+    def _converted(
+        self, words: np.ndarray, tcp: np.ndarray, linear_axes: Callable[..., tuple[np.ndarray, ...]]
+    ) -> np.ndarray:
+        tips = self.tilt is not None or bool(np.any(tcp))
+        if self._same and not tips:
+            return words
+        shifted = words + self.offset
+        if tips:
+            rows = self._tip_rows(words, tcp)
+            points = words[rows, :3]
+            points = points if self.tilt is None else points @ self.tilt.rotation.T
+            rotary, scale = shifted[rows, 3:], self.machine.scale[self.order[3:]]
+            (linear,) = linear_axes(points + self.origin, rotary)
+            # To radians and back, as the solver does: no difference in rounding between ends and points between them.
+            shifted[rows] = np.hstack([linear, rotary * scale / scale])
+        return self.displacements(shifted)
+
+    def _solved(self, tips: np.ndarray, rotary: np.ndarray) -> tuple[np.ndarray]:
+        """Return the same as `_linear_axes`, by the solver that also corrects end points."""
+        start = np.zeros((len(tips), len(self.order)))
+        start[:, self.order[3:]] = rotary
+        target = Poses(tips, self.nominal.forward(start).rotation)
+        return (self.inverse.solve(target, start, rotary=False).positions[:, self.order[:3]],)
+
+    def commands_at(self, words: Any) -> Any:
+        """Return `simulated_commands` as an expression of (axes,) words of the tool tip outside a tilted plane."""
+        rotary = words[3:] + ca.DM(self.offset[3:])
+        linear = self._linear_axes(words[:3] + ca.DM(self.origin), rotary)
+        return ca.vertcat(linear, rotary)[np.argsort(self.order).tolist()]
+
+    @cached_property
+    def _linear_axes_of_many(self) -> BatchFunction:
+        return BatchFunction(self._linear_axes)
+
+    @cached_property
+    def _linear_axes(self) -> ca.Function:
+        """Commands of the linear axes, mm, by tool tip in the work frame (mm) and rotary axes (degrees), all in word order.
+
+        Linear axes only translate, so that the tip is linear in their commands: three equations with three unknowns.
+        """
+        scale = self.machine.scale[self.order]
+        linear, rotary = ca.SX.sym("linear", 3), ca.SX.sym("rotary", len(self.order) - 3)
+        words = ca.vertcat(linear, rotary) * ca.DM(scale)
+        tip, _ = self.nominal.tip_and_axis_at(words[np.argsort(self.order).tolist()])
+        x, y, z = ca.horzsplit(ca.jacobian(tip, linear))
+        wanted = ca.SX.sym("tip", 3)
+        left = wanted * MM - ca.substitute(tip, linear, ca.DM.zeros(3))
+        others = [ca.cross(a, b) for a, b in ((y, z), (z, x), (x, y))]
+        found = ca.vertcat(*(ca.dot(left, other) for other in others)) / ca.dot(x, others[0])
+        return ca.Function("linear_axes", [wanted, rotary], [ca.cse(ca.densify(found))])
+
+    def displacements(self, words: np.ndarray) -> np.ndarray:
+        """Return (n, axes) displacements of axis words in command order."""
+        return words if self._ordered else words[:, np.argsort(self.order)]
+
+    @cached_property
+    def _ordered(self) -> bool:
+        return bool(np.all(self.order == np.arange(len(self.order))))
+
+    @cached_property
+    def _same(self) -> bool:
+        """Whether axis words are commands: the same order, and no offset."""
+        return self._ordered and not np.any(self.offset)
+
+    def switched(self, words: np.ndarray, *, tcp: bool) -> np.ndarray:
+        """Return (n, axes) words converted from the other mode to the mode ``tcp``."""
+        into = np.full(len(words), tcp)
+        return self.words(self.commands(words, ~into), into)
+
+    def words(self, commands: np.ndarray, tcp: np.ndarray) -> np.ndarray:
+        """Return the (n, axes) words from which the control derives (n, axes) commands; ``tcp``: (n,) mode of each."""
+        tips = self.tilt is not None or bool(np.any(tcp))
+        if self._same and not tips:
+            return commands
+        words = commands[:, self.order] - self.offset
+        if tips:
+            rows = self._tip_rows(commands, tcp)
+            points = self.nominal.forward(commands[rows]).point_mm - self.origin
+            words[rows, :3] = points if self.tilt is None else points @ self.tilt.rotation
+        return words
+
+    def _tip_rows(self, known: np.ndarray, tcp: np.ndarray) -> np.ndarray | slice:
+        """Return the rows whose words are places of the tool tip or on a tilted plane, and that are ``known`` (n, axes)."""
+        chosen = (tcp | (self.tilt is not None)) & rows_all_true(np.isfinite(known))
+        return slice(None) if chosen.all() else np.flatnonzero(chosen)
+
+
+def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
+    """Return (n,) whether commands (mm, degrees) leave an axis's range; True for NaN."""
+    lower, upper = (machine.limits / machine.scale[:, None] + np.array([-1e-9, 1e-9])).T
+    if all_within(commands, lower, upper):  # the usual case
+        return np.zeros(len(commands), dtype=bool)
+    return ~rows_all_true((commands >= lower) & (commands <= upper))
+
+
+def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np.ndarray) -> None:
+    """Raise `InputError` for a position within the axis's range that its curves or an empirical effect do not cover: no extrapolation.
+
+    Args:
+        real: the machine with its calibration.
+        source: the program's name, for the message.
+        lines: (n,) program line number of each command.
+        commands: (n, axes) mm and degrees; those outside an axis's range are not checked here.
+
+    Raises:
+        InputError: with line, value and domain.
+    """
+    outside = real.calibration.outside_domains(commands)
+    if not (outside.any() or real.calibration.empirical):
+        return
+    inside = ~outside_range(real.machine, commands)
+    outside &= inside[:, None]
+    if np.any(outside):
+        row, column = np.argwhere(outside)[0]
+        lo, hi = real.calibration.domains()[column]
+        axis = real.machine.axes[column]
+        raise InputError(
+            f"{axis.name} outside the domain of its error motions in {real.calibration.path or 'the calibration'}",
+            expected=f"{lo:g} to {hi:g} {axis.unit}",
+            file=source,
+            line=int(lines[row]),
+            value=f"{axis.name} {commands[row, column]:.6g}",
+        )
+    check_ranges(real.calibration.empirical, real.calibration.state(commands[inside]), lines[inside], source)

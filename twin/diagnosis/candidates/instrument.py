@@ -1,0 +1,480 @@
+"""Candidate causes in an instrument: wrong scales, lobing, refraction, drift of a station, alignment, delay of readings.
+
+With one station and one round they are confounded with the machine's scales and squareness, and are not tested.
+
+Candidate: lobing of a touch probe, whose pre-travel depends on the direction of the contact in the probe's own frame.
+
+The three supports of a kinematic probe give a pre-travel r(φ) = A·cos 3(φ − φ0) in the direction φ of the contact about the stylus. If
+the machine turns the probe by θ and probes in the directions of its linear axes, opposite contacts give a centre that is off by
+A·cos(3θ + ψ) along x and −A·sin(3θ + ψ) along y. If the probe never turns, the shift is constant and belongs to the tip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twin._common.units import UM
+from twin.diagnosis.candidates.candidate import (
+    LARGEST,
+    STRAIGHT,
+    STRAINS,
+    Candidate,
+    CandidateInputs,
+    CandidateSource,
+    Catalogue,
+    Column,
+    Drift,
+    Freedom,
+    SignatureTerm,
+    Variant,
+    along_command,
+    masked_columns,
+    strain_displacements,
+    tabulated_column,
+)
+from twin.machine.machine import Axis, Machine
+from twin.measurement.observation import at_origin, has_times, order_in_time
+from twin.measurement.table import Measurements
+from twin.model.effects.specification import NOTHING, REST, Advice, Drawing, Specification
+from twin.model.effects.thermal_drift import drift_course, drift_time_constants
+from twin.numerics.functions import Functions, Rows, tabulated
+
+NAMES: Final = (
+    ("scale_x", "ppm"),
+    ("scale_y", "ppm"),
+    ("scale_z", "ppm"),
+    ("shear_xy", "urad"),
+    ("shear_xz", "urad"),
+    ("shear_yz", "urad"),
+)
+"""Parameters, in the order of `STRAINS`: a positive scale reads too long, a shear is the change of a right angle."""
+AFFINE_SCALE_PLAUSIBLE: Final = 100.0
+"""Largest plausible value, ppm and µrad."""
+FLAT: Final = 0.01
+"""Share of the largest extent below which the extent of the points along a direction counts as zero."""
+MOST_ROUNDS: Final = 12
+"""Number of rounds above which rounds are repeats or places rather than alignments of the instrument."""
+MM: Final = 1e-3
+
+
+AFFINE_SCALE: Final = Specification(
+    name="affine_scale",
+    kind="instrument",
+    title=lambda where: f"scale and squareness errors of the instrument ({where})",
+    family="scale and squareness errors of the instrument",
+    advice=Advice(
+        "Metrology: certificate and temperature compensation of the instrument in {where}; measure a calibrated length with it.",
+        f"{REST} Better, measure again with a calibrated instrument.",
+        NOTHING,
+    ),
+    evidence=lambda of: f"the instrument has scale and squareness errors in {of.where}, up to {of.measure}",
+    limits={"ppm": 200.0},
+    varies="with the frame",
+    flexible=True,
+)
+
+
+class _Alignment(NamedTuple):
+    """One alignment: its name, the mask of its readings, and whether the readings' centre is tried as the origin too."""
+
+    where: str
+    mask: np.ndarray
+    centred: bool
+
+
+def affine_scales(inputs: CandidateInputs) -> Catalogue:
+    """Return one candidate for each station and for each round, where there are several."""
+    return Catalogue(
+        tuple(one for alignment in _alignments(inputs.data) if (one := _candidate(inputs.data, alignment)) is not None)
+    )
+
+
+def _alignments(data: Measurements) -> Iterator[_Alignment]:
+    stations, rounds = (list(dict.fromkeys(names.tolist())) for names in (data.station, data.round))
+    by_station = {f"station {name}": data.station == name for name in stations} if len(stations) > 1 else {}
+    by_round = {f"round {name}": data.round == name for name in rounds} if 1 < len(rounds) <= MOST_ROUNDS else {}
+    station_masks = {mask.tobytes() for mask in by_station.values()}
+    yield from (_Alignment(where, mask, False) for where, mask in by_station.items())
+    # A round that is exactly one station is not tested twice.
+    yield from (
+        _Alignment(where, mask, True) for where, mask in by_round.items() if mask.tobytes() not in station_masks
+    )
+
+
+def _candidate(data: Measurements, alignment: _Alignment) -> Candidate | None:
+    """Return the candidate about the station's origin and, for a round, its centre; None if the points have no extent."""
+    extended = _has_extent(np.asarray(data.point_mm)[alignment.mask])
+    kept = [k for k, (i, j) in enumerate(STRAINS) if extended[i] and extended[j]]
+    if not kept:
+        return None
+    variants = [Variant(_columns(alignment.mask, kept, np.zeros(3)))]
+    if alignment.centred:
+        # An instrument aligned anew in a round may have its origin anywhere: the centre of the readings is tried.
+        centre = [np.nanmean(data.point_mm[alignment.mask, i]) if extended[i] else 0.0 for i in range(3)]
+        variants.append(Variant(_columns(alignment.mask, kept, MM * np.array(centre))))
+    names = tuple(NAMES[k] for k in kept)
+    return Candidate(AFFINE_SCALE, alignment.where, names, tuple(variants), float(len(variants)))
+
+
+def _has_extent(points: np.ndarray) -> np.ndarray:
+    """Return for each direction (3,) whether the points (n, 3), mm, were measured along it and extend along it."""
+    read = np.isfinite(points)
+    low = np.min(np.where(read, points, np.inf), axis=0)
+    high = np.max(np.where(read, points, -np.inf), axis=0)
+    extent = np.where(np.any(read, axis=0), high - low, 0.0)
+    return np.asarray((extent > 0.0) & (extent > FLAT * extent.max()))
+
+
+def _columns(mask: np.ndarray, kept: list[int], centre: np.ndarray) -> tuple[Column, ...]:
+    function = tabulated(mask[:, None].astype(float))
+    at_centre = strain_displacements(centre[None])[0]
+    return tuple(
+        Column(
+            (
+                SignatureTerm(("strain", k), function, 0, 1e-6),
+                *(
+                    SignatureTerm(("station", i), function, 0, -1e-6 * float(at_centre[i, k]))
+                    for i in range(3)
+                    if at_centre[i, k] != 0.0
+                ),
+            ),
+            AFFINE_SCALE_PLAUSIBLE,
+        )
+        for k in kept
+    )
+
+
+AFFINE_SCALE_SOURCE: Final = CandidateSource((AFFINE_SCALE,), affine_scales)
+
+# --- Candidate: lobing of a touch probe, whose pre-travel depends on the direction of the contact in the probe's own frame
+
+LOBES: Final = 3
+"""Number of supports of a kinematic probe."""
+UPRIGHT: Final = 0.9
+"""Cosine between the axis and z of the base from which a rotary axis turns the probe about its stylus."""
+PLAUSIBLE: Final = 10.0
+"""Largest plausible amplitude, µm."""
+
+PROBE_LOBING: Final = Specification(
+    name="probe_lobing",
+    kind="instrument",
+    title=lambda where: f"lobing of {where}",
+    family="lobing of a touch probe",
+    advice=Advice(
+        "Metrology: calibrate the probe in the directions and orientations in which it measures, or orient it in the direction of "
+        "each contact.",
+        f"{REST} Better, measure again with a calibrated probe.",
+        NOTHING,
+    ),
+    evidence=lambda of: f"the centres move with three times the rotation of {of.where}, by {of.measure}",
+    limits={"um": PLAUSIBLE},
+)
+
+
+def probe_lobings(inputs: CandidateInputs) -> Catalogue:
+    """Return a candidate for each probe that a rotary axis of the tool side turned about its stylus."""
+    data, found = inputs.data, []
+    probed = at_origin(data) & (data.station_carrier == "tool")
+    for i, axis in enumerate(inputs.machine.axes):
+        if axis.linear or axis.side != "tool" or abs(_upright(axis)) < UPRIGHT or np.ptp(data.positions[:, i]) == 0.0:
+            continue
+        angle = LOBES * np.sign(_upright(axis)) * np.radians(data.positions[:, i])
+        for station in dict.fromkeys(data.station[probed]):
+            own = (probed & (data.station == station)).astype(float)
+            # Orthogonal parts of the amplitude: A·cos ψ and A·sin ψ.
+            parts = ((np.cos(angle), -np.sin(angle)), (-np.sin(angle), -np.cos(angle)))
+            columns = tuple(Column(_terms(own, both), PLAUSIBLE) for both in parts)
+            names = (("cos", "um"), ("sin", "um"))
+            found.append(Candidate(PROBE_LOBING, f"probe {station}", names, (Variant(columns),), 1.0))
+        break
+    return Catalogue(tuple(found))
+
+
+def _terms(own: np.ndarray, both: Sequence[np.ndarray]) -> tuple[SignatureTerm, ...]:
+    """Return the terms of shifts (n,) of some centres along x and y of the base."""
+    return tuple(SignatureTerm(("base", k), tabulated((own * part)[:, None]), 0, UM) for k, part in enumerate(both))
+
+
+def _upright(axis: Axis) -> float:
+    """Return the cosine between the axis of rotation and z of the base at zero."""
+    return float(axis.machine_direction[2])
+
+
+PROBE_LOBING_SOURCE: Final = CandidateSource((PROBE_LOBING,), probe_lobings)
+
+# --- Candidate: a scale error of all lengths, because the instrument uses a wrong refractive index
+
+PPM: Final = 1e-6
+LARGEST_PPM: Final = 20.0
+"""Corresponds to air 20 K away from the temperature set on the instrument."""
+REFRACTION_SCALE_PLAUSIBLE: Final = 100.0
+"""ppm: scale of the column."""
+
+REFRACTION_SCALE: Final = Specification(
+    name="refraction_scale",
+    kind="instrument",
+    title=lambda where: "all lengths read too long or too short",
+    family="scale of all lengths",
+    advice=Advice(
+        "Metrology: air temperature, pressure and humidity at the instrument, and its certificate.", REST, NOTHING
+    ),
+    evidence=lambda of: f"all lengths are read {of.measure} too long",
+    limits={"ppm": LARGEST_PPM},
+    varies="with the frame",
+    drawing=Drawing(size_of="distance", by_state=True),
+)
+
+
+def refraction_scale(inputs: CandidateInputs) -> Catalogue:
+    """Return one candidate for all readings."""
+    columns = masked_columns([("length", 0)], np.ones(len(inputs.data)), PPM, REFRACTION_SCALE_PLAUSIBLE)
+    return Catalogue((Candidate(REFRACTION_SCALE, "—", (("scale", "ppm"),), (Variant(columns),), 1.0),))
+
+
+REFRACTION_SCALE_SOURCE: Final = CandidateSource((REFRACTION_SCALE,), refraction_scale)
+
+# --- Candidate: drift of a station during the measurement -----------------------------------------
+
+STATION_DRIFT: Final = Specification(
+    name="station_drift",
+    kind="instrument",
+    title=lambda where: f"drift of the instrument at station {where}",
+    family="drift of the instrument",
+    advice=Advice(
+        "Metrology: tripod, floor and warm-up of the instrument.",
+        f"{REST} Better, measure again from a stable stand.",
+        NOTHING,
+    ),
+    evidence=lambda of: f"station {of.where} drifts during the measurement{drift_course(of)}",
+    nonlinear=("time_constant",),
+    varies="with time",
+    drawing=Drawing(columns=lambda where: ("time_s",), by_state=True, shared="station"),
+)
+
+
+def station_drifts(inputs: CandidateInputs) -> Catalogue:
+    """Return a candidate for every station if the readings have times."""
+    stations = list(dict.fromkeys(inputs.data.station))
+    if "time_s" not in inputs.state:
+        return Catalogue((), ((STATION_DRIFT.name, ", ".join(stations), "time_s"),))
+    names = tuple((f"rate_{a}", "um/h") for a in "xyz")
+    found = []
+    for name in stations:
+        drift = drift_of_station(inputs.state["time_s"], inputs.data.station == name)
+        found.append(Candidate(STATION_DRIFT, name, names, drift.variants, 3.0, drift=drift))
+    return Catalogue(tuple(found))
+
+
+def drift_of_station(time_s: np.ndarray, mask: np.ndarray) -> Drift:
+    """Return a drift of a station along the axes of the base; the parameters are its initial rates, µm/h.
+
+    The functions of time are the same as for a drift of the machine, so that their shape never decides between the two.
+
+    Args:
+        time_s: (n,) times of all readings.
+        mask: (n,) whether a reading was taken from the station.
+    """
+    hours = (time_s - time_s.min()) / 3600.0
+    tried = drift_time_constants(time_s)
+
+    def columns_at(several: Sequence[float]) -> list[tuple[Column, ...]]:
+        tau = np.array(several) / 3600.0
+
+        def values(rows: Rows) -> np.ndarray:
+            at = np.where(mask[rows], hours[rows], 0.0)[:, None]
+            bent = np.where(np.isinf(tau), 1.0, tau)
+            return np.where(np.isinf(tau), at, -bent * np.expm1(-at / bent))
+
+        functions = Functions(len(hours), len(several), values, mask)
+        scale = LARGEST / np.maximum(functions.largest, 1e-9)
+        return [
+            tuple(Column((SignatureTerm(("base", i), functions, k, -UM),), float(scale[k])) for i in range(3))
+            for k in range(len(several))
+        ]
+
+    every = (STRAIGHT, *tried)
+    known = dict(zip(every, columns_at(every), strict=True))
+    return Drift(
+        lambda constant: known[constant] if constant in known else columns_at([constant])[0], tried, straight=True
+    )
+
+
+STATION_DRIFT_SOURCE: Final = CandidateSource((STATION_DRIFT,), station_drifts)
+
+# --- Candidate: a delay between positions and readings of a moving axis, with velocities from the feed or from the times of r
+
+IN_MOTION: Final = 1.0
+"""s: rows at shorter intervals, while an axis moves, count as sampled in motion."""
+
+TIME_SKEW: Final = Specification(
+    name="time_skew",
+    kind="instrument",
+    title=lambda where: f"readings and positions of {where} not taken at the same moment",
+    family="delay between readings and positions",
+    advice=Advice(
+        "Metrology: synchronisation of readings and positions of {axis}: trigger, filter, delay of the instrument.",
+        f"{REST} Better, measure again at standstill, or at half the feed.",
+        NOTHING,
+    ),
+    evidence=lambda of: (
+        f"readings and positions of {of.where} were taken {abs(of.size):.3g} {of.unit} apart while it moved"
+    ),
+    limits={"s": 1.0},
+)
+
+
+def velocities(data: Measurements, machine: Machine) -> Mapping[str, np.ndarray]:
+    """Return the velocity (n,) in mm/s or °/s of each axis that moved while it was measured; other axes are left out.
+
+    The feed is the speed along the path of the linear axes. Its direction is the mean of those from the previous row and to the next
+    one of the round, which is the tangent of a circle read at equal steps; from the previous row alone it would lag by half a step. A
+    row where nothing moved has the direction of the one before. The direction of approach, where given, sets the sign.
+    """
+    timed, order = has_times(data), order_in_time(data)
+    q = data.positions[order]
+    step = np.diff(q, axis=0, prepend=q[:1])
+    interval = np.diff(data.time_s[order], prepend=data.time_s[order][:1]) if timed else np.full(len(q), np.inf)
+    moved = np.any(step != 0.0, axis=1)
+    in_motion = moved & (interval > 0.0) & (interval < IN_MOTION)
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(q)), int(np.argmax(moved))))
+    linear = [axis.linear for axis in machine.axes]
+    direction = _tangent(step[last], np.linalg.norm(step[last][:, linear], axis=1), data.round[order])
+    path = np.linalg.norm(direction[:, linear], axis=1)
+    feed = np.nan_to_num(data.feed_mm_min[order]) / 60.0
+    along = np.where(path > 0.0, feed / np.where(path > 0.0, path, 1.0), 0.0)
+    found = direction * along[:, None]
+    found = np.where(in_motion[:, None], step / np.where(in_motion, interval, 1.0)[:, None], found)
+    side = data.approach[order]
+    found = np.where(side != 0.0, np.abs(found) * side, found)
+    velocity = np.empty_like(found)
+    velocity[order] = found
+    return {axis.name: velocity[:, i] for i, axis in enumerate(machine.axes) if np.any(velocity[:, i] != 0.0)}
+
+
+def _tangent(step: np.ndarray, length: np.ndarray, rounds: np.ndarray) -> np.ndarray:
+    """Return (n, axes) directions at the rows from the steps that lead to them.
+
+    The mean of the steps before and after a row, where both are of one round and not opposite; at the ends of a round the direction is
+    extrapolated. A row between opposite steps, or of a short round, has the direction of the step before it.
+    """
+    unit = step / np.where(length > 0.0, length, 1.0)[:, None]
+    found = unit.copy()
+    ends = np.flatnonzero(np.append(True, rounds[1:] != rounds[:-1]))
+    for first, end in zip(ends, [*ends[1:], len(unit)], strict=True):
+        own = unit[first + 1 : end]  # the step to the first row is of another round
+        if len(own) < 2:
+            continue
+        ends_on = [2.0 * own[i] - own[j] if own[i] @ own[j] > 0.0 else own[i] for i, j in ((0, 1), (-1, -2))]
+        before, after = np.concatenate([[ends_on[0]], own]), np.concatenate([own, [ends_on[1]]])
+        smooth = np.einsum("ni,ni->n", before, after) > 0.0
+        found[first] = after[0]
+        found[first:end][smooth] = (before + after)[smooth]
+    return found
+
+
+def time_skews(inputs: CandidateInputs) -> Catalogue:
+    """Return a candidate for every axis that moved: the readings are displaced by velocity times delay."""
+    machine, moving = inputs.machine, velocities(inputs.data, inputs.machine)
+    found, missing = [], []
+    for axis in machine.axes:
+        if axis.name in moving:
+            displacement = moving[axis.name] * axis.scale / UM
+            column = tabulated_column({i: displacement * part for i, part in along_command(machine, axis)})
+            found.append(Candidate(TIME_SKEW, axis.name, (("delay", "s"),), (Variant((column,)),), 1.0))
+        elif not np.any(np.isfinite(inputs.data.feed_mm_min)):
+            missing.append((TIME_SKEW.name, axis.name, "feed_mm_min"))
+    return Catalogue(tuple(found), tuple(missing))
+
+
+TIME_SKEW_SOURCE: Final = CandidateSource((TIME_SKEW,), time_skews)
+
+# --- Candidates: a change between rounds, the instrument's frame re-aligned or a target displaced -
+
+FRAME: Final[tuple[Freedom, ...]] = tuple((name, i) for name in ("station", "station turn") for i in range(3))
+PLACE: Final[tuple[Freedom, ...]] = tuple(("place", i) for i in range(3))
+SHIFTS: Final = tuple((f"shift_{a}", "um") for a in "xyz")
+TURNS: Final = tuple((f"turn_{a}", "urad") for a in "xyz")
+
+
+def _frame_shift_title(where: str) -> str:
+    station, _, number = where.rpartition("round ")
+    if not station:
+        return f"instrument re-aligned from round {number} on"
+    return f"instrument at {station.removesuffix(' from ')} re-aligned from round {number} on"
+
+
+def _target_shift_title(where: str) -> str:
+    target, _, number = where.partition(" from round ")
+    return f"target {target} displaced from round {number} on"
+
+
+FRAME_SHIFT: Final = Specification(
+    name="frame_shift",
+    kind="instrument",
+    title=_frame_shift_title,
+    family="instrument re-aligned",
+    advice=Advice(
+        "Metrology: check what happened before {where}: a new alignment, a tripod that was knocked.",
+        f"{REST} Better, measure again in one alignment.",
+        NOTHING,
+    ),
+    evidence=lambda of: f"the instrument's frame was re-aligned from {of.where} on",
+    varies="with time",
+    drawing=Drawing(columns=lambda where: ("round",), by_state=True, shared="station"),
+)
+TARGET_SHIFT: Final = Specification(
+    name="target_shift",
+    kind="instrument",
+    title=_target_shift_title,
+    family="displaced targets",
+    advice=Advice("Metrology: check the mounting of that target.", REST, NOTHING),
+    evidence=lambda of: f"target {of.where} was displaced",
+    varies="with time",
+    drawing=Drawing(columns=lambda where: ("round",), by_state=True, shared="target"),
+)
+
+
+def _later(inputs: CandidateInputs) -> list[tuple[str, np.ndarray]]:
+    """Return each round but the first, with the mask of the readings from that round on."""
+    rounds = list(dict.fromkeys(inputs.data.round))
+    number = np.array([rounds.index(name) for name in inputs.data.round])
+    return [(str(rounds[k]), number >= k) for k in range(1, len(rounds))]
+
+
+def _changed(later: np.ndarray, names: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """Return stations or targets with readings both before and after a change, with the mask of the later readings."""
+    masks = [(str(name), names == name) for name in dict.fromkeys(names)]
+    return [(name, later & own) for name, own in masks if 0 < np.count_nonzero(later & own) < np.count_nonzero(own)]
+
+
+def alignments(inputs: CandidateInputs) -> Catalogue:
+    """Return a candidate for the instrument's frame and for every target, from each round on."""
+    return Catalogue((*_frame_shifts(inputs), *_target_shifts(inputs)))
+
+
+def _frame_shifts(inputs: CandidateInputs) -> list[Candidate]:
+    """Return frame shifts from each round on, for each station separately where there are several."""
+    found = []
+    for name, later in _later(inputs):
+        single = len(dict.fromkeys(inputs.data.station)) == 1
+        changed = [("", later)] if single else _changed(later, inputs.data.station)
+        for station, mask in changed:
+            where = f"round {name}" if single else f"station {station} from round {name}"
+            columns = masked_columns(FRAME, mask, UM)
+            found.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (Variant(columns),), 1.0))
+    return found
+
+
+def _target_shifts(inputs: CandidateInputs) -> list[Candidate]:
+    """Return target shifts from each round on."""
+    return [
+        Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (Variant(masked_columns(PLACE, mask, UM)),), 1.0)
+        for name, later in _later(inputs)
+        for target, mask in _changed(later, inputs.data.target)
+    ]
+
+
+ALIGNMENT_SOURCE: Final = CandidateSource((FRAME_SHIFT, TARGET_SHIFT), alignments)

@@ -1,0 +1,308 @@
+"""Cross-validation: prediction of held-out readings by causes fitted to the others, and removal of causes that overfit.
+
+What is held out depends on the claim: positions or poses for a function of position; rounds or blocks of time for a change in time.
+
+If the stated noise is small, every part of an unmodelled error is significant. Forty parameters then fit twenty poses and fail at the
+twenty-first. The number of causes is chosen by cross-validation (Stone 1974).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, final
+
+import numpy as np
+
+from twin._common.arrays import first_largest
+from twin._common.distributions import student_isf
+from twin.diagnosis.candidates.candidate import Candidate
+from twin.diagnosis.forms import Candidates, Form, columns_of, log_p_value
+from twin.diagnosis.likelihood import Likelihood
+from twin.diagnosis.problem import Problem, in_um, rms, unwhiten
+from twin.diagnosis.signature_products import Signatures
+from twin.machine.machine import Machine
+from twin.measurement.observation import order_in_time
+from twin.measurement.table import Measurements
+from twin.model.effects.base import axis_of
+
+DENSE: Final = 20
+"""Number of positions of an axis above which a curve through them is taken to be valid between them."""
+ENOUGH: Final = 6
+"""Smallest number of independent groups for a confidence interval."""
+
+
+def predicted_pattern_shift(likelihood: Likelihood, forms: Sequence[Form], written: Collection[int]) -> np.ndarray:
+    """Return the (3n,) prediction for all readings of some patterns, fitted with the causes to a part of the readings.
+
+    Args:
+        likelihood: the patterns on that part.
+        forms: the causes.
+        written: numbers of the patterns.
+    """
+    which, values, _ = likelihood.most_likely(likelihood.fit(forms), likelihood.slope_beside(forms))
+    own = np.isin(likelihood.group[which] // 3, list(written))
+    return likelihood.effect_on_readings(which[own], values[own])
+
+
+def predicted_shift(problem: Problem, part: Candidates, forms: Sequence[Form]) -> np.ndarray:
+    """Return the (3n,) prediction for all readings of causes fitted to a part of them.
+
+    Directions that the part does not determine are set to zero; they would only amplify noise.
+    """
+    columns, values, _ = part.fitted(forms)
+    signatures = Signatures(problem.view, [part.products.columns[i] for i in columns])
+    return signatures.combined(values[:, None]).reshape(-1)
+
+
+def jackknife_interval(table: np.ndarray) -> tuple[float, float] | None:
+    """Return the 95 % confidence interval of the difference of two RMS values by the jackknife; None for fewer than `ENOUGH` groups.
+
+    One group is left out at a time; pseudo-values with Student's t (Tukey 1958). Groups, not readings, are independent.
+
+    Args:
+        table: (groups, 3) sums of squares before and after, and number of values.
+    """
+    count = len(table)
+    if count < ENOUGH:
+        return None
+    total = table.sum(axis=0)
+    rest = np.maximum(total - table, 0.0)
+    used = np.maximum(rest[:, 2], 1.0)
+    whole = float(np.sqrt(total[0] / total[2]) - np.sqrt(total[1] / total[2]))
+    without = np.sqrt(rest[:, 0] / used) - np.sqrt(rest[:, 1] / used)
+    pseudo = count * whole - (count - 1) * without
+    half = float(student_isf(0.025, count - 1) * pseudo.std(ddof=1) / np.sqrt(count))
+    return whole - half, whole + half
+
+
+def predicts_held_out(candidates: Candidates, form: Form, forms: Sequence[Form]) -> bool:
+    """Return whether a function of an axis's position predicts held-out positions of that axis.
+
+    A variant of another effect must predict better than that effect, for example a reversal curve better than a constant reversal.
+
+    Args:
+        candidates: the data.
+        form: the cause.
+        forms: all causes.
+    """
+    if not form.candidate.specification.curve:
+        return True
+    machine, data = candidates.problem.network.machine, candidates.problem.network.data
+    where = form.candidate.where
+    axis = machine.names.index(axis_of(where))
+    if len(np.unique(np.round(data.positions[:, axis], 3))) > DENSE:
+        return True
+    split = folds_at_positions(data, [axis])
+    if split is None:
+        return False
+    others = [one for one in forms if one is not form]
+    if form.candidate.specification.variant_of:
+        others += [one for one in candidates.forms if one.key == (form.candidate.specification.variant_of, where)]
+    gained = gain_at_held_out_positions(candidates, form, others, split)
+    return gained is not None and gained[0] > 0.0
+
+
+def gain_at_held_out_positions(
+    candidates: Candidates, form: Form, others: Sequence[Form], split: HeldOutFolds
+) -> tuple[float, float] | None:
+    """Return the 95 % interval of the gain of one cause at held-out positions, all others kept; None if there is no interval.
+
+    Args:
+        candidates: the data.
+        form: the cause.
+        others: the other causes.
+        split: the folds of positions.
+    """
+
+    def predict(small: Candidates) -> tuple[np.ndarray, np.ndarray]:
+        return predicted_shift(candidates.problem, small, others), predicted_shift(
+            candidates.problem, small, [*others, form]
+        )
+
+    table = held_out_squares(candidates, split, predict)
+    return None if table is None else jackknife_interval(table)
+
+
+def held_out_squares(
+    candidates: Candidates, split: HeldOutFolds, predict: Callable[[Candidates], Sequence[np.ndarray]]
+) -> np.ndarray | None:
+    """Return (groups, models + 1): sums of squared held-out residuals of each model, µm², and the number of values.
+
+    Args:
+        candidates: all data.
+        split: the folds.
+        predict: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
+    """
+    problem = candidates.problem
+    table: np.ndarray | None = None
+    for k in range(int(split.fold.max()) + 1):
+        rows = split.fold == k
+        part = problem.without(rows)
+        if part is None:
+            return None
+        small = candidates.on_part(part)
+        left = part.refitted_at_held_out(problem.residual[:, None] - np.stack(predict(small), axis=1))
+        squares = np.sum((unwhiten(problem.network, left, rows) * 1e6) ** 2, axis=1)
+        read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
+        counted = np.column_stack([squares, read])
+        table = np.zeros((int(split.group.max()) + 1, counted.shape[1])) if table is None else table
+        np.add.at(table, split.group[rows], counted)
+    return table
+
+
+FOLDS: Final = 8
+"""Largest number of folds."""
+SEED: Final = 2001
+BLOCKS: Final = 8
+"""Number of blocks of time of a single round."""
+HeldOutOf = Literal["rounds", "positions", "poses", "blocks"]
+
+
+@final
+@dataclass(frozen=True)
+class HeldOutFolds:
+    """Folds of a cross-validation.
+
+    Attributes:
+        of: ``rounds``, ``positions`` of the one axis that moved, ``poses``, or ``blocks`` of time.
+        group: (n,) independent group of each reading.
+        fold: (n,) fold of each reading: whole groups, drawn at random.
+    """
+
+    of: HeldOutOf
+    group: np.ndarray
+    fold: np.ndarray
+
+
+def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> HeldOutFolds | None:
+    """Return the folds suited to the causes; None if nothing can be held out.
+
+    Args:
+        data: the measurements.
+        machine: the machine.
+        causes: the causes found.
+    """
+    changing = bool(causes) and all(cause.specification.varies == "with time" for cause in causes)
+    if not changing:
+        moved = [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
+        if moved:
+            found = folds_at_positions(data, moved)
+            if found is not None:
+                return found
+    return folds_in_time(data)
+
+
+def folds_in_time(data: Measurements) -> HeldOutFolds | None:
+    """Return folds of rounds, or of blocks of time for a single round; None for too few readings.
+
+    Args:
+        data: the measurements.
+    """
+    _, group = np.unique(data.round.astype(str), return_inverse=True)
+    return _drawn("rounds", group.reshape(-1)) if group.max() > 0 else blocks_of_time(data)
+
+
+def blocks_of_time(data: Measurements) -> HeldOutFolds | None:
+    """Return `BLOCKS` consecutive blocks of readings, one fold each; None for too few readings.
+
+    Args:
+        data: the measurements.
+    """
+    if len(data) < 2 * BLOCKS:
+        return None
+    group = np.empty(len(data), dtype=int)
+    group[order_in_time(data)] = np.arange(len(data)) * BLOCKS // len(data)
+    return HeldOutFolds("blocks", group, group)
+
+
+def folds_at_positions(data: Measurements, axes: Sequence[int]) -> HeldOutFolds | None:
+    """Return folds of positions of one axis, or of poses of several; None if there is only one.
+
+    Args:
+        data: the measurements.
+        axes: numbers of the axes that moved.
+    """
+    _, group = np.unique(np.round(data.positions[:, list(axes)], 3), axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    return _drawn("positions" if len(axes) == 1 else "poses", group) if group.max() > 0 else None
+
+
+def _drawn(of: HeldOutOf, group: np.ndarray) -> HeldOutFolds:
+    count = int(group.max()) + 1
+    return HeldOutFolds(of, group, (np.random.default_rng(SEED).permutation(count) % min(count, FOLDS))[group])
+
+
+PLENTY: Final = 20
+"""Degrees of freedom per parameter above which overfitting is negligible."""
+OVERFITTED: Final = 1.25
+"""Ratio of held-out to fitted RMS residual above which the number of causes is reduced."""
+
+
+def without_overfitting(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
+    """Return the causes without those that overfit; all of them unless held-out readings fit much worse than the others.
+
+    Causes enter in order of the chi² they explain, and each must be significant against the residual after it (F-to-enter, Efroymson
+    1960). Of these the smallest number is kept whose held-out error is within one standard error of the minimum (Breiman and others
+    1984). If only one axis moved, causes that are not promised (`predicts_held_out`) are kept: they
+    make no claim between the measured positions.
+
+    Args:
+        candidates: the data.
+        forms: the causes.
+    """
+    if PLENTY * len(columns_of(forms)) < candidates.problem.dof:
+        return list(forms)
+    split = choose_folds(
+        candidates.problem.network.data, candidates.problem.network.machine, [form.candidate for form in forms]
+    )
+    if split is None or split.of not in ("positions", "poses") or split.group.max() + 1 < ENOUGH:
+        return list(forms)
+    claimed = _by_entry(
+        candidates, [form for form in forms if split.of == "poses" or predicts_held_out(candidates, form, forms)]
+    )
+
+    def predict(small: Candidates) -> list[np.ndarray]:
+        return [predicted_shift(candidates.problem, small, claimed[:k]) for k in range(len(claimed) + 1)]
+
+    table = held_out_squares(candidates, split, predict)
+    if table is None or table[:, -2].sum() / table[:, -1].sum() <= (OVERFITTED * _in_fit(candidates, claimed)) ** 2:
+        return list(forms)
+    gone = {form.index for form in claimed[_fewest(table[:, : _beyond_rest(candidates, claimed) + 1]) :]}
+    return [form for form in forms if form.index not in gone]
+
+
+def _beyond_rest(candidates: Candidates, forms: Sequence[Form]) -> int:
+    """Return the number of forms, entered in this order, that are significant against the residual (F-to-enter)."""
+    problem, free = candidates.problem, float(candidates.problem.dof)
+    for k, form in enumerate(forms):
+        explained, dof, _ = candidates.scores(forms[:k], [form.index])[0]
+        free -= dof
+        left = (problem.chi2 - candidates.explained_by(forms[: k + 1])) / max(free, 1.0)
+        chance = log_p_value(np.array(explained / max(left, 1.0)), max(float(dof), 1.0), max(free, 1.0))
+        if float(chance) + form.log_tests > np.log(candidates.level):
+            return k
+    return len(forms)
+
+
+def _fewest(squares: np.ndarray) -> int:
+    """Return the number of causes from (groups, causes + 1) sums of squares with none, the first, the first two, and so on."""
+    worse = squares - squares[:, [first_largest(-squares.sum(axis=0))]]
+    error = np.sqrt(len(squares)) * worse.std(axis=0, ddof=1)
+    return int(np.argmax(worse.sum(axis=0) <= error))
+
+
+def _by_entry(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
+    """Return the forms in the order in which each explains most given those before it."""
+    rest, entered = list(forms), list[Form]()
+    while rest:
+        explained = candidates.scores(entered, [form.index for form in rest])[:, 0]
+        entered.append(rest.pop(first_largest(explained)))
+    return entered
+
+
+def _in_fit(candidates: Candidates, forms: Sequence[Form]) -> float:
+    """Return the RMS residual of the fit, µm."""
+    problem = candidates.problem
+    residual = problem.project(problem.residual - predicted_shift(problem, candidates, forms))
+    return rms(in_um(problem.network, residual), problem.network.read)

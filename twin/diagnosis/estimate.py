@@ -1,0 +1,599 @@
+"""Estimate of all parameters of the causes, non-linear ones included, together with the set-up.
+
+Cluster-robust covariance of an estimate, for residuals that are larger than the measurement noise.
+
+The noise alone gives an estimate's covariance only if the model fits. Where it does not, neighbouring readings share the misfit, and
+the covariance is estimated from the differences between groups (Huber 1967; White 1982, eq. 3.2; groups as in Liang and Zeger 1986), as
+in `twin.identification.solve`. It is never smaller than the covariance due to noise.
+
+Weights of noise and discrepancy where the causes leave more than the noise.
+
+Weights of the noise alone (25 times better along a tracker's beam than across) would select and size the causes by the unexplained
+residuals along the beam, at the expense of the others. Tests of consistency compare the residuals with the noise alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
+
+import numpy as np
+import scipy
+
+from twin._common.arrays import read_only
+from twin._common.distributions import chi2_sf, f_sf
+from twin.diagnosis.candidates.candidate import STRAIGHT, Column, effect_columns
+from twin.diagnosis.drift_fit import fit_drift, over_forms
+from twin.diagnosis.forms import Form, pseudo_inverse
+from twin.diagnosis.problem import Problem, rewhitened, unwhiten
+from twin.diagnosis.readings import DiagnosisTask
+from twin.diagnosis.result import Quantity
+from twin.identification.discrepancy import Discrepancy, no_discrepancy, settled, updated
+from twin.measurement.observation import machine_state, repeat_groups
+from twin.model.effects import Effect
+from twin.model.effects.gravity_compliance import AddedLoad
+from twin.numerics.covariance import Covariance
+
+LACK_OF_FIT: Final = 0.01
+"""p-value below which there is a lack of fit."""
+MANY_ROUNDS: Final = 20
+"""Number of rounds from which rounds are the groups; with fewer, poses are: an axis repeats its error at a pose in every round."""
+LEAST_GROUPS: Final = 6
+"""Number of groups below which no covariance is estimated from them."""
+
+
+def groups(problem: Problem) -> np.ndarray:
+    """Return the group (n,) of each row: its round, or its commanded pose where there are few rounds."""
+    data = problem.network.data
+    names, found = np.unique(data.round.astype(str), return_inverse=True)
+    if len(names) < MANY_ROUNDS:
+        _, found = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
+    return np.asarray(found.reshape(-1))
+
+
+def lacks_fit(problem: Problem, residual: np.ndarray, parameters: int, noise_dof: float) -> bool:
+    """Return whether the residuals exceed the noise, overall or in the means of repeats (test of lack of fit).
+
+    Args:
+        problem: the data.
+        residual: (3n,) whitened residual of the fit.
+        parameters: number of parameters fitted besides the set-up.
+        noise_dof: degrees of freedom of the noise variance.
+    """
+    rest = problem.project(residual)
+    dof = problem.dof - parameters
+    found = [(float(residual @ rest), dof)]
+    group = repeat_groups(problem.network.data)
+    size = np.bincount(group)
+    if size.max() > 1:
+        means = np.stack([np.bincount(group, rest[i::3]) for i in range(3)], axis=1) / np.sqrt(size)[:, None]
+        read = np.stack([np.bincount(group, problem.network.read[:, i]) > 0 for i in range(3)], axis=1)
+        free = int(read.sum()) - (problem.readings - problem.dof) - parameters
+        found.append((float(np.sum(means**2)), free))
+    return any(
+        float(f_sf(chi2 / free, free, noise_dof) if np.isfinite(noise_dof) else chi2_sf(chi2, free)) < LACK_OF_FIT
+        for chi2, free in found
+        if free > 0
+    )
+
+
+def robust_covariance(
+    problem: Problem, columns: np.ndarray, residual: np.ndarray, covariance: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Return the cluster-robust covariance of an estimate, in no direction below that due to noise, and the number of groups.
+
+    With too few groups: the covariance due to noise, and infinity.
+
+    Args:
+        problem: the data.
+        columns: (3n, k) signatures that were fitted.
+        residual: (3n,) whitened residual of the fit.
+        covariance: (k, k) covariance due to noise.
+    """
+    group = groups(problem)
+    count = int(group.max()) + 1
+    if count < LEAST_GROUPS:
+        return covariance, float("inf")
+    own = problem.project(columns)
+    rest = problem.project(residual)
+    scores = np.zeros((count, columns.shape[1]))
+    np.add.at(scores, np.repeat(group, 3), own * rest[:, None])
+    values, vectors = np.linalg.eigh(covariance)
+    kept = values > 1e-12 * values[-1]
+    root = vectors[:, kept] * np.sqrt(values[kept])
+    flat = scores @ root
+    # Eigenvalues relative to the covariance due to noise.
+    share, axes = np.linalg.eigh(flat.T @ flat * (count / (count - 1)))
+    rotated = root @ axes
+    return np.asarray((rotated * np.maximum(share, 1.0)) @ rotated.T), float(count)
+
+
+def upper_bound(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return a covariance (k, k) that is an upper bound of two covariances: the larger of them along each common eigenvector.
+
+    Args:
+        first: (k, k).
+        second: (k, k), zero where the first is zero.
+    """
+    size = np.sqrt(np.maximum(np.diag(first), 0.0))
+    scale = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(first / np.outer(scale, scale))
+    kept = values > 1e-12 * values[-1]
+    root = (scale[:, None] * vectors[:, kept]) * np.sqrt(values[kept])
+    inverse_root = (vectors[:, kept] / np.sqrt(values[kept])).T / scale
+    share, axes = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
+    rotated = root @ axes
+    return np.asarray((rotated * np.maximum(share, 1.0)) @ rotated.T)
+
+
+# --- Estimate of all parameters of the causes, non-linear ones included, together with the set-up -
+
+STEPS: Final = 12
+"""Gauss-Newton steps, at most."""
+CONVERGED: Final = 1e-6
+"""Step, in standard deviations, below which the iteration has converged."""
+BLOCK_COLUMNS: Final = 64
+"""Columns of random effects evaluated at a time."""
+
+
+@final
+@dataclass(frozen=True)
+class RandomEffects:
+    """Patterns without a name as random effects, and the noise estimated with them.
+
+    Attributes:
+        random: their columns, each with its standard deviation in the column's unit.
+        variance_factor: factor on the stated noise variances.
+    """
+
+    random: Sequence[tuple[Column, float]]
+    variance_factor: float
+
+
+@final
+@dataclass(frozen=True)
+class Estimate:
+    """Estimated parameters of some causes.
+
+    Attributes:
+        quantities: reported parameters of each cause.
+        effects: effects of each cause; empty for a cause in the instrument.
+        covariance: covariance of the parameters of all effects, under their names in a calibration.
+        signature: (3n, k) contribution of each of k causes to the whitened readings, held out or not.
+        explained: reduction of chi².
+        wald: for each cause the Wald statistic of its parameters, their number, and the number of groups that their covariance is
+            estimated from (infinite where it is due to the stated noise).
+    """
+
+    quantities: tuple[tuple[Quantity, ...], ...]
+    effects: tuple[tuple[Effect, ...], ...]
+    covariance: Covariance
+    signature: np.ndarray
+    explained: float
+    wald: tuple[tuple[float, int, float], ...] = ()
+
+
+@dataclass
+class _Part:
+    """One cause during the joint fit.
+
+    Attributes:
+        form: the cause.
+        fixed: non-linear parameters that are not fitted with the others.
+        scales: (w,) plausible sizes of its parameters.
+        columns: (3n, w) derivatives of the whitened readings by its parameters, at the current values.
+        values: (w,) its parameters.
+        effects: effects with these parameters; none for a cause in the instrument.
+        nonlinear: whether the columns depend on the parameters.
+        moments: second moments of the parameters of a drift whose likelihood is not normal.
+    """
+
+    form: Form
+    fixed: dict[str, float]
+    scales: np.ndarray
+    columns: np.ndarray
+    values: np.ndarray
+    effects: tuple[Effect, ...]
+    nonlinear: bool
+    moments: np.ndarray | None = None
+
+    def set_values(self, values: np.ndarray, longest: float) -> None:
+        """Set the parameters, within the effect's limits."""
+        self.values = values
+        if self.nonlinear:
+            self.effects = (_within_limits(self.form, self.effects[0], values, longest),)
+            self.values = np.array([parameter.value for parameter in self.effects[0].parameters])
+        else:
+            self.effects = _effects(self.form, values, self.fixed)
+
+    def linearise(self, problem: Problem, state: Mapping[str, Any]) -> None:
+        """Evaluate the columns at the current parameters."""
+        if self.nonlinear:
+            derived = effect_columns(self.effects[0], problem.network.machine, state)
+            self.scales = np.array([column.scale for column in derived])
+            self.columns = problem.signature(derived) / self.scales
+            self.values = np.array([parameter.value for parameter in self.effects[0].parameters])
+
+    def signature(self, problem: Problem, state: Mapping[str, Any]) -> np.ndarray:
+        """Return the contribution (3n,) to the whitened readings."""
+        return _signature_of(problem, state, self.effects) if self.nonlinear else np.asarray(self.columns @ self.values)
+
+
+def estimate(
+    problem: Problem,
+    forms: Sequence[Form],
+    noise_dof: float = float("inf"),
+    random_effects: RandomEffects | None = None,
+) -> Estimate:
+    """Estimate all parameters of the causes by Gauss-Newton iteration, with the set-up projected out.
+
+    Args:
+        problem: the data.
+        forms: the causes.
+        noise_dof: degrees of freedom of the noise variance.
+        random_effects: patterns without a name; they are not fitted but increase the covariance.
+    """
+    if not forms:
+        return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
+    state = machine_state(problem.network.data, problem.network.machine)
+    parts, inverse, signature = _fitted(problem, forms, state)
+    columns = np.concatenate([part.columns for part in parts], axis=1)
+    scales = np.concatenate([part.scales for part in parts])
+    residual = problem.residual - signature.sum(axis=1)
+    explained = problem.chi2 - float(residual @ problem.project(residual))
+    groups = float("inf")
+    by_patterns = None if random_effects is None else _with_patterns(problem, columns, inverse, scales, random_effects)
+    if lacks_fit(problem, residual, columns.shape[1], noise_dof):
+        wide, groups = robust_covariance(problem, columns * scales, residual, inverse / np.outer(scales, scales))
+        inverse = wide * np.outer(scales, scales)
+    if by_patterns is not None:
+        inverse = upper_bound(inverse, by_patterns)
+    wide = inverse + _by_compliances(problem, parts, state)
+    return _reported(problem, parts, inverse, wide, signature, explained, groups)
+
+
+def fitted_effects(problem: Problem, forms: Sequence[Form]) -> tuple[list[tuple[Effect, ...]], np.ndarray]:
+    """Return the effects of each of k causes with their parameters as `estimate` finds them, and the (3n, k) signatures.
+
+    Args:
+        problem: the data.
+        forms: the causes, at least one.
+    """
+    parts, _, signature = _fitted(problem, forms, machine_state(problem.network.data, problem.network.machine))
+    return [part.effects for part in parts], signature
+
+
+def _fitted(
+    problem: Problem, forms: Sequence[Form], state: Mapping[str, Any]
+) -> tuple[list[_Part], np.ndarray, np.ndarray]:
+    """Return the fitted causes, the covariance of all parameters, and the (3n, k) signature of each cause."""
+    parts = _initial_parts(problem, forms)
+    inverse = _gauss_newton(problem, parts, state)
+    return parts, inverse, np.stack([part.signature(problem, state) for part in parts], axis=1)
+
+
+def _initial_parts(problem: Problem, forms: Sequence[Form]) -> list[_Part]:
+    """Return all causes with parameters from a linear fit, and each drift with its most likely time constant given the others."""
+    scales = [np.array([column.scale for column in form.variant.columns]) for form in forms]
+    columns = [problem.signature(form.variant.columns) / own for form, own in zip(forms, scales, strict=True)]
+    _, start = _least_squares(problem, np.concatenate(columns, axis=1), problem.residual, np.concatenate(scales))
+    values = np.split(start, np.cumsum([len(own) for own in scales])[:-1])
+    parts = []
+    for form, own, signature, found in zip(forms, scales, columns, values, strict=True):
+        fixed = dict(form.variant.fixed)
+        effects = _effects(form, found, fixed)
+        part = _Part(
+            form, fixed, own, signature, found, effects, form.candidate.drift is None and _is_nonlinear(form, effects)
+        )
+        parts.append(part)
+    for part in parts:
+        _fit_drift_of(
+            problem, part, [column for form in forms if form is not part.form for column in form.variant.columns]
+        )
+    return parts
+
+
+def _fit_drift_of(problem: Problem, part: _Part, others: Sequence[Column]) -> None:
+    """Set a drift to its maximum-likelihood fit given the other causes."""
+    drift = part.form.candidate.drift
+    if drift is None:
+        return
+    found = fit_drift(problem, drift, others)
+    straight = found.time_constant == STRAIGHT
+    unit = drift.columns(found.time_constant)
+    part.fixed = {} if straight else {"time_constant": found.time_constant}
+    part.scales = np.array([column.scale for column in unit])
+    part.columns, part.values = problem.signature(unit) / part.scales, found.values
+    part.effects = _effects(part.form, found.values, part.fixed)
+    part.moments = found.moments
+    part.nonlinear = found.moments is None and not straight
+
+
+def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any]) -> np.ndarray:
+    """Iterate until convergence and return the covariance of all parameters at the last step."""
+    longest = [_longest_scale(part.form) for part in parts]
+    for _ in range(STEPS if any(part.nonlinear for part in parts) else 1):
+        for part in parts:
+            part.linearise(problem, state)
+        residual = problem.residual - np.sum([part.signature(problem, state) for part in parts], axis=0)
+        sizes = np.concatenate([part.scales for part in parts])
+        inverse, step = _least_squares(
+            problem, np.concatenate([part.columns for part in parts], axis=1), residual, sizes
+        )
+        change = float(np.sqrt(max(step @ np.linalg.pinv(inverse, hermitian=True) @ step, 0.0)))
+        ends = np.cumsum([len(part.values) for part in parts])[:-1]
+        for part, own, most in zip(parts, np.split(step, ends), longest, strict=True):
+            part.set_values(part.values + own, most)
+        if change < CONVERGED:
+            break
+    return inverse
+
+
+def _reported(
+    problem: Problem,
+    parts: Sequence[_Part],
+    inverse: np.ndarray,
+    wide: np.ndarray,
+    signature: np.ndarray,
+    explained: float,
+    groups: float,
+) -> Estimate:
+    """Return the parameters with their covariance, as they are reported and as they stand in a calibration.
+
+    ``inverse`` is the covariance by the readings alone, for the test whether a cause is there; ``wide`` that of the sizes.
+    """
+    forms = [part.form for part in parts]
+    wald, quantities, transforms, drift_moments, names, at = [], [], [], [], [], 0
+    for part in parts:
+        width = part.columns.shape[1]
+        own_rows = slice(at, at + width)
+        test = inverse[own_rows, own_rows] / np.outer(part.scales, part.scales)
+        wald.append(_wald(part.values / part.scales, test, groups))
+        block = wide[own_rows, own_rows]
+        matrix = np.eye(width) if part.nonlinear else _matrix(part.form, part.fixed, width)
+        own = matrix @ block @ matrix.T if part.moments is None else part.moments
+        direct = part.form.candidate.space is not None or part.nonlinear or part.moments is not None
+        reported = _over_variants(problem, forms, part.form, own if direct else block)
+        quantities.append(_quantities(part.form, part.fixed, part.effects, part.values, reported))
+        if part.effects:
+            transform = np.zeros((len(own), len(inverse)))
+            if part.moments is None:
+                transform[:, own_rows] = matrix
+            transforms.append(transform)
+            drift_moments.append(np.zeros_like(own) if part.moments is None else own)
+            names += list(_parameters(part.effects))
+        at += width
+    transform = np.concatenate(transforms) if transforms else np.zeros((0, len(inverse)))
+    spread = transform @ wide @ transform.T
+    if any(part.moments is not None for part in parts):
+        spread += scipy.linalg.block_diag(*drift_moments)
+    covariance = Covariance(tuple(names), read_only((spread + spread.T) / 2.0))
+    effects = tuple(part.effects for part in parts)
+    return Estimate(tuple(quantities), effects, covariance, signature, explained, tuple(wald))
+
+
+def _effects(form: Form, values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
+    build = form.candidate.build
+    return () if build is None else build(values, fixed)
+
+
+def _with_patterns(
+    problem: Problem, columns: np.ndarray, inverse: np.ndarray, sizes: np.ndarray, random_effects: RandomEffects
+) -> np.ndarray:
+    """Return the covariance of the least-squares values when noise and random effects both act on the readings."""
+    scaled = columns * sizes
+    own = pseudo_inverse(problem.inner(scaled))
+    gain = np.zeros((len(sizes), len(random_effects.random)))
+    for start in range(0, len(random_effects.random), BLOCK_COLUMNS):
+        some = random_effects.random[start : start + BLOCK_COLUMNS]
+        signature = problem.signature([column for column, _ in some]) * [deviation for _, deviation in some]
+        gain[:, start : start + BLOCK_COLUMNS] = own @ problem.along(scaled, problem.project(signature))
+    return inverse * random_effects.variance_factor + (gain @ gain.T) * np.outer(sizes, sizes)
+
+
+def _by_compliances(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any]) -> np.ndarray:
+    """Return the (w, w) share of the covariance of all parameters due to the compliances by which added loads act (GUM 5.1.2).
+
+    Their uncertainties are taken as independent. A compliance that is not known counts with a plausible size (`AddedLoad.beside`).
+    """
+    scales = np.concatenate([part.scales for part in parts])
+    added = [one for part in parts for one in part.effects if isinstance(one, AddedLoad)]
+    loads = [one for load in added for one in (load, *load.beside) if one.relative_u > 0.0]
+    if not loads:
+        return np.zeros((len(scales), len(scales)))
+    scaled = np.concatenate([part.columns for part in parts], axis=1) * scales
+    moved = np.stack([one.relative_u * _signature_of(problem, state, (one,)) for one in loads], axis=1)
+    own = pseudo_inverse(problem.inner(scaled))
+    gain = own @ problem.along(scaled, problem.project(moved))
+    return np.asarray((gain @ gain.T) * np.outer(scales, scales))
+
+
+def _wald(values: np.ndarray, covariance: np.ndarray, groups: float) -> tuple[float, int, float]:
+    found, vectors = np.linalg.eigh(covariance)
+    kept = found > 1e-12 * found[-1]
+    along = vectors[:, kept].T @ values
+    return float(np.sum(along**2 / found[kept])), int(kept.sum()), groups
+
+
+def _matrix(form: Form, fixed: Mapping[str, float], width: int) -> np.ndarray:
+    """Return the matrix from fitted parameters to the parameters of a calibration, which are linear in them."""
+    build = form.candidate.build
+    if build is None:
+        return np.eye(width)
+    return np.array([list(_parameters(build(unit, fixed)).values()) for unit in np.eye(width)]).T
+
+
+def _parameters(effects: Sequence[Effect]) -> dict[str, float]:
+    """Return the parameters of a cause by name; effects of one cause in several frames share theirs."""
+    return {parameter.name: parameter.value for effect in effects for parameter in effect.parameters}
+
+
+def _least_squares(
+    problem: Problem, columns: np.ndarray, residual: np.ndarray, scale: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return covariance and least-squares step; both are zero along directions that are not identifiable; overwrites ``columns``."""
+    scaled = np.multiply(columns, scale, out=columns)
+    gram, slope = problem.normal_equations(scaled, residual)
+    inverse = pseudo_inverse(gram)
+    return inverse * np.outer(scale, scale), (inverse @ slope) * scale
+
+
+def _signature_of(problem: Problem, state: Mapping[str, Any], effects: Sequence[Effect]) -> np.ndarray:
+    """Return the contribution (3n,) of effects to the whitened readings."""
+    view, frames = problem.view, problem.network.machine.frames
+    index = {(frame.axis, frame.role): i for i, frame in enumerate(frames)}
+    found = np.zeros((len(view.rows), 3))
+    for effect in effects:
+        at = 6 * index[effect.frame.axis, effect.frame.role]
+        for i, values in effect.components(state).items():
+            found += view.by_error[:, :, at + i] * (np.asarray(values)[:, None] * 1e-6)
+    return found.reshape(-1)
+
+
+def _over_variants(problem: Problem, forms: Sequence[Form], form: Form, covariance: np.ndarray) -> np.ndarray:
+    """Return the covariance of a cause's parameters, allowing for its other variants with the same parameters."""
+    own = form.variant
+    same = [
+        variant.columns
+        for variant in form.candidate.variants
+        if variant is not own and variant.fixed == own.fixed and len(variant.columns) == len(own.columns)
+    ]
+    if not same:
+        return covariance
+    others = [column for one in forms if one is not form for column in one.variant.columns]
+    return upper_bound(covariance, over_forms(problem, [own.columns, *same], others))
+
+
+def _is_nonlinear(form: Form, effects: Sequence[Effect]) -> bool:
+    """Return whether the effect has the form's non-linear parameters among its own."""
+    names = form.candidate.specification.nonlinear
+    return bool(names and effects) and all(name in effects[0].numbers for name in names)
+
+
+def _longest_scale(form: Form) -> float:
+    """Return the longest period or time constant tried of a form."""
+    tried = [
+        variant.fixed[name] for variant in form.candidate.variants for name in form.nonlinear if name in variant.fixed
+    ]
+    return max(tried, default=np.inf)
+
+
+def _within_limits(form: Form, effect: Effect, values: np.ndarray, longest: float) -> Effect:
+    kept = form.candidate.specification.constrain
+    return effect if kept is None else kept(effect, [float(v) for v in values], longest)
+
+
+def _converted(
+    reported: Callable[[np.ndarray], np.ndarray], values: np.ndarray, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the parameters reported and their covariance, to first order (GUM 5.2.2)."""
+    steps = 1e-4 * np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    slopes = np.stack(
+        [(reported(values + one) - reported(values - one)) / (2.0 * one.sum()) for one in np.diag(steps)], axis=1
+    )
+    return reported(values), slopes @ covariance @ slopes.T
+
+
+def _quantities(
+    form: Form, fixed: Mapping[str, float], effects: Sequence[Effect], values: np.ndarray, covariance: np.ndarray
+) -> tuple[Quantity, ...]:
+    if form.candidate.reported is not None:
+        values, covariance = _converted(form.candidate.reported, values, covariance)
+    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    if _is_nonlinear(form, effects):
+        return tuple(
+            Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, float(one))
+            for p, one in zip(effects[0].parameters, u, strict=True)
+        )
+    if effects and form.candidate.space is not None:
+        return tuple(
+            Quantity(f"c{k}", p.value, p.unit, float(one))
+            for k, (p, one) in enumerate(zip(effects[0].parameters, u, strict=True))
+        )
+    if effects and form.candidate.drift is not None:
+        # A time constant longer than the record: only the rate is identifiable, and from it the drift over the record.
+        hours = form.candidate.drift.constants[-1] / 3600.0
+        rate = effects[0].parameters[0].value
+        return (
+            Quantity("amplitude", rate * hours, "um", float(u[0]) * hours),
+            Quantity("rate", rate, "um/h", float(u[0])),
+        )
+    found = tuple(
+        Quantity(name, float(value), unit, float(one))
+        for (name, unit), value, one in zip(form.candidate.names, values, u, strict=False)
+        if one > 1e-9 * u.max()  # a parameter that is not identifiable is left out
+    )
+    if "order" in form.variant.fixed:
+        found = (Quantity("order", form.variant.fixed["order"], "1", 0.0), *found)
+    # Parameters that the search fixed within their bounds, such as a centre that the readings do not determine.
+    found += tuple(
+        Quantity(name, form.variant.fixed[name], unit, float("nan"))
+        for name, unit in form.candidate.names[len(values) :]
+        if name in form.variant.fixed
+    )
+    if form.candidate.drift is not None and "time_constant" in fixed:
+        found = (*found, Quantity("time_constant", fixed["time_constant"], "s", float(u[-1])))
+    return found
+
+
+# --- Weights of noise and discrepancy where the causes leave more than the noise ------------------
+
+REWEIGHTINGS: Final = 4
+"""Number of estimates with other weights, at most."""
+
+
+def remaining_discrepancy(
+    task: DiagnosisTask, forms: Sequence[Form], found: Estimate, patterned: Problem | None = None
+) -> Discrepancy:
+    """Return the discrepancy of the residuals that causes, and patterns if any, leave.
+
+    Args:
+        task: the data, with the weights of the estimate.
+        forms: the causes.
+        found: their estimate.
+        patterned: the same problem with the patterns projected out (`Problem.with_random_effects`); None to count them as discrepancy.
+    """
+    network, problem = task.by_noise.network, task.problem if patterned is None else patterned
+    residual = problem.residual - rewhitened(found.signature.sum(axis=1), task.problem.network, problem.network)
+    left = unwhiten(problem.network, problem.project(residual).reshape(-1, 3)[:, :, None])[:, :, 0]
+    # A direction with a prior takes up the share of a reading that its posterior variance has lost.
+    absorbed = len(problem.nuisance_coordinates) - float(np.sum(problem.nuisances.prior**2))
+    share = min((absorbed + _width(forms)) / problem.readings, 1.0)
+    taken_up = share * task.problem.network.covariance
+    return updated(network, task.discrepancy, left, taken_up, np.ones(len(left), dtype=bool))
+
+
+def reweighted(
+    task: DiagnosisTask, forms: Sequence[Form], found: Estimate, random_effects: RandomEffects | None
+) -> tuple[Estimate, Discrepancy]:
+    """Return the estimate with all that the causes leave in its weights, patterns too, and this discrepancy.
+
+    The same estimate where the causes fit. The reduction of chi² and the Wald statistics stay as they are: they are tests.
+
+    Args:
+        task: the data, with the weights of the estimate.
+        forms: the causes.
+        found: their estimate.
+        random_effects: patterns without a name (`estimate`).
+    """
+    by_noise = task.by_noise
+    left = by_noise.residual - rewhitened(found.signature.sum(axis=1), task.problem.network, by_noise.network)
+    if not forms or not lacks_fit(by_noise, left, _width(forms), task.noise.dof):
+        return found, no_discrepancy(by_noise.network)
+    weighted, again = task, found
+    for attempt in range(REWEIGHTINGS):
+        further = remaining_discrepancy(weighted, forms, again)
+        if settled(by_noise.network, weighted.discrepancy, further) or attempt == REWEIGHTINGS - 1:
+            break
+        weighted = weighted.with_discrepancy(further)
+        again = estimate(weighted.problem, forms, np.inf, random_effects)
+    signature = rewhitened(again.signature, weighted.problem.network, task.problem.network)
+    return (
+        replace(again, signature=read_only(signature), explained=found.explained, wald=found.wald),
+        weighted.discrepancy,
+    )
+
+
+def _width(forms: Sequence[Form]) -> int:
+    return sum(len(form.variant.columns) for form in forms)

@@ -1,1 +1,0 @@
-"""Sizes of causes and their uncertainty."""

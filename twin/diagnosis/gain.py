@@ -1,0 +1,432 @@
+"""The gain of the extended calibration as written: on all readings, on held-out readings, and at the tool.
+
+Empirical effects, without a known cause, fitted to the patterns that no named cause explains.
+
+Their coefficients are the most likely ones at the variances of the patterns, with the causes fixed at their written sizes. They enter
+a calibration only if held-out readings confirm them, and are valid only within the measured ranges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, final
+
+import numpy as np
+
+from twin._common.arrays import read_only
+from twin._common.errors import InputError
+from twin.diagnosis.causes import SizedCauses
+from twin.diagnosis.cross_validation import (
+    ENOUGH,
+    HeldOutFolds,
+    choose_folds,
+    folds_at_positions,
+    folds_in_time,
+    held_out_squares,
+    jackknife_interval,
+    predicted_pattern_shift,
+    predicted_shift,
+)
+from twin.diagnosis.forms import Candidates, Form
+from twin.diagnosis.likelihood import Likelihood, PatternTest
+from twin.diagnosis.nuisance import setup_basis
+from twin.diagnosis.payload import restore_payloads, select_on_part
+from twin.diagnosis.problem import Problem, in_um, rms, unwhiten
+from twin.diagnosis.result import Extension, Gain, HeldOut, Term, Unexplained
+from twin.diagnosis.structure import Findings, refit_on_part
+from twin.identification.network import Network
+from twin.identification.solve import solve
+from twin.machine.machine import Machine
+from twin.measurement.observation import machine_state
+from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.calibration_file import acting_frame, available_in_programs, unused_place
+from twin.model.effects import Effect, Empirical
+from twin.model.effects.empirical import channel_name
+from twin.model.effects.harmonic import APPROACH
+from twin.numerics.covariance import Covariance
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import volume
+
+
+def held_out(sized: SizedCauses, written: Collection[int] = ()) -> HeldOut | None:
+    """Return the residuals of held-out readings, without and with the causes that are significant on the other readings.
+
+    The search on each part starts from the selected causes; fitted periods and forbidden causes are reset first. None if nothing can
+    be held out.
+
+    Args:
+        sized: the causes with their sizes; they decide what is held out (`twin.diagnosis.cross_validation`).
+        written: numbers of the patterns that are in the file as well.
+    """
+    found, forms = sized.found, sized.forms
+    problem, candidates = found.problem, found.candidates
+    barred = {form.key for form, promise in zip(forms, sized.promised, strict=True) if not promise}
+    split = choose_folds(problem.network.data, problem.network.machine, [form.candidate for form in forms])
+    candidates.set_problem(problem)
+    restore_payloads(candidates, forms)
+    if split is None:
+        return None
+
+    def predict(small: Candidates) -> tuple[np.ndarray, np.ndarray]:
+        # If held-out readings refuted causes, the remaining ones are not searched again.
+        chosen = forms if found.refuted else select_on_part(small, forms).forms
+        kept, likelihood = refit_on_part(small, chosen, found.structure)
+        after = predicted_shift(problem, small, [form for form in kept if form.key not in barred])
+        if written and likelihood is not None:
+            after = after + predicted_pattern_shift(likelihood, kept, written)
+        return np.zeros_like(after), after
+
+    return _held_out(candidates, split, predict)
+
+
+def held_out_patterns(found: Findings, forms: Sequence[Form], written: Collection[int]) -> HeldOut | None:
+    """Return the residuals of held-out readings, with the causes alone and with some patterns added, fitted to the other readings.
+
+    Args:
+        found: the selected causes and patterns.
+        forms: the causes; the same on every part.
+        written: numbers of the patterns added.
+    """
+    problem, structure = found.problem, found.structure
+    network, candidates = problem.network, found.candidates
+    names = {name for k in written for name in structure.pattern_tests[k].pattern.names}
+    # The approach direction of an axis is held out by the positions of that axis.
+    axes = {channel_name(name).removeprefix(APPROACH) for name in names}
+    moving = [i for i, name in enumerate(network.machine.names) if name in axes]
+    split = folds_at_positions(network.data, moving) if moving else folds_in_time(network.data)
+    if split is None:
+        return None
+
+    def predict(small: Candidates) -> tuple[np.ndarray, np.ndarray]:
+        named = predicted_shift(problem, small, forms)
+        return named, named + predicted_pattern_shift(Likelihood(small, structure.pattern_tests), forms, written)
+
+    return _held_out(candidates, split, predict)
+
+
+def _held_out(
+    candidates: Candidates, split: HeldOutFolds, predict: Callable[[Candidates], tuple[np.ndarray, np.ndarray]]
+) -> HeldOut | None:
+    table = held_out_squares(candidates, split, predict)
+    if table is None:
+        return None
+    total = table.sum(axis=0)
+    before, after = np.sqrt(total[:2] / total[2])
+    return HeldOut(split.of, len(table), float(before), float(after), jackknife_interval(table))
+
+
+# --- Empirical effects, without a known cause, fitted to the patterns that no named cause explains
+
+DIRECTIONS: Final = 3
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class EmpiricalExtension:
+    """Empirical effects fitted to the unexplained patterns.
+
+    Attributes:
+        extension: their description in the result.
+        effects: those that are written; empty if held-out readings do not confirm them.
+        covariance: of their parameters.
+        written: numbers of their patterns.
+        left_um: RMS per coordinate of the patterns that are not written.
+    """
+
+    extension: Extension
+    effects: tuple[Empirical, ...]
+    covariance: Covariance
+    written: tuple[int, ...]
+    left_um: float
+
+
+def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
+    """Fit an empirical effect to each pattern, and test on held-out readings whether the effects reduce the residuals.
+
+    Args:
+        sized: the causes with their sizes.
+        calibration: the calibration tested.
+    """
+    found, forms = sized.found, sized.forms
+    likelihood = found.structure.likelihood
+    if likelihood is None or not likelihood.pattern_tests:
+        return _not_extended(Extension((), 0.0, None, False, "it depends on no column of the table"))
+    machine, problem = found.problem.network.machine, found.problem
+    model = likelihood.fit(forms, found.structure.model)
+    left = problem.residual - sized.estimate.signature.sum(axis=1)
+    which, values, covariance = likelihood.most_likely(model, likelihood.slope_with(left))
+    terms: list[Term] = []
+    effects: list[Empirical] = []
+    written: list[int] = []
+    kept = np.zeros(len(which), dtype=bool)
+    moved, stays = np.zeros((2, len(problem.residual)))
+    taken = [effect.name for effect in calibration.extra]
+    for k, pattern_test in enumerate(likelihood.pattern_tests):
+        own = likelihood.group[which] // DIRECTIONS == k
+        made = likelihood.effect_on_readings(which[own], values[own])
+        term = _term(pattern_test, machine, _rms(problem, made), taken)
+        if term.reason is None:
+            effects.append(_effect(term, pattern_test, machine, likelihood, k, which[own], values[own]))
+            taken.append(effects[-1].name)
+            written.append(k)
+            kept |= own
+            moved += made
+        else:
+            stays += made
+        terms.append(term)
+    held = held_out_patterns(found, forms, written) if effects else None
+    reason = _unproven(held) if effects else "; ".join(dict.fromkeys(str(term.reason) for term in terms))
+    extension = Extension(tuple(terms), _rms(problem, moved), held, reason is None, reason)
+    if reason is not None:
+        return _not_extended(extension)
+    names = tuple(parameter.name for effect in effects for parameter in effect.parameters)
+    matrix = read_only(covariance[np.ix_(kept, kept)])
+    return EmpiricalExtension(
+        extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, stays)
+    )
+
+
+def _not_extended(extension: Extension) -> EmpiricalExtension:
+    return EmpiricalExtension(extension, (), Covariance.none(), (), 0.0)
+
+
+def _rms(problem: Problem, made: np.ndarray) -> float:
+    """Return the RMS per coordinate, µm, of (3n,) whitened shifts after projecting out the set-up."""
+    return rms(in_um(problem.network, problem.project(made)), problem.network.read)
+
+
+def _term(pattern_test: PatternTest, machine: Machine, size: float, taken: Sequence[str]) -> Term:
+    """Return the term of a pattern, with the reason if it cannot become an effect."""
+    pattern = pattern_test.pattern
+    columns = pattern.waves(pattern_test.level)
+    along = _along(pattern_test)
+    reason = None
+    unknown = [one.column for one in columns if not available_in_programs(one.column, machine)]
+    if unknown:
+        reason = f"it depends on {' and '.join(unknown)}, which a later program does not know"
+    elif size == 0.0:
+        reason = "with the causes in the model its size is zero"
+    else:
+        try:
+            acting_frame(pattern.side, along, machine)
+        except InputError as error:
+            reason = error.what
+    ranges = {one.column: one.range for one in columns if one.range is not None}
+    return Term(unused_place(pattern.side, columns, taken), along, pattern.names, ranges, size, reason)
+
+
+def _along(pattern_test: PatternTest) -> Literal["base", "tool", "work"]:
+    if pattern_test.pattern.field == "base":
+        return "base"
+    return "tool" if pattern_test.pattern.side == "tool" else "work"
+
+
+def _effect(
+    term: Term,
+    pattern_test: PatternTest,
+    machine: Machine,
+    likelihood: Likelihood,
+    k: int,
+    which: np.ndarray,
+    values: np.ndarray,
+) -> Empirical:
+    """Return the empirical effect of one pattern.
+
+    Args:
+        term: side, columns and ranges of the effect.
+        pattern_test: the pattern.
+        machine: the machine.
+        likelihood: of all patterns.
+        k: number of this pattern.
+        which: numbers of its columns with a coefficient.
+        values: their coefficients, µm.
+    """
+    columns = pattern_test.pattern.waves(pattern_test.level)
+    # Columns are sorted by direction, then by function.
+    names = np.array(Empirical.names(columns)).ravel()
+    own = np.flatnonzero(likelihood.group // DIRECTIONS == k)
+    chosen = names[np.searchsorted(own, which)].tolist()
+    frame, turning = acting_frame(pattern_test.pattern.side, _along(pattern_test), machine)
+    numbers = dict(zip(chosen, values.tolist(), strict=True))
+    return Empirical(term.where, _along(pattern_test), columns, numbers, frame, turning)
+
+
+def _unproven(held: HeldOut | None) -> str | None:
+    """Return why held-out readings do not confirm the effects; None if they do."""
+    if held is None:
+        return "no readings could be held out to confirm it"
+    if held.ci95_um is None:
+        return f"fewer than {ENOUGH} {held.of} could be held out, too few to confirm it"
+    if held.ci95_um[0] <= 0.0:
+        return (
+            f"held-out {held.of} do not confirm it ({held.before_um:.3g} µm without it, {held.after_um:.3g} µm with it)"
+        )
+    return None
+
+
+# --- The gain of the extended calibration as written: on all readings, on held-out readings, and at the tool
+
+LARGEST_UM: Final = 1e5
+"""Error at the tool above which none is stated: small rotations and compliances do not describe a machine that is 100 mm off."""
+DEFAULT_TOOL_MM: Final = 100.0
+"""Tool length assumed if the machine file has none."""
+
+
+def gain(
+    sized: SizedCauses,
+    residuals: tuple[np.ndarray, np.ndarray],
+    left: Unexplained | None,
+    empirical_extension: EmpiricalExtension | None,
+) -> Gain:
+    """Return the gain of the extended calibration.
+
+    Args:
+        sized: the causes with their sizes.
+        residuals: (n, 3) µm with the given and with the extended calibration.
+        left: the unexplained residuals.
+        empirical_extension: the empirical effects fitted to them; None if not requested.
+    """
+    network, problem = sized.found.problem.network, sized.found.problem
+    held = held_out(sized, () if empirical_extension is None else empirical_extension.written)
+    effects, covariance = sized.effects, sized.covariance
+    # Errors that are not in the file remain: causes that are not promised, and unexplained residuals.
+    stays = [
+        float(np.nansum(in_um(problem.network, sized.estimate.signature[:, k]) ** 2) / len(network.data))
+        for k, own in enumerate(sized.promised)
+        if not own
+    ]
+    size = 0.0 if left is None or not left.depends_on else left.size_um
+    unseen = 0.0
+    if empirical_extension is not None and empirical_extension.effects:
+        effects = [*effects, *empirical_extension.effects]
+        covariance, size = (
+            Covariance.of_blocks([covariance, empirical_extension.covariance]),
+            empirical_extension.left_um,
+        )
+        # The true pattern is larger than the most likely one by its uncertainty, so that is part of the machine's error too.
+        unseen = error_at_tool(
+            network.data, network.machine, empirical_extension.effects, empirical_extension.covariance
+        )[1]
+    moved, doubt = error_at_tool(network.data, network.machine, effects, covariance)
+    rest = sum(stays) + 3.0 * size**2
+    before, after = residuals
+    return Gain(
+        rms(before, network.read),
+        rms(after, network.read),
+        held,
+        *_plausible(np.sqrt(moved**2 + unseen**2 + rest), np.sqrt(doubt**2 + rest)),
+        tool_length_of(network.machine),
+    )
+
+
+def _plausible(before: float, after: float) -> tuple[float, float]:
+    """Return the errors at the tool before and after; both NaN if either is larger than the model describes."""
+    known = max(before, after) <= LARGEST_UM
+    return (float(before), float(after)) if known else (float("nan"), float("nan"))
+
+
+def residuals_as_written(
+    problem: Problem, extended: Calibration, instrument: np.ndarray, root: np.ndarray
+) -> np.ndarray:
+    """Return the (n, 3) residuals in µm with a calibration as written, the set-up refitted; NaN where no coordinate was measured.
+
+    Args:
+        problem: the data.
+        extended: the calibration.
+        instrument: (3n,) whitened effect of the instrument errors found, subtracted from the readings first.
+        root: (n, 3, 3) square root of the covariance by the discrepancy, metres, for the weights of the set-up.
+    """
+    network = problem.network.with_discrepancy(root)
+    as_written = Network(
+        network.machine,
+        network.data,
+        network.instruments,
+        network.unknowns,
+        extended,
+        network.covariance,
+        check=False,
+    )
+    setup = solve(as_written, np.zeros(0), problem.setup, np.ones(len(network.data))).setup
+    columns = np.empty((len(setup) + 1, len(network.data), 3))
+    for chunk in as_written.chunks(np.zeros(0), setup):
+        columns[:, chunk.rows] = chunk.columns
+    columns[:-1] *= setup.plausible[:, None, None]
+    *_, residual = flat = columns.reshape(len(columns), -1)
+    moved = unwhiten(problem.network, instrument.reshape(-1, 3)[:, :, None])
+    residual -= (network.whitening @ moved).reshape(-1)
+    basis, _ = setup_basis(flat[:-1].T)
+    return in_um(as_written, residual - basis @ (basis.T @ residual))
+
+
+def tool_length_of(machine: Machine) -> float:
+    """Return the machine file's tool length, or `DEFAULT_TOOL_MM`: with zero length a rotation about the spindle nose has no effect."""
+    return machine.tool_length_mm or DEFAULT_TOOL_MM
+
+
+def error_at_tool(
+    data: Measurements, machine: Machine, effects: Sequence[Effect], covariance: Covariance
+) -> tuple[float, float]:
+    """Return the RMS error at the tool over the volume with the given and with the extended calibration, on the extended machine.
+
+    With the given calibration the effects themselves remain, to first order; with the extended one their uncertainty. The volume is
+    limited to the ranges of empirical effects.
+
+    Args:
+        data: the measurements, for their temperatures and times.
+        machine: the machine.
+        effects: the effects found.
+        covariance: of their parameters.
+    """
+    if not effects:
+        return 0.0, 0.0
+    positions = _inside(volume(machine, 400), machine, effects)
+    rng = np.random.default_rng(16907)
+    sides = rng.choice([-1.0, 1.0], (len(machine.axes), len(positions)))
+    rows = rng.integers(0, len(data), len(positions))
+    measured = machine_state(data, machine)
+    state: dict[str, Any] = {name: values[rows] for name, values in measured.items()}
+    state |= {f"approach_{name}": own for name, own in zip(machine.names, sides, strict=True)}
+    state |= {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
+    at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_of(machine))
+    by_error = at_tip.sensitivities(positions).error[:, :3]
+    index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(machine.frames)}
+
+    def moved(effect: Effect, own: Mapping[int, Any]) -> np.ndarray:
+        at, found = index[effect.frame.axis, effect.frame.role], np.zeros((len(positions), 3))
+        for i, value in own.items():
+            # Effects that depend on earlier readings were evaluated on all readings in their order.
+            values = np.asarray(value, dtype=float)[rows] if effect.history else np.asarray(value, dtype=float)
+            found += by_error[:, :, at + i] * np.broadcast_to(values, len(positions))[:, None]
+        return found
+
+    states = [measured if effect.history else state for effect in effects]
+    whole = np.sum([moved(one, one.components(own)) for one, own in zip(effects, states, strict=True)], axis=0)
+    by_parameter: dict[str, np.ndarray] = {}
+    for effect, own in zip(effects, states, strict=True):
+        for parameter, derivative in zip(effect.parameters, effect.derivatives(own), strict=True):
+            # Effects in several frames share the parameters of an added load.
+            by_parameter[parameter.name] = by_parameter.get(parameter.name, 0.0) + moved(effect, derivative)
+    known = [name for name in covariance.names if name in by_parameter]
+    columns = np.stack([by_parameter[name] for name in known], axis=2)
+    variance = np.sum((columns @ covariance.of(known).matrix) * columns, axis=(1, 2))
+    return float(np.sqrt(np.mean(np.sum(whole**2, axis=1)))), float(np.sqrt(np.mean(np.maximum(variance, 0.0))))
+
+
+def _inside(positions: np.ndarray, machine: Machine, effects: Sequence[Effect]) -> np.ndarray:
+    """Return (n, axes) positions of the volume, scaled into the ranges of the empirical effects."""
+    found = np.array(positions)
+    for i, axis in enumerate(machine.axes):
+        ranges = [
+            own
+            for effect in effects
+            if isinstance(effect, Empirical)
+            for column, own in effect.ranges.items()
+            if channel_name(column) == axis.name
+        ]
+        span = np.ptp(positions[:, i])
+        if ranges and span > 0.0:
+            low, high = max(own[0] for own in ranges), min(own[1] for own in ranges)
+            found[:, i] = low + (positions[:, i] - positions[:, i].min()) / span * (high - low)
+    return found

@@ -1,0 +1,496 @@
+"""Likelihood of causes together with unnamed patterns, whose variances are estimated.
+
+After projecting out the set-up, r ~ N(Xβ, s²(1 + ΦDΦᵀ)) with causes X, functions Φ of the patterns, a variance in D for each direction
+of each pattern, and s ≥ 1 for noise larger than stated, all by maximum likelihood (D by the fixed point of MacKay 1992, Neural
+Computation 4, 415). Sets of causes are compared by this likelihood, with the variances re-estimated for each. A cause that imitates
+part of a pattern increases it little over the pattern alone; a cause that leaves almost nothing to the patterns increases it much.
+
+Test for unnamed patterns in the residuals: a variance component for every column and pair of columns.
+
+The residual r is tested for a random function of each pattern (`twin.diagnosis.patterns`): with its functions φ the
+statistic is rᵀMφ(φᵀMφ + 1/τ)⁻¹φᵀMr, the score of the variance (Lin 1997, Biometrika 84, 309) at a plausible variance τ. For noise
+alone it is a sum of χ² with known weights, whose tail follows from the saddlepoint approximation (Kuonen 1999, Biometrika 86, 929).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+import scipy
+
+from twin._common.arrays import largest_first
+from twin.diagnosis.candidates.candidate import Column
+from twin.diagnosis.forms import Candidates, Form, columns_of, log_p_value, pseudo_inverse
+from twin.diagnosis.patterns import PLAUSIBLE, SEEN, Pattern, PatternScores
+from twin.diagnosis.problem import Problem
+
+ALARMS: Final = 0.01
+"""Rate of false alarms: share of data sets without an error in which a pattern is found."""
+EXACT: Final = 24
+"""Number of tests, the most significant ones by two moments, whose p-value is evaluated exactly by eigenvalues."""
+AT_ONCE: Final = 32
+"""Tests with equally many functions whose moments are computed at once."""
+DIRECTIONS: Final[tuple[tuple[int, ...], ...]] = ((0,), (1,), (2,), (0, 1, 2))
+"""Directions of the frame that are tested: each alone, and all together."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PatternTest:
+    """One test of one pattern.
+
+    Attributes:
+        pattern: the pattern tested.
+        level: highest order of its functions.
+        directions: directions of its frame.
+        log_p: natural log of the p-value, not corrected for multiple testing.
+        log_price: natural log of the number of tests.
+        explained: χ² explained beyond the expectation from noise.
+    """
+
+    pattern: Pattern
+    level: int
+    directions: tuple[int, ...]
+    log_p: float
+    log_price: float
+    explained: float
+
+    @property
+    def found(self) -> bool:
+        """Return whether it is significant, corrected for multiple testing."""
+        return self.log_p_corrected < np.log(ALARMS)
+
+    @property
+    def log_p_corrected(self) -> float:
+        """Return the log p-value corrected for multiple testing."""
+        return min(self.log_p + self.log_price, 0.0)
+
+
+def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof: float) -> list[PatternTest]:
+    """Return the most significant test of each pattern, most significant first.
+
+    Args:
+        problem: the data.
+        tried: patterns to test.
+        forms: causes that are projected out.
+        dof: degrees of freedom of the noise estimate.
+    """
+    if not tried:
+        return []
+    scores = PatternScores(problem, forms, tried)
+    kinds = [(pattern, level, where) for pattern in tried for level in pattern.levels for where in DIRECTIONS]
+    along = _moments_along(scores, tried)
+    moments = np.stack([along[:, :, list(where)].sum(axis=2) for where in DIRECTIONS], axis=1)
+    found, mean, variance = moments.reshape(-1, 3).T
+    varying = np.flatnonzero(variance > 0.0)
+    log_p = np.zeros(len(kinds))
+    log_p[varying] = _two_moments(found[varying], mean[varying], variance[varying])
+    tests = varying[np.argsort(log_p[varying], kind="stable")].tolist()
+    price = float(np.log(max(len(tests), 1)))
+    distributions = scores.distributions([kinds[i] for i in tests[:EXACT]])
+    log_p[tests[:EXACT]] = [log_tail(weights, score, dof) for weights, score in distributions]
+    best: dict[Pattern, PatternTest] = {}
+    for i in tests:
+        pattern, level, directions = kinds[i]
+        pattern_test = PatternTest(pattern, level, directions, float(log_p[i]), price, float(found[i] - mean[i]))
+        if pattern not in best or pattern_test.log_p < best[pattern].log_p:
+            best[pattern] = pattern_test
+    every = list(best.values())
+    return [every[i] for i in largest_first(np.array([-one.log_p for one in every]))]
+
+
+def _moments_along(scores: PatternScores, tried: Sequence[Pattern]) -> np.ndarray:
+    """Return (n, 3, 3): of each pattern and level the score, and its mean and variance for noise alone, along each direction."""
+    found: list[np.ndarray] = []
+    alike: dict[int, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}
+    for pattern in tried:
+        slope, gram = scores.of(pattern)
+        for level in pattern.levels:
+            chosen = np.flatnonzero(pattern.order <= level)
+            found.append(np.zeros((3, 3)))
+            waiting = alike.setdefault(len(chosen), [])
+            waiting.append((slope[:, chosen], gram[:, chosen[:, None], chosen], found[-1]))
+            if len(waiting) == AT_ONCE:
+                _fill(alike.pop(len(chosen)))
+    for waiting in alike.values():
+        _fill(waiting)
+    return np.stack(found)
+
+
+def _fill(waiting: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
+    """Compute the moments (3, 3) of (3, m) scores and (3, m, m) Gram matrices with as many functions, and put them in place."""
+    slopes, grams, places = zip(*waiting, strict=True)
+    own = _moments(np.concatenate(slopes), np.concatenate(grams))
+    for place, part in zip(places, np.split(own, len(places), axis=1), strict=True):
+        place[...] = part
+
+
+def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:
+    """Return (3, d): score, and its mean and variance for noise alone, along each of d directions."""
+    count = slope.shape[1]
+    size = np.einsum("dii->d", gram)
+    seen = size > 0.0
+    # (G + 1/τ)⁻¹; the weights of the χ² are the eigenvalues of 1 − (G + 1/τ)⁻¹/τ.
+    by_prior = np.where(seen, size / PLAUSIBLE, 1.0)
+    inverse = np.linalg.inv(np.where(seen[:, None, None], gram, 0.0) + by_prior[:, None, None] * np.eye(count))
+    weights = np.eye(count) - inverse * by_prior[:, None, None]
+    score = np.einsum("di,di->d", slope, (inverse @ slope[:, :, None])[:, :, 0])
+    found = [score, np.einsum("dii->d", weights), 2.0 * np.einsum("dij,dij->d", weights, weights)]
+    return np.where(seen, np.stack(found), 0.0)
+
+
+def _two_moments(score: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return the log p-values of scores by scaled χ² with their means and variances (Satterthwaite 1946)."""
+    return log_p_value(2.0 * score * mean / variance, 2.0 * mean**2 / variance, np.inf)
+
+
+def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:
+    """Return the log probability that Σ wᵢχ²₁ exceeds a value times χ²/dof of an estimated noise variance.
+
+    Saddlepoint approximation of Kuonen (1999), in the form of Barndorff-Nielsen (1990), whose logarithm is finite for any probability.
+
+    Args:
+        weights: weights of the sum, not negative.
+        value: value of the sum.
+        dof: degrees of freedom of the noise estimate; infinite if the noise is known.
+    """
+    w = weights[weights > SEEN * max(float(weights.max(initial=0.0)), 1e-300)]
+    if len(w) == 0 or value <= 0.0:
+        return 0.0
+    count = np.ones(len(w))
+    target = value
+    if np.isfinite(dof):
+        w, count, target = np.append(w, -value / dof), np.append(count, dof), 0.0
+    if target <= float(count @ w):
+        return float(np.log(0.5))
+    low, high = 0.0, 0.5 / float(w.max()) * (1.0 - 1e-15)
+
+    def slope(zeta: float) -> float:
+        return float(np.sum(count * w / (1.0 - 2.0 * zeta * w)) - target)
+
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
+        low, high = (middle, high) if slope(middle) < 0.0 else (low, middle)
+    zeta = 0.5 * (low + high)
+    generating = -0.5 * float(np.sum(count * np.log1p(-2.0 * zeta * w)))
+    curvature = 2.0 * float(np.sum(count * w**2 / (1.0 - 2.0 * zeta * w) ** 2))
+    first = np.sqrt(max(2.0 * (zeta * target - generating), 0.0))
+    second = zeta * np.sqrt(curvature)
+    if first < 1e-4:
+        return float(np.log(0.5))
+    return float(scipy.special.log_ndtr(-(first + np.log(second / first) / first)))
+
+
+# --- Likelihood of causes together with unnamed patterns, whose variances are estimated -----------
+
+STEPS: Final = 40
+"""Largest number of iterations."""
+STILL: Final = 0.02
+"""Change of the logarithm of a variance below which the iteration has converged."""
+SMALL: Final = 1e-3
+"""Noncentrality of a pattern along a direction below which that direction is dropped."""
+LITTLE: Final = 1e-6
+"""Noncentrality below which a function of a pattern has no effect on the likelihood."""
+UNREAD: Final = 1e-9
+"""Share of the best measured direction below which a direction counts as not measured."""
+NEARLY_DEPENDENT: Final = 1e-8
+"""Eigenvalue of a pattern's inner products, relative to the largest, below which a pattern imitates nothing along a direction."""
+FIRST: Final = 10.0
+"""Initial noncentrality of a direction of a pattern."""
+TOGETHER: Final = 64
+"""Columns evaluated at once."""
+MOSTLY: Final = 0.5
+"""Share of the effect of a cause that a pattern must reproduce to count as imitating it."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Causes with patterns, at the most likely variances.
+
+    Attributes:
+        twice_log_ratio: twice the log likelihood ratio wald noise as stated without causes and patterns.
+        variances: of each group of the patterns' columns, relative to the noise, µm².
+        variance_factor: s², the variance factor of the noise, at least one.
+        explained: χ² explained by causes and patterns together.
+        values: (columns,) coefficients of the causes, in the order of `together`.
+        random: coefficients of the patterns' rotated columns, µm.
+        covariance: (columns, columns) of the causes' coefficients at these variances, in units of the noise variance.
+        effective_dof: effective degrees of freedom of the patterns.
+    """
+
+    twice_log_ratio: float
+    variances: np.ndarray
+    variance_factor: float
+    explained: float
+    values: np.ndarray
+    random: np.ndarray
+    covariance: np.ndarray
+    effective_dof: float
+
+
+@final
+class Likelihood:
+    """Likelihood of the causes of a pool together with some patterns.
+
+    The columns of each variance are rotated so that they are orthogonal in the readings. The likelihood stays the same, and columns
+    that the readings do not determine drop out: for few readings, that is most of the columns.
+
+    Args:
+        candidates: the data and the causes.
+        pattern_tests: the patterns.
+    """
+
+    def __init__(self, candidates: Candidates, pattern_tests: Sequence[PatternTest]) -> None:
+        self.candidates = candidates
+        self.pattern_tests = tuple(pattern_tests)
+        self._imitated: dict[int, np.ndarray] = {}
+        self._roots: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self.columns: list[Column] = []
+        group: list[int] = []
+        for k, pattern_test in enumerate(pattern_tests):
+            # All directions, each with its own variance: a cause may imitate the pattern along a direction other than the clearest.
+            for i in range(3):
+                own = pattern_test.pattern.columns(pattern_test.level, [i])
+                group += [3 * k + i] * len(own)
+                self.columns += own
+        self.group = np.array(group, dtype=int)
+        problem = candidates.problem
+        gram, by_nuisance, slope = candidates.products.among(self.columns)
+        basis = problem.root.T @ problem.nuisances.from_raw(by_nuisance)
+        gram, slope = gram - basis.T @ basis, slope - basis.T @ (problem.root.T @ problem.residual_on_basis)
+        size = np.bincount(self.group, np.diag(gram), 3 * len(pattern_tests))
+        self._size = np.where(size > UNREAD * size.max(initial=0.0), size, 0.0)
+        self._rotation, self._own = _orthogonal(gram, self.group, self._size)
+        self._gram = self._rotation.T @ gram @ self._rotation
+        self._slope = self._rotation.T @ slope
+        self._cross = self._rotation.T @ candidates.along(self.columns, basis)
+        self._chi2, self._dof = problem.chi2, max(problem.dof, 1)
+
+    def fit(self, forms: Sequence[Form], start: Model | None = None, without: int | None = None) -> Model:
+        """Return the model at the most likely variances, for some causes.
+
+        Args:
+            forms: the causes.
+            start: model whose variances are the initial ones.
+            without: number of a pattern to omit.
+        """
+        first = np.where(self._size > 0.0, FIRST / np.maximum(self._size, 1e-300), 0.0)
+        variances, variance_factor = first, 1.0
+        if start is not None:
+            variances, variance_factor = np.maximum(start.variances, SMALL * first), start.variance_factor
+        if without is not None:
+            variances = np.where(np.arange(len(variances)) // 3 == without, 0.0, variances)
+        columns = columns_of(forms)
+        fixed = self.candidates.gram(forms)
+        for _ in range(STEPS):
+            model, moved = self._at(columns, fixed, variances, variance_factor)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                change = np.abs(np.log(moved / variances))
+            followed = variances * self._size > SMALL
+            settled = (
+                not np.any(change[followed] > STILL)
+                and abs(model.variance_factor / variance_factor - 1.0) < STILL * 0.1
+            )
+            variances, variance_factor = moved, model.variance_factor
+            if settled:
+                break
+        return self._at(columns, fixed, variances, variance_factor)[0]
+
+    def _followed(self, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the rotated columns with a relevant variance, their standard deviations, and 1 + D^½ΦᵀMΦD^½ of them."""
+        followed = (variances * self._size)[self._own] > SMALL
+        used = np.flatnonzero(followed & (variances[self._own] * np.diag(self._gram) > LITTLE))
+        deviation = np.sqrt(variances[self._own[used]])
+        inner = self._gram[np.ix_(used, used)]
+        inner *= deviation[:, None]
+        inner *= deviation
+        inner[np.diag_indices_from(inner)] += 1.0
+        return used, deviation, inner
+
+    def _at(
+        self, columns: np.ndarray, fixed: np.ndarray, variances: np.ndarray, variance_factor: float
+    ) -> tuple[Model, np.ndarray]:
+        """Return the model at given variances, and updated variances."""
+        used, deviation, inner = self._followed(variances)
+        cross = self._cross[np.ix_(used, columns)] * deviation[:, None]
+        slope = self._slope[used] * deviation
+        inverse, log_det = _inverse_factor(inner)
+        cross, slope_left = inverse @ cross, inverse @ slope
+        values, back = np.zeros(len(columns)), np.zeros((0, 0))
+        if len(columns):
+            back = pseudo_inverse(fixed - cross.T @ cross)
+            values = back @ (self.candidates.slope[columns] - cross.T @ slope_left)
+        found = inverse.T @ (slope_left - cross @ values)
+        explained = float(self.candidates.slope[columns] @ values + slope @ found)
+        more = max((self._chi2 - explained) / self._dof, 1.0)
+        # Relative to the stated noise alone, for which twice the log likelihood is −χ².
+        twice_log_ratio = self._chi2 - (self._chi2 - explained) / more - self._dof * float(np.log(more)) - log_det
+        groups = len(variances)
+        share = 1.0 - np.einsum("ij,ij->j", inverse, inverse)
+        known = np.bincount(self._own[used], share, groups)
+        squares = np.bincount(self._own[used], found**2, groups)
+        moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / variance_factor, variances)
+        random = np.zeros(len(self._own))
+        random[used] = found * deviation
+        return Model(twice_log_ratio, variances, more, explained, values, random, back, float(share.sum())), moved
+
+    def gain_bound(self, forms: Sequence[Form], model: Model, form: Form) -> float:
+        """Return an upper bound of the gain in twice the log likelihood by one cause: variances are not re-estimated without it."""
+        at = np.searchsorted(columns_of(forms), form.columns)
+        values = model.values[at]
+        return (
+            float(values @ np.linalg.pinv(model.covariance[np.ix_(at, at)], hermitian=True) @ values)
+            / model.variance_factor
+        )
+
+    def scan(self, forms: Sequence[Form], model: Model) -> tuple[np.ndarray, np.ndarray]:
+        """Return the χ² that every form explains given causes and patterns, in units of the noise, and its degrees of freedom."""
+        used, deviation, inner = self._followed(model.variances)
+        lower = np.linalg.cholesky(inner)
+        cross = scipy.linalg.solve_triangular(lower, self._cross[used] * deviation[:, None], lower=True)
+        slope = scipy.linalg.solve_triangular(lower, self._slope[used] * deviation, lower=True)
+        explained, dof = self.candidates.scan_beside(forms, cross, slope)
+        return explained / model.variance_factor, dof
+
+    def explained_by_patterns(self, forms: Sequence[Form], model: Model) -> np.ndarray:
+        """Return (patterns,) the χ² that each pattern explains and causes and other patterns do not."""
+        return np.array(
+            [
+                max(model.explained - self.fit(forms, model, without=k).explained, 0.0)
+                for k in range(len(self.pattern_tests))
+            ]
+        )
+
+    def can_imitate(self, form: Form) -> np.ndarray:
+        """Return (patterns,) one for each pattern that could reproduce most of the effect of a cause, else zero."""
+        if form.index in self._imitated:
+            return self._imitated[form.index]
+        own = form.columns
+        whole = self.candidates.gram([form])
+        values = np.ones(len(own)) if len(own) == 1 else self.candidates.fitted([form])[1]
+        size = float(values @ whole @ values)
+        found = np.zeros(len(self.pattern_tests))
+        for k in range(len(self.pattern_tests)):
+            mine, root = self._root_of(k)
+            along = root.T @ (self._cross[np.ix_(mine, own)] @ values)
+            found[k] = 1.0 if along @ along > MOSTLY * size else 0.0
+        self._imitated[form.index] = found
+        return found
+
+    def _root_of(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the columns of a pattern, and a square root of the pseudo-inverse of their inner products."""
+        if k not in self._roots:
+            mine = np.flatnonzero(self._own // 3 == k)
+            found, vectors = np.linalg.eigh(self._gram[np.ix_(mine, mine)])
+            kept = found > NEARLY_DEPENDENT * found.max(initial=0.0)
+            self._roots[k] = mine, vectors[:, kept] / np.sqrt(found[kept])
+        return self._roots[k]
+
+    def explained(self, forms: Sequence[Form], model: Model) -> float:
+        """Return the χ² that the patterns explain in addition to the causes."""
+        return model.explained - self.candidates.explained_by(forms)
+
+    def slope_beside(self, forms: Sequence[Form]) -> np.ndarray:
+        """Return inner products of the patterns' rotated columns with the residual of the causes, fitted without patterns."""
+        columns, values, _ = self.candidates.fitted(forms)
+        return np.asarray(self._slope - self._cross[:, columns] @ values)
+
+    def slope_with(self, residual: np.ndarray) -> np.ndarray:
+        """Return inner products of the patterns' rotated columns with a (3n,) whitened residual, the set-up projected out."""
+        problem = self.candidates.problem
+        left = problem.project(residual)
+        found = [
+            problem.along(problem.signature(self.columns[start : start + TOGETHER]), left)
+            for start in range(0, len(self.columns), TOGETHER)
+        ]
+        return np.asarray(self._rotation.T @ np.concatenate(found))
+
+    def most_likely(self, model: Model, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the most likely coefficients of the patterns at given variances, with the causes fixed.
+
+        Args:
+            model: the variances.
+            slope: result of `slope_beside` or `slope_with`.
+
+        Returns:
+            Numbers of the k columns with a relevant variance; (k,) their coefficients, µm; (k, k) the covariance, µm².
+        """
+        used, deviation, inner = self._followed(model.variances)
+        factor, _ = _inverse_factor(inner)
+        inverse = factor.T @ factor
+        which = self._followed_columns(model)
+        rotation = self._rotation[np.ix_(which, used)] * deviation
+        # A direction that is not measured keeps its prior variance.
+        covariance = np.diag(model.variances[self.group[which]]) + rotation @ (inverse - np.eye(len(used))) @ rotation.T
+        values = rotation @ (inverse @ (slope[used] * deviation))
+        return which, values, model.variance_factor * (covariance + covariance.T) / 2.0
+
+    def _followed_columns(self, model: Model) -> np.ndarray:
+        return np.flatnonzero((model.variances * self._size)[self.group] > SMALL)
+
+    def effect_on_readings(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return the (3n,) effect of some columns of the patterns on the whitened readings, held out or not.
+
+        Args:
+            which: (k,) column numbers.
+            values: (k,) coefficients, µm.
+        """
+        problem = self.candidates.problem
+        found = np.zeros(len(problem.residual))
+        for start in range(0, len(which), TOGETHER):
+            some = slice(start, start + TOGETHER)
+            found += problem.signature([self.columns[i] for i in which[some]]) @ values[some]
+        return found
+
+    def pattern(self, forms: Sequence[Form], model: Model) -> np.ndarray:
+        """Return the (3n,) most likely effect of the patterns on the whitened readings, set-up and causes projected out."""
+        problem = self.candidates.problem
+        found = self.effect_on_readings(np.arange(len(self.columns)), self._rotation @ model.random)
+        columns = columns_of(forms)
+        if len(columns):
+            back = pseudo_inverse(self.candidates.gram(forms))
+            signature = problem.signature([self.candidates.products.columns[i] for i in columns])
+            found -= signature @ (back @ (self._cross[:, columns].T @ model.random))
+        return problem.project(found)
+
+    def random(self, model: Model) -> list[tuple[Column, float]]:
+        """Return the patterns' columns with their standard deviations, µm."""
+        which = self._followed_columns(model)
+        sizes = np.sqrt(model.variances[self.group[which]] * model.variance_factor).tolist()
+        return [(self.columns[i], size) for i, size in zip(which.tolist(), sizes, strict=True)]
+
+
+def _orthogonal(gram: np.ndarray, group: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a rotation that makes the columns of each group orthogonal in the readings, without undetermined columns.
+
+    Args:
+        gram: (columns, columns) inner products.
+        group: (columns,) group of each column.
+        size: (groups,) sum of squares of each group; zero for a group that is not measured.
+
+    Returns:
+        (columns, k) the rotation, and (k,) the group of each rotated column.
+    """
+    rotation = np.zeros((len(group), len(group)))
+    kept: list[int] = []
+    for number in np.flatnonzero(size > 0.0).tolist():
+        own = np.flatnonzero(group == number)
+        found, vectors = np.linalg.eigh(gram[np.ix_(own, own)])
+        rotation[np.ix_(own, own)] = vectors
+        kept += own[found > UNREAD * found[-1]].tolist()
+    return rotation[:, kept], group[kept]
+
+
+def _inverse_factor(matrix: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the inverse of the Cholesky factor of a positive definite matrix, which is overwritten, and its log determinant."""
+    if len(matrix) == 0:
+        return matrix, 0.0
+    lower, _ = scipy.linalg.lapack.dpotrf(matrix.T, lower=1, overwrite_a=1)
+    log_det = float(2.0 * np.sum(np.log(np.diag(lower))))
+    return scipy.linalg.lapack.dtrtri(lower, lower=1, overwrite_c=1)[0], log_det

@@ -1,0 +1,110 @@
+"""The diagnosis as one HTML file: expected and actual residuals, causes tested, evidence, alternatives, gain, next measurement.
+
+The first screen is for the machine operator: the error, its effect at the tool, what to do, what to avoid. Symbols accompany names in
+words, they never replace them. Pictures are embedded; nothing is fetched. The text is in the templates of this package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Final, final
+
+from twin._common.provenance import warning_texts
+from twin.diagnosis import plots as panels
+from twin.diagnosis import text as verdict
+from twin.diagnosis import text as words
+from twin.diagnosis.plots import plot_panel, plot_unexplained
+from twin.diagnosis.result import Cause, DiagnosisResult, Quantity, readable_unit
+from twin.diagnosis.text import column
+from twin.display import Html, render
+from twin.display.figures import embedded
+from twin.display.numbers import listed, lower
+from twin.measurement.checks import assumptions, grouped_notes
+from twin.model.effects.specification import NOTHING
+
+LIKELY: Final = 0.5
+"""p-value above which a cause tested is not listed."""
+COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de", "disturbed": "#e6eff8"}
+
+
+@final
+@dataclass(frozen=True)
+class _Ranked:
+    """One line of the table of causes tested; ``kind`` is found, doubted (an alternative of one found) or empty."""
+
+    effect: str
+    where: str
+    explains: float
+    p_value: float
+    kind: str
+    doubted: bool
+
+
+def diagnosis_html(diagnosis: DiagnosisResult) -> str:
+    """Return one self-contained HTML page; needs matplotlib (extra ``plots``).
+
+    Args:
+        diagnosis: the result of `twin.diagnosis.diagnose`.
+    """
+    title, mood = verdict.headline(diagnosis)
+    machine = diagnosis.calibration.machine.name
+    left = diagnosis.unexplained
+    columns = [] if left is None else [column(name) for name in left.depends_on]
+    return render(
+        "diagnosis/templates/diagnosis.html.j2",
+        found=diagnosis,
+        NOTHING=NOTHING,
+        title=f"{title}: {machine}",
+        headline=title,
+        colour=COLOURS[mood],
+        machine=machine,
+        source=Path(diagnosis.data.source).name,
+        badges=(*warning_texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)),
+        first_facts=verdict.facts(diagnosis),
+        ranked=_ranked(diagnosis),
+        several=len({(cause.effect, cause.where) for cause in diagnosis.causes}) > 1,
+        mapped=plot_unexplained(diagnosis),
+        mapped_over=listed(columns[:2]),
+        left_over=listed(columns) if columns else "",
+        compared=words.separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um),
+        panels=panels,
+        verdict=verdict,
+        words=words,
+        embedded=embedded,
+        grouped_notes=grouped_notes,
+        listed_causes=_listed_causes,
+        picture=_picture,
+        readable_unit=readable_unit,
+        listed_parameters=_listed_parameters,
+    )
+
+
+def _ranked(diagnosis: DiagnosisResult) -> list[_Ranked]:
+    """Return the causes found and those tested with a p-value below `LIKELY`."""
+    named = {(cause.effect, cause.where) for cause in diagnosis.causes}
+    doubted = {key for cause in diagnosis.causes for key in cause.equivalent}
+    found = []
+    for effect, where, explains, p in diagnosis.ranking:
+        key = (effect, where)
+        of = "found" if key in named else "doubted" if key in doubted else ""
+        if p < LIKELY or of == "found":
+            found.append(_Ranked(effect, where, explains, p, of, key in doubted))
+    return found
+
+
+def _picture(panel: panels.Panel, caption: str) -> Html:
+    return embedded(plot_panel(panel), f"{panel.title}: {panel.y} against {panel.x}", caption)
+
+
+def _listed_causes(keys: Sequence[tuple[str, str]]) -> Html:
+    """Return causes in words with their symbols, as HTML."""
+    named = [(escape(lower(words.cause_title(*key))), escape(words.symbol(*key))) for key in keys]
+    return Html(listed([f"{name} <span class=symbol>{sign}</span>" for name, sign in named]))
+
+
+def _listed_parameters(cause: Cause) -> list[Quantity]:
+    """Return the parameters of a cause without coefficients of curves, which mean nothing to a reader."""
+    return [quantity for quantity in cause.parameters if not words.coefficient(quantity.name)]

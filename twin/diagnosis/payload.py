@@ -1,0 +1,397 @@
+"""Estimation of a payload that is not in the URDF, and of where a known load is carried, from the deflection of the joints.
+
+A joint's deflection is its compliance times its load: its own weight plus the payload. It is linear in the compliance, and in the
+products of compliance with mass and first moments of the payload. The search treats these products as free for every joint
+(`twin.diagnosis.candidates.catalogue`). If it finds any, they are replaced by one payload, the same for all joints and not heavier
+than possible, and the search is repeated. A carried load has a known mass (channel `load_kg`); which side carries it, and where its
+centre of gravity is, follows in the same way. (Khalil and Dombre 2002, Modeling, Identification and Control of Robots, ch. 12: the
+torques, and so the deflections here, are linear in the base parameters.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, final
+
+import numpy as np
+import scipy
+
+from twin._common.arrays import first_largest
+from twin.diagnosis.candidates.machine import variant_at, with_centre
+from twin.diagnosis.forms import Candidates, Form, columns_of, pseudo_inverse
+from twin.diagnosis.search import Selection, select, within_limits
+from twin.machine.machine import Axis
+from twin.measurement.observation import machine_state
+from twin.model.effects import Payload
+from twin.model.effects.base import CENTRE_RANGE_MM, LARGEST_RATIO, MASS, SIDES, Side, max_payload_kg, side_of, sum_of
+from twin.model.effects.gravity_compliance import (
+    CARRIED_LOAD,
+    GRAVITY_COMPLIANCE,
+    PAYLOAD,
+    UNKNOWN_PAYLOAD,
+    AddedLoad,
+    payloads_of,
+    refined_form,
+)
+
+ROUNDS: Final = 4
+"""Largest number of repeated searches."""
+FIRST: Final = (0.03, 0.2, 1.0)
+"""Initial masses of a fit, as shares of the heaviest payload."""
+STILL: Final = 0.01
+"""Change of the payload, as a share of the largest, below which it has converged."""
+CENTRE_PRIOR: Final = 3.0
+"""Inverse prior variance of a mass or centre as a share of its bound: uniform within ±1."""
+CARRY: Final = 4
+"""Index of a share: 1 if the side carries the load of the readings, else 0. Shares of a payload are before it, of the centre behind."""
+STEPS: Final = 200
+"""Largest number of iterations of a fit."""
+NO_MASS: Final = "they fit only with a mass that is not positive, or a centre of mass beyond its range"
+"""Reason for which a load is left out, in words."""
+LOST: Final = 1e-9
+"""Relative size below which a direction is not determined."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Load:
+    """The joints of one side that deflect, with the other causes projected out.
+
+    The loads are four numbers here, or eight if the readings carry different loads: the payload's mass as a share of the heaviest, its
+    centre as shares of the farthest; whether the load is carried (`CARRY`), and its centre as shares of the farthest.
+
+    Attributes:
+        side: ``tool`` or ``work``.
+        heaviest: largest mass considered, kg.
+        joints: the forms of the deflecting joints.
+        free: for each joint the form with free loads, of five or nine columns: own weight, mass, three first moments; the same four of
+            the carried load.
+        gram: (wk, wk) inner products of these w columns of k joints, the other causes projected out, in units of the parameters.
+        slope: (wk,) inner products with the residual.
+    """
+
+    side: Side
+    heaviest: float
+    joints: tuple[Form, ...]
+    free: tuple[Form, ...]
+    gram: np.ndarray
+    slope: np.ndarray
+
+    @property
+    def nothing(self) -> np.ndarray:
+        """Shares without payload and without carried load."""
+        return np.zeros(len(self.slope) // len(self.joints) - 1)
+
+    def explained_under(self, shares: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the χ² that the joints explain under some loads, and (k,) their compliances."""
+        shapes = self._shapes(shares)
+        inverse = np.linalg.pinv(shapes.T @ self.gram @ shapes, rcond=LOST, hermitian=True)
+        slope = shapes.T @ self.slope
+        return float(slope @ inverse @ slope), np.asarray(inverse @ slope)
+
+    def _shapes(self, shares: np.ndarray) -> np.ndarray:
+        return np.kron(np.eye(len(self.joints)), weights(shares)[:, None])
+
+    def best(self, *, payload: bool, carried: bool) -> np.ndarray:
+        """Return the shares that explain most, with or without a payload and the carried load."""
+        start = self.nothing
+        bounds = [(0.0, 1.0 if payload else 0.0), *[(-1.0, 1.0) if payload else (0.0, 0.0)] * 3]
+        if len(start) > CARRY:
+            start[CARRY] = float(carried)
+            bounds += [(start[CARRY], start[CARRY]), *[(-1.0, 1.0) if carried else (0.0, 0.0)] * 3]
+        if not payload and not carried:
+            return start
+        fits = [
+            scipy.optimize.minimize(
+                lambda shares: CENTRE_PRIOR * np.sum(shares[CARRY + 1 :] ** 2) - self.explained_under(shares)[0],
+                np.concatenate([[share if payload else 0.0], start[1:]]),
+                method="L-BFGS-B",
+                bounds=bounds,
+                options={"maxiter": STEPS},
+            )
+            for share in (FIRST if payload else FIRST[:1])
+        ]
+        return np.asarray(fits[first_largest(np.array([-float(fit.fun) for fit in fits]))].x)
+
+    def significant(self, critical: Callable[[float], float]) -> tuple[np.ndarray, float]:
+        """Return the shares of the loads that are significant, and the χ² that the carried load explains; 0 if it is not significant.
+
+        Args:
+            critical: degrees of freedom → critical value.
+        """
+        tried = {
+            (payload, carried): self.best(payload=payload, carried=carried)
+            for payload in (False, True)
+            for carried in ((False, True) if len(self.nothing) > CARRY else (False,))
+        }
+        explained = {key: self.explained_under(shares)[0] for key, shares in tried.items()}
+        gain = 0.0
+        if (True, True) in tried:
+            gain = explained[True, True] - explained[True, False]
+            gain = gain if gain > critical(4.0) else 0.0
+        carried = gain > 0.0
+        payload = explained[True, carried] - explained[False, carried] > critical(4.0)
+        return tried[payload, carried], gain
+
+    def payloads_of(self, shares: np.ndarray) -> tuple[Payload | None, Payload | None]:
+        """Return the payload and the carried load of some shares; None for one that is not there."""
+        payload = Payload.of_shares(self.side, self.heaviest, shares[:CARRY]) if shares[0] else None
+        carried = None
+        if len(shares) > CARRY and shares[CARRY]:
+            carried = replace(Payload.of_shares(self.side, 1.0, shares[CARRY:]), carried=True)
+        return payload, carried
+
+    def shares_of(self, payload: Payload | None, carried: Payload | None) -> np.ndarray:
+        """Return a payload and a carried load as shares of their bounds."""
+        found = self.nothing
+        if payload is not None:
+            found[:CARRY] = [payload.mass_kg / self.heaviest, *(one / CENTRE_RANGE_MM for one in payload.centre_mm)]
+        if carried is not None:
+            found[CARRY:] = [carried.mass_kg, *(one / CENTRE_RANGE_MM for one in carried.centre_mm)]
+        return found
+
+    def covariances(self, shares: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (k,) factors on the uncertainties of the compliances due to the loads, and the variances of the shares.
+
+        Args:
+            shares: the loads, as shares of their bounds.
+            u: (k,) standard uncertainties of the compliances under exactly these loads.
+        """
+        _, values = self.explained_under(shares)
+        present = np.concatenate([[shares[0]] * CARRY, [0.0], [shares[-CARRY]] * 3])[: len(shares)] != 0.0
+        step = np.eye(len(shares))[present] * 1e-6
+        by_share = [(weights(shares + one) - weights(shares - one)) / 2e-6 for one in step]
+        slopes = np.concatenate([self._shapes(shares), *[np.kron(values, one)[:, None] for one in by_share]], axis=1)
+        known = slopes.T @ self.gram @ slopes
+        count = len(values)
+        given = np.diag(np.linalg.pinv(known[:count, :count], rcond=LOST, hermitian=True))
+        known /= max(float(np.median(u**2 / np.maximum(given, 1e-300))), 1e-300)
+        # Prior: a mass or centre that the data do not determine is uniformly distributed within its bounds.
+        known[count:, count:] += CENTRE_PRIOR * np.eye(len(step))
+        found = np.diag(np.linalg.pinv(known, hermitian=True))
+        variances = np.zeros(len(shares))
+        variances[present] = found[count:]
+        return np.sqrt(np.maximum(found[:count] / np.maximum(u**2, 1e-300), 1.0)), variances
+
+
+def weights(shares: np.ndarray) -> np.ndarray:
+    """Return (5,) or (9,) weights of the columns of a joint: own weight; mass and first moments of payload and carried load."""
+    some = [
+        part
+        for k in range(0, len(shares), CARRY)
+        for part in (shares[k : k + 1], shares[k] * shares[k + 1 : k + CARRY])
+    ]
+    return np.concatenate([[1.0], *some])
+
+
+def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> Selection:
+    """Return the best set of possible causes, with one payload per side in the load of all deflecting joints.
+
+    Args:
+        candidates: the forms; a payload that is found is added to the load of its joints.
+        before: the best set before forms were refined; the search starts from it if it has a payload, which a new search may miss.
+    """
+    anew = not any(MASS in form.variant.fixed for form in before)
+    best = select(candidates, () if anew else [candidates.forms[form.index] for form in before])
+    for _ in range(ROUNDS):
+        moved = [_refine_side(candidates, side, *found) for side, found in _loads_found(candidates, best.forms).items()]
+        if not any(moved):
+            break
+        _exclude_free_payloads(candidates)
+        known = {form.key: form for form in candidates.forms if MASS in form.variant.fixed}
+        best, anew = select(candidates, [known.get(form.key, form) for form in best.forms]), False
+    for _ in range(ROUNDS):
+        forms = [_bounded_load(candidates, form, best.forms) for form in best.forms]
+        if forms == list(best.forms):
+            break
+        best, anew = select(candidates, [form for form in forms if form is not None]), False
+    return within_limits(candidates, best, anew)
+
+
+def _bounded_load(candidates: Candidates, form: Form, forms: Sequence[Form]) -> Form | None:
+    """Return the form, or for an added load that is impossible the best possible one; None if no such load explains anything.
+
+    Mass and first moments are free in the search. A mass that is not positive, or a centre beyond the search range, is the noise of
+    directions that the readings hardly show: with the centre's prior (`CENTRE_PRIOR`) the estimate stays within its bounds.
+    """
+    added = next(iter(_added_loads(candidates, forms, (form,))), None)
+    if added is None or added.plausible:
+        return form
+    machine = candidates.problem.network.machine
+    free = next(one for one in candidates.forms if one.key == form.key and len(one.variant.columns) == CARRY)
+    heaviest = LARGEST_RATIO if added.carried else max_payload_kg(machine)
+    centre, mass = _bounded_centre(*_projected(candidates, free, [one for one in forms if one is not form]), heaviest)
+    if mass <= 0.0:
+        candidates.exclude({form.key}, NO_MASS)
+        return None
+    candidates.exclude_forms([free])
+    single = next(one for one in candidates.forms if one.key == form.key and len(one.variant.columns) == 1)
+    candidates.refine(single, with_centre(form.candidate, centre))
+    return candidates.forms[single.index]
+
+
+def _projected(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+    """Return inner products of a form's columns and with the residual, other causes projected out, in units of the parameters."""
+    every = [*others, form]
+    columns, gram = columns_of(every), candidates.gram(every)
+    at = np.searchsorted(columns, form.columns)
+    rest = np.setdiff1d(np.arange(len(columns)), at)
+    slope = candidates.slope[columns]
+    along = gram[np.ix_(at, rest)] @ pseudo_inverse(gram[np.ix_(rest, rest)])
+    size = np.array([column.scale for column in form.variant.columns])
+    left = (gram[np.ix_(at, at)] - along @ gram[np.ix_(rest, at)]) / np.outer(size, size)
+    return left, (slope[at] - along @ slope[rest]) / size
+
+
+def _bounded_centre(gram: np.ndarray, slope: np.ndarray, heaviest: float) -> tuple[np.ndarray, float]:
+    """Return the centre (3,), mm, and the mass within their bounds that explain most.
+
+    Args:
+        gram: (4, 4) inner products of mass and first moments, per kg and kg·m.
+        slope: (4,) inner products with the residual.
+        heaviest: largest mass.
+    """
+
+    def mass_of(shares: np.ndarray) -> tuple[float, float]:
+        one_kg = np.array([1.0, *(1e-3 * CENTRE_RANGE_MM * shares)])
+        size, along = float(one_kg @ gram @ one_kg), float(one_kg @ slope)
+        mass = float(np.clip(along / size, 0.0, heaviest)) if size > 0.0 else 0.0
+        return mass, 2.0 * mass * along - mass**2 * size
+
+    fits = [
+        scipy.optimize.minimize(
+            lambda shares: CENTRE_PRIOR * np.sum(shares**2) - mass_of(shares)[1],
+            start,
+            method="L-BFGS-B",
+            bounds=[(-1.0, 1.0)] * 3,
+            options={"maxiter": STEPS},
+        )
+        for start in (np.zeros(3), *np.concatenate([np.eye(3), -np.eye(3)]))
+    ]
+    shares = np.asarray(fits[first_largest(np.array([-float(fit.fun) for fit in fits]))].x)
+    return CENTRE_RANGE_MM * shares, mass_of(shares)[0]
+
+
+def _loads_found(candidates: Candidates, forms: Sequence[Form]) -> dict[Side, tuple[Payload | None, Payload | None]]:
+    """Return by side the payload and the carried load that some causes imply; the load is carried on one side only."""
+    found: dict[Side, tuple[Payload | None, Payload | None]] = {}
+    carried: dict[Side, float] = {}
+    for side in SIDES:
+        load = loaded_joints(candidates, forms, side)
+        if load is not None:
+            first = load.free[0]
+            shares, carried[side] = load.significant(lambda dof, first=first: candidates.critical_value(first, dof))  # type: ignore[misc]
+            found[side] = load.payloads_of(shares)
+    for side in found:
+        if carried[side] < max(carried.values()):
+            found[side] = found[side][0], None
+    if any(carried.values()):
+        # The other side's joints must not carry it either, even if none of them is among the causes yet.
+        found = {side: found.get(side, (None, None)) for side in SIDES}
+    # Further compliances of that side carry an added load as well.
+    for own in _added_loads(candidates, forms):
+        if not own.plausible:
+            continue
+        others = found.get(own.side, (None, None))
+        kinds = [sum_of((one, own)) if one is not None and one.carried == own.carried else one for one in others]
+        kinds[own.carried] = own if kinds[own.carried] is None else kinds[own.carried]
+        found[own.side] = kinds[0], kinds[1]
+    return found
+
+
+def _added_loads(candidates: Candidates, forms: Sequence[Form], of: Sequence[Form] | None = None) -> list[Payload]:
+    """Return the loads found with the known compliances, fitted with all forms; of those forms only, if given."""
+    own = [form for form in of or forms if form.candidate.specification in (PAYLOAD, CARRIED_LOAD)]
+    if not own:
+        return []
+    columns, values, _ = candidates.fitted(forms)
+    found = []
+    for form in own:
+        at = np.searchsorted(columns, form.columns)
+        scale = np.array([column.scale for column in form.variant.columns])
+        built = () if form.candidate.build is None else form.candidate.build(values[at] * scale, form.variant.fixed)
+        found += [effect.payload for effect in built[:1] if isinstance(effect, AddedLoad) and effect.weights[0]]
+    return found
+
+
+def restore_payloads(candidates: Candidates, forms: Sequence[Form]) -> None:
+    """Put the loads of the given causes back into the load of all joints, after the pool was evaluated on other data."""
+    for form in forms:
+        if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
+            candidates.refine(candidates.forms[form.index], form.variant)
+    for side in SIDES:
+        yielding = [
+            form
+            for form in forms
+            if form.candidate.specification is GRAVITY_COMPLIANCE
+            and MASS in form.variant.fixed
+            and side_of(axis_of_form(candidates, form)) == side
+        ]
+        for form in yielding[:1]:
+            own = {one.carried: one for one in payloads_of(axis_of_form(candidates, form), form.variant.fixed)}
+            _refine_side(candidates, side, own.get(False), own.get(True))
+
+
+def select_on_part(part: Candidates, forms: Sequence[Form]) -> Selection:
+    """Return the best set of causes on a part of the data, starting from that on all data, with the payloads of the latter.
+
+    Args:
+        part: the candidates on a part of the data.
+        forms: the causes found on all data; each stays if it is significant.
+    """
+    _exclude_free_payloads(part)
+    return within_limits(part, select(part, [part.forms[form.index] for form in forms]), False)
+
+
+def _exclude_free_payloads(candidates: Candidates) -> None:
+    """Exclude the forms with a free payload for each joint."""
+    candidates.exclude_forms([form for form in candidates.forms if UNKNOWN_PAYLOAD in form.variant.fixed])
+
+
+def loaded_joints(candidates: Candidates, forms: Sequence[Form], side: Side) -> Load | None:
+    """Return the deflecting joints of a side if any of them has a payload or carries a load, free or fixed; else None."""
+    free = {form.key: form for form in candidates.forms if UNKNOWN_PAYLOAD in form.variant.fixed}
+    joints = [form for form in forms if form.key in free and side_of(axis_of_form(candidates, form)) == side]
+    if not any({UNKNOWN_PAYLOAD, MASS} & form.variant.fixed.keys() for form in joints):
+        return None
+    own = [free[form.key] for form in joints]
+    every = [*(form for form in forms if form not in joints), *own]
+    columns, gram = columns_of(every), candidates.gram(every)
+    at = np.concatenate([np.searchsorted(columns, form.columns) for form in own])
+    rest = np.setdiff1d(np.arange(len(columns)), at)
+    slope = candidates.slope[columns]
+    inverse = pseudo_inverse(gram[np.ix_(rest, rest)])
+    along = gram[np.ix_(at, rest)] @ inverse
+    size = np.concatenate([[column.scale for column in form.variant.columns] for form in own])
+    left = (gram[np.ix_(at, at)] - along @ gram[np.ix_(rest, at)]) / np.outer(size, size)
+    heaviest = max_payload_kg(candidates.problem.network.machine)
+    return Load(side, heaviest, tuple(joints), tuple(own), left, (slope[at] - along @ slope[rest]) / size)
+
+
+def _refine_side(candidates: Candidates, side: Side, payload: Payload | None, carried: Payload | None) -> bool:
+    """Put a payload and a carried load into the load of every joint of a side; return whether that changed anything."""
+    machine = candidates.problem.network.machine
+    state = machine_state(candidates.problem.network.data, machine)
+    numbers = refined_form(payload, carried)
+    farthest = np.ones(4)
+    size = refined_form(
+        Payload.of_shares(side, max_payload_kg(machine), farthest),
+        replace(Payload.of_shares(side, 1.0, farthest), carried=True),
+    )
+    moved = False
+    for form in list(candidates.forms):
+        joint = form.candidate.specification is GRAVITY_COMPLIANCE and UNKNOWN_PAYLOAD not in form.variant.fixed
+        if not joint or side_of(axis_of_form(candidates, form)) != side:
+            continue
+        before = form.variant.fixed
+        if before and all(abs(before[name] - value) <= STILL * size[name] for name, value in numbers.items()):
+            continue
+        candidates.refine(form, variant_at(form.candidate, numbers, machine, state))
+        moved = True
+    return moved
+
+
+def axis_of_form(candidates: Candidates, form: Form) -> Axis:
+    """Return the axis of a deflecting joint."""
+    return candidates.problem.network.machine.by_name[form.candidate.where]

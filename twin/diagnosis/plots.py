@@ -1,0 +1,601 @@
+"""Plots of a diagnosis: the residuals, a cause with the readings that show it, the ranking of causes. Needs the extra ``plots``.
+
+Dots are means over groups of readings, with the 95 % interval of the mean from their spread; a line is the fitted cause. Every
+function returns a new `Figure` in the colours of `twin.display.figures`; marker shapes repeat the distinction that the colours make.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from twin._common.errors import InputError
+from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
+from twin.diagnosis.result import Cause, DiagnosisResult
+from twin.diagnosis.text import cause_title, column, side
+from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, heading, new_figure, style_axes
+from twin.display.numbers import COVERAGE_FACTOR
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Machine
+from twin.measurement.observation import machine_state
+from twin.model.effects import Effect
+from twin.model.effects.base import axis_of, motion_in_words
+from twin.model.effects.harmonic import APPROACH
+from twin.model.effects.specification import Drawing
+
+STOPS: Final = 24
+"""Number of distinct positions up to which each forms a group."""
+BINS: Final = 16
+"""Number of groups, equally filled, for more positions."""
+FEWEST: Final = 2
+"""Smallest number of readings whose mean is drawn."""
+ALIKE: Final = 0.9
+"""Rank correlation of two columns above which only one of them is plotted."""
+SHOWN: Final = 0.2
+"""Columns whose χ² is below this share of that of the clearest column are not plotted."""
+SIDES: Final = ((-1.0, "moving −"), (0.0, "unknown"), (1.0, "moving +"))
+"""Names of the approach directions."""
+MOST: Final = 3
+"""Largest number of panels of residuals."""
+SMALL: Final = 0.02
+"""Readings at which the cause is below this share of its largest value are not plotted in its unit."""
+MANY_TURNS: Final = 4
+"""Periods in the range from which on a periodic error is plotted over one period."""
+LEGIBLE: Final = 4.0
+"""Directions whose intervals are wider than this multiple of the narrowest are not plotted."""
+HIDDEN: Final = 0.02
+"""Share of the largest mean square below which a direction counts as not measured."""
+
+
+@final
+@dataclass(frozen=True)
+class Scale:
+    """The horizontal axis of a panel.
+
+    Attributes:
+        label: in words with the unit.
+        values: (n,) value of each reading.
+        ticks: values with their names, if they are not numbers.
+    """
+
+    label: str
+    values: np.ndarray
+    ticks: tuple[tuple[float, str], ...] = ()
+
+
+@final
+@dataclass(frozen=True)
+class Series:
+    """One set of readings in a panel.
+
+    Attributes:
+        name: in the legend.
+        x, y: (k,).
+        weight: (k,) of each reading in a mean.
+        predicted: (k,) prediction of the cause; None for residuals.
+        smooth: whether the prediction depends on x alone, so that it is drawn as a line and not averaged.
+    """
+
+    name: str
+    x: np.ndarray
+    y: np.ndarray
+    weight: np.ndarray
+    predicted: np.ndarray | None = None
+    smooth: bool = False
+
+
+@final
+@dataclass(frozen=True)
+class Panel:
+    """The contents of one plot.
+
+    Attributes:
+        title: of the plot.
+        x, y: labels of the axes, with units.
+        series: the sets of readings.
+        ticks: named values along x.
+        limit: smallest half range of y; None for automatic.
+    """
+
+    title: str
+    x: str
+    y: str
+    series: tuple[Series, ...]
+    ticks: tuple[tuple[float, str], ...] = ()
+    limit: float | None = None
+
+
+def residual_panels(found: DiagnosisResult, *, after: bool = False) -> list[Panel]:
+    """Return the residuals against the columns they depend on, clearest first, or against every axis if they depend on none.
+
+    Args:
+        found: the diagnosis.
+        after: residuals with the causes in the model, on the scale of those without.
+    """
+    scales, data = scales_of(found), found.data
+    before = directed(found, found.residual_um)
+    values = directed(found, found.after_um) if after else before
+    panels = []
+    axes = [(f"{axis.name}_{axis.unit}", axis.side) for axis in found.calibration.machine.axes]
+    for name, carrier in _clearest_columns(found, scales)[:MOST] or axes:
+        rows = data.carrier == carrier if carrier in data.carrier else np.ones(len(data), dtype=bool)
+        x = scales[name]
+        if np.ptp(x.values[rows]) == 0.0:
+            continue
+        reach = {label: _reach(x.values[rows], part[rows]) for label, part in before.items()}
+        sharpest = min(half for _, half in reach.values())
+        shown = [label for label, (_, half) in reach.items() if half <= LEGIBLE * sharpest]
+        series = tuple(_series(label, x.values[rows], values[label][rows]) for label in shown)
+        where = side(carrier) if carrier in data.carrier else "all points"
+        rest = "" if len(shown) == len(values) else f", {' and '.join(shown)} (measured best)"
+        only = f" {shown[0]}" if len(shown) == 1 else ""
+        limit = max(reach[label][0] for label in shown)
+        title = f"against {column(name)}, {where}{rest}"
+        panels.append(Panel(title, x.label, f"residual{only} [µm]", series, x.ticks, limit))
+    return panels
+
+
+def _clearest_columns(found: DiagnosisResult, scales: Mapping[str, Scale]) -> list[tuple[str, str]]:
+    """Return (column, side) pairs that show the residuals; of correlated columns one, if possible a column of a cause."""
+    own = {name for cause in found.causes for name in _columns_of(found, cause)}
+    unexplained = found.unexplained
+    wanted = [(name, unexplained.carrier) for name in unexplained.depends_on] if unexplained is not None else []
+    least = SHOWN * max((trend.explains for trend in found.trends), default=0.0)
+    wanted += [(trend.column, trend.carrier) for trend in found.trends if trend.explains >= least]
+    chosen: list[tuple[str, str]] = []
+    for name, carrier in wanted:
+        alike = [one for one in scales if name in scales and (one == name or _correlated(scales[one], scales[name]))]
+        if alike and not any(one in alike for one, _ in chosen):
+            chosen.append((next((one for one in alike if one in own), name), carrier))
+    return chosen
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """Return the ranks, starting at one; ties share their mean rank."""
+    _, of, count = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(count) - 0.5 * (count - 1))[of])
+
+
+def _correlated(a: Scale, b: Scale) -> bool:
+    """Return whether two columns are rank-correlated so closely that their plots look the same."""
+    if np.ptp(a.values) == 0.0 or np.ptp(b.values) == 0.0:
+        return False
+    return bool(abs(np.corrcoef(_ranks(a.values), _ranks(b.values))[0, 1]) > ALIKE)
+
+
+def cause_panels(found: DiagnosisResult, cause: Cause) -> list[Panel]:
+    """Return a cause against the columns it depends on: in its own unit if it is one error motion, else as shifts of the targets.
+
+    Args:
+        found: the diagnosis.
+        cause: one of its causes.
+    """
+    effect = cause.effects[0] if len(cause.effects) == 1 else None
+    parts = _single(effect, found) if effect is not None else None
+    if effect is not None and parts is not None:
+        return _own_unit(found, cause, effect, *parts)
+    rows = _affected(found, cause)
+    if not np.any(rows):
+        return []
+    title = cause_title(cause.effect, cause.where)
+    if not drawing_of(cause).by_state:
+        return [_against_prediction(title, cause.pattern_um[rows], found.after_um[rows], found.precision[rows])]
+    predicted, left = directed(found, cause.pattern_um), directed(found, found.after_um)
+    x = _scales_of_cause(found, cause)[0]
+    series = tuple(
+        _series(name, x.values[rows], (part + left[name])[rows], part[rows]) for name, part in predicted.items()
+    )
+    return [Panel(title, x.label, "shift of the points [µm]", series, x.ticks)]
+
+
+def _affected(found: DiagnosisResult, cause: Cause) -> np.ndarray:
+    """Return (n,) which readings a cause affects, with the others of the same station or target."""
+    size = np.linalg.norm(np.nan_to_num(cause.pattern_um), axis=1)
+    rows = size > 1e-3 * max(float(size.max(initial=0.0)), 1e-12)
+    shared = drawing_of(cause).shared
+    if not shared:
+        return rows
+    names = found.data.station if shared == "station" else found.data.target
+    return np.isin(names, names[rows])
+
+
+def _against_prediction(title: str, predicted: np.ndarray, left: np.ndarray, precision: np.ndarray) -> Panel:
+    """Return all measured coordinates against the prediction of the cause."""
+    read = np.isfinite(predicted) & np.isfinite(left)
+    x, y = predicted[read], (predicted + left)[read]
+    some = np.abs(x) > SMALL * np.abs(x).max(initial=0.0)
+    weight = np.einsum("nii->ni", precision)[read][some]
+    one = Series("", x[some], y[some], weight, x[some], smooth=True)
+    return Panel(title, "shift predicted by this cause [µm]", "measured shift [µm]", (one,))
+
+
+def scales_of(found: DiagnosisResult) -> dict[str, Scale]:
+    """Return all columns that residuals can be plotted against, by their name in the table."""
+    data, machine = found.data, found.calibration.machine
+    scales = {}
+    for i, axis in enumerate(machine.axes):
+        unit = "mm" if axis.linear else "°"
+        scales[f"{axis.name}_{axis.unit}"] = Scale(f"{axis.name} [{unit}]", np.asarray(data.positions[:, i]))
+        if np.any(data.approach[:, i]):
+            sides = np.asarray(data.approach[:, i], dtype=float)
+            ticks = tuple((at, name) for at, name in SIDES if at != 0.0 or not np.all(sides))
+            scales[f"approach_{axis.name}"] = Scale(f"approach direction of {axis.name} [+/−]", sides, ticks)
+    if np.all(np.isfinite(data.time_s)):
+        since = np.asarray(data.time_s) - float(np.min(data.time_s))
+        unit, seconds = ("h", 3600.0) if float(np.ptp(since)) > 7200.0 else ("min", 60.0)
+        scales["time_s"] = Scale(f"time from the first reading [{unit}]", since / seconds)
+    rounds = list(dict.fromkeys(data.round))
+    names = tuple((float(i), str(name)) for i, name in enumerate(rounds)) if len(rounds) <= 12 else ()
+    scales["round"] = Scale("round [number]", np.array([float(rounds.index(name)) for name in data.round]), names)
+    for name, values in data.temperature_degC.items():
+        if np.all(np.isfinite(values)):
+            of = f"{name}'s scale" if name in machine.names else name
+            scales[f"T_{name}_degC"] = Scale(f"temperature of {of} [°C]", np.asarray(values))
+    for name, values in data.channels.items():
+        if np.all(np.isfinite(values)):
+            what, _, unit = name.partition("_")
+            scales[name] = Scale(f"{what} [{unit.replace('_', '/')}]", np.asarray(values))
+    return scales
+
+
+def _series(name: str, x: np.ndarray, y: np.ndarray, predicted: np.ndarray | None = None) -> Series:
+    keep = np.isfinite(y)
+    return Series(
+        name, x[keep], y[keep], np.ones(np.count_nonzero(keep)), None if predicted is None else predicted[keep]
+    )
+
+
+def directed(found: DiagnosisResult, values_um: np.ndarray) -> dict[str, np.ndarray]:
+    """Return measured coordinates as (n,) shifts by direction of the base, or along the beam if only lengths were measured."""
+    read = np.isfinite(values_um)
+    values = np.where(read, values_um, 0.0)
+    nothing = np.where(read.any(axis=1), 0.0, np.nan)
+    base = np.einsum("nij,ni->nj", found.directions, values)
+    along_axes = np.abs(found.directions[read[:, 0], 0]).max(axis=1, initial=0.0).min(initial=1.0) >= 0.99
+    if not (read[:, 1:].any() or along_axes):
+        return {"along the beam": values[:, 0] + nothing}
+    square = np.mean(np.einsum("nij->nj", found.directions**2), axis=0)
+    seen = square > HIDDEN * max(float(square.max()), 1e-30)
+    return {f"in {'xyz'[j]}": base[:, j] + nothing for j in range(3) if seen[j]}
+
+
+def _single(effect: Effect, found: DiagnosisResult) -> tuple[int, np.ndarray] | None:
+    """Return the only component of an effect and its (n,) value at each reading; None for several components."""
+    machine = found.calibration.machine
+    parts = effect.components(machine_state(found.data, machine))
+    largest = {i: float(np.abs(np.asarray(v, dtype=float)).max(initial=0.0)) for i, v in parts.items()}
+    most = max(largest.values(), default=0.0)
+    strong = [i for i, size in largest.items() if size > 1e-6 * most]
+    if most == 0.0 or len(strong) != 1:
+        return None
+    return strong[0], np.broadcast_to(np.asarray(parts[strong[0]], dtype=float), len(found.data))
+
+
+def _own_unit(found: DiagnosisResult, cause: Cause, effect: Effect, component: int, values: np.ndarray) -> list[Panel]:
+    """Return panels of the error motion itself: its weighted least-squares estimate from each reading, with weights."""
+    shift = np.where(np.isfinite(cause.pattern_um), cause.pattern_um, 0.0)
+    left = np.where(np.isfinite(found.after_um), found.after_um, 0.0)
+    size = np.linalg.norm(shift, axis=1)
+    rows = (np.abs(values) > SMALL * np.abs(values).max()) & (size > 0.0)
+    if not np.any(rows):
+        return []
+    lever = np.einsum("nij,nj->ni", found.precision[rows], shift[rows] / values[rows, None])
+    weight = np.sum(lever * shift[rows], axis=1) / values[rows]
+    read = values[rows] + np.sum(lever * left[rows], axis=1) / weight
+    frame, mark = effect.frame.axis, "0" if effect.frame.role == "location" else ""
+    error = f"E_{DIRECTIONS[component]}{mark}{frame}"
+    unit = "µm" if component < 3 else "µrad"
+    drawn = drawing_of(cause)
+    label = (
+        f"shift of the tool side along {cause.where[0].lower()}"
+        if drawn.of_base
+        else f"{motion_in_words(error)}, {error}"
+    )
+    panels = []
+    for x in _scales_of_cause(found, cause):
+        at = x.values[rows]
+        if np.ptp(at) == 0.0:
+            continue
+        series = tuple(
+            Series(name, at[of], read[of], weight[of], values[rows][of], not drawn.spread)
+            for name, of in ((name, of[rows]) for name, of in _split(found, cause))
+            if np.count_nonzero(of) >= FEWEST
+        )
+        panels.append(Panel(cause_title(cause.effect, cause.where), x.label, f"{label} [{unit}]", series, x.ticks))
+    return panels
+
+
+def drawing_of(cause: Cause) -> Drawing:
+    """Return the drawing options of a cause."""
+    return SPECIFICATIONS[cause.effect].drawing
+
+
+def _split(found: DiagnosisResult, cause: Cause) -> list[tuple[str, np.ndarray]]:
+    """Return the readings in named groups: by approach direction, or by ranges of another axis."""
+    data, machine = found.data, found.calibration.machine
+    by = drawing_of(cause).split(cause.where)
+    if by.startswith(APPROACH):
+        sides = data.approach[:, machine.names.index(by.removeprefix(APPROACH))]
+        return [("moving +", sides > 0), ("moving −", sides < 0)]
+    if not by:
+        return [("", np.ones(len(data), dtype=bool))]
+    q = np.asarray(data.positions[:, machine.names.index(by)])
+    low, high = float(q.min()), float(q.max())
+    edges = np.linspace(low, high, 4)
+    of = np.clip(np.searchsorted(edges, q, side="right") - 1, 0, 2)
+    unit = machine.by_name[by].unit
+    return [(f"{by} {edges[k]:.0f}…{edges[k + 1]:.0f} {unit}", of == k) for k in range(3)]
+
+
+def _scales_of_cause(found: DiagnosisResult, cause: Cause) -> list[Scale]:
+    """Return the scales that a cause is plotted against."""
+    machine, where, drawn = found.calibration.machine, cause.where, drawing_of(cause)
+    if drawn.size_of:
+        return [_derived_scale(found, where, drawn.size_of)]
+    scales = scales_of(found)
+    wanted = () if drawn.columns is None else _named(drawn.columns(where), machine)
+    if known := [scales[name] for name in wanted if name in scales]:
+        return known
+    axes = [name for part in where.split(" ") if (name := axis_of(part)) in machine.by_name]
+    if drawn.beyond and axes:
+        axes = [*(axis.name for axis in machine.axes if not axis.linear and axis.name != axes[0]), axes[0]]
+    own = [scales[name] for name in _named(dict.fromkeys(axes or machine.names), machine)][:2]
+    period = drawn.period({q.name: q.value for q in cause.parameters})
+    if period and axes:
+        unit = "mm" if machine.by_name[axes[0]].linear else "°"
+        return [_folded(own[0], axes[0], period, unit)]
+    return own
+
+
+def _derived_scale(found: DiagnosisResult, where: str, size_of: str) -> Scale:
+    """Return a scale that is no column of the table: distance from the instrument, or reported less commanded position."""
+    if size_of == "distance":
+        distance = np.linalg.norm(np.nan_to_num(found.data.point_mm), axis=1)
+        return Scale("distance from the instrument [m]", 1e-3 * distance)
+    machine = found.calibration.machine
+    i = machine.names.index(where)
+    off = np.nan_to_num(found.data.readback[:, i] - found.data.positions[:, i])
+    unit, scale = ("µm", 1e3) if machine.axes[i].linear else ("°", 1.0)
+    return Scale(f"{where}: reported less commanded position [{unit}]", off * scale)
+
+
+def _columns_of(found: DiagnosisResult, cause: Cause) -> list[str]:
+    """Return the names of the columns a cause depends on."""
+    if also := drawing_of(cause).depends_on(cause.where):
+        return _named(also, found.calibration.machine)
+    labels = [scale.label for scale in _scales_of_cause(found, cause)]
+    return [name for name, scale in scales_of(found).items() if scale.label in labels]
+
+
+def _named(names: Iterable[str], machine: Machine) -> list[str]:
+    """Return names of columns of the table; names of axes get their unit."""
+    return [f"{name}_{machine.by_name[name].unit}" if name in machine.by_name else name for name in names]
+
+
+def _folded(whole: Scale, name: str, period: float, unit: str) -> Scale:
+    """Return the position within one period if the range covers at least `MANY_TURNS` periods."""
+    if float(np.ptp(whole.values)) < MANY_TURNS * period:
+        return whole
+    return Scale(f"{name} within its period of {period:.4g} {unit} [{unit}]", np.mod(whole.values, period))
+
+
+def group_numbers(x: np.ndarray) -> np.ndarray:
+    """Return (n,) group numbers: one group per position, or bins of neighbouring positions."""
+    distinct = np.unique(np.round(x, 3))
+    if len(distinct) <= STOPS:
+        return np.searchsorted(distinct, np.round(x, 3))
+    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
+    return np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+
+
+def group_means(
+    x: np.ndarray, y: np.ndarray, weight: np.ndarray, groups: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return by group: mean x, weighted mean y, and half the 95 % interval of that mean from the spread of the readings."""
+    count = np.bincount(groups)
+    total = np.maximum(np.bincount(groups, weight), 1e-300)
+    centre = np.bincount(groups, x) / np.maximum(count, 1)
+    mean = np.bincount(groups, weight * y) / total
+    spread = np.bincount(groups, weight * (y - mean[groups]) ** 2) / total
+    # Effective number of readings of equal weight (Kish).
+    effective = total**2 / np.maximum(np.bincount(groups, weight**2), 1e-300)
+    half = COVERAGE_FACTOR * np.sqrt(spread / np.maximum(effective - 1.0, 1.0))
+    some = count >= FEWEST
+    return centre[some], mean[some], half[some]
+
+
+def _reach(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Return the largest distance of means with their intervals from zero, and the median half width of the intervals."""
+    keep = np.isfinite(y)
+    if np.count_nonzero(keep) < FEWEST:
+        return 0.0, np.inf
+    _, mean, half = group_means(x[keep], y[keep], np.ones(np.count_nonzero(keep)), group_numbers(x[keep]))
+    return float(np.max(np.abs(mean) + half, initial=0.0)), float(np.median(half)) if len(half) else np.inf
+
+
+# --- Plots of a diagnosis: the residuals, a cause with the readings that show it, the ranking of causes. Needs the extra ``pl
+
+WIDE: Final = 3
+"""Panels in a row."""
+TICKS: Final = 6
+CELLS: Final = 6
+"""Cells along each side of a map."""
+PLOT_DIRECTIONS: Final = ("in x", "in y", "in z")
+"""Each direction keeps its style, whichever directions are drawn."""
+NOTHING: Final = "#dddddd"
+"""Colour of cells without a reading; the middle of the colour scale is white."""
+ABOVE: Final[dict[str, Any]] = {
+    "fontsize": 8, "frameon": False, "ncols": 3, "loc": "lower left", "bbox_to_anchor": (-0.02, 0.99), "borderaxespad": 0.0,
+    "columnspacing": 1.2, "handletextpad": 0.4,
+}  # fmt: skip
+"""Options of a legend placed above its panel."""
+STYLES: Final = ((FORWARD, "o", "-"), (BACKWARD, "s", "--"), (THIRD, "^", "-."))
+
+
+def plot_residuals(found: DiagnosisResult, *, after: bool = False, title: str = "") -> Figure:
+    """Plot the residuals against the columns that show them most clearly, in the directions of the machine's base.
+
+    Args:
+        found: the diagnosis.
+        after: plot the residuals with the causes in the model, on the same scale.
+        title: heading; a default if empty.
+    """
+    about = "Residuals with the causes in the model" if after else "Residuals"
+    return _drawn(residual_panels(found, after=after), title or about)
+
+
+def plot_cause(found: DiagnosisResult, cause: int = 0, *, title: str = "") -> Figure:
+    """Plot a fitted cause, and the readings after removing all other causes.
+
+    Args:
+        found: the diagnosis.
+        cause: index in `DiagnosisResult.causes`.
+        title: heading; a default if empty.
+
+    Raises:
+        InputError: no such cause.
+    """
+    if not 0 <= cause < len(found.causes):
+        raise InputError("no such cause", expected=f"less than {len(found.causes)}", value=cause)
+    one = found.causes[cause]
+    return _drawn(
+        cause_panels(found, one), title or f"{cause_title(one.effect, one.where)}: fitted (line), measured (dots)"
+    )
+
+
+def plot_ranking(found: DiagnosisResult, *, title: str = "") -> Figure:
+    """Plot the χ² that each cause tested explains by itself.
+
+    Args:
+        found: the diagnosis.
+        title: heading; a default if empty.
+    """
+    rows = found.ranking[::-1]
+    figure = new_figure(9.0, 0.9 + 0.34 * max(len(rows), 1))
+    plot = figure.add_subplot()
+    named = {(cause.effect, cause.where) for cause in found.causes}
+    doubted = {key for cause in found.causes for key in cause.equivalent}
+    for colour, of, label in (
+        (BACKWARD, named, "found"),
+        (FORWARD, doubted - named, "confounded with a cause found"),
+        (RUN, {(effect, where) for effect, where, *_ in rows} - named - doubted, "less likely"),
+    ):
+        at = [i for i, (effect, where, *_) in enumerate(rows) if (effect, where) in of]
+        if at:
+            plot.barh(at, [rows[i][2] for i in at], color=colour, label=label)
+    plot.set_yticks(range(len(rows)), [cause_title(effect, where) for effect, where, *_ in rows], fontsize=9)
+    plot.set_xlabel("χ² explained by this cause alone [1]")
+    plot.spines[["top", "right"]].set_visible(False)
+    if rows:
+        plot.legend(loc="lower right", frameon=False, fontsize=9)
+    heading(figure, title or f"The best of {found.tried} causes tested", 11)
+    return figure
+
+
+def plot_unexplained(found: DiagnosisResult, *, title: str = "") -> Figure | None:
+    """Plot the unexplained residuals over the two columns they depend on, in the clearest direction; None for fewer columns.
+
+    Args:
+        found: the diagnosis.
+        title: heading; a default if empty.
+    """
+    left, scales, data = found.unexplained, scales_of(found), found.data
+    names = [name for name in left.depends_on if name in scales and not scales[name].ticks] if left is not None else []
+    if left is None or len(names) < 2:
+        return None
+    x, y = scales[names[0]], scales[names[1]]
+    rows = data.carrier == left.carrier if left.carrier in data.carrier else np.ones(len(data), dtype=bool)
+    edges = [np.linspace(v.min(), v.max(), CELLS + 1) for v in (x.values[rows], y.values[rows])]
+    maps = {}
+    for name, values in directed(found, found.after_um).items():
+        of = rows & np.isfinite(values)
+        count, *_ = np.histogram2d(x.values[of], y.values[of], edges)
+        total, *_ = np.histogram2d(x.values[of], y.values[of], edges, weights=values[of])
+        maps[name] = np.where(count >= FEWEST, total / np.maximum(count, 1.0), np.nan)
+    direction = max(maps, key=lambda name: float(np.nansum(maps[name] ** 2)))
+    figure = new_figure(4.2, 3.1)
+    plot = figure.add_subplot()
+    most = float(np.nanmax(np.abs(maps[direction]), initial=1e-9))
+    plot.set_facecolor(NOTHING)
+    mesh = plot.pcolormesh(edges[0], edges[1], maps[direction].T, cmap="PuOr", vmin=-most, vmax=most)
+    figure.colorbar(mesh, label=f"mean residual {direction} [µm]")
+    plot.set(xlabel=x.label, ylabel=y.label)
+    if title:
+        heading(figure, title, 11)
+    return figure
+
+
+def plot_panel(panel: Panel) -> Figure:
+    """Plot one panel as a figure without a title."""
+    figure = new_figure(4.2, 3.1)
+    draw(figure.add_subplot(), panel, titled=False)
+    return figure
+
+
+def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
+    """Draw a panel on existing axes.
+
+    Args:
+        plot: the axes.
+        panel: what to draw.
+        titled: whether its title is drawn too.
+    """
+    style_axes(plot)
+    plot.axhline(0.0, color=RUN, linewidth=0.8)
+    entries = [entry for k in range(len(panel.series)) for entry in _draw_series(plot, panel, k)]
+    if panel.ticks:
+        plot.set_xticks([at for at, _ in panel.ticks], [name for _, name in panel.ticks])
+        plot.margins(x=0.25)
+    else:
+        plot.xaxis.set_major_locator(MaxNLocator(TICKS))
+    if panel.limit is not None:
+        low, high = plot.get_ylim()
+        plot.set_ylim(min(low, -panel.limit), max(high, panel.limit))
+    if len(entries) > 1:
+        plot.legend(*zip(*entries, strict=True), **ABOVE)
+    if titled:
+        plot.set_title(panel.title, loc="left", fontsize=9, pad=20.0 if len(entries) > 1 else 6.0)
+    plot.set(xlabel=panel.x, ylabel=panel.y)
+
+
+def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
+    """Draw the k-th series of a panel and return its entries in the legend; the cause has an entry only if the series is single."""
+    one, count = panel.series[k], len(panel.series)
+    lone = count == 1 and one.predicted is not None
+    colour, marker, style = STYLES[PLOT_DIRECTIONS.index(one.name) if one.name in PLOT_DIRECTIONS else k % len(STYLES)]
+    groups = group_numbers(one.x)
+    centre, mean, half = group_means(one.x, one.y, one.weight, groups)
+    # Shifted, so that the series do not hide each other.
+    offset = 0.0 if lone else 0.008 * (float(np.ptp(one.x)) or 1.0) * (k - 0.5 * (count - 1))
+    looks: dict[str, Any] = {"marker": marker, "markersize": 4.0, "linewidth": 0.0, "elinewidth": 1.0}
+    dots = plot.errorbar(centre + offset, mean, half, color=BOTH if lone else colour, **looks)
+    if one.predicted is None:
+        if not panel.ticks:
+            plot.plot(centre + offset, mean, color=colour, linestyle=style, linewidth=0.8, alpha=0.6)
+        return [(dots, one.name)]
+    order = np.argsort(one.x)
+    x, predicted = (
+        (one.x[order], one.predicted[order])
+        if one.smooth
+        else group_means(one.x, one.predicted, one.weight, groups)[:2]
+    )
+    colour, style = (BACKWARD, "-") if lone else (colour, style)
+    (line,) = plot.plot(x, predicted, color=colour, linestyle=style, linewidth=2.0, alpha=0.75)
+    return [(dots, "measured"), (line, "fitted cause")] if lone else [(dots, one.name)]
+
+
+def _drawn(panels: Sequence[Panel], title: str) -> Figure:
+    across = min(max(len(panels), 1), WIDE)
+    down = -(-max(len(panels), 1) // across)
+    figure = new_figure(max(4.4 * across, 6.4), 3.5 * down + 0.4)
+    titled = any(panel.title not in title for panel in panels)
+    for k, panel in enumerate(panels):
+        draw(figure.add_subplot(down, across, k + 1), panel, titled=titled)
+    heading(figure, title, 11)
+    return figure

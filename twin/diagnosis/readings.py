@@ -1,0 +1,385 @@
+"""The readings of a diagnosis: with fitted set-up, measurement noise and outliers.
+
+Measurement noise of the readings, estimated from repeats or from residuals where neither table nor instrument states it.
+
+Before repeats are compared, all effects that may change between them (a frame, a target, time, temperature) are removed by
+regression; otherwise a drift would be counted as noise and hide itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import read_only
+from twin._common.distributions import chi2_isf, chi2_sf
+from twin._common.units import MM
+from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Column
+from twin.diagnosis.candidates.catalogue import catalogue
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.signature_products import signatures_of
+from twin.identification.discrepancy import Discrepancy, no_discrepancy, outlier_notes, outliers
+from twin.identification.inputs import prepare
+from twin.identification.network import LinearisedReadings, Network, SetUp, stated_covariance
+from twin.identification.solve import SIGNIFICANCE, repeats_of, solve
+from twin.identification.unknowns import Unknowns
+from twin.machine.machine import Machine
+from twin.measurement.checks import RowNote
+from twin.measurement.instruments import Instrument, StationInstruments
+from twin.measurement.instruments.base import along_and_across
+from twin.measurement.observation import repeat_groups
+from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+
+LEAST_DOF: Final = 20
+"""Degrees of freedom below which no noise is estimated."""
+ITERATIONS: Final = 3
+"""Iterations of the weights along and across the beam."""
+
+
+@final
+@dataclass(frozen=True)
+class ReadingNoise:
+    """Noise covariance of the readings.
+
+    Attributes:
+        covariance: (n, 3, 3) m².
+        dof: degrees of freedom of the estimate; infinite where the covariance is given.
+        source: where it comes from, in words.
+    """
+
+    covariance: np.ndarray
+    dof: float
+    source: str
+
+
+def from_repeats(
+    data: Measurements, view: LinearisedReadings, read: np.ndarray, known: tuple[Candidate, ...], seen: np.ndarray
+) -> ReadingNoise | None:
+    """Return the noise along and across the beam estimated from repeats; None if they are too few.
+
+    Args:
+        data: the measurements.
+        view: their linearisation, with any isotropic whitening, which is undone here.
+        read: (n, 3) whether a coordinate was measured.
+        known: the candidate causes.
+        seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
+    """
+    group = repeat_groups(data)
+    size = np.bincount(group)
+    repeated = size[group] > 1
+    if np.sum(np.maximum(size - 1, 0)) < LEAST_DOF // 2:
+        return None
+    columns: list[Column] = [
+        column
+        for candidate in known
+        if candidate.specification.varies != "never"
+        for variant in candidate.variants[:: max(len(candidate.variants) // 4, 1)]
+        for column in variant.columns
+    ]
+    raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
+    nuisance = signatures_of(view, columns)
+    values = np.einsum("nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], nuisance], axis=2))
+    values *= read[:, :, None]
+    total = np.zeros((len(size), *values.shape[1:]))
+    np.add.at(total, group, values)
+    values = (values - total[group] / size[group][:, None, None]) * repeated[:, None, None]
+    dof = float(np.sum(np.where(repeated, 1.0 - 1.0 / size[group], 0.0)))
+    return _estimated(values, dof, view, read, seen, "repeats")
+
+
+def from_residuals(
+    network: Network, setup: SetUp, view: LinearisedReadings, known: tuple[Candidate, ...], seen: np.ndarray
+) -> ReadingNoise | None:
+    """Return the noise along and across the beam from the residuals of a regression on the main form of every cause.
+
+    For readings without uncertainties, instrument or repeats. If an effect has none of these forms the noise is overestimated, so
+    that causes are missed rather than invented. None if too few degrees of freedom remain.
+
+    Args:
+        network: data and model.
+        setup: the fitted set-up; its unknowns are among the regressors.
+        view: linearisation of the points used, with any isotropic whitening, which is undone here.
+        known: the candidate causes.
+        seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
+    """
+    columns = [column for candidate in known for column in _main_columns(candidate)]
+    by_setup = np.zeros((len(view.rows), 3, len(setup)))
+    network.fill_setup_columns(view, setup, by_setup)
+    read = network.read[view.rows]
+    basis = signatures_of(view, columns)
+    raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
+    values = np.einsum(
+        "nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], by_setup * setup.plausible, basis], axis=2)
+    )
+    values *= read[:, :, None]
+    return _estimated(values, float(len(view.rows)), view, read, seen, "the residuals of a fit of every cause")
+
+
+def _main_columns(candidate: Candidate) -> tuple[Column, ...]:
+    """Return a candidate's main columns: the widest curve, the lowest harmonics, else the first forms; none if others have the same."""
+    count = candidate.specification.plain_forms
+    if count is not None:
+        return tuple(column for variant in candidate.variants[:count] for column in variant.columns)
+    return max(candidate.variants, key=lambda variant: len(variant.columns)).columns
+
+
+def _estimated(
+    values: np.ndarray, dof_each: float, view: LinearisedReadings, read: np.ndarray, seen: np.ndarray, source: str
+) -> ReadingNoise | None:
+    """Return the noise along and across the beam, after regression; None with fewer than `LEAST_DOF` degrees of freedom.
+
+    Args:
+        values: (n, 3, k) m: the deviations, then the regressors.
+        dof_each: degrees of freedom in each direction before the regression.
+        view: linearisation of the points.
+        read: (n, 3) whether a coordinate was measured.
+        seen: (m, 3) the points whose covariance is returned.
+        source: where the deviations come from, in words.
+    """
+    if not read[:, 1:].any():
+        residual, basis = _regressed(values)
+        dof = dof_each - float(np.sum(basis[:, 0] ** 2))
+        if dof < LEAST_DOF:
+            return None
+        found = np.zeros((len(seen), 3, 3))
+        found[:, 0, 0] = np.sum(residual[:, 0] ** 2) / dof
+        return ReadingNoise(
+            read_only(found), dof, f"{source}: {np.sqrt(found[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)"
+        )
+    if not read.all():
+        # An instrument that measures two coordinates is no tracker: the same noise in both.
+        residual, basis = _regressed(values)
+        dof = dof_each * np.count_nonzero(read) / len(read) - basis.shape[2]
+        if dof < LEAST_DOF:
+            return None
+        sigma = float(np.sqrt(np.sum(residual**2) / dof))
+        text = f"{source}: {sigma * 1e6:.2g} µm a coordinate ({dof:.0f} degrees of freedom)"
+        return ReadingNoise(read_only(np.tile(sigma**2 * np.eye(3), (len(seen), 1, 1))), dof, text)
+    beam = view.seen / np.linalg.norm(view.seen, axis=1, keepdims=True)
+    along_u = across_u = 1.0
+    for _ in range(ITERATIONS):
+        # Weighted by the noise: unweighted, the residuals across the beam would dominate those along it.
+        lengths = np.einsum("ni,nik->nk", beam, values)[:, None, :] * beam[:, :, None]
+        residual, basis = _regressed(lengths / along_u + (values - lengths) / across_u)
+        along = np.einsum("ni,ni->n", residual, beam)
+        dof_used = float(np.sum(np.einsum("nik,ni->nk", basis, beam) ** 2))
+        dof_along = dof_each - dof_used
+        dof_across = 2.0 * dof_each - (basis.shape[2] - dof_used)
+        if dof_along < LEAST_DOF:
+            return None
+        along_u *= float(np.sqrt(np.sum(along**2) / dof_along))
+        across_u *= float(np.sqrt((np.sum(residual**2) - np.sum(along**2)) / dof_across))
+    if abs(np.log(along_u / across_u)) < 3.0 * np.sqrt(0.5 / dof_along + 0.5 / dof_across):
+        # Isotropic within the uncertainty: one pooled value has more degrees of freedom.
+        residual, basis = _regressed(values)
+        along_u = across_u = float(np.sqrt(np.sum(residual**2) / (3.0 * dof_each - basis.shape[2])))
+    n = len(seen)
+    text = (
+        f"{source}: {along_u * 1e6:.2g} µm along the beam, {across_u * 1e6:.2g} µm across "
+        f"({dof_along + dof_across:.0f} degrees of freedom)"
+    )
+    return ReadingNoise(
+        read_only(along_and_across(seen, np.full(n, along_u), np.full(n, across_u))), dof_along + dof_across, text
+    )
+
+
+def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Regress the first of (n, 3, k) columns on the others, if any: return residuals (n, 3) and an orthonormal basis (n, 3, m)."""
+    flat = values.reshape(-1, values.shape[2])
+    scale = np.maximum(np.linalg.norm(flat[:, 1:], axis=0), 1e-30)
+    others = flat[:, 1:] / scale
+    eigenvalues, vectors = np.linalg.eigh(others.T @ others)
+    seen = eigenvalues > 1e-12 * max(float(eigenvalues[-1]), 1e-300) if len(eigenvalues) else np.zeros(0, dtype=bool)
+    # Orthonormalised again by QR: the normal matrix loses half the digits.
+    basis, _ = np.linalg.qr(others @ (vectors[:, seen] / np.sqrt(eigenvalues[seen])))
+    residual = flat[:, 0] - basis @ (basis.T @ flat[:, 0])
+    return residual.reshape(len(values), 3), basis.reshape(len(values), 3, basis.shape[1])
+
+
+# --- The readings of a diagnosis: with fitted set-up, measurement noise and outliers --------------
+
+PLACING_ITERATIONS: Final = 4
+"""Repetitions of fit and outlier test, at most."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class DiagnosisTask:
+    """One diagnosis: data, candidate causes and noise.
+
+    Attributes:
+        problem: the rows used, whitened by noise and discrepancy.
+        catalogue: the candidate causes.
+        noise: noise of these rows.
+        by_noise: the same rows, whitened by their noise alone, for tests of consistency.
+        discrepancy: what the causes selected before leave beyond the noise; none at first.
+    """
+
+    problem: Problem
+    catalogue: Catalogue
+    noise: ReadingNoise
+    by_noise: Problem
+    discrepancy: Discrepancy
+
+    @classmethod
+    def of(cls, problem: Problem, known: Catalogue, noise: ReadingNoise) -> DiagnosisTask:
+        """Return the task with the weights of the noise."""
+        return cls(problem, known, noise, problem, no_discrepancy(problem.network))
+
+    def with_discrepancy(self, discrepancy: Discrepancy) -> DiagnosisTask:
+        """Return the same task with another discrepancy in the weights."""
+        own = self.by_noise
+        weighted = Problem(own.network.with_discrepancy(discrepancy.root), own.setup, own.calibration)
+        return replace(self, problem=weighted, discrepancy=discrepancy)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """All rows, with the set-up fitted to the good ones.
+
+    Attributes:
+        network: data and model, whitened by this noise.
+        setup: stations and targets.
+        noise: noise of all rows.
+        calibration: the model under test.
+        bad: (n,) whether a row is an outlier if the model is right and there is only noise.
+    """
+
+    network: Network
+    setup: SetUp
+    noise: ReadingNoise
+    calibration: Calibration
+    bad: np.ndarray
+
+    def select_rows(self, rows: np.ndarray, notes: Sequence[RowNote] = ()) -> Readings:
+        """Return some of the rows, with the set-up fitted to all.
+
+        Args:
+            rows: their numbers.
+            notes: notes on the rows that are left out.
+        """
+        network = self.network
+        covariance = read_only(np.array(self.noise.covariance[rows]))
+        data = network.data.select(rows)
+        fewer = Network(
+            network.machine,
+            replace(data, set_aside=(*data.set_aside, *notes)),
+            network.instruments,
+            network.unknowns,
+            self.calibration,
+            covariance,
+        )
+        return Readings(fewer, self.setup, replace(self.noise, covariance=covariance), self.calibration, self.bad[rows])
+
+    def without(self, bad: np.ndarray) -> DiagnosisTask:
+        """Return the diagnosis task without some rows, which are listed in its data with the reason.
+
+        Args:
+            bad: (n,) rows to leave out.
+        """
+        kept, network = self, self.network
+        if np.any(bad):
+            difference = network.residuals_m(np.zeros(0), self.setup, np.arange(len(network.data)))
+            notes = outlier_notes(network, difference, network.residual(np.zeros(0), self.setup), bad)
+            kept = self.select_rows(np.flatnonzero(~bad), notes)
+        known = catalogue(network.machine, kept.network.data, self.calibration, network.instruments)
+        return DiagnosisTask.of(Problem(kept.network, self.setup, self.calibration), known, kept.noise)
+
+
+def readings(
+    data: Measurements, machine: Machine, calibration: Calibration, instrument: Instrument | None = None
+) -> Readings:
+    """Fit stations and targets, and determine the measurement noise and the outliers.
+
+    Args:
+        data: the measurements.
+        machine: the machine.
+        calibration: the model under test.
+        instrument: instrument whose noise model is used; None to take the table's uncertainties, or to estimate from repeats. If
+            repeats contradict either, they decide.
+
+    Raises:
+        InputError: data that cannot be a measurement of this machine.
+    """
+    reader, data, setup = prepare(machine, data, instrument)
+    no_unknowns = Unknowns(machine, (), ())
+    covariance = stated_covariance(data, reader)
+    has_u = bool(np.isfinite(data.u_mm).any())
+    doubted = (instrument is not None or has_u) and _contradicted(machine, data, reader, covariance)
+    stated = (instrument is not None or has_u) and not doubted
+    preliminary = None if stated else _isotropic_from_repeats(data, covariance)
+    by_model, covariance = covariance, covariance if preliminary is None else preliminary
+    figures = "the table's uncertainties" if has_u else f"the noise model of the {reader.name}"
+    if instrument is None and not has_u:
+        figures += ", assumed: no uncertainties stated, too few repeats"
+    noise = ReadingNoise(covariance, np.inf, figures)
+    network = Network(machine, data, reader, no_unknowns, calibration, covariance)
+    setup, bad = _setup_without_outliers(network, setup)
+    if not stated:
+        known = catalogue(machine, data, calibration, reader).candidates
+        view = network.view(np.zeros(0), setup, np.flatnonzero(~bad))
+        seen = network.view(np.zeros(0), setup, np.arange(len(data))).seen
+        estimated = from_repeats(data.select(~bad), view, network.read[~bad], known, seen)
+        if estimated is None:
+            estimated = from_residuals(network, setup, view, known, seen)
+        if doubted and estimated is not None and not _larger(estimated, by_model, network.read):
+            # Only a known effect that changes between repeats made them vary.
+            estimated = ReadingNoise(by_model, np.inf, figures)
+        elif doubted and estimated is not None:
+            estimated = replace(estimated, source=f"{estimated.source}; they contradict {figures}")
+        if estimated is not None:
+            noise = estimated
+            network = Network(machine, data, reader, no_unknowns, calibration, estimated.covariance)
+            setup, bad = _setup_without_outliers(network, setup)
+    return Readings(network, setup, noise, calibration, bad)
+
+
+def _contradicted(machine: Machine, data: Measurements, reader: StationInstruments, covariance: np.ndarray) -> bool:
+    """Return whether repeats vary more than a stated covariance (n, 3, 3) allows."""
+    return any(one.contradict for one in repeats_of(machine, data, reader, covariance))
+
+
+def _larger(estimated: ReadingNoise, stated: np.ndarray, read: np.ndarray) -> bool:
+    """Return whether an estimated noise is larger than the stated (n, 3, 3) covariance by more than its own uncertainty."""
+    safe = stated + np.eye(3) * ~read[:, None, :]
+    ratio = np.einsum("nii->n", np.linalg.solve(safe, np.where(read[:, None, :], estimated.covariance, 0.0)))
+    mean = float(np.sum(ratio) / np.count_nonzero(read))
+    return float(chi2_sf(mean * estimated.dof, estimated.dof)) < SIGNIFICANCE
+
+
+def _isotropic_from_repeats(data: Measurements, stated: np.ndarray) -> np.ndarray | None:
+    """Return an isotropic covariance (n, 3, 3) from the median distance of repeats, for a first outlier test; None without repeats.
+
+    The instrument's noise model is not suitable for this test: it is many times smaller along the beam than across, and data with
+    isotropic noise would appear full of outliers.
+    """
+    group = repeat_groups(data)
+    size = np.bincount(group)
+    if np.sum(np.maximum(size - 1, 0)) < LEAST_DOF // 2:
+        return None
+    points = np.where(np.isfinite(data.point_mm), data.point_mm, 0.0) * MM
+    mean = np.stack([np.bincount(group, points[:, i]) / size for i in range(3)], axis=1)
+    again = size[group] > 1
+    deviation = (points - mean[group])[again] / np.sqrt(1.0 - 1.0 / size[group][again])[:, None]
+    dimensions = int(np.isfinite(data.point_mm).any(axis=0).sum())
+    sigma = float(np.sqrt(np.median(np.sum(deviation**2, axis=1)) / chi2_isf(0.5, dimensions)))
+    if sigma <= 0.0:
+        return None
+    return read_only(np.where(stated != 0.0, 1.0, 0.0) * np.eye(3) * sigma**2)
+
+
+def _setup_without_outliers(network: Network, setup: SetUp) -> tuple[SetUp, np.ndarray]:
+    """Return the set-up fitted without outliers, and (n,) whether a row is one."""
+    bad = np.zeros(len(network.data), dtype=bool)
+    for _ in range(PLACING_ITERATIONS):
+        setup = solve(network, np.zeros(0), setup, (~bad).astype(float)).setup
+        found = outliers(network, network.residual(np.zeros(0), setup))
+        if np.array_equal(found, bad):
+            break
+        bad = found
+    return setup, bad

@@ -1,0 +1,401 @@
+"""Selection of causes: forward with exchange and removal, corrected for multiple testing.
+
+Sets of causes are compared by the χ² they explain less the χ² that each must explain to be significant (`problem.forms`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from twin._common.arrays import first_largest, largest_first
+from twin.diagnosis.candidates.candidate import Candidate, Variant
+from twin.diagnosis.cross_validation import choose_folds
+from twin.diagnosis.estimate import estimate
+from twin.diagnosis.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
+from twin.diagnosis.problem import Problem
+from twin.diagnosis.readings import PLACING_ITERATIONS, DiagnosisTask, Readings
+from twin.identification.discrepancy import outliers
+
+SHARE: Final = 0.25
+"""A family's share of `ALARMS` grows with its number of forms to this power, less than proportionally."""
+SELDOM: Final = 0.1
+"""Factor on the share of `ALARMS` of mistakes in the calibration, which are rare and easily recognised."""
+MOST: Final = 30
+"""Largest number of causes: about the number of error curves of a machine."""
+FEW: Final = 6
+"""Number of causes up to which every step is followed by exchanges and several starts are tried; above, only the whole set once."""
+STARTS: Final = 4
+"""Number of first causes to start from."""
+SAME: Final = 0.01
+"""Relative difference of explained χ² up to which two sets of forms count as equal."""
+TRIED: Final = 3
+"""Number of exchanges evaluated in full."""
+DOUBTED: Final = 3.0
+"""Standard uncertainties by which a value may exceed its physical limit."""
+CANCELS: Final = 10.0
+"""Largest sum of squares of one cause relative to all that the causes explain."""
+FEWEST: Final = 25.0
+"""χ² added to the explained one in this comparison, for the contribution of noise."""
+ROUGHLY: Final = 0.2
+"""Deviation from one allowed for the parameter of an effect that is either completely present or absent."""
+LEAST: Final = 0.01
+"""Smallest share of a pliable effect in the χ² explained by all causes: a smaller one only fits the residual of a larger cause."""
+CANCELLED: Final = "they fit only together with another cause that cancels them"
+PART_OF_ANOTHER: Final = "they only fit the residuals of a larger cause"
+TOO_LARGE: Final = "they fit only with a size that is physically impossible"
+NEGATIVE: Final = "they fit only with a negative size, which is physically impossible"
+PARTIAL: Final = "they are either there completely or not at all, and fit only in part"
+"""Reasons for which causes are left out, in words."""
+LIKELY: Final = 12
+"""Number of forms whose inner products with all others are evaluated together."""
+
+
+@final
+@dataclass(frozen=True)
+class Selection:
+    """A set of causes.
+
+    Attributes:
+        forms: the causes.
+        worth: the χ² they explain less the χ² that each must explain.
+    """
+
+    forms: tuple[Form, ...]
+    worth: float
+
+
+def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
+    """Return the best set of causes: forward selection from several starts, with removal and exchange after each step.
+
+    Args:
+        candidates: the forms.
+        begun: a set to start from instead, whose causes stay if each is significant.
+    """
+    found = Selection((), 0.0)
+    if not candidates.forms:
+        return found
+    if begun:
+        candidates.prepare(begun)
+        forms = forward_selection(candidates, list(begun))
+        return Selection(tuple(forms), candidates.penalised_gain(forms))
+    margin = candidates.margins([])
+    order = [int(i) for i in largest_first(margin) if margin[i] > 0.0]
+    first: dict[int, int] = {}
+    for i in order:
+        first.setdefault(int(candidates.key_of[i]), i)
+    if not first:
+        return found
+    candidates.prepare([candidates.forms[i] for i in list(first.values())[:LIKELY]])
+    likely = [[candidates.forms[i]] for i in list(first.values())[:STARTS]]
+    for start in likely:
+        forms = forward_selection(candidates, start)
+        worth = candidates.penalised_gain(forms)
+        if worth > found.worth + 1e-6:
+            found = Selection(tuple(forms), worth)
+        if len(forms) > FEW:
+            break  # a model with very many errors: the start does not matter
+    if len(found.forms) > FEW:
+        # A machine whose constants were never identified: each explains little before the others are in the model.
+        numbers = np.array([form.candidate.specification.constant for form in candidates.forms])
+        forms = forward_selection(candidates, forward_selection(candidates, [], numbers))
+        worth = candidates.penalised_gain(forms)
+        if worth > (1.0 - SAME) * found.worth:
+            found = Selection(tuple(forms), worth)
+    forms = _split(candidates, list(found.forms))
+    return Selection(tuple(forms), candidates.penalised_gain(forms))
+
+
+def largest_causes(candidates: Candidates, most: int) -> tuple[Form, ...]:
+    """Return the first few, largest causes, without re-examination."""
+    margin = candidates.margins([])
+    if len(margin) == 0 or margin.max() <= 0.0:
+        return ()
+    return tuple(forward_selection(candidates, [candidates.forms[first_largest(margin)]], most=most))
+
+
+def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Selection:
+    """Return the best set in which no cause is larger than possible (`excess_ratio`).
+
+    Args:
+        candidates: the forms.
+        best: the best set, whatever its size (`select`).
+        anew: whether to search from the start without a cause that is too large, or to continue with the others.
+    """
+    allowed = candidates.critical_table
+    while True:
+        if any(
+            form.candidate.specification.flexible and excess_ratio(candidates, form, best.forms) == np.inf
+            for form in best.forms
+        ):
+            # Exclude all of them; causes they displaced return.
+            candidates.critical_table = allowed
+            candidates.exclude({form.key for form in candidates.forms if form.candidate.specification.flexible})
+            small = {form.key for form in best.forms if form.candidate.specification.flexible}
+            candidates.exclude(small, PART_OF_ANOTHER)
+            allowed = candidates.critical_table
+            best = select(candidates, () if anew else [f for f in best.forms if not f.candidate.specification.flexible])
+            continue
+        excess = [excess_ratio(candidates, form, best.forms) for form in best.forms]
+        if not excess or max(excess) <= 1.0:
+            return best
+        # One at a time: another cause that it compensated may be possible without it.
+        worst = best.forms[first_largest(np.array(excess))]
+        candidates.exclude({worst.key}, max(_excesses(candidates, worst, best.forms), key=lambda one: one[0])[1])
+        best = select(candidates, () if anew else [form for form in best.forms if form.key != worst.key])
+
+
+def excess_ratio(candidates: Candidates, form: Form, forms: Sequence[Form]) -> float:
+    """Return the ratio of a form's size to the largest possible: by physics, or by the residuals it explains.
+
+    A cause larger than the residuals needs another that cancels it; neither exists.
+
+    Args:
+        candidates: the data.
+        form: one of ``forms``.
+        forms: the selected forms.
+    """
+    return max(ratio for ratio, _ in _excesses(candidates, form, forms))
+
+
+def excess_ratio_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float) -> float:
+    """Return the ratio of `excess_ratio` for given values, in plausible sizes, with their standard uncertainties.
+
+    Args:
+        form: the form.
+        values: (w,) of its columns.
+        u: (w,) standard uncertainties.
+        gram: (w, w) inner products of its columns.
+        explained: χ² explained by all causes together.
+    """
+    return max(ratio for ratio, _ in _excesses_of(form, values, u, gram, explained))
+
+
+def _excesses(candidates: Candidates, form: Form, forms: Sequence[Form]) -> list[tuple[float, str]]:
+    """Return the ratios of a form's size to each of its limits, each with the words for a size beyond it."""
+    columns, values, inverse = candidates.fitted(forms)
+    at = np.searchsorted(columns, form.columns)
+    u = np.sqrt(np.maximum(np.diag(inverse)[at], 0.0))
+    return _excesses_of(form, values[at], u, candidates.gram([form]), float(candidates.slope[columns] @ values))
+
+
+def _excesses_of(
+    form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float
+) -> list[tuple[float, str]]:
+    own, specification = float(values @ gram @ values), form.candidate.specification
+    found = [(own / (CANCELS * (explained + FEWEST)), CANCELLED)]
+    if specification.flexible and own < LEAST * explained:
+        found.append((np.inf, PART_OF_ANOTHER))
+    scale = np.array([column.scale for column in form.variant.columns])
+    if np.isfinite(form.candidate.largest):
+        size = float(np.max((np.abs(values) - DOUBTED * u) * scale))
+        found.append((size / form.candidate.largest, TOO_LARGE))
+    if specification.non_negative and values[0] < -DOUBTED * u[0]:
+        found.append((np.inf, NEGATIVE))
+    if specification.all_or_nothing:
+        off = abs(float(values[0] * scale[0]) - 1.0)
+        found.append((off / max(ROUGHLY, DOUBTED * float(u[0] * scale[0])), PARTIAL))
+    return found
+
+
+def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
+    """Split curves with a constant or a slope into constants of the machine and the remaining curves.
+
+    By the datum, a curve has neither (`twin.identification.unknowns`). If they are the smaller part of the curve, one cause is the
+    simpler description; if they are the larger part, the error is the constant, and the curves that share it hide it.
+    """
+    pure = {
+        (one.key, one.variant.columns[-1]): one for one in candidates.forms if one.variant.fixed.get("first", 0.0) > 0.0
+    }
+    bent = [pure[form.key, form.variant.columns[-1]] for form in forms if form.variant.fixed.get("first") == 0.0]
+    trial = [form for form in forms if form.variant.fixed.get("first") != 0.0]
+    whole = candidates.explained_by(forms)
+    enough = whole - SAME * (whole - candidates.explained_by(trial))
+    trial += bent
+    numbers: list[Form] = []
+    while bent and candidates.explained_by(trial) < enough:
+        margin = np.where(
+            [form.candidate.specification.constant for form in candidates.forms], _free(candidates, trial), -np.inf
+        )
+        if margin.max() <= 0.0:
+            return forms
+        numbers.append(candidates.forms[first_largest(margin)])
+        trial.append(numbers[-1])
+    whole = candidates.explained_by(trial)
+    for one in numbers:
+        others = [other for other in trial if other is not one]
+        own = whole - candidates.explained_by(others)
+        hosts = []
+        for form, rest in zip([form for form in forms if form.variant.fixed.get("first") == 0.0], bent, strict=True):
+            hosted = candidates.explained_by([form if other is rest else other for other in others])
+            if hosted > whole - SAME * own:
+                hosts.append(whole - candidates.explained_by([other for other in trial if other is not rest]))
+        # If several curves could contain the constant, none is preferred.
+        if len(hosts) == 1 and own < hosts[0]:
+            return forms
+    for rest in bent:
+        without = [one for one in trial if one is not rest]
+        if candidates.penalised_gain(without) >= candidates.penalised_gain(trial):
+            trial = without
+    return trial
+
+
+def forward_selection(
+    candidates: Candidates, forms: Sequence[Form], allowed: np.ndarray | bool = True, most: int = MOST
+) -> list[Form]:
+    """Add forms as long as each is significant.
+
+    Args:
+        candidates: the forms.
+        forms: the forms to start with.
+        allowed: (forms,) which may be added.
+        most: largest number of forms.
+    """
+    forms = _exchanged(candidates, list(forms), allowed)
+    while len(forms) < most:
+        now = candidates.penalised_gain(forms)
+        best = candidates.forms[first_largest(candidates.margins(forms))]
+        if best.nonlinear and best.slot in {form.slot for form in forms}:
+            # Most of the residual is due to a period or time constant between two tabulated ones; the estimate refines these.
+            return forms
+        margin = np.where(allowed, _free(candidates, forms), -np.inf)
+        for i in largest_first(margin)[:TRIED]:
+            if margin[i] <= ADDITIONAL_CAUSE_PENALTY:
+                return _exchanged(candidates, forms, allowed) if len(forms) > FEW else forms
+            larger = [*forms, candidates.forms[int(i)]]
+            if len(larger) <= FEW:
+                larger = _exchanged(candidates, larger, allowed)
+            if candidates.penalised_gain(larger) > now + 1e-6:
+                break
+        else:
+            return forms
+        forms = larger
+    return _exchanged(candidates, forms, allowed) if len(forms) > FEW else forms
+
+
+def _free(candidates: Candidates, forms: Sequence[Form]) -> np.ndarray:
+    """Return the margins of the forms that may be added to some others."""
+    taken = [candidates.slot_of[form.index] for form in forms]
+    return np.where(np.isin(candidates.slot_of, taken), -np.inf, candidates.margins(forms))
+
+
+def _exchanged(candidates: Candidates, forms: list[Form], allowed: np.ndarray | bool) -> list[Form]:
+    """Return the set with each cause replaced by a better one, or dropped, until nothing changes."""
+    now = candidates.penalised_gain(forms)
+    for _ in range(8):
+        better = _better(candidates, forms, now, allowed)
+        if better is None:
+            break
+        forms, now = better
+    return forms
+
+
+def _better(
+    candidates: Candidates, forms: list[Form], now: float, allowed: np.ndarray | bool
+) -> tuple[list[Form], float] | None:
+    """Return the first better set by removal or exchange, with its worth; None if there is none."""
+    for k in range(len(forms))[-FEW:]:
+        others = forms[:k] + forms[k + 1 :]
+        if others and (worth := candidates.penalised_gain(others)) >= now:
+            return others, worth
+        margin = np.where(allowed, _free(candidates, others), -np.inf)
+        for i in largest_first(margin)[:TRIED]:
+            trial = [*others, candidates.forms[int(i)]]
+            if (
+                np.isfinite(margin[i])
+                and candidates.forms[int(i)] is not forms[k]
+                and (worth := candidates.penalised_gain(trial)) > now + 1e-6
+            ):
+                return trial, worth
+    return None
+
+
+def priced_forms(
+    candidates: Sequence[Candidate], critical_values: dict[str, float]
+) -> list[tuple[Candidate, Variant, float]]:
+    """Return all forms of all candidates, with their corrections for multiple testing."""
+    return [(c, variant, critical_values[c.effect]) for c in candidates for variant in c.variants]
+
+
+def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
+    """Return the log of the effective number of tests by effect: forms of its family over the family's share of false alarms."""
+    tests: dict[str, float] = {}
+    seldom = {candidate.effect for candidate in candidates if candidate.specification.rare}
+    for candidate in candidates:
+        tests[candidate.effect] = tests.get(candidate.effect, 0.0) + candidate.tests
+    shares = {effect: count**SHARE * (SELDOM if effect in seldom else 1.0) for effect, count in tests.items()}
+    total = sum(shares.values())
+    return {effect: float(np.log(total * count / shares[effect])) for effect, count in tests.items()}
+
+
+def candidates_of(task: DiagnosisTask) -> Candidates:
+    """Return every form of every candidate with its correction for multiple testing, evaluated on the data."""
+    problem, known = task.problem, task.catalogue.candidates
+    split = choose_folds(problem.network.data, problem.network.machine, ())
+    return Candidates(
+        problem, priced_forms(known, prices(known)), task.noise.dof, None if split is None else split.fold
+    )
+
+
+# --- Selection of rows: outliers are set aside, unless causes that the other rows show explain them
+
+WITNESSES: Final = 3
+"""Number of outliers below which no cause is sought for them."""
+CLEAR: Final = 3
+"""Largest number of causes sought to explain outliers."""
+TAKEN_BACK: Final = (1.0, 0.9, 0.5)
+"""Shares of the outliers, smallest first, that are tested again: all, or without the largest (a lost beam, for example)."""
+LOOKED_AT: Final = 20_000
+"""Number of rows used to test whether causes explain the outliers."""
+SEED: Final = 1964
+
+
+def exclude_outliers(placed: Readings) -> DiagnosisTask:
+    """Return the problem without outliers: whitened rows and the causes to test.
+
+    Args:
+        placed: all rows, with the stations placed.
+    """
+    few = np.count_nonzero(placed.bad) < WITNESSES
+    return placed.without(placed.bad if few else _still_bad(placed))
+
+
+def _still_bad(placed: Readings) -> np.ndarray:
+    """Return (n,) which rows are outliers: the initial ones, unless causes explain more than half of them.
+
+    A cause of such large residuals shows in other rows as well, so for very many rows a sample is used.
+    """
+    count, bad = len(placed.bad), np.flatnonzero(placed.bad)
+    if count > LOOKED_AT and len(bad) < LOOKED_AT // 4:
+        drawn = np.random.default_rng(SEED).choice(np.flatnonzero(~placed.bad), LOOKED_AT - len(bad), replace=False)
+        rows = np.sort(np.concatenate([bad, drawn]))
+        found = np.zeros(count, dtype=bool)
+        found[rows] = _still_bad(placed.select_rows(rows))
+        return found
+    everything = placed.without(np.zeros(len(placed.bad), dtype=bool))
+    whole, candidates = everything.problem, candidates_of(everything)
+    size = np.linalg.norm(placed.network.residual(np.zeros(0), placed.setup), axis=1)
+    for share in TAKEN_BACK:
+        bad = placed.bad & (size > np.quantile(size[placed.bad], share))
+        for _ in range(PLACING_ITERATIONS):
+            still = _beyond(placed, whole, candidates, bad)
+            settled = np.count_nonzero(still & ~bad) == 0 and np.count_nonzero(still) > 0.9 * np.count_nonzero(bad)
+            if settled or np.count_nonzero(still) > 0.5 * np.count_nonzero(placed.bad):
+                break
+            bad = still
+        if np.count_nonzero(still) <= 0.5 * np.count_nonzero(placed.bad):
+            return still
+    return placed.bad
+
+
+def _beyond(placed: Readings, whole: Problem, candidates: Candidates, bad: np.ndarray) -> np.ndarray:
+    """Return (n,) which rows are outliers after removing the causes that the other rows show."""
+    part = whole.without(bad) if np.any(bad) else whole
+    if part is None:
+        return placed.bad
+    forms = largest_causes(candidates.on_part(part), CLEAR)
+    left = whole.residual - estimate(part, forms).signature.sum(axis=1)
+    return outliers(placed.network, part.refit_setup(left).reshape(-1, 3))

@@ -1,1 +1,0 @@
-"""Selection of the causes and the unnamed patterns that explain the residuals."""

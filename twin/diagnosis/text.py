@@ -1,0 +1,656 @@
+"""A diagnosis in words: names and advice, the verdict, text for the terminal and a table for a notebook.
+
+The report, the text and the notebook all take their words from here. The symbols (ISO 230-1 names, ``reversal Y``) are given with them.
+"""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil, exp, floor, isfinite, isnan, log10
+from textwrap import wrap
+from typing import Any, Final, Literal, final
+
+import numpy as np
+
+from twin._common.provenance import warning_texts
+from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
+from twin.diagnosis.result import Cause, DiagnosisResult, Extension, readable_unit
+from twin.display.numbers import COVERAGE_FACTOR, capital, figure, listed, lower, p_value_text, with_joined_units
+from twin.measurement.checks import assumptions, grouped_notes
+from twin.model.effects.base import axis_of
+from twin.model.effects.specification import Advice, Kind, title_of
+
+ENOUGH: Final = 25.0
+"""Expected χ² between the predictions of two causes that rules one of them out."""
+HOPELESS: Final = 1000.0
+"""Number of readings at one position above which the measurement is not suggested."""
+
+
+def micrometres(value: float) -> str:
+    """Return a size in µm with two significant digits and no exponent."""
+    return figure(value, "µm", digits=2)
+
+
+def kind(effect: str) -> Kind:
+    """Return whether the cause is an error of the machine, of the calibration file or of the instrument."""
+    return SPECIFICATIONS[effect].kind
+
+
+def symbol(effect: str, where: str) -> str:
+    """Return effect and place as in the JSON: ``reversal Y``."""
+    return effect if where == "—" else f"{effect} {where}"
+
+
+def cause_title(effect: str, where: str) -> str:
+    """Return the name of a cause in words, without symbols."""
+    return title_of(SPECIFICATIONS.get(effect), effect, where)
+
+
+def family(effect: str) -> str:
+    """Return the plural name of all causes of one effect."""
+    return SPECIFICATIONS[effect].plural
+
+
+def advice(effect: str, where: str) -> Advice:
+    """Return where to look for a cause, what to do about it, and what to avoid."""
+    found, axis = SPECIFICATIONS[effect].advice, axis_of(where)
+    texts = (text.replace("{axis}", axis).replace("{where}", where) for text in (found.look, found.do, found.never))
+    return Advice(*texts)
+
+
+def column(name: str) -> str:
+    """Return a column of the table in words: ``approach_Y`` → the approach direction of Y."""
+    if name.startswith("approach_"):
+        return f"the approach direction of {name.removeprefix('approach_')}"
+    if name.startswith("T_") and name.endswith("_degC"):
+        return f"the temperature of {name[2:-5]}"
+    if name.startswith("readback_"):
+        return f"the position of {name.split('_')[1]} reported by the control"
+    return {"time_s": "time", "round": "the round"}.get(name, name.rsplit("_", 1)[0])
+
+
+def side(carrier: str) -> str:
+    """Return in words which points a statement is about."""
+    return {"tool": "points on the tool side", "work": "points on the work side"}.get(carrier, "points on both sides")
+
+
+def grouped(keys: Iterable[tuple[str, str]]) -> list[str]:
+    """Return one line per effect with its places: ``zero offsets: X, Y and Z``."""
+    by_effect: dict[str, list[str]] = {}
+    for effect, where in keys:
+        by_effect.setdefault(effect, []).append(where)
+    return [f"{family(effect)}: {listed(places)}" for effect, places in by_effect.items()]
+
+
+def missing(entries: Iterable[tuple[str, str, str]]) -> list[str]:
+    """Return one line per missing column with the effects that need it.
+
+    Args:
+        entries: (effect, where, missing column).
+    """
+    by_column: dict[str, dict[str, list[str]]] = {}
+    for effect, where, wanted in entries:
+        by_column.setdefault(wanted, {}).setdefault(effect, []).append(where)
+    shown: dict[str, list[str]] = {}
+    for wanted, effects in by_column.items():
+        shown.setdefault(", ".join(family(effect) for effect in effects), []).append(wanted)
+    return [f"{listed(columns)}: {families}" for families, columns in shown.items()]
+
+
+def measured(value: float, u: float, unit: str) -> str:
+    """Return a value with its 95 % interval to two digits of the interval (9.29 ± 0.51 µm), or words if either is not finite."""
+    sign = "" if unit == "1" else f" {unit}"
+    if not isfinite(value):
+        return "not determined"
+    if not isfinite(u):
+        return f"{value:.4g}{sign}, uncertainty unknown".replace("-", "−")
+    if u <= 0.0:
+        return f"{value:.4g}{sign}".replace("-", "−")
+    half = COVERAGE_FACTOR * u
+    decimals = max(1 - floor(log10(half)), 0)
+    # Adding zero turns −0.0 into 0.0.
+    return f"{round(value, decimals) + 0.0:.{decimals}f} ± {half:.{decimals}f}{sign}".replace("-", "−")
+
+
+@final
+@dataclass(frozen=True)
+class SeparatingPoints:
+    """Two confounded causes and the points whose measurement separates them.
+
+    Attributes:
+        names: of the two, in words with their symbols.
+        rows: position, approach directions, target, station, and the difference between the two predictions there.
+        verdict: whether and how they can be separated, one or two sentences.
+    """
+
+    names: tuple[str, str]
+    rows: tuple[tuple[str, str, str, str, str], ...]
+    verdict: str
+
+
+def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> list[SeparatingPoints]:
+    """Return the points of `Diagnosis.next_measurement`, grouped by the pair of causes they separate.
+
+    Args:
+        wanted: entries of `Diagnosis.next_measurement`; those without a pair of causes are ignored.
+        sigma_um: standard deviation of the noise of a coordinate.
+    """
+    by_pair: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for entry in wanted:
+        if "separates" in entry:
+            a, b = (str(name) for name in entry["separates"])
+            by_pair.setdefault((a, b), []).append(entry)
+    found = []
+    for pair, points in by_pair.items():
+        a, b = (_name_and_symbol(*_split_key(name)) for name in pair)
+        task = [one for one in points if "pose" in one]
+        if not task:
+            text = capital(str(points[0]["text"]).rpartition(": ")[2]) + "."
+            found.append(SeparatingPoints((a, b), (), text))
+            continue
+        best = max(float(one["expected_chi2"]) for one in task)
+        difference_um = best**0.5 * sigma_um
+        if ENOUGH > HOPELESS * best:
+            text = (
+                f"No position that was tried separates them: their predictions differ by at most {difference_um:.1g} µm. "
+                "Either can be used for compensation."
+            )
+            found.append(SeparatingPoints((a, b), (), text))
+            continue
+        rows = tuple(
+            (
+                " ".join(f"{axis}{value:g}" for axis, value in one["pose"].items()),
+                " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in one["approach"].items()),
+                str(one["target"]),
+                str(one["station"]),
+                f"{float(one['expected_chi2']) ** 0.5 * sigma_um:.2g} µm",
+            )
+            for one in task
+        )
+        many = max(ceil(ENOUGH / best), 1)
+        readings = "one reading is enough" if many == 1 else f"about {many} readings are enough"
+        text = f"Their predictions differ most at these positions; at the first, {readings}."
+        if not any(name.startswith("misplaced") for name in pair):
+            plan = f'twin plan -o plan.csv --separate "{pair[0]}" "{pair[1]}" --after <this table>'
+            text += f" For a complete plan with new station positions: {plan}."
+        found.append(SeparatingPoints((a, b), rows, text))
+    return found
+
+
+def _split_key(name: str) -> tuple[str, str]:
+    effect, _, where = name.partition(" ")
+    return effect, where
+
+
+def _name_and_symbol(effect: str, where: str) -> str:
+    return f"{cause_title(effect, where)} ({symbol(effect, where)})"
+
+
+def chance(p: float) -> str:
+    """Return a p-value in words: under 1 in a million; 1 in 5,000; 12 %."""
+    if p < 1e-6:
+        return "under 1 in a million"
+    if p < 0.01:
+        return f"1 in {_round_number(1.0 / p):,}"
+    return f"{100.0 * p:.0f} %"
+
+
+def odds(log_odds: float) -> str:
+    """Return in words how many times less likely something is, from the natural log of the odds."""
+    if log_odds > 13.8:
+        return "more than a million times less likely"
+    return f"about {_round_number(exp(log_odds)):,} times less likely"
+
+
+def _round_number(value: float) -> int:
+    """Return the value rounded to its first two digits."""
+    digits = max(len(str(int(value))) - 2, 0)
+    return round(value / 10**digits) * 10**digits
+
+
+def percent(share: float) -> str:
+    """Return a fraction of one in percent."""
+    return "less than 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"
+
+
+def coefficient(name: str) -> bool:
+    """Return whether a parameter is a coefficient of a curve, which means nothing by itself."""
+    return name[:1] in ("c", "g") and name[1:].isdigit()
+
+
+def held_out_words(of: str) -> str:
+    """Return in words what was held out: rounds, positions, poses, or blocks of time."""
+    return "blocks of time" if of == "blocks" else of
+
+
+def likelihood_words(probability: float, alone: bool) -> str:
+    """Return the Bayesian probability of a cause, or of a cause and its equivalents together, in words."""
+    size = "more than 99 %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
+    what = "this cause is present" if alone else "this cause or one of its alternatives is present"
+    return f"probability that {what}: {size} (second, Bayesian method)"
+
+
+# --- The verdict of a diagnosis in a few sentences for whoever runs the machine, shared by page, text and notebook
+
+Mood = Literal["well", "wrong", "unknown", "disturbed"]
+SHOWN: Final = 4
+"""Causes described one by one; the rest are counted."""
+WELL_BELOW: Final = 0.8
+"""Share of the expected RMS residual below which the residuals are called less than expected."""
+COVERED: Final = 0.9
+"""Ratio of the RMS residual with and without the calibration's uncertainty below which that uncertainty makes it consistent."""
+NOISY: Final = 1.2
+"""Ratio of the residual to the stated noise above which the stated noise is doubted."""
+NEXT: Final = "“What to measure next”"
+SIZED: Final = re.compile(r"\d (µm|µrad|mm|°|ppm)")
+
+
+def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:
+    """Return the verdict in one sentence, and its mood (the colour it is shown in)."""
+    kinds = {kind(cause.effect) for cause in diagnosis.causes}
+    if diagnosis.verdict == "consistent":
+        return "The readings agree with the model: no error found", "well"
+    if diagnosis.verdict == "unexplained":
+        if kinds and noisier_than_stated(diagnosis):
+            return (
+                "The readings are noisier than stated; the causes found may be artefacts of that noise",
+                "unknown",
+            )
+        if kinds:
+            return "There is an error, and the causes found do not explain all of it", "unknown"
+        if diagnosis.unexplained is not None and not diagnosis.unexplained.depends_on:
+            return "The readings are noisier than stated", "unknown"
+        return "There is an error that no known cause explains", "unknown"
+    if diagnosis.verdict == "ambiguous":
+        if diagnosis.causes and not diagnosis.causes[0].equivalent:
+            return (
+                "There are errors: most causes are identified, but for some these readings cannot decide between alternatives",
+                "wrong",
+            )
+        return "There is an error, but these readings cannot decide which of several causes it has", "wrong"
+    if kinds == {"instrument"}:
+        return (
+            "The measurement was disturbed; these readings show no error of the machine",
+            "disturbed",
+        )
+    if kinds == {"calibration"}:
+        return "The calibration is wrong, not the machine. Found:", "wrong"
+    if "instrument" in kinds:
+        return (
+            "The machine has an error that its model does not contain, and the measurement was disturbed. Found:",
+            "wrong",
+        )
+    many = "an error" if len(diagnosis.causes) == 1 else f"{len(diagnosis.causes)} errors"
+    return f"The machine has {many} that its model does not contain. Found:", "wrong"
+
+
+def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
+    """Return headings with one or two sentences each: the effect at the tool, what to do, what to avoid."""
+    causes = diagnosis.causes
+    if diagnosis.verdict == "consistent":
+        less = diagnosis.rms_um < WELL_BELOW * diagnosis.expected_rms_um
+        why = f"{'less than' if less else 'as'} expected from measurement noise ({diagnosis.expected_rms_um:.3g} µm)"
+        if diagnosis.rms_um > diagnosis.expected_rms_um and diagnosis.absorbed_rms_um < COVERED * diagnosis.rms_um:
+            why = (
+                f"more than measurement noise ({diagnosis.expected_rms_um:.3g} µm), but within the uncertainty stated in the "
+                "calibration"
+            )
+        return [
+            ("Result", f"The RMS residual is {diagnosis.rms_um:.3g} µm, {why}."),
+            ("What to do", "Nothing. Compensate with the present calibration."),
+            ("Note", f"This covers only errors that these readings can show. The others are listed under {NEXT}."),
+        ]
+    found = [("At the tool", _at_tool(diagnosis))]
+    if diagnosis.verdict == "unexplained":
+        found += _when_unexplained(diagnosis)
+    elif diagnosis.verdict == "ambiguous":
+        found += _when_ambiguous(diagnosis)
+    elif len(causes) == 1:
+        found += advised(causes[0])
+    else:
+        for one in causes[:SHOWN]:
+            look = advice(one.effect, one.where).look
+            found.append((cause_title(one.effect, one.where), f"{look} {to_do(one)}"))
+        if any(one.origin == "instrument" for one in causes):
+            found.append(("Caution", "Do not compensate for errors of the instrument."))
+    return [fact for fact in [*found, *extended(diagnosis)] if fact[1]]
+
+
+def extended(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
+    """Return what the extended calibration contains of the unexplained pattern, or why not; empty if that was not requested."""
+    left = diagnosis.unexplained
+    if left is None or left.extension is None:
+        return []
+    made = left.extension
+    if not made.written:
+        return [("Not extended", f"The unexplained pattern is not in the extended calibration: {made.reason}.")]
+    names = " and ".join(f"“{term.where}”" for term in made.made)
+    text = (
+        f"{names} is in the extended calibration without a known cause. It is valid for the measured conditions only, {inside(made)}; "
+        "outside them compensation is refused. If the instrument caused it, and not the machine, it makes parts worse."
+    )
+    held = made.held_out
+    if held is not None and held.ci95_um is not None:
+        low, high = held.ci95_um
+        text += (
+            f" On held-out {held_out_words(held.of)} it reduces the RMS residual from {held.before_um:.3g} to {held.after_um:.3g} µm "
+            f"(by {micrometres(low)} to {micrometres(high)}, 95 %)."
+        )
+    others = [str(term.reason) for term in made.terms if term.reason is not None]
+    if others:
+        text += f" Another part of the unexplained pattern is not included: {'; '.join(others)}."
+    return [("Extended", text)]
+
+
+def inside(made: Extension) -> str:
+    """Return the ranges in which an empirical effect is valid: ``within X_mm 0 to 500 and Y_mm 0 to 450``."""
+    ranges = [f"{name} {low:g} to {high:g}" for name, (low, high) in made.ranges.items()]
+    return f"within {' and '.join(ranges)}" if ranges else "at all angles"
+
+
+def advised(cause: Cause) -> list[tuple[str, str]]:
+    """Return where to look, what to do and what to avoid, each with its heading."""
+    texts = advice(cause.effect, cause.where)
+    return [("Where to look", texts.look), ("What to do", to_do(cause)), ("Caution", texts.never)]
+
+
+def to_do(cause: Cause) -> str:
+    """Return what to do about a cause; one that is not in the extended calibration cannot be compensated."""
+    if cause.promised:
+        return advice(cause.effect, cause.where).do
+    if cause.bounded:
+        return "It is not compensated: its size is at or beyond a physical limit. Measure at other positions and loads."
+    return (
+        "It is not compensated: the error at these positions does not predict the error between them. Measure at more closely "
+        "and unevenly spaced positions."
+    )
+
+
+def sentence(cause: Cause) -> str:
+    """Return the evidence without symbol and statistics; if it contains no size, the largest shift of a point is added."""
+    text = re.sub(r" \(\d+ standard uncertainties\)", "", cause.evidence).removeprefix(f"{cause.where}: ")
+    return f"{capital(text)}.{'' if SIZED.search(text) else f' {moves(cause)}'}"
+
+
+def moves(cause: Cause) -> str:
+    """Return the largest shift of a reading, in a sentence."""
+    size = np.linalg.norm(np.nan_to_num(cause.pattern_um), axis=1).max(initial=0.0)
+    what = "shifts readings" if cause.origin == "instrument" else "moves the measured points"
+    return f"It {what} by up to {micrometres(size)}."
+
+
+def noisier_than_stated(diagnosis: DiagnosisResult) -> bool:
+    """Return whether the noise is larger than stated even with all causes in the model."""
+    if diagnosis.gain is None or diagnosis.unexplained is None or _written(diagnosis):
+        return False
+    ratio = diagnosis.gain.rms_after_um / diagnosis.expected_rms_um
+    # Significant: five standard deviations of a mean square. Relevant: above `NOISY`.
+    return bool(ratio > NOISY and ratio**2 - 1.0 > 5.0 * np.sqrt(2.0 / max(diagnosis.dof, 1)))
+
+
+def machine_or_instrument(causes: Iterable[Cause]) -> bool:
+    """Return whether an error of the machine is confounded with one of the instrument."""
+    return any(
+        (kind(effect) == "instrument") != (one.origin == "instrument") for one in causes for effect, _ in one.equivalent
+    )
+
+
+def _at_tool(diagnosis: DiagnosisResult) -> str:
+    gain, kinds = diagnosis.gain, {kind(cause.effect) for cause in diagnosis.causes}
+    if kinds == {"instrument"}:
+        return "No effect: the error is in the readings only."
+    if gain is None or gain.tool_before_um == 0.0:
+        return ""
+    if isnan(gain.tool_before_um):
+        return (
+            "Unknown: over the working volume the causes would move the tool point by more than this model describes. The readings do "
+            "not determine them there."
+        )
+    made = f"{micrometres(gain.tool_before_um)} (RMS over the working volume)"
+    if _written(diagnosis):
+        return f"{made}, within the measured range. After compensation {micrometres(gain.tool_after_um)} remain there."
+    if diagnosis.verdict == "unexplained":
+        return f"The causes found contribute {made}; the contribution of the rest is unknown."
+    condition = ", if this is the cause" if diagnosis.verdict == "ambiguous" else ""
+    remaining = f"After compensation {micrometres(gain.tool_after_um)} remain{condition}."
+    return f"{made}; relevant if your tolerance is below about five times this. {remaining}"
+
+
+def _written(diagnosis: DiagnosisResult) -> bool:
+    """Return whether the unexplained pattern is in the extended calibration."""
+    left = diagnosis.unexplained
+    return left is not None and left.extension is not None and left.extension.written
+
+
+def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
+    left = diagnosis.unexplained
+    if left is None:
+        return []
+    share = f"{percent(left.share)} of the excess over measurement noise"
+    check = "Check the instrument and its stated uncertainties before working on the machine."
+    spurious = "if the noise is larger than stated, some of the causes found may not exist."
+    if noisier_than_stated(diagnosis) and diagnosis.gain is not None:
+        times = diagnosis.gain.rms_after_um / diagnosis.expected_rms_um
+        rest = f"With these causes in the model the RMS residual is {micrometres(diagnosis.gain.rms_after_um)}"
+        return [
+            ("Residual", f"{rest}, {times:.2g} times the stated noise."),
+            ("What to do", f"{check} Then diagnose again."),
+            ("Caution", f"Do not compensate with this result: {spurious}"),
+        ]
+    if not left.depends_on:
+        over = f"{share} remains, without a pattern in any column of the table."
+        if not diagnosis.causes:
+            stated = f"with {diagnosis.expected_rms_um:.3g} µm expected from the stated noise"
+            over = f"The RMS residual is {diagnosis.rms_um:.3g} µm, {stated}. It has no pattern in any column of the table."
+        return [
+            ("Residual" if diagnosis.causes else "Result", over),
+            ("What to do", check),
+            ("Caution", f"Do not compensate yet: {spurious}"),
+        ]
+    names = listed([column(name) for name in left.depends_on])
+    caution = "Do not compensate or repair on suspicion: no known error has this pattern."
+    if _written(diagnosis):
+        caution = (
+            "Do not repair on suspicion: no known error has this pattern. The pattern may change if its cause changes."
+        )
+    elif diagnosis.causes:
+        caution = "Compensating for the causes found is not enough: the rest remains and may have biased their sizes."
+    return [
+        ("Residual", f"{share} depends on {names} ({side(left.carrier)})."),
+        ("What to do", f"Look for what depends on {names}, and measure more densely over it."),
+        ("Caution", caution),
+    ]
+
+
+def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
+    causes, found = diagnosis.causes[:SHOWN], []
+    certain = [one for one in causes if not one.equivalent]
+    for one in causes:
+        name = cause_title(one.effect, one.where)
+        if one.equivalent:
+            names = listed([lower(cause_title(*key)) for key in one.equivalent], most=4)
+            found.append(
+                (
+                    f"{name}, or instead" if len(causes) > 1 else "Or instead",
+                    f"{capital(names)}. This fits the readings equally well.",
+                )
+            )
+        else:
+            found.append((name, f"{advice(one.effect, one.where).look} {to_do(one)}"))
+    wanted = separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um)
+    if any(one.rows for one in wanted):
+        found.append(
+            ("What to do", f"First measure the points under {NEXT}: they separate the causes. Then compensate.")
+        )
+    elif wanted:
+        found.append(("What to do", " ".join(dict.fromkeys(one.verdict for one in wanted))))
+    if machine_or_instrument(causes):
+        what = "The undecided part" if certain else "The error"
+        found.append(
+            ("Note", f"{what} may be the instrument's, not the machine's; an instrument error must not be compensated.")
+        )
+    caution = "Order no repair for the undecided part." if certain else "Order no repair on this result alone."
+    found.append(("Caution", caution))
+    return found
+
+
+# --- A diagnosis as text for the terminal, and as a short table for a notebook --------------------
+
+WIDTH: Final = 100
+ABSORBED: Final = 0.9
+"""Ratio of the RMS residual with and without the calibration's uncertainty below which both are given."""
+HARD: Final = "\u00a0"
+
+
+def diagnosis_text(diagnosis: DiagnosisResult) -> str:
+    """Return the verdict, each cause, what to do, the gain and what to measure next, in lines of at most `WIDTH` characters.
+
+    Args:
+        diagnosis: the result of `twin.diagnosis.diagnose`.
+    """
+    lines = _wrapped(
+        f"{diagnosis.verdict.upper()}. {headline(diagnosis)[0].removesuffix(' Found:').removesuffix('.')}."
+    )
+    for text in (*warning_texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)):
+        lines += _wrapped(text, hang=2)
+    for cause in diagnosis.causes:
+        lines += ["", *_cause(cause)]
+    lines.append("")
+    for name, text in facts(diagnosis):
+        lines += _wrapped(f"{name}: {text}", hang=2)
+    lines += [
+        "",
+        *_wrapped(
+            f"RMS residual {diagnosis.rms_um:.3g} µm per coordinate, {diagnosis.expected_rms_um:.3g} µm expected from "
+            f"{diagnosis.noise_source} ({p_value_text(diagnosis.p_value)}, {diagnosis.tried} causes tested).",
+            hang=2,
+        ),
+    ]
+    if diagnosis.absorbed_rms_um < ABSORBED * diagnosis.rms_um:
+        absorbed = (
+            f"{diagnosis.absorbed_rms_um:.3g} µm remain after allowing for the uncertainty stated in the calibration"
+        )
+        lines += _wrapped(f"{absorbed}.", start=2, hang=2)
+    if diagnosis.unexplained is not None:
+        lines += _wrapped(f"Unexplained: {diagnosis.unexplained.evidence}.", hang=2)
+    lines += _gain(diagnosis)
+    if diagnosis.next_measurement:
+        lines += ["", "What to measure next"]
+    for one in separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um):
+        lines += _wrapped(
+            f"To separate {lower(one.names[0])} from {lower(one.names[1])}: {one.verdict}", start=2, hang=4
+        )
+        for pose, sides, target, station, difference in one.rows:
+            approached = f", approached from {sides}" if sides else ""
+            lines += _wrapped(
+                f"{pose}, target {target}, station {station}{approached}: difference {difference}", start=4, hang=8
+            )
+    for entry in diagnosis.next_measurement:
+        if "separates" not in entry:
+            lines += _wrapped(str(entry["text"]), start=2, hang=4)
+    lines += _listing("Not identifiable from these readings, whatever their size:", grouped(diagnosis.unidentifiable))
+    lines += _listing("Not tested, because the table lacks these columns:", missing(diagnosis.not_evaluated))
+    unused = diagnosis.data.set_aside
+    if unused:
+        lines += _listing(f"Readings not used ({len(unused)}):", grouped_notes(unused))
+    assumed = assumptions(diagnosis.data.notices)
+    lines += _listing("Notes:", [notice for notice in diagnosis.data.notices if notice not in assumed])
+    return "\n".join(lines) + "\n"
+
+
+def diagnosis_brief(diagnosis: DiagnosisResult) -> str:
+    """Return the verdict and a table of the causes, as HTML for a notebook.
+
+    Args:
+        diagnosis: the result of `twin.diagnosis.diagnose`.
+    """
+    title, mood = headline(diagnosis)
+    edge = {"well": "#009e73", "wrong": "#e69f00", "unknown": "#d55e00", "disturbed": "#0072b2"}[mood]
+    rows = [("cause", "size", "share of the excess", "alternatives")] if diagnosis.causes else []
+    rows += [
+        (
+            f"<b>{_e(cause_title(one.effect, one.where))}</b> <small>{_e(symbol(one.effect, one.where))}</small>",
+            _e(_numbers(one)),
+            percent(one.share),
+            _e(listed([cause_title(*key) for key in one.equivalent], most=3)) or "none",
+        )
+        for one in diagnosis.causes
+    ]
+    left = "text-align:left"
+    body = "".join("<tr>" + "".join(f"<td style='{left}'>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+    table = f"<table>{body}</table>" if rows else ""
+    advice = "".join(f"<div><b>{_e(name)}:</b> {_e(text)}</div>" for name, text in facts(diagnosis))
+    warnings = "".join(f"<div><b>{_e(one.title)}</b>: {_e(one.sentence)}</div>" for one in diagnosis.warnings)
+    return (
+        f"<div style='border-left:.4em solid {edge};padding:.2em 1em'><p><b>{_e(title)}</b> <small>{diagnosis.verdict}</small></p>"
+        f"{warnings}{table}{advice}</div>"
+    )
+
+
+def _cause(cause: Cause) -> list[str]:
+    lines = _wrapped(
+        f"{cause_title(cause.effect, cause.where)} ({symbol(cause.effect, cause.where)}, {cause.origin})", hang=2
+    )
+    lines += _wrapped(sentence(cause), start=4, hang=4)
+    if cause.parameters:
+        lines += _wrapped(_numbers(cause), start=4, hang=6)
+    if cause.share > 0.0:
+        lines += _wrapped(
+            f"explains {percent(cause.share)} of the excess over noise, {p_value_text(cause.p_value)}", start=4, hang=6
+        )
+    if cause.probability is not None:
+        lines += _wrapped(likelihood_words(cause.probability, not cause.equivalent), start=4, hang=6)
+    for rival in cause.rivals[:1]:
+        name = f"{cause_title(rival.effect, rival.where)} ({symbol(rival.effect, rival.where)})"
+        lines += _wrapped(f"next best, ruled out: {name}, {odds(rival.log_odds)}", start=4, hang=6)
+    if cause.equivalent:
+        names = [f"{cause_title(*key)} ({symbol(*key)})" for key in cause.equivalent]
+        lines += _wrapped(f"fits these readings equally well: {listed(names)}", start=4, hang=6)
+    return lines
+
+
+def _numbers(cause: Cause) -> str:
+    values = [
+        f"{q.name.replace('_', ' ')} {measured(q.value, q.u, readable_unit(q.unit))}"
+        for q in cause.parameters
+        if not coefficient(q.name)
+    ]
+    curve = len(cause.parameters) - len(values)
+    numbers = [f"{', '.join(values)} (95 %)"] if values else []
+    return "; ".join([*numbers, *([f"a curve of {curve} coefficients"] if curve else [])])
+
+
+def _gain(diagnosis: DiagnosisResult) -> list[str]:
+    gain = diagnosis.gain
+    if gain is None:
+        return []
+    text = f"RMS residual without → with the causes: {gain.rms_before_um:.3g} → {gain.rms_after_um:.3g} µm"
+    held = gain.held_out
+    if held is not None:
+        text += f"; on held-out {held_out_words(held.of)} {held.before_um:.3g} → {held.after_um:.3g} µm"
+        if held.ci95_um is not None:
+            low, high = held.ci95_um
+            text += f" (reduced by {micrometres(low)} to {micrometres(high)}, 95 %)".replace("-", "−")
+    if gain.tool_before_um > 0.0:
+        text += f"; compensated, at the tool over the working volume, {micrometres(gain.tool_before_um)} → "
+        text += f"{micrometres(gain.tool_after_um)} RMS"
+    return _wrapped(f"{text}.", hang=2)
+
+
+def _listing(title: str, items: Sequence[str]) -> list[str]:
+    if not items:
+        return []
+    return ["", title, *(line for item in items for line in _wrapped(item, start=2, hang=4))]
+
+
+def _wrapped(text: str, *, start: int = 0, hang: int = 0) -> list[str]:
+    indents = {"initial_indent": " " * start, "subsequent_indent": " " * hang}
+    lines = wrap(with_joined_units(text, HARD), WIDTH, **indents, break_long_words=False, break_on_hyphens=False)  # type: ignore[arg-type]
+    return [line.replace(HARD, " ") for line in lines]
+
+
+def _e(text: str) -> str:
+    return html.escape(text)

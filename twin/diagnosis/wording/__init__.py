@@ -1,1 +1,0 @@
-"""A diagnosis in words and plots: terminal text, notebook table, HTML page."""

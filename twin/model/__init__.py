@@ -1,0 +1,1 @@
+"""The model of a machine: effects, calibration, datum, curves, conditions."""

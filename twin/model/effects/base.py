@@ -1,0 +1,457 @@
+"""Base class of all effects: a pure function from axis positions to error components in the frame of one axis.
+
+Masses that are missing from the machine description; they act through the compliances of the joints that carry them.
+
+A payload has a constant mass. A carried load has the mass of the channel ``load_kg``, which is known for every reading or program.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, ClassVar, Final, Literal, NamedTuple, final
+
+import numpy as np
+import pinocchio as pin
+
+from twin._common.arrays import read_only
+from twin._common.errors import InputError
+from twin._common.units import UM, URAD
+from twin.machine.error_names import DIRECTIONS
+from twin.machine.machine import Axis, ErrorFrame, Machine
+
+Vector = tuple[float, float, float]
+
+
+@final
+@dataclass(frozen=True)
+class Frame:
+    """Frame in which an effect acts: the axis, and whether it is its motion frame or its location frame."""
+
+    axis: str
+    role: Literal["motion", "location"]
+
+
+@final
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of the model.
+
+    Attributes:
+        name: ``E_XX[2]`` for a curve's coefficient, ``E_C0Y`` for a squareness or location.
+        unit: ``um``, ``urad``, or the unit that the effect defines.
+        value: in that unit.
+    """
+
+    name: str
+    unit: str
+    value: float
+
+
+class Effect(ABC):
+    """One effect of the model.
+
+    Effects add: the six components of a frame are the sums over the effects that act in it, then
+    ``Trans(e_X, e_Y, e_Z) · Exp([e_A, e_B, e_C])`` (contract §1).
+    """
+
+    name: str
+    """ISO 230-1 name (``E_XX``, ``E_C0Y``, ``E_X0C``), or the effect's own."""
+    frame: Frame
+    """Frame in which it acts."""
+    history: ClassVar[bool] = False
+    """Whether its value at a reading depends on earlier readings."""
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters, in the order of `derivatives`."""
+
+    @abstractmethod
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """Return the derivative of `components` by each parameter: µm or µrad per unit of the parameter, by component index."""
+
+    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
+        """Return the contribution to the frame, by component index in ``XYZABC``: µm for the first three, µrad for the others.
+
+        This default applies to effects that are proportional to their first parameter; other effects override it.
+
+        Args:
+            positions: position of every axis, mm or degrees: arrays or CasADi expressions, all of one shape; also, where
+                known, ``approach_<axis>`` (+1, −1, 0), ``time_s`` and ``T_<axis or sensor>_degC``.
+
+        Raises:
+            InputError: a channel that the effect needs is missing.
+        """
+        size = self.parameters[0].value
+        return {i: size * shape for i, shape in self.derivatives(positions)[0].items()}
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Parameters by the names used in an entry of a calibration file."""
+        return {parameter.name.rpartition(".")[2]: float(parameter.value) for parameter in self.parameters}
+
+    def _number(self, name: str, unit: str, value: float) -> Parameter:
+        return Parameter(f"{self.name}.{name}", unit, value)
+
+
+class AlongAxis(Effect):
+    """An effect in the motion frame of an axis, in the direction of the axis's own motion.
+
+    Args:
+        effect: name of the effect (contract §5).
+        axis: the axis.
+    """
+
+    def __init__(self, effect: str, axis: Axis) -> None:
+        self.name = f"{effect}:{axis.name}"
+        self.axis = axis
+        self.frame = Frame(axis.name, "motion")
+
+    @property
+    def unit(self) -> str:
+        """``um`` for a linear axis, ``urad`` for a rotary one."""
+        return "um" if self.axis.linear else "urad"
+
+
+def along(axis: Axis, value: Any) -> dict[int, Any]:
+    """Return a displacement of ``value`` (µm or µrad) along the axis's motion as components of its error frame."""
+    start = 0 if axis.linear else 3
+    return {start + i: value * part for i, part in enumerate(axis.direction) if part != 0.0}
+
+
+@final
+class RecordingState(dict[str, Any]):
+    """State of one pose inside the ranges that answers any request for a channel and records its name.
+
+    Args:
+        machine: the machine.
+
+    Attributes:
+        asked: names of the requested channels, in the order of the requests.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        # An arbitrary pose: no effect is zero at 0.37 of a range.
+        places = {
+            axis.name: 137.0
+            if axis.lower is None or axis.upper is None
+            else axis.lower + 0.37 * (axis.upper - axis.lower)
+            for axis in machine.axes
+        }
+        super().__init__({name: np.array([place]) for name, place in places.items()})
+        self.asked: list[str] = []
+
+    def __contains__(self, name: object) -> bool:
+        return True
+
+    def __missing__(self, name: str) -> np.ndarray:
+        if name not in self.asked:
+            self.asked.append(name)
+        return np.array([27.0])
+
+
+def channel(positions: Mapping[str, Any], name: str, effect: str) -> Any:
+    """Return a channel that an effect needs besides the positions.
+
+    Raises:
+        InputError: the channel is missing.
+    """
+    if name not in positions:
+        raise InputError(f"{effect} needs {name}", expected=f"{name} with every position", value="none")
+    return positions[name]
+
+
+def assemble(effects: Sequence[Effect], frames: Sequence[ErrorFrame], positions: Mapping[str, Any]) -> list[list[Any]]:
+    """Return all error frames at the given positions: ``[frame][component]``, metres and radians; 0.0 where no effect acts."""
+    return summed([(effect.frame, effect.components(positions)) for effect in effects], frames)
+
+
+def summed(terms: Iterable[tuple[Frame, Mapping[int, Any]]], frames: Sequence[ErrorFrame]) -> list[list[Any]]:
+    """Return all error frames, as by `assemble`, from frame and components (µm, µrad) of each effect."""
+    index = {(frame.axis, frame.role): i for i, frame in enumerate(frames)}
+    total: list[list[Any]] = [[0.0] * 6 for _ in frames]
+    for at, components in terms:
+        row = total[index[at.axis, at.role]]
+        for component, value in components.items():
+            row[component] = row[component] + value * (UM if component < 3 else URAD)
+    return total
+
+
+@lru_cache(maxsize=256)  # asked for every candidate of a diagnosis; a machine is immutable
+def rest_orientation(machine: Machine, joint: int) -> np.ndarray:
+    """Return the orientation (3, 3) of a joint in the base frame with all axes at zero."""
+    data = machine.model.createData()
+    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
+    return read_only(np.array(data.oMi[joint].rotation))
+
+
+def base_vector(turn: np.ndarray, direction: str) -> Vector:
+    """Return a direction of the base frame in a frame whose orientation in the base is ``turn``."""
+    x, y, z = (float(v) if abs(v) > 1e-12 else 0.0 for v in turn["XYZ".index(direction)])
+    return x, y, z
+
+
+def motion_joint(machine: Machine, axis: str) -> int:
+    """Return the index of the joint of an axis's motion frame."""
+    return next(frame.joint for frame in machine.frames if (frame.axis, frame.role) == (axis, "motion"))
+
+
+# --- ISO 230-1 names of error motions, squareness and location: their parts, units and descriptions
+
+
+def split_name(name: str) -> tuple[int, bool, str]:
+    """Split an ISO 230-1 name: component index in ``XYZABC``, whether it describes the average line, axis name.
+
+    ``E_C0Y`` → (5, True, "Y"); ``E_XX`` → (0, False, "X").
+    """
+    rest = name.removeprefix("E_")
+    average = rest[1] == "0"
+    return DIRECTIONS.index(rest[0]), average, rest[2:] if average else rest[1:]
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of an ISO 230-1 name: ``um`` for a translation, ``urad`` for a rotation."""
+    return "um" if split_name(name)[0] < 3 else "urad"
+
+
+def axis_of(where: str) -> str:
+    """Return the axis of a place, or the place itself if it has none: ``E_ZY by Z`` → Y."""
+    first = where.split(" ")[0]
+    return split_name(first)[2] if first.startswith("E_") else first
+
+
+def direction_of(name: str) -> str:
+    """Return the direction along or about which an ISO 230-1 name acts: x, y or z."""
+    return "xyz"[split_name(name)[0] % 3]
+
+
+def motion_in_words(name: str) -> str:
+    """Describe an error motion in words: ``E_ZY`` → error of Y in z; ``E_BX`` → tilt of X about y."""
+    component, average, axis = split_name(name)
+    direction = direction_of(name)
+    if average:
+        return (
+            f"axis of {axis} displaced along {direction}"
+            if component < 3
+            else f"axis of {axis} tilted about {direction}"
+        )
+    if DIRECTIONS[component] == axis:
+        return f"position of {axis}" if component < 3 else f"angle of {axis}"
+    return f"error of {axis} in {direction}" if component < 3 else f"tilt of {axis} about {direction}"
+
+
+# --- Masses that are missing from the machine description; they act through the compliances of the joints that carry them
+
+Side = Literal["tool", "work"]
+SIDES: Final[tuple[Side, ...]] = ("tool", "work")
+NUMBERS: Final = ("mass", "centre_x_mm", "centre_y_mm", "centre_z_mm")
+"""Parameters of a payload: contract §5."""
+MASS: Final = NUMBERS[0]
+LOAD: Final = "load_kg"
+"""Channel with the mass of a carried load, kg."""
+LOAD_NUMBERS: Final = ("mass_ratio", *NUMBERS[1:])
+"""Parameters of a carried load; ``mass_ratio`` is the mass that acts per kg of ``load_kg``, 1 if that mass is right."""
+HEAVIEST_KG: Final = 1e5
+FARTHEST_MM: Final = 1e4
+"""Largest mass and distance accepted in a calibration file."""
+LARGEST_RATIO: Final = 10.0
+"""Largest mass that acts per kg of a carried load accepted in a calibration file."""
+CENTRE_RANGE_MM: Final = 500.0
+"""Search range of a payload's centre of gravity along each axis of the frame that carries it, ± mm."""
+
+
+@final
+@dataclass(frozen=True)
+class Payload:
+    """A mass that is missing from the URDF, fixed to the tool frame (spindle nose, flange) or to the work frame.
+
+    Attributes:
+        side: ``tool`` or ``work``.
+        mass_kg: mass; of a carried load the mass that acts per kg of the channel ``load_kg``.
+        centre_mm: centre of gravity in that frame.
+        carried: whether it is a carried load.
+    """
+
+    side: Side
+    mass_kg: float
+    centre_mm: tuple[float, float, float]
+    carried: bool = False
+
+    @classmethod
+    def of(cls, side: Side, numbers: Mapping[str, float], *, carried: bool = False) -> Payload:
+        """Create a payload from its `numbers`; the ``mass_ratio`` of a carried load is 1 if it is not given."""
+        mass = numbers.get(LOAD_NUMBERS[0], 1.0) if carried else numbers[MASS]
+        x, y, z = (float(numbers[name]) for name in NUMBERS[1:])
+        return cls(side, float(mass), (x, y, z), carried)
+
+    @classmethod
+    def of_shares(cls, side: Side, heaviest: float, shares: Sequence[float] | np.ndarray) -> Payload:
+        """Create a payload from its mass as a fraction of ``heaviest`` and its centre as fractions of the search range."""
+        share, x, y, z = (float(value) for value in shares)
+        return cls(side, heaviest * share, (CENTRE_RANGE_MM * x, CENTRE_RANGE_MM * y, CENTRE_RANGE_MM * z))
+
+    @property
+    def plausible(self) -> bool:
+        """Whether the mass is positive and the centre within the search range."""
+        return self.mass_kg > 0.0 and max(map(abs, self.centre_mm)) <= CENTRE_RANGE_MM * (1.0 + 1e-9)
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Parameters by name."""
+        return dict(zip(LOAD_NUMBERS if self.carried else NUMBERS, (self.mass_kg, *self.centre_mm), strict=True))
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Factors (9,) of the loads of `twin.machine.chain.gravity_load`, kg and kg·m."""
+        found, first = np.zeros(9), 1 + 4 * SIDES.index(self.side)
+        found[first : first + 4] = self.mass_kg * np.array([1.0, *(1e-3 * value for value in self.centre_mm)])
+        return found
+
+    def checked(self) -> Payload:
+        """Return the payload itself if its values are within their limits.
+
+        Raises:
+            InputError: the mass or the centre is outside its limits.
+        """
+        if self.carried and not 0.0 <= self.mass_kg <= LARGEST_RATIO:
+            raise InputError(
+                f"mass_ratio of the load on the {self.side} side",
+                expected=f"0 to {LARGEST_RATIO:g}, 1 if {LOAD} is right",
+                value=self.mass_kg,
+            )
+        if not 0.0 <= self.mass_kg <= HEAVIEST_KG:
+            raise InputError(f"mass of payload {self.side}", expected=f"0 to {HEAVIEST_KG:g} kg", value=self.mass_kg)
+        far = max(self.centre_mm, key=abs)
+        if abs(far) > FARTHEST_MM:
+            expected = f"within {FARTHEST_MM:g} mm of the frame"
+            raise InputError(f"centre of payload {self.side}", expected=expected, value=far)
+        return self
+
+
+def loads(payloads: Sequence[Payload]) -> np.ndarray:
+    """Return the factors (9,) of the loads of `twin.machine.chain.gravity_load`: 1 for the machine's own weight, and the payloads'."""
+    constant = (payload.weights for payload in payloads if not payload.carried)
+    return np.asarray(np.eye(9)[0] + sum(constant, np.zeros(9)))
+
+
+def loads_per_kg(payloads: Sequence[Payload], side: Side) -> np.ndarray:
+    """Return the factors (9,) of the loads of `twin.machine.chain.gravity_load` per kg of the load carried on one side."""
+    return np.asarray(sum((one.weights for one in payloads if one.carried and one.side == side), np.zeros(9)))
+
+
+def is_carrying(state: Mapping[str, np.ndarray]) -> bool:
+    """Return whether the readings have a carried load, in any row."""
+    return LOAD in state and bool(np.any(state[LOAD]))
+
+
+def sum_of(payloads: Sequence[Payload]) -> Payload:
+    """Return one payload with the mass and the first moments of several of one kind on one side."""
+    mass = sum(one.mass_kg for one in payloads)
+    x, y, z = (sum(one.mass_kg * one.centre_mm[i] for one in payloads) / mass for i in range(3))
+    return Payload(payloads[0].side, mass, (x, y, z), payloads[0].carried)
+
+
+def side_of(axis: Axis) -> Side:
+    """Return the side whose payload an axis carries."""
+    return "tool" if axis.side == "tool" else "work"
+
+
+def max_payload_kg(machine: Machine) -> float:
+    """Return the largest payload considered, kg: ten times the mass of the moving parts in the URDF.
+
+    Robots and tables carry about their own weight.
+    """
+    return 10.0 * float(sum(machine.model.inertias[joint].mass for joint in range(1, machine.model.njoints)))
+
+
+# --- Shifts of the whole tool side along a direction of the base frame ----------------------------
+
+
+class ToolSide(NamedTuple):
+    """The tool side and one direction of the base frame.
+
+    Attributes:
+        frame: the error frame on the tool side that is nearest the base.
+        direction: ``X``, ``Y`` or ``Z`` of the base frame.
+        vector: that direction in the frame.
+    """
+
+    frame: Frame
+    direction: str
+    vector: Vector
+
+
+class ToolSideShift(Effect):
+    """Shift of the tool side along a direction of the base frame, proportional to the first parameter.
+
+    Args:
+        name: name of the effect.
+        side: tool side and direction.
+    """
+
+    def __init__(self, name: str, side: ToolSide) -> None:
+        self.name = name
+        self.frame = side.frame
+        self._side = side
+
+    def _shifted(self, shape: Any) -> dict[int, Any]:
+        """Return a shift of ``shape`` along the direction, by component."""
+        return {i: part * shape for i, part in enumerate(self._side.vector) if part != 0.0}
+
+
+class HistoryShift(ToolSideShift):
+    """A shift of the tool side that depends on what the machine did before.
+
+    Its derivatives by the parameters follow from readings in the order of time. At single poses, as those of a program, they are given
+    as the channels `factor_channels`.
+    """
+
+    history = True
+
+    @property
+    def factor_channels(self) -> tuple[str, ...]:
+        """Names of the channels that hold the derivative by each parameter."""
+        return tuple(f"factor:{parameter.name}" for parameter in self.parameters)
+
+    @abstractmethod
+    def factors(self, state: Mapping[str, Any]) -> Sequence[np.ndarray]:
+        """Return the derivative of the shift by each parameter at readings, in any order of time: µm per unit of the parameter.
+
+        Args:
+            state: the channels of the readings, (n,) or single values.
+
+        Raises:
+            InputError: a channel that the effect needs is missing.
+        """
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`; needs the channels of `factors`, or `factor_channels`."""
+        given = [positions.get(name) for name in self.factor_channels]
+        factors = self.factors(positions) if given[0] is None else given
+        return tuple(self._shifted(factor) for factor in factors)
+
+
+def directions(machine: Machine) -> tuple[str, ...]:
+    """Return the directions of the base frame; empty if no axis is on the tool side."""
+    return ("X", "Y", "Z") if _first(machine) is not None else ()
+
+
+def tool_side(machine: Machine, direction: str) -> ToolSide | None:
+    """Return the tool side with a direction of the base frame; None if no axis is on it or the direction is unknown."""
+    first = _first(machine)
+    if first is None or direction not in tuple("XYZ"):
+        return None
+    return ToolSide(first[0], direction, base_vector(first[1], direction))
+
+
+def _first(machine: Machine) -> tuple[Frame, np.ndarray] | None:
+    """Return the tool side's error frame nearest the base and the base's directions in it (rows) with all axes at zero, or None."""
+    supports = machine.model.supports[machine.model.frames[machine.tool_frame].parentJoint].tolist()
+    sides = [frame for frame in machine.frames if machine.by_name[frame.axis].side == "tool"]
+    if not sides:
+        return None
+    first = min(sides, key=lambda frame: supports.index(frame.joint))
+    return Frame(first.axis, first.role), rest_orientation(machine, first.joint)

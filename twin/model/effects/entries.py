@@ -1,0 +1,105 @@
+"""Conversion between `Effect` and the ``effects:`` entries of a calibration file.
+
+    effects:
+      - {effect: reversal, where: Y, parameters: {size: 5.1}}
+
+Names, places and parameters are those of the contract's table (§5) and are defined in each effect's specification. A payload and a
+carried load are not effects by themselves: they are part of the load of every `gravity_compliance` in the file, and
+of every `table_load` with a stated moment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from twin._common import families
+from twin._common.errors import InputError, closest_name
+from twin.machine.machine import Machine
+from twin.model.effects.base import Effect, Payload, Side
+from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, GravityCompliance
+from twin.model.effects.specification import Specification
+from twin.model.effects.table_load import TableLoad
+
+MACHINE_EFFECTS: Final[tuple[Specification, ...]] = families.members("twin.model.effects", families.EFFECTS)
+"""Specifications of all machine effects."""
+
+
+def effect_named(
+    effect: str, where: str, numbers: Mapping[str, float], machine: Machine, payloads: Sequence[Payload] = ()
+) -> Effect:
+    """Create an effect from its name, place and parameters.
+
+    Args:
+        effect: its name.
+        where: its place.
+        numbers: its parameters by name.
+        machine: the machine.
+        payloads: loads that the URDF does not contain.
+
+    Raises:
+        InputError: the effect, place or a parameter is unknown, or a parameter is missing.
+    """
+    specifications = {
+        specification.name: specification for specification in MACHINE_EFFECTS if specification.make is not None
+    }
+    specification = specifications.get(effect)
+    if specification is None or specification.make is None:
+        known = list(specifications)
+        raise InputError(
+            "no such effect",
+            expected=f"one of {', '.join(known)}",
+            value=effect,
+            nearest=closest_name(effect, known),
+        )
+    values = specification.numbers_of(where, numbers)
+    if not specification.open_places and where not in specification.places(machine):
+        raise specification.no_place(machine, where)
+    return specification.make(machine, where, values, payloads)
+
+
+def payload_named(specification: Specification, where: str, numbers: Mapping[str, float], machine: Machine) -> Payload:
+    """Create a payload or a carried load from its parameters.
+
+    Args:
+        specification: `PAYLOAD` or `CARRIED_LOAD`.
+        where: ``tool`` or ``work``.
+        numbers: its parameters by name.
+        machine: the machine.
+
+    Raises:
+        InputError: the place or a parameter is unknown; a parameter is missing or outside its limits.
+    """
+    side = next((name for name in ("tool", "work") if name == where), None)
+    if side is None:
+        raise specification.no_place(machine, where)
+    carried = specification is CARRIED_LOAD
+    return Payload.of(side, specification.numbers_of(where, numbers), carried=carried).checked()
+
+
+def payloads_on(effects: Sequence[Effect]) -> tuple[Payload, ...]:
+    """Return the payloads and carried loads that act on the given effects; of a compliance before those of a table's sag."""
+    loaded = [effect for kind in (GravityCompliance, TableLoad) for effect in effects if isinstance(effect, kind)]
+    kinds: dict[tuple[Side, bool], Payload] = {}
+    for effect in loaded:
+        for one in effect.payloads:
+            kinds.setdefault((one.side, one.carried), one)
+    return tuple(kinds.values())
+
+
+def payload_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:
+    """Return the entries of the payloads and carried loads that act on the given effects, as `payload_named` reads them."""
+    return [
+        {
+            "effect": (CARRIED_LOAD if payload.carried else PAYLOAD).name,
+            "where": payload.side,
+            "parameters": payload.numbers,
+        }
+        for payload in payloads_on(effects)
+    ]
+
+
+def entry_of(effect: Effect) -> dict[str, Any]:
+    """Return the entry of an effect, as `effect_named` reads it."""
+    name, _, where = effect.name.partition(":")
+    return {"effect": name, "where": where.partition("[")[0], "parameters": effect.numbers}

@@ -1,0 +1,308 @@
+"""Specification of an effect: name, places, parameters, candidate forms, texts and plot, one frozen instance per effect.
+
+All code that lists, reads, fits, bounds, names, explains or plots effects uses the specification; no code branches on an effect's
+name. The effects of a machine are in `twin.model.effects.MACHINE_EFFECTS`; those of an instrument, and mistakes in the calibration,
+are specified where their columns are made (`twin.diagnosis.candidates`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import inf
+from types import MappingProxyType
+from typing import Any, Final, Literal, final
+
+import numpy as np
+
+from twin._common.errors import InputError, closest_name
+from twin.display.numbers import capital
+from twin.machine.machine import Machine
+from twin.model.effects.base import Effect, Frame, Payload
+from twin.numerics.curves import CurveSpace
+from twin.numerics.functions import Functions
+
+Kind = Literal["machine", "calibration", "instrument"]
+Varies = Literal["never", "with time", "with the frame"]
+State = Mapping[str, np.ndarray]
+EXTENDED: Final = "Compensate with the extended calibration"
+EXTENDING: Final = "compensate with the extended calibration"
+NOT_TWICE: Final = "Do not correct this error both in the control and in the calibration: it would be corrected twice."
+NOTHING: Final = "Do not compensate or repair the machine because of this."
+REST: Final = "Use the other results: this error has been removed from the data."
+
+
+@final
+@dataclass(frozen=True)
+class Advice:
+    """Advice on a cause; ``{axis}`` and ``{where}`` are replaced by its axis and its place.
+
+    Attributes:
+        look: where to look, and who should.
+        do: what to do until it is repaired.
+        never: what to avoid because it makes things worse.
+    """
+
+    look: str
+    do: str
+    never: str
+
+
+@final
+@dataclass(frozen=True)
+class FittedCause:
+    """Fitted values of one cause, for the evidence sentence.
+
+    Attributes:
+        where: its place.
+        size: the linear parameter with the largest ratio of value to uncertainty.
+        unit: its unit as printed.
+        numbers: all parameters by name.
+        effects: the effects built from the fit.
+    """
+
+    where: str
+    size: float
+    unit: str
+    numbers: Mapping[str, float]
+    effects: Sequence[Effect] = ()
+
+    @property
+    def measure(self) -> str:
+        """Size with its unit."""
+        return f"{self.size:.3g} {self.unit}"
+
+
+@final
+@dataclass(frozen=True)
+class Drawing:
+    """Description of the plot of a cause.
+
+    Attributes:
+        columns: place → columns of the table, or axes, for the horizontal axis, where present; if None, the axes named in the place.
+        period: parameters of the cause → period over which the position is folded, mm or degrees; 0 for none.
+        split: place → what the readings are grouped by: ``approach_X``, or an axis (three groups); empty for no groups.
+        depends_on: place → columns of the table, or axes, on which the cause depends, if other than those of the horizontal axis.
+        size_of: quantity on the horizontal axis if it is not a column: ``distance`` from the instrument, or ``report``, the difference
+            between the position reported by the control and the command.
+        by_state: whether shifts of the targets are plotted against the quantity they depend on instead of the predicted shift.
+        spread: whether readings at one position differ with another position or temperature, so that no line joins them.
+        shared: column whose value is common to the readings that the cause changes: ``station`` or ``target``.
+        of_base: whether it shifts the tool side along a direction of the base frame.
+        beyond: whether it becomes visible when the other rotary axes turn.
+    """
+
+    columns: Callable[[str], tuple[str, ...]] | None = None
+    period: Callable[[Mapping[str, float]], float] = lambda numbers: 0.0
+    split: Callable[[str], str] = lambda where: ""
+    depends_on: Callable[[str], tuple[str, ...]] = lambda where: ()
+    size_of: Literal["", "distance", "report"] = ""
+    by_state: bool = False
+    spread: bool = False
+    shared: Literal["", "station", "target"] = ""
+    of_base: bool = False
+    beyond: bool = False
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class SharedColumns:
+    """Columns of all trials, computed together.
+
+    Attributes:
+        functions: functions of the state.
+        columns: for each trial the indices of the functions that are its columns.
+        frame: frame in which they act.
+        parts: error components of the frame in which they act, each with its factor.
+    """
+
+    functions: Functions
+    columns: Sequence[tuple[int, ...]]
+    frame: Frame
+    parts: tuple[tuple[int, float], ...]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Forms:
+    """The candidate forms of an effect at one place that the data can show.
+
+    Attributes:
+        names: (name, unit) of its linear parameters.
+        build: linear and fixed parameters → the effects that extend the model.
+        units: fixed parameters → one effect per linear parameter, with that parameter set to 1, which gives the columns; may be None if
+            ``together`` is set.
+        trials: values of the fixed parameters that are tried.
+        tests: number of independent tests this amounts to; the number of trials if None.
+        together: the columns of all trials at once, which is faster; None if ``units`` is fast enough.
+        space: function space of the columns of a curve.
+        is_drift: whether a trial is a time constant, with a straight line in time as its limit.
+    """
+
+    names: tuple[tuple[str, str], ...]
+    build: Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]
+    units: Callable[[Mapping[str, float]], tuple[Effect, ...]] | None
+    trials: tuple[Mapping[str, float], ...] = (MappingProxyType({}),)
+    tests: float | None = None
+    together: SharedColumns | None = None
+    space: CurveSpace | None = None
+    is_drift: bool = False
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Specification:
+    """Specification of one effect.
+
+    Attributes:
+        name: name of the effect (contract §5).
+        kind: whether it belongs to the machine, to its calibration file or to the instrument.
+        title: place → plain description without symbols, in lower case.
+        family: plain name of the kind of effect, in the plural where there is one; the name in words if empty.
+        advice: what to do about it.
+        evidence: fitted values → what the effect does, a sentence without a full stop.
+        parameters: their names in a calibration file.
+        required: names of the parameters in an entry → the names that it must have; ``parameters`` if None.
+        limits: unit → largest magnitude of its linear parameters that is physically plausible.
+        non_negative: whether its parameter cannot be negative.
+        places: machine → places where it can act; a channel that is part of the place is left out.
+        open_places: whether `places` is incomplete and `make` checks the place.
+        expected: machine → description of the places for an error; the list of them if None.
+        channels: place → columns of the table that it needs besides the positions.
+        make: machine, place, parameters and payloads → the effect; None if it cannot occur in a calibration file.
+        forms: machine, place, state, and the payloads of the calibration (None if it has no compliances) → the candidate forms; if
+            None, the single form of `make` with its one parameter.
+        candidates: machine and state → places that these data can show, and (place, what is missing) of the others; if None, `places`
+            whose `channels` exist.
+        nonlinear: names of the non-linear parameters, which are tried at a set of values and then fitted.
+        constrain: effect, its parameters after a step of the fit, and the largest value tried → the effect with parameters within
+            their limits.
+        varies: whether two readings of one point can differ: with time, or from one alignment of the instrument to another.
+        curve: whether it is a function of one axis's position, to be validated on held-out positions.
+        variant_of: the simpler effect of which it is a variant with more parameters; it must predict better than that effect.
+        constant: whether it is a constant of the machine.
+        rare: whether it is a mistake that is rarely made, with a smaller share of the false alarms.
+        all_or_nothing: whether its parameter is 1 wherever it is present (a mistake that is made completely or not at all).
+        flexible: whether its many parameters can absorb a part of any other effect.
+        plain_forms: number of its forms that are used to estimate the noise; 0: other effects have the same forms; None: the widest.
+        drawing: how it is plotted.
+    """
+
+    name: str
+    kind: Kind
+    title: Callable[[str], str]
+    advice: Advice
+    evidence: Callable[[FittedCause], str]
+    family: str = ""
+    parameters: tuple[str, ...] = ()
+    required: Callable[[Sequence[str]], tuple[str, ...]] | None = None
+    limits: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    non_negative: bool = False
+    places: Callable[[Machine], tuple[str, ...]] = lambda machine: ()
+    open_places: bool = False
+    expected: Callable[[Machine], str] | None = None
+    channels: Callable[[str], tuple[str, ...]] = lambda where: ()
+    make: Callable[[Machine, str, Mapping[str, float], Sequence[Payload]], Effect] | None = None
+    forms: Callable[[Machine, str, State, Sequence[Payload] | None], Forms] | None = None
+    candidates: Callable[[Machine, State], tuple[list[str], list[tuple[str, str]]]] | None = None
+    nonlinear: tuple[str, ...] = ()
+    constrain: Callable[[Any, Sequence[float], float], Effect] | None = None
+    varies: Varies = "never"
+    curve: bool = False
+    variant_of: str = ""
+    constant: bool = False
+    rare: bool = False
+    all_or_nothing: bool = False
+    flexible: bool = False
+    plain_forms: int | None = None
+    drawing: Drawing = field(default_factory=Drawing)
+
+    @property
+    def plural(self) -> str:
+        """Plain name of the kind of effect."""
+        return self.family or self.name.replace("_", " ")
+
+    def bound(self, units: Sequence[str]) -> float:
+        """Return the largest plausible magnitude of the linear parameters; infinite if unknown.
+
+        Args:
+            units: units of the parameters; only effects with one unit have a limit.
+        """
+        return min((self.limits.get(unit, inf) for unit in units[:1]), default=inf)
+
+    def numbers_of(self, where: str, numbers: Mapping[str, float]) -> dict[str, float]:
+        """Return the parameters of an entry in a file, in order.
+
+        Raises:
+            InputError: a parameter is missing or unknown.
+        """
+        required = self.parameters if self.required is None else self.required(tuple(numbers))
+        if set(numbers) != set(required):
+            raise InputError(
+                f"parameters of {self.name} {where}",
+                expected=", ".join(required),
+                value=", ".join(numbers) or "none",
+                nearest=next(
+                    (near for name in numbers if name not in required and (near := closest_name(name, required))), None
+                ),
+            )
+        return {name: float(numbers[name]) for name in required}
+
+    def no_place(self, machine: Machine, where: str) -> InputError:
+        """Return the error for an unknown place, which lists the possible ones."""
+        places = self.places(machine)
+        expected = f"one of {', '.join(places)}" if self.expected is None else self.expected(machine)
+        return InputError(
+            f"no such place for {self.name}", expected=expected, value=where, nearest=closest_name(where, places)
+        )
+
+    def candidate_places(self, machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
+        """Return the places where these data can show it, and (place, missing column) of the others."""
+        if self.candidates is not None:
+            return self.candidates(machine, state)
+        found, missing = [], []
+        for where in self.places(machine):
+            lacking = [name for name in self.channels(where) if name not in state]
+            if lacking:
+                missing += [(where, name) for name in lacking]
+            else:
+                found.append(where)
+        return found, missing
+
+
+def title_of(known: Specification | None, effect: str, where: str) -> str:
+    """Return the name of an effect at a place in words; made of its name if it has no specification."""
+    return f"{capital(effect.replace('_', ' '))} {where}" if known is None else capital(known.title(where))
+
+
+# --- Places where effects can act on a machine: functions shared by the specifications ------------
+
+
+def axes(machine: Machine) -> tuple[str, ...]:
+    """Return the names of all axes."""
+    return machine.names
+
+
+def linear(machine: Machine) -> tuple[str, ...]:
+    """Return the names of the linear axes."""
+    return tuple(axis.name for axis in machine.axes if axis.linear)
+
+
+def rotary(machine: Machine) -> tuple[str, ...]:
+    """Return the names of the rotary axes."""
+    return tuple(axis.name for axis in machine.axes if not axis.linear)
+
+
+def approach(where: str) -> tuple[str, ...]:
+    """Return the column with an axis's direction of approach."""
+    return (f"approach_{where}",)
+
+
+def single_parameter_form(names: tuple[str, str], make: Callable[[float], Effect]) -> Forms:
+    """Return the single form of an effect that is proportional to its one parameter.
+
+    Args:
+        names: name and unit of the parameter.
+        make: value of the parameter → the effect.
+    """
+    return Forms((names,), lambda values, fixed: (make(float(values[0])),), lambda fixed: (make(1.0),))

@@ -1,0 +1,233 @@
+"""Thermal growth of the structure with the temperature of a sensor, at once or with a delay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin._common.records import TIME, is_temperature, sensor_of
+from twin.machine.machine import Machine
+from twin.model.effects.base import (
+    HistoryShift,
+    Parameter,
+    Payload,
+    ToolSide,
+    ToolSideShift,
+    channel,
+    directions,
+    tool_side,
+)
+from twin.model.effects.specification import (
+    EXTENDING,
+    Advice,
+    Drawing,
+    Forms,
+    Specification,
+    State,
+    single_parameter_form,
+)
+from twin.model.effects.thermal_drift import drift_time_constants, one_step
+from twin.model.effects.thermal_expansion import REFERENCE_DEGC
+from twin.numerics.functions import lagged
+
+
+@final
+class ThermalGrowth(ToolSideShift):
+    """The tool side moves along a direction of the base frame with the temperature of a sensor: c·(T − 20 °C).
+
+    Args:
+        side: tool side and direction.
+        sensor: name of the sensor, from column ``T_<sensor>_degC``.
+        coefficient: c, µm/K.
+    """
+
+    def __init__(self, side: ToolSide, sensor: str, coefficient: float) -> None:
+        super().__init__(f"thermal_growth:{side.direction} by {sensor}", side)
+        self.sensor = sensor
+        self.coefficient = coefficient
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The coefficient."""
+        return (self._number("coefficient", "um/K", self.coefficient),)
+
+    def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
+        """See `Effect.derivatives`; needs ``T_<sensor>_degC``."""
+        warm = channel(positions, f"T_{self.sensor}_degC", self.name) - REFERENCE_DEGC
+        return (self._shifted(warm),)
+
+
+def direction_and_sensor(machine: Machine, where: str, specification: Specification) -> tuple[ToolSide, str]:
+    """Return the tool side with the direction, and the sensor, of a place such as ``Z by bed``.
+
+    Raises:
+        InputError: the machine has no such place.
+    """
+    direction, _, sensor = where.partition(" by ")
+    side = tool_side(machine, direction)
+    if side is None or not sensor:
+        raise specification.no_place(machine, where)
+    return side, sensor
+
+
+def sensors_of(state: State) -> list[str]:
+    """Return the names of the temperature sensors of a table, and of the axes whose scales have one."""
+    return [sensor_of(name) for name in state if is_temperature(name)]
+
+
+def varying_sensors(state: State) -> list[str]:
+    """Return the names of those whose temperature changed."""
+    return [name for name in sensors_of(state) if np.ptp(state[f"T_{name}_degC"]) > 0.0]
+
+
+def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> ThermalGrowth:
+    side, sensor = direction_and_sensor(machine, where, THERMAL_GROWTH)
+    return ThermalGrowth(side, sensor, numbers["coefficient"])
+
+
+def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
+    sensors, ways = sensors_of(state), directions(machine)
+    if not sensors and ways:
+        return [], [(", ".join(ways), "T_<sensor>_degC")]
+    return [f"{way} by {sensor}" for way in ways for sensor in sensors], []
+
+
+def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
+    return single_parameter_form(
+        ("coefficient", "um/K"), lambda value: _make(machine, where, {"coefficient": value}, ())
+    )
+
+
+THERMAL_GROWTH: Final = Specification(
+    name="thermal_growth",
+    kind="machine",
+    title=lambda where: f"growth along {where[:1].lower()} with the temperature of {where.partition(' by ')[2]}",
+    family="growth with temperature",
+    advice=Advice(
+        "Shop floor and service: heat sources near that sensor: coolant, drives, sunlight, draughts.",
+        f"Keep the temperature steady, or {EXTENDING} and give the temperature of that sensor.",
+        "Do not correct it with a zero offset: it would be wrong at the next temperature.",
+    ),
+    evidence=lambda fit: f"{fit.where}: the tool side moves with the temperature of that sensor",
+    parameters=("coefficient",),
+    limits={"um/K": 500.0},
+    places=lambda machine: tuple(f"{way} by" for way in directions(machine)),
+    open_places=True,
+    channels=lambda where: (f"T_{where.partition(' by ')[2]}_degC",),
+    expected=lambda machine: "X, Y or Z of the base frame and a sensor, such as Z by bed",
+    make=_make,
+    forms=_forms,
+    candidates=_candidates,
+    varies="with time",
+    drawing=Drawing(columns=lambda where: (f"T_{where.split(' by ')[1]}_degC",), of_base=True),
+)
+
+# --- Thermal growth of the structure that lags behind its sensor ----------------------------------
+
+TIME_CONSTANT_STRIDE: Final = 7
+"""Every n-th of the time constants of a drift is tried."""
+
+
+@final
+class ThermalLag(HistoryShift):
+    """The tool side moves along a direction of the base frame by c·L, L the first-order lag of T − 20 °C with time constant τ.
+
+    L is equal to T − 20 °C at the first reading. A single temperature given for a program is taken to have been constant.
+
+    Args:
+        side: tool side and direction.
+        sensor: name of the sensor, from column ``T_<sensor>_degC``.
+        coefficient: c, µm/K.
+        time_constant: τ, s.
+    """
+
+    def __init__(self, side: ToolSide, sensor: str, coefficient: float, time_constant: float) -> None:
+        super().__init__(f"thermal_lag:{side.direction} by {sensor}", side)
+        self.sensor = sensor
+        self.coefficient = coefficient
+        self.time_constant = time_constant
+
+    def changed(self, coefficient: float, time_constant: float) -> ThermalLag:
+        """Return the same effect with other parameters."""
+        return ThermalLag(self._side, self.sensor, coefficient, time_constant)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Coefficient and time constant."""
+        return (
+            self._number("coefficient", "um/K", self.coefficient),
+            self._number("time_constant", "s", self.time_constant),
+        )
+
+    def factors(self, state: Mapping[str, Any]) -> Sequence[np.ndarray]:
+        """See `HistoryShift.factors`; needs ``T_<sensor>_degC``, and ``time_s`` if there is more than one reading."""
+        warm = np.asarray(channel(state, f"T_{self.sensor}_degC", self.name), dtype=float) - REFERENCE_DEGC
+        if warm.size == 1:
+            return warm, np.zeros_like(warm)
+        time = np.broadcast_to(np.asarray(channel(state, TIME, self.name), dtype=float), warm.shape)
+        follows = lagged(time, warm, self.time_constant, "linear")
+        return follows.value, self.coefficient * follows.by_constant
+
+
+def _make_lag(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> ThermalLag:
+    side, sensor = direction_and_sensor(machine, where, THERMAL_LAG)
+    return ThermalLag(side, sensor, *numbers.values())
+
+
+def _lag_candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
+    if TIME not in state:
+        return [], []
+    return [f"{way} by {sensor}" for way in directions(machine) for sensor in varying_sensors(state)], []
+
+
+def _lag_forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
+    def effects(value: float, fixed: Mapping[str, float]) -> tuple[ThermalLag, ...]:
+        return (_make_lag(machine, where, {"coefficient": value, **fixed}, ()),)
+
+    constants = drift_time_constants(state[TIME])[::TIME_CONSTANT_STRIDE]
+    return Forms(
+        (("coefficient", "um/K"),),
+        lambda values, fixed: effects(float(values[0]), fixed),
+        lambda fixed: effects(1.0, fixed),
+        tuple({"time_constant": constant} for constant in constants),
+        tests=3.0,
+    )
+
+
+def _constrain(effect: ThermalLag, values: Sequence[float], longest: float) -> ThermalLag:
+    return effect.changed(values[0], one_step(effect.time_constant, values[1], longest))
+
+
+THERMAL_LAG: Final = Specification(
+    name="thermal_lag",
+    kind="machine",
+    title=lambda where: (
+        f"growth along {where[:1].lower()} that lags behind the temperature of {where.partition(' by ')[2]}"
+    ),
+    family="growth that lags behind a temperature",
+    advice=Advice(
+        "Shop floor and service: heat sources near that sensor, and the heavy parts that they warm slowly.",
+        f"Keep the temperature steady, or {EXTENDING} and give the temperature of that sensor over time.",
+        "Do not correct it with the present temperature alone: the structure follows later.",
+    ),
+    evidence=lambda fit: (
+        f"{fit.where}: the tool side moves by {fit.measure} and follows the temperature of that sensor with a time constant of "
+        f"{fit.numbers['time_constant']:.3g} s"
+    ),
+    parameters=("coefficient", "time_constant"),
+    limits={"um/K": 500.0},
+    places=lambda machine: tuple(f"{way} by" for way in directions(machine)),
+    open_places=True,
+    channels=lambda where: (f"T_{where.partition(' by ')[2]}_degC", TIME),
+    expected=lambda machine: "X, Y or Z of the base frame and a sensor, such as Z by bed",
+    make=_make_lag,
+    forms=_lag_forms,
+    candidates=_lag_candidates,
+    nonlinear=("time_constant",),
+    constrain=_constrain,
+    varies="with time",
+    variant_of="thermal_growth",
+    drawing=Drawing(columns=lambda where: (TIME, f"T_{where.split(' by ')[1]}_degC"), of_base=True),
+)

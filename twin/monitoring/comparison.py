@@ -1,0 +1,284 @@
+"""The result of a comparison of two calibrations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, Final, Literal, final
+
+import numpy as np
+
+from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warnings_to_json
+from twin._common.records import json_form
+from twin.display import card, finite_or_none, first_rows, measured, note, pairs, readable, table
+from twin.machine.machine import Machine
+from twin.monitoring.pairs import FALSE_ALARMS, SHARE, NotCompared, Status
+from twin.monitoring.tool import ToolChange
+
+SCHEMA: Final = "twin.monitoring/1"
+Verdict = Literal["same", "unchanged", "changed", "reworded", "unknown"]
+AT_TOOL: Final = MappingProxyType(
+    {
+        "judged": "judged_aligned",
+        "by_class": "by_class_aligned",
+        "by_cause": "fewest_alone_aligned",
+        "by_error": "by_error_aligned",
+    }
+)
+"""Keys in JSON of results after aligning the workpiece."""
+CANCELLED: Final = 0.05
+"""Ratio of the joint effect of changes at the tool to their single effects below which they cancel."""
+
+
+@final
+@dataclass(frozen=True)
+class ErrorChange:
+    """The change of one error, second calibration less first.
+
+    Attributes:
+        name: ISO 230-1 name, or the effect's own.
+        kind: ``curve``, ``number`` (squareness, location) or ``effect``.
+        iso_class: class of ISO/TR 16907.
+        axis: the axis it belongs to.
+        unit: ``um`` or ``urad``; for an effect, the unit of the number ``label``.
+        status: ``known``; ``same``: identical numbers; ``unknown``: a calibration does not state its uncertainty.
+        label: for an effect, the number that ``largest`` belongs to: the one with the largest change in standard uncertainties.
+        rms: of a curve, over the common part of both domains; else the absolute value of ``largest``.
+        largest: the largest change of a curve with its sign, or the change of the number.
+        at: position of the axis of the largest change, mm or degrees; NaN unless a curve.
+        u: standard uncertainty (k = 1) of ``largest``; NaN if unknown.
+        band: half width at ``at`` of the simultaneous 95 % band of the whole curve; for a number 1.96 u; NaN if unknown.
+        p_value: of the χ² of the change; NaN if unknown.
+        p_adjusted: p-value corrected for the number of errors tested (Holm).
+        without_variance: largest change in directions without an uncertainty on both sides, in ``unit``; zero if none.
+        notes: assumptions made.
+    """
+
+    name: str
+    kind: Literal["curve", "number", "effect"]
+    iso_class: str
+    axis: str
+    unit: str
+    status: Status
+    label: str
+    rms: float
+    largest: float
+    at: float
+    u: float
+    band: float
+    p_value: float
+    p_adjusted: float
+    without_variance: float
+    notes: tuple[str, ...]
+
+    @property
+    def significant(self) -> bool | None:
+        """Return whether the change is significant by itself, corrected for the number of errors; None if unknown."""
+        if self.status == "same":
+            return False
+        return None if self.status == "unknown" else self.p_adjusted <= SHARE
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON; null for unknown values."""
+        renamed = {"name": "error", "iso_class": "class", "label": "number", "band": "band95"}
+        found = json_form(self, rename=renamed, leave_out=("without_variance", "notes"))
+        return found | {
+            "number": self.label or None,
+            "significant": self.significant,
+            "without_uncertainty": self.without_variance,
+            "notes": list(self.notes),
+        }
+
+
+@final
+@dataclass(frozen=True)
+class Culprits:
+    """The smallest set of errors that explains the change, all others taken as unchanged.
+
+    Attributes:
+        errors: the changes estimated on this assumption, strongest first; ``p_adjusted`` is corrected for all sets tried.
+        alternatives: for each, the errors that would explain the change equally well in its place.
+        trends: for each, its shape along the axis: ``constant``, ``line``, ``bow``, ``turn`` (one wave per turn), or empty.
+        left_p_value: p-value of the change they do not explain; NaN if nothing could be tested.
+        shows_from: detection limits (name, size, unit) of squareness and locations: a change of it alone, all else unchanged, is found
+            in 19 of 20 comparisons.
+    """
+
+    errors: tuple[ErrorChange, ...]
+    alternatives: tuple[tuple[str, ...], ...]
+    trends: tuple[str, ...]
+    left_p_value: float
+    shows_from: tuple[tuple[str, float, str], ...] = ()
+
+
+@final
+@dataclass(frozen=True)
+class Changes:
+    """The changes between two calibrations of one machine.
+
+    Attributes:
+        machine: the machine.
+        first, second: names of the two (their files).
+        errors: change of each error that both contain, tested by itself.
+        not_compared: errors that could not be compared, with the reason.
+        not_identified: errors that neither contains, because they could not be determined; U of the remaining error includes their
+            plausible size.
+        joint_p_value, joint_dof: of the χ² of all known changes together; NaN and 0 if none is known.
+        culprits: the smallest set of errors that explains the change.
+        tool: the change at the tool.
+        tolerance_mm: largest error at the tool that the older calibration may leave; None if not given.
+        left_out: effects not included in the comparison at the tool, with the channels they need.
+        notices: assumptions and limits of the whole comparison.
+        meaning: the meaning of the result, in sentences.
+        warnings: on the origin of the numbers of either.
+    """
+
+    machine: Machine
+    first: str
+    second: str
+    errors: tuple[ErrorChange, ...]
+    not_compared: tuple[NotCompared, ...]
+    not_identified: tuple[NotCompared, ...]
+    joint_p_value: float
+    joint_dof: int
+    culprits: Culprits
+    tool: ToolChange
+    tolerance_mm: float | None
+    left_out: tuple[tuple[str, str], ...]
+    notices: tuple[str, ...]
+    meaning: tuple[str, ...] = ()
+    warnings: tuple[SourceWarning, ...] = ()
+
+    @property
+    def illustrative(self) -> bool:
+        """Return whether either has illustrative curves, not measured ones."""
+        return ILLUSTRATIVE in self.warnings
+
+    @cached_property
+    def seen_by(self) -> tuple[str, ...]:
+        """Return which of the four tests detect a change: ``all together``, ``error by error``, ``fewest errors``, ``tool``."""
+        found = []
+        if self.joint_p_value <= SHARE:
+            found.append("all together")
+        if any(error.significant for error in self.errors):
+            found.append("error by error")
+        if self.culprits.errors:
+            found.append("fewest errors")
+        if self.tool.judged is not None:
+            rows = (self.tool.judged, *self.tool.by_class.values())
+            if any(row.rms_um > row.limit_um for row in rows):
+                found.append("tool")
+        return tuple(found)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Return the verdict.
+
+        ``changed`` if any of the four tests is significant; ``unchanged``; ``unknown`` if nothing could be tested; ``same`` for
+        identical numbers; ``reworded`` if the numbers changed but their effects cancel at the tool, for example if a constant is
+        attributed to a different error.
+        """
+        if self.seen_by:
+            return "reworded" if self._cancelled else "changed"
+        if not self.not_compared and all(error.status == "same" for error in self.errors):
+            return "same"
+        return "unchanged" if any(error.status == "known" for error in self.errors) else "unknown"
+
+    @cached_property
+    def _cancelled(self) -> bool:
+        tool = self.tool
+        if tool.judged is None or self.unjudged or tool.judged.rms_um > tool.judged.limit_um:
+            return False
+        names = {error.name for error in (*self.errors, *self.culprits.errors) if error.significant}
+        alone = np.sqrt(sum(tool.by_error[name].rms_um ** 2 for name in names))
+        return len(names) > 1 and bool(tool.judged.rms_um <= CANCELLED * alone)
+
+    @property
+    def unjudged(self) -> tuple[str, ...]:
+        """Return the names of errors that could not be compared or tested (exit status 3 on the command line)."""
+        return (
+            *(one.name for one in self.not_compared),
+            *(error.name for error in self.errors if error.status == "unknown" or error.without_variance > 0.0),
+            *(name for name, _ in self.left_out),
+        )
+
+    @property
+    def good_enough(self) -> bool | None:
+        """Return whether the older calibration leaves less than the tolerance on the machine of the newer; None if undecided."""
+        return None if self.tolerance_mm is None else self.tool.left.enough(self.tolerance_mm * 1e3)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON (``schema: twin.monitoring/1``); null for unknown values."""
+        culprits = self.culprits
+        return {
+            "schema": SCHEMA,
+            "machine": self.machine.name,
+            "first": self.first,
+            "second": self.second,
+            "illustrative": self.illustrative,
+            "warnings": warnings_to_json(self.warnings),
+            "verdict": self.verdict,
+            "seen_by": list(self.seen_by),
+            "false_alarms": {"of_all": FALSE_ALARMS, "of_each_look": SHARE},
+            "joint": {"p_value": finite_or_none(self.joint_p_value), "dof": self.joint_dof},
+            "meaning": list(self.meaning),
+            "errors": [error.to_dict() for error in self.errors],
+            "fewest": {
+                "errors": [
+                    {**error.to_dict(), "alternatives": list(others), "trend": trend or None}
+                    for error, others, trend in zip(
+                        culprits.errors, culprits.alternatives, culprits.trends, strict=True
+                    )
+                ],
+                "left_p_value": finite_or_none(culprits.left_p_value),
+                "shows_from": [{"error": name, "size": size, "unit": unit} for name, size, unit in culprits.shows_from],
+            },
+            "not_compared": [json_form(one, rename={"name": "error"}) for one in self.not_compared],
+            "not_identified": [{"error": one.name, "why": one.why} for one in self.not_identified],
+            "left_out_at_tool": [{"effect": name, "needs": needs} for name, needs in self.left_out],
+            "tool": json_form(self.tool, rename=AT_TOOL, leave_out=("left",)),
+            "first_compensating_second": {
+                **json_form(self.tool.left),
+                "tolerance_mm": self.tolerance_mm,
+                "good_enough": self.good_enough,
+            },
+            "unjudged": list(self.unjudged),
+            "notices": list(self.notices),
+        }
+
+    def _repr_html_(self) -> str:
+        other = [error for error in self.errors if error.status != "same"]
+        other.sort(key=lambda error: (not error.significant, -self._alone_um(error)))
+        shown, more = first_rows(len(other), lambda i: self._cells(other[i]))
+        whole = self.tool.everything_aligned
+        headers = ("error", "class", "largest change", "significant", "at the tool, µm RMS")
+        return card(
+            self.verdict.upper(),
+            *(note(sentence) for sentence in self.meaning),
+            pairs(
+                [
+                    ("at the tool, workpiece aligned", f"{whole.rms_um:.3g} µm RMS, {whole.max_um:.3g} µm largest"),
+                    ("could not be compared or tested", ", ".join(self.unjudged)),
+                ]
+            ),
+            table(headers, shown, right=(4,)),
+            more,
+            small=f"{self.second} less {self.first}",
+            illustrative=self.illustrative,
+            wrong=bool(self.unjudged),
+        ).text
+
+    def _cells(self, error: ErrorChange) -> tuple[str, ...]:
+        return (
+            error.name,
+            error.iso_class,
+            measured(error.largest, error.u, readable(error.unit)),
+            "unknown" if error.significant is None else "yes" if error.significant else "no",
+            f"{self._alone_um(error):.3g}" if error.name in self.tool.by_error else "",
+        )
+
+    def _alone_um(self, error: ErrorChange) -> float:
+        """Return the RMS at the tool of one error alone; zero if it was not tested."""
+        found = self.tool.by_error.get(error.name)
+        return 0.0 if found is None else found.rms_um

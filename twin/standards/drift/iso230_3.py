@@ -1,0 +1,311 @@
+"""Displacements over time in the tests of ISO 230-3: environment, rotating spindle, moving linear axes.
+
+The figures are ranges (largest minus smallest) and changes from the first reading. They follow public descriptions of the standard (its
+scope and its preview), not its clauses.
+
+Action of the location, the orientation and the zero of a rotary axis on the displacements that were read around it.
+
+The nominal kinematics at the commanded positions give the places of the sphere about the axis: the linear axes follow it. The level of
+the sphere along the axis does not show in the positions, so the location of the axis is that at the level of the sphere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin._common.arrays import read_only
+from twin._common.errors import InputError
+from twin._common.units import MM
+from twin.machine.machine import Axis, Machine
+from twin.measurement.columns import CARRIERS
+from twin.measurement.observation import Observation
+from twin.measurement.table import Measurements
+from twin.standards.iso230_1 import check_same_length, finite_array
+
+FIRST_S: Final = 3600.0
+"""Length of the first part of a spindle test, s."""
+DriftKind = Literal["environment", "spindle", "axes", "rotary axis"]
+
+
+@final
+@dataclass(frozen=True)
+class DriftSeries:
+    """Displacements of one test over time; n readings.
+
+    Attributes:
+        kind: ``environment``, ``spindle``, ``axes`` or ``rotary axis``.
+        time_s: (n,) increasing.
+        displacement: (n,) by name, µm or µrad, from the reference reading; NaN where it was not read.
+        units: ``um`` or ``urad`` by name.
+        temperature_degC: (n,) by sensor; NaN where it was not read.
+        speed_rpm: (n,) spindle speed; None if unknown.
+        target: (n,) number of the target position, from 1.
+        running_s: start and end of the period in which the spindle ran; None for other tests.
+    """
+
+    kind: DriftKind
+    time_s: np.ndarray
+    displacement: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+    temperature_degC: Mapping[str, np.ndarray]
+    speed_rpm: np.ndarray | None
+    target: np.ndarray
+    running_s: tuple[float, float] | None
+
+    @property
+    def targets(self) -> tuple[int, ...]:
+        """Numbers of the target positions."""
+        return tuple(int(one) for one in np.unique(self.target))
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last reading."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    def range(self, name: str, *, target: int = 1, until_s: float = np.inf) -> float:
+        """Return the largest minus the smallest displacement at a target; NaN for fewer than two readings.
+
+        In a spindle test only readings of the period in which the spindle ran count, and the reference reading before it.
+
+        Args:
+            name: the displacement.
+            target: number of the target position.
+            until_s: end of the part that counts, from the start of that period.
+        """
+        return spread(self.displacement[name][self._counted(target, until_s)])
+
+    def end(self, name: str, *, target: int = 1) -> float:
+        """Return the displacement at the last counted reading of a target, from the reference; NaN if it was not read."""
+        values = self.displacement[name][self._counted(target, np.inf)]
+        read = values[np.isfinite(values)]
+        return float(read[-1]) if len(read) else float("nan")
+
+    def _counted(self, target: int, until_s: float) -> np.ndarray:
+        start, end = self.running_s or (float(self.time_s[0]), float(self.time_s[-1]))
+        after, before = self.time_s >= start, self.time_s <= min(end, start + until_s)
+        return np.flatnonzero(after & before & (self.target == target))
+
+
+def spread(values: np.ndarray) -> float:
+    """Return the largest minus the smallest value, without those that are NaN; NaN for fewer than two."""
+    read = values[np.isfinite(values)]
+    return float(np.ptp(read)) if len(read) > 1 else float("nan")
+
+
+def tilt_urad(first_um: np.ndarray, second_um: np.ndarray, distance_mm: float) -> np.ndarray:
+    """Return the tilt from two parallel sensors at a distance: second minus first, divided by the distance.
+
+    Args:
+        first_um: (n,) displacement at the first sensor.
+        second_um: (n,) displacement at the second.
+        distance_mm: distance of the sensors.
+    """
+    return np.asarray((second_um - first_um) / distance_mm * 1e3)
+
+
+def drift_series(
+    kind: DriftKind,
+    time_s: ArrayLike,
+    displacement: Mapping[str, ArrayLike],
+    *,
+    units: Mapping[str, str],
+    temperature_degC: Mapping[str, np.ndarray] | None = None,
+    speed_rpm: ArrayLike | None = None,
+    target: ArrayLike | None = None,
+) -> DriftSeries:
+    """Return the displacements of a test from the reference reading: the first at each target; for a spindle the last before it ran.
+
+    Args:
+        kind: the test.
+        time_s: (n,) increasing.
+        displacement: (n,) by name; NaN where it was not read.
+        units: ``um`` or ``urad`` by name.
+        temperature_degC: (n,) by sensor.
+        speed_rpm: (n,) the speed at each reading, or between the reading before and this one if it stands still for the reading.
+        target: (n,) number of the target position, from 1; None for one position.
+
+    Raises:
+        InputError: fewer than two readings, times that do not increase, or a spindle that never ran.
+    """
+    time = finite_array("time_s", time_s, 1)
+    for name, values in displacement.items():
+        check_same_length(name, np.asarray(values), "time_s", time)
+    if len(time) < 2:
+        raise InputError("too few readings", expected="at least two", value=len(time))
+    if np.any(np.diff(time) <= 0.0):
+        raise InputError("the times do not increase", expected="a later time at every reading")
+    number = np.ones(len(time), dtype=int) if target is None else np.asarray(target, dtype=int)
+    speed = None if speed_rpm is None else np.asarray(speed_rpm, dtype=float)
+    running = None
+    first = {int(one): int(np.flatnonzero(number == one)[0]) for one in np.unique(number)}
+    if kind == "spindle":
+        ran = np.flatnonzero(np.nan_to_num(speed) > 0.0) if speed is not None else np.zeros(0, dtype=int)
+        if not len(ran):
+            raise InputError("the spindle never ran", expected="a spindle speed above zero")
+        before = max(int(ran[0]) - 1, 0)
+        running, first = (float(time[before]), float(time[ran[-1]])), {1: before}
+    return DriftSeries(
+        kind=kind,
+        time_s=read_only(time),
+        displacement=MappingProxyType(
+            {
+                name: read_only(_from_reference(np.asarray(v, dtype=float), number, first))
+                for name, v in displacement.items()
+            }
+        ),
+        units=MappingProxyType(dict(units)),
+        temperature_degC=MappingProxyType(dict(temperature_degC or {})),
+        speed_rpm=None if speed is None else read_only(speed),
+        target=read_only(number),
+        running_s=running,
+    )
+
+
+def _from_reference(values: np.ndarray, target: np.ndarray, first: Mapping[int, int]) -> np.ndarray:
+    """Return values from that of the reference row of each target, or from the first one read after it."""
+    found = np.full(values.shape, np.nan)
+    for number, row in first.items():
+        here = target == number
+        read = np.flatnonzero(here & np.isfinite(values))
+        later = read[read >= row]
+        if len(later):
+            found[here] = values[here] - values[later[0]]
+    return found
+
+
+# --- Action of the location, the orientation and the zero of a rotary axis on the displacements that were read around it
+
+LETTERS: Final = "XYZABC"
+TURNED_DEG: Final = 5.0
+"""Travel above which a rotary axis counts as moved."""
+STEP_DEG: Final = 1e-3
+
+
+@final
+@dataclass(frozen=True)
+class AxisDesign:
+    """Displacements of the tool relative to the work per unit of each quantity of a rotary axis.
+
+    Attributes:
+        axis: name of the axis.
+        names: of the quantities: two locations, the shift along the axis, two orientations, the zero, the radial expansion.
+        units: ``um`` or ``urad`` by name, in that order.
+        matrix: (n, 3, 7) µm in X, Y, Z of the machine per unit, for every row of the record.
+        radius_mm: mean distance of the spheres from the axis.
+    """
+
+    axis: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    matrix: np.ndarray
+    radius_mm: float
+
+    def select(self, rows: np.ndarray) -> AxisDesign:
+        """Return the design of some rows."""
+        return AxisDesign(self.axis, self.names, self.units, read_only(self.matrix[rows]), self.radius_mm)
+
+
+def turning_axis(positions: np.ndarray, machine: Machine) -> Axis | None:
+    """Return the only rotary axis that moves; None if none or several do."""
+    turned = [i for i in machine.rotary if np.ptp(positions[:, i]) > TURNED_DEG]
+    return machine.axes[turned[0]] if len(turned) == 1 else None
+
+
+def axis_design(data: Measurements, machine: Machine) -> AxisDesign | None:
+    """Return the design of the readings of a table, whose only moving rotary axis is the one described.
+
+    Args:
+        data: the table; its stations ride on the tool or the work.
+        machine: the machine.
+
+    Returns:
+        None if no rotary axis moves or several do, or if stations stand on the base.
+    """
+    axis = turning_axis(data.positions, machine)
+    if axis is None or str(data.station_carrier[0]) == "base":
+        return None
+    return design_of(axis, np.asarray(data.positions), *_parts(data), machine)
+
+
+def design_of(
+    axis: Axis, positions: np.ndarray, on_tool: Sequence[str], on_work: Sequence[str], machine: Machine
+) -> AxisDesign:
+    """Return the design of poses at which a part of the tool is at a part on the work.
+
+    Args:
+        axis: the rotary axis.
+        positions: (n, axes) mm and degrees.
+        on_tool: (n,) names of the parts on the tool side.
+        on_work: (n,) names of the parts on the work side.
+        machine: the machine.
+    """
+    observation, q, side = Observation(machine), positions * machine.scale, "tool" if axis.side == "tool" else "work"
+    places = _places(observation, q, on_tool, on_work)[side]
+    errors = np.zeros((len(q), 6 * len(machine.frames)))
+    found = observation.carried(q, errors, np.full(len(q), side, dtype=object), places)
+    frame = next(k for k, one in enumerate(machine.frames) if one.axis == axis.name and one.role == "location")
+    by_error = found.by_error[:, :, 6 * frame : 6 * frame + 6]
+    directions = by_error[:, :, :3]
+    lever = -0.5 * np.sum(np.cross(directions, by_error[:, :, 3:], axis=1), axis=2)
+    located = [LETTERS.index(name[2]) for name in machine.location_names if name[4] == axis.name]
+    (along,) = {0, 1, 2} - set(located)
+    own = directions[:, :, along]
+    level = np.sum(own * lever, axis=1)
+    radial = lever - own * level[:, None]
+    lever = lever - own * level.mean()
+    moved = positions.copy()
+    index = machine.names.index(axis.name)
+    moved[:, index] += STEP_DEG
+    after = observation.points(moved * machine.scale, errors, np.full(len(q), side, dtype=object), places)
+    about = np.cross(own, lever)
+    way = np.sign(np.sum((after - found.points) * about))
+    radius = float(np.mean(np.linalg.norm(radial, axis=1)))
+    sign = 1.0 if side == "tool" else -1.0
+    columns = [directions[:, :, k] if k < 3 else np.cross(directions[:, :, k - 3], lever) / MM * 1e-3 for k in located]
+    columns = [*columns[:2], own, *columns[2:], way * about / MM * 1e-3, radial / max(radius, 1e-12)]
+    first, second, third, fourth = (f"E_{LETTERS[k]}0{axis.name}" for k in located)
+    names = (first, second, f"axial_{axis.name}", third, fourth, f"zero_{axis.name}", f"radial_{axis.name}")
+    units = ("um", "um", "um", "urad", "urad", "urad", "um")
+    return AxisDesign(axis.name, names, units, read_only(sign * np.stack(columns, axis=2)), radius / MM)
+
+
+def _parts(data: Measurements) -> tuple[list[str], list[str]]:
+    """Return the names (n,) of the part on the tool side and of the part on the work side of each reading."""
+    tool, work = [], []
+    for target, station, carrier in zip(data.target, data.station, data.carrier, strict=True):
+        first, second = (f"target {target}", f"station {station}")
+        tool.append(first if carrier == "tool" else second)
+        work.append(second if carrier == "tool" else first)
+    return tool, work
+
+
+def _places(
+    observation: Observation, q: np.ndarray, on_tool: Sequence[str], on_work: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """Return the places (n, 3) of the parts on both sides, metres: those that meet at the commanded positions.
+
+    Their level along an axis parallel to the tool is not determined; the least-squares solution of smallest length is used.
+    """
+    errors, zero = np.zeros((len(q), 6 * len(observation.machine.frames))), np.zeros((len(q), 3))
+    blocks, origins, numbers = [], [], []
+    for side, names in zip(CARRIERS, (on_tool, on_work), strict=True):
+        found = observation.carried(q, errors, np.full(len(q), side, dtype=object), zero)
+        every = list(dict.fromkeys(names))
+        number = np.array([every.index(name) for name in names])
+        block = np.zeros((len(q), 3, 3 * len(every)))
+        for k in range(len(every)):
+            block[number == k, :, 3 * k : 3 * k + 3] = found.rotation[number == k]
+        blocks.append(block)
+        origins.append(found.points)
+        numbers.append(number)
+    matrix = np.concatenate([blocks[0], -blocks[1]], axis=2).reshape(3 * len(q), -1)
+    places = np.linalg.lstsq(matrix, (origins[1] - origins[0]).reshape(-1), rcond=1e-9)[0].reshape(-1, 3)
+    split = blocks[0].shape[2] // 3
+    own = places[:split], places[split:]
+    return {side: own[k][numbers[k]] for k, side in enumerate(CARRIERS)}

@@ -1,0 +1,390 @@
+"""Positioning of a linear or rotary axis, evaluated according to ISO 230-2:2014.
+
+Input are the deviations at each target from n approaches in the positive direction (the standard's ↑, here ``forward``) and n in the
+negative one (↓, ``backward``). A test with fewer targets or cycles than clause 4.3 requires is evaluated and marked. The measurement
+uncertainty (annex A) is not included, because it depends on the instrument.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twin._common.arrays import read_only
+from twin._common.errors import InputError
+from twin._common.units import DEG, MM, UM, URAD, count_with_noun
+from twin.standards.iso230_1 import check_same_length, finite_array
+
+ARCSEC: Final = DEG / 3600.0
+CYCLES: Final = 5
+TARGETS: Final = 5
+TARGETS_PER_METRE: Final = 5
+LONGEST_MM: Final = 2000.0
+ROTARY_TARGETS: Final = ((90.0, 3), (180.0, 5), (360.0, 8))
+"""Travel up to this many degrees → least number of targets."""
+
+Unit = Literal["um", "urad", "arcsec"]
+_SIGNS: Final = {"um": "µm", "urad": "µrad", "arcsec": "″", "mm": "mm", "deg": "°"}
+
+
+@final
+@dataclass(frozen=True)
+class Positioning:
+    """Result of ISO 230-2:2014 for one axis. Symbols are the standard's; clause numbers are of its clause 3.
+
+    Deviations and values derived from them are in `unit`; actual minus target (3.5). Arrays are read-only, one row for each target in
+    the order given.
+
+    Attributes:
+        axis: its name, for tables and plots.
+        unit: ``um``, ``urad`` or ``arcsec``.
+        target_unit: ``mm`` or ``deg``.
+        target: (m,) target positions, in `target_unit`.
+        forward, backward: (m, n) deviations x_ij↑ and x_ij↓.
+        mean_forward, mean_backward: (m,) mean unidirectional deviations x̄_i↑, x̄_i↓ (3.10).
+        mean: (m,) mean bidirectional deviation x̄_i (3.11).
+        B_i: (m,) reversal error x̄_i↑ − x̄_i↓, with its sign (3.12).
+        B: of the axis: the largest abs(B_i) (3.13).
+        B_mean: mean reversal error B̄, with its sign (3.14).
+        s_i_forward, s_i_backward: (m,) estimators, divisor n − 1 (3.15).
+        R_i_forward, R_i_backward: (m,) unidirectional repeatability 4 s_i (3.16).
+        R_i: (m,) bidirectional repeatability max(2 s_i↑ + 2 s_i↓ + abs(B_i); R_i↑; R_i↓) (3.17).
+        R_forward, R_backward: of the axis, the largest R_i↑, R_i↓ (3.18).
+        R: of the axis, the largest R_i (3.19).
+        E_forward, E_backward: unidirectional systematic deviation, range of x̄_i↑, of x̄_i↓ (3.20).
+        E: bidirectional systematic deviation, range of both together (3.21).
+        M: mean bidirectional deviation, range of x̄_i (3.22).
+        A_forward, A_backward: unidirectional accuracy, range of x̄_i ± 2 s_i of one direction (3.23).
+        A: bidirectional accuracy, range of both together (3.24).
+        shortfalls: requirements of clause 4.3 that this test does not meet; empty if it meets all.
+    """
+
+    axis: str
+    unit: Unit
+    target_unit: Literal["mm", "deg"]
+    target: np.ndarray
+    forward: np.ndarray
+    backward: np.ndarray
+    mean_forward: np.ndarray
+    mean_backward: np.ndarray
+    mean: np.ndarray
+    B_i: np.ndarray
+    B: float
+    B_mean: float
+    s_i_forward: np.ndarray
+    s_i_backward: np.ndarray
+    R_i_forward: np.ndarray
+    R_i_backward: np.ndarray
+    R_i: np.ndarray
+    R_forward: float
+    R_backward: float
+    R: float
+    E_forward: float
+    E_backward: float
+    E: float
+    M: float
+    A_forward: float
+    A_backward: float
+    A: float
+    shortfalls: tuple[str, ...]
+
+    @property
+    def by_standard(self) -> bool:
+        """Whether the test has the targets and cycles that clause 4.3 requires."""
+        return not self.shortfalls
+
+    @property
+    def cycles(self) -> int:
+        """Number of approaches of each target from each side."""
+        return self.forward.shape[1]
+
+    def in_arcsec(self) -> Positioning:
+        """Return the result in seconds of arc.
+
+        Raises:
+            InputError: a linear axis.
+        """
+        if self.unit == "um":
+            raise InputError("deviations of a linear axis are not angles", expected="a rotary axis", value=self.axis)
+        factor = URAD / ARCSEC if self.unit == "urad" else 1.0
+        deviations = (read_only(self.forward * factor), read_only(self.backward * factor))
+        return replace(_evaluate(self.axis, self.target_unit, self.target, *deviations), unit="arcsec")
+
+    def to_text(self, decimals: int = 1) -> str:
+        """Return the tables of a report: by target, and for the axis.
+
+        Args:
+            decimals: number of decimals of every deviation.
+        """
+        unit, target_unit = _SIGNS[self.unit], _SIGNS[self.target_unit]
+        name = f"Axis {self.axis}" if self.axis else "Axis"
+        kind = "linear" if self.target_unit == "mm" else "rotary"
+        low, high = float(self.target.min()), float(self.target.max())
+        space = " " if target_unit == "mm" else ""
+        count = f"{count_with_noun(len(self.target), 'target')} from {low:g} to {high:g}{space}{target_unit}, {self.cycles} cycles"
+        lines = [f"{name} ({kind}), positioning by ISO 230-2:2014", f"{count}, deviations in {unit}"]
+        lines += [f"Not by the standard (4.3): {shortfall}" for shortfall in self.shortfalls]
+        columns = {
+            f"P [{target_unit}]": self.target,
+            "x̄↑": self.mean_forward,
+            "x̄↓": self.mean_backward,
+            "x̄": self.mean,
+            "B": self.B_i,
+            "s↑": self.s_i_forward,
+            "s↓": self.s_i_backward,
+            "R↑": self.R_i_forward,
+            "R↓": self.R_i_backward,
+            "R": self.R_i,
+        }
+        lines += ["", *_table(columns, decimals)]
+        lines += ["", f"{'':<44}{'↑':>10}{'↓':>10}{'both':>10}"]
+        for label, *values in (
+            ("Reversal error B", None, None, self.B),
+            ("Mean reversal error B̄", None, None, self.B_mean),
+            ("Repeatability R", self.R_forward, self.R_backward, self.R),
+            ("Systematic deviation E", self.E_forward, self.E_backward, self.E),
+            ("Mean bidirectional deviation M", None, None, self.M),
+            ("Accuracy A", self.A_forward, self.A_backward, self.A),
+        ):
+            shown = "".join(f"{'':>10}" if value is None else f"{_fixed(value, decimals):>10}" for value in values)
+            pad = 44 - _width(label)
+            lines.append(f"{label}{'':<{pad}}{shown}".rstrip())
+        return "\n".join(lines) + "\n"
+
+
+@final
+@dataclass(frozen=True)
+class UnidirectionalPositioning:
+    """Values of ISO 230-2:2014 for approaches of all targets from one direction; symbols as in `Positioning`. Arrays are read-only.
+
+    Attributes:
+        axis, unit, target_unit, target: as in `Positioning`.
+        direction: +1 or −1.
+        deviations: (m, n).
+        mean, s_i: (m,) mean and estimator of every target.
+        R, E, A: repeatability, systematic deviation and accuracy; R and A are NaN for a single cycle.
+        shortfalls: requirements of clause 4.3 that this test does not meet.
+    """
+
+    axis: str
+    unit: Unit
+    target_unit: Literal["mm", "deg"]
+    direction: int
+    target: np.ndarray
+    deviations: np.ndarray
+    mean: np.ndarray
+    s_i: np.ndarray
+    R: float
+    E: float
+    A: float
+    shortfalls: tuple[str, ...]
+
+
+def unidirectional(
+    target: ArrayLike, deviations: ArrayLike, target_unit: Literal["mm", "deg"], direction: int, *, axis: str = ""
+) -> UnidirectionalPositioning:
+    """Evaluate the approaches of one direction according to ISO 230-2:2014.
+
+    Args:
+        target: (m,) target positions, mm or degrees, each once.
+        deviations: (m, n) deviations, µm or µrad.
+        target_unit: ``mm`` or ``deg``.
+        direction: +1 or −1.
+        axis: its name.
+
+    Raises:
+        InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets.
+    """
+    up = finite_array("deviations", deviations, 2)
+    targets, _, _ = _checked(target, up, up, 1)
+    mean, s, cycles = up.mean(axis=1), _estimator(up), up.shape[1]
+    return UnidirectionalPositioning(
+        axis=axis,
+        unit="um" if target_unit == "mm" else "urad",
+        target_unit=target_unit,
+        direction=direction,
+        target=targets,
+        deviations=up,
+        mean=read_only(mean),
+        s_i=read_only(s),
+        R=float(4.0 * s.max()),
+        E=float(np.ptp(mean)),
+        A=float((mean + 2.0 * s).max() - (mean - 2.0 * s).min()),
+        shortfalls=(*_shortfalls(target_unit, targets, cycles), "approached from one direction only"),
+    )
+
+
+def linear_deviations_um(target_mm: ArrayLike, position_mm: ArrayLike) -> np.ndarray:
+    """Return the deviations of a linear axis, actual minus target (3.5).
+
+    Args:
+        target_mm: (m,) target positions.
+        position_mm: (m, n) actual positions.
+    """
+    target, position = finite_array("targets", target_mm, 1), finite_array("positions", position_mm, 2)
+    check_same_length("positions", position, "the targets", target)
+    return read_only((position - target[:, None]) * (MM / UM))
+
+
+def rotary_deviations_urad(target_deg: ArrayLike, position_deg: ArrayLike) -> np.ndarray:
+    """Return the deviations of a rotary axis, actual minus target (3.5), the short way round: 359.999° is −1 millidegree from 0°.
+
+    Args:
+        target_deg: (m,) target positions.
+        position_deg: (m, n) actual positions.
+    """
+    target, position = finite_array("targets", target_deg, 1), finite_array("positions", position_deg, 2)
+    check_same_length("positions", position, "the targets", target)
+    difference = position - target[:, None]
+    return read_only((difference - 360.0 * np.round(difference / 360.0)) * (DEG / URAD))
+
+
+def linear_axis(
+    target_mm: ArrayLike, forward_um: ArrayLike, backward_um: ArrayLike, *, axis: str = "", fewest_cycles: int = 2
+) -> Positioning:
+    """Evaluate a linear axis according to ISO 230-2:2014.
+
+    Args:
+        target_mm: (m,) target positions, each once.
+        forward_um: (m, n) deviations, approached in the positive direction.
+        backward_um: (m, n) deviations, approached in the negative direction.
+        axis: its name.
+        fewest_cycles: 1 to evaluate a single cycle too; its s, R and A are then NaN.
+
+    Raises:
+        InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets, or too few cycles.
+    """
+    return _evaluate(axis, "mm", *_checked(target_mm, forward_um, backward_um, fewest_cycles))
+
+
+def rotary_axis(
+    target_deg: ArrayLike, forward_urad: ArrayLike, backward_urad: ArrayLike, *, axis: str = "", fewest_cycles: int = 2
+) -> Positioning:
+    """Evaluate a rotary axis according to ISO 230-2:2014, in µrad; `Positioning.in_arcsec` converts to seconds of arc.
+
+    Args:
+        target_deg: (m,) target positions, each once.
+        forward_urad: (m, n) deviations, approached in the positive direction.
+        backward_urad: (m, n) deviations, approached in the negative direction.
+        axis: its name.
+        fewest_cycles: as for `linear_axis`.
+
+    Raises:
+        InputError: as `linear_axis`.
+    """
+    return _evaluate(axis, "deg", *_checked(target_deg, forward_urad, backward_urad, fewest_cycles))
+
+
+def _checked(
+    target: ArrayLike, forward: ArrayLike, backward: ArrayLike, fewest_cycles: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    targets = finite_array("targets", target, 1)
+    up, down = finite_array("forward deviations", forward, 2), finite_array("backward deviations", backward, 2)
+    check_same_length("forward deviations", up, "the targets", targets)
+    if up.shape != down.shape:
+        raise InputError(
+            "backward deviations do not match the forward ones", expected=f"the same shape {up.shape}", value=down.shape
+        )
+    if len(targets) < 2 or up.shape[1] < fewest_cycles:
+        expected = f"at least 2 targets and {fewest_cycles} cycles"
+        raise InputError("too few targets or cycles", expected=expected, value=up.shape)
+    found, times = np.unique(targets, return_counts=True)
+    if len(found) < len(targets):
+        raise InputError(
+            "a target occurs twice",
+            expected="each target once, its approaches in one row",
+            value=float(found[times > 1][0]),
+        )
+    return targets, up, down
+
+
+def _evaluate(
+    axis: str, target_unit: Literal["mm", "deg"], target: np.ndarray, forward: np.ndarray, backward: np.ndarray
+) -> Positioning:
+    mean_up, mean_down = forward.mean(axis=1), backward.mean(axis=1)
+    s_up, s_down = _estimator(forward), _estimator(backward)
+    mean, reversal = (mean_up + mean_down) / 2.0, mean_up - mean_down
+    r_up, r_down = 4.0 * s_up, 4.0 * s_down
+    both = np.max([2.0 * s_up + 2.0 * s_down + np.abs(reversal), r_up, r_down], axis=0)
+    band_up = np.concatenate([mean_up - 2.0 * s_up, mean_up + 2.0 * s_up])
+    band_down = np.concatenate([mean_down - 2.0 * s_down, mean_down + 2.0 * s_down])
+    return Positioning(
+        axis=axis,
+        unit="um" if target_unit == "mm" else "urad",
+        target_unit=target_unit,
+        target=target,
+        forward=forward,
+        backward=backward,
+        mean_forward=read_only(mean_up),
+        mean_backward=read_only(mean_down),
+        mean=read_only(mean),
+        B_i=read_only(reversal),
+        B=float(np.abs(reversal).max()),
+        B_mean=float(reversal.mean()),
+        s_i_forward=read_only(s_up),
+        s_i_backward=read_only(s_down),
+        R_i_forward=read_only(r_up),
+        R_i_backward=read_only(r_down),
+        R_i=read_only(both),
+        R_forward=float(r_up.max()),
+        R_backward=float(r_down.max()),
+        R=float(both.max()),
+        E_forward=float(np.ptp(mean_up)),
+        E_backward=float(np.ptp(mean_down)),
+        E=float(np.ptp(np.concatenate([mean_up, mean_down]))),
+        M=float(np.ptp(mean)),
+        A_forward=float(np.ptp(band_up)),
+        A_backward=float(np.ptp(band_down)),
+        A=float(np.ptp(np.concatenate([band_up, band_down]))),
+        shortfalls=_shortfalls(target_unit, target, forward.shape[1]),
+    )
+
+
+def _estimator(deviations: np.ndarray) -> np.ndarray:
+    """Return (m,) the estimators s_i of (m, n) deviations, divisor n − 1; NaN for a single cycle."""
+    return deviations.std(axis=1, ddof=1) if deviations.shape[1] > 1 else np.full(len(deviations), np.nan)
+
+
+def _shortfalls(target_unit: str, target: np.ndarray, cycles: int) -> tuple[str, ...]:
+    """Return the requirements of 4.3.2 (linear up to 2 m), 4.3.3 (longer) and 4.3.4 (rotary up to 360°) that are not met."""
+    travel, found = float(np.ptp(target)), []
+    if target_unit == "mm":
+        if travel > LONGEST_MM:
+            found.append(f"travel of {travel:g} mm; above {LONGEST_MM:g} mm the standard has another test (4.3.3)")
+        required = max(TARGETS, int(np.ceil(TARGETS_PER_METRE * travel * MM - 1e-9)))  # 5 for 1000 mm, not 6
+    else:
+        required = next((count for limit, count in ROTARY_TARGETS if travel <= limit), ROTARY_TARGETS[-1][1])
+        if travel > ROTARY_TARGETS[-1][0]:
+            found.append(f"travel of {travel:g}°; the standard's test covers up to 360° (4.3.4)")
+    if len(target) < required:
+        found.append(
+            f"{count_with_noun(len(target), 'target')}, at least {required} required over {travel:g} {_SIGNS[target_unit]}"
+        )
+    if cycles < CYCLES:
+        found.append(f"{cycles} cycles, {CYCLES} required")
+    return tuple(found)
+
+
+def _fixed(value: float, decimals: int) -> str:
+    """Return a number with fixed decimals, without a minus sign before zero."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+
+
+def _width(text: str) -> int:
+    """Return the number of printed characters: the macron of x̄ and B̄ has no width."""
+    return sum(character != "\u0304" for character in text)
+
+
+def _table(columns: dict[str, np.ndarray], decimals: int) -> list[str]:
+    first, *_ = columns
+    cells = {
+        head: [f"{value:g}" if head == first else _fixed(float(value), decimals) for value in values]
+        for head, values in columns.items()
+    }
+    widths = {head: max(_width(head), *(len(cell) for cell in column)) for head, column in cells.items()}
+    rows = [[" " * (widths[head] - _width(head)) + head for head in columns]]
+    rows += [[f"{cells[head][i]:>{widths[head]}}" for head in columns] for i in range(len(columns[first]))]
+    return ["  ".join(row) for row in rows]

@@ -1,0 +1,371 @@
+"""Kinematic tests with linear and rotary axes after ISO 10791-6: deviations while the nominal point of contact stands still.
+
+A run counts as such a test if the nominal machine, for some place of the target, keeps the target at one point of the frame on which
+the station rides (R-test, ball bar, touch probe and sphere). Names follow the machine: A where both rotary axes carry the tool, B where
+both carry the work, C for one of each; 1 and 2 for a single rotary axis, counted from the base, and 4 for both together. The exact
+content of the standard's clauses was not available: names and quantities are not verified against its text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final, Literal, final
+
+import numpy as np
+import scipy
+
+from twin._common.errors import InputError
+from twin._common.units import DEG, MM, UM, URAD
+from twin.machine.machine import Axis, Machine
+from twin.measurement.observation import Observation
+from twin.model.calibration import Calibration
+from twin.standards.iso230_4 import WIDEST_GAP_DEG, CircularTest, RotaryMotion, circular_test, error_motion
+from twin.standards.linear_axes import positioning
+from twin.standards.readings import DECIMALS, MeasuredRun, NotPossible, carried_sides, fit_circle, place_of
+from twin.standards.result import StandardTest, StandardValue
+
+KINEMATIC: Final = "after ISO 10791-6:2014 (not verified)"
+STANDS_STILL_MM: Final = 1.0
+"""Motion of the nominal point, mm, up to which it counts as standing still."""
+LEAST_TURN_DEG: Final = 5.0
+
+
+def kinematic_test(run: MeasuredRun, observation: Observation, u_mm: np.ndarray) -> StandardTest | None:
+    """Evaluate an interpolated motion of linear and rotary axes; None if the nominal point does not stand still.
+
+    Args:
+        run: a run in which linear and rotary axes move.
+        observation: the nominal positions of the targets.
+        u_mm: (n, 3) standard uncertainties of its readings.
+
+    Raises:
+        NotPossible: no coordinate was read in every row.
+    """
+    machine, data = observation.machine, run.data
+    turning = [i for i in run.axes if not machine.axes[i].linear]
+    if max(float(np.ptp(data.positions[:, i])) for i in turning) < LEAST_TURN_DEG:
+        return None
+    nominal, free = _nominal_motion(run, observation)
+    if float(np.abs(nominal).max()) > STANDS_STILL_MM:
+        return None
+    if not run.read.any():
+        raise NotPossible("no coordinate was read in every row")
+    constant = bool(np.ptp(data.point_mm[:, run.read], axis=0).max() == 0.0)
+    length_only = run.read.tolist() == [True, False, False]
+    readings = data.point_mm - data.point_mm.mean(axis=0)
+    if not length_only:
+        readings = readings - nominal
+    deviation = np.where(run.read, readings, np.nan) * (MM / UM)
+    remarks = [
+        "what was evaluated: the range (largest minus smallest) of the deviation in each direction of the station's frame; the name of "
+        "the test and the quantity are not verified against the text of the standard",
+        "the directions are those of the station's frame; the zero of the readings and the place of the target have no influence"
+        if free is None
+        else free,
+    ]
+    if constant:
+        remarks.append(
+            "the readings are constant: the deviations are those of the recorded axis positions (touch probe)"
+        )
+    columns = ("length",) if length_only else ("x", "y", "z")
+    values = []
+    for k, name in enumerate(columns):
+        if run.read[k]:
+            u = u_mm[:, k]
+            u_um = float(np.sqrt(np.mean(u**2))) * (MM / UM)
+            words = f"range of the deviation, {'length' if length_only else f'{name} of the station'}"
+            values.append(
+                StandardValue(f"range {name}", f"range_{name}", float(np.ptp(deviation[:, k])), "um", words, float(np.sqrt(2.0) * u_um))
+            )  # fmt: skip
+    names = tuple(machine.axes[i].name for i in run.axes)
+    return StandardTest(
+        kind="kinematic",
+        name=f"{_name(machine, turning)} ({''.join(names)})",
+        standard=KINEMATIC,
+        axes=names,
+        place=place_of(run),
+        values=tuple(values),
+        remarks=tuple(remarks),
+        detail=deviation,
+    )
+
+
+def _nominal_motion(run: MeasuredRun, observation: Observation) -> tuple[np.ndarray, str | None]:
+    """Return the motion (n, 3) of the nominal point, mm, and a remark if the target's place was fitted to the positions."""
+    machine, data = observation.machine, run.data
+    zero = Calibration.zero(machine)
+    errors = observation.errors(zero, data, check=False)
+    q = np.asarray(data.positions) * machine.scale
+    known = bool(np.isfinite(data.place_mm).all())
+    place = data.place_mm * MM if known else np.zeros((len(q), 3))
+    carried = observation.carried(q, errors, data.carrier, place, data.station_carrier)
+    points = carried.points / MM
+    if known:
+        return points - points.mean(axis=0), None
+    turned = carried.rotation - carried.rotation.mean(axis=0)
+    centred = points - points.mean(axis=0)
+    fitted, *_ = np.linalg.lstsq(turned.reshape(-1, 3), -centred.reshape(-1), rcond=1e-9)
+    return (
+        centred + turned @ fitted,
+        "the place of the target is the one that keeps the nominal point most nearly at rest",
+    )
+
+
+def _name(machine: Machine, turning: list[int]) -> str:
+    """Return the name of the test by the sides that the rotary axes carry."""
+    rotary = machine.rotary
+    sides = {machine.axes[i].side for i in rotary}
+    if len(rotary) != 2 or not sides <= {"tool", "work"}:
+        return "kinematic"
+    letter = "C" if len(sides) == 2 else "A" if sides == {"tool"} else "B"
+    if len(turning) == 2:
+        return f"{letter}K4"
+    # Of two axes on one side, the one nearer the base carries the other.
+    order = sorted(rotary, key=lambda i: machine.axis_joints[i])
+    return f"{letter}K{order.index(turning[0]) + 1}"
+
+
+# --- Tests of one rotary axis: positioning by ISO 230-2, error motions by ISO 230-7, from coordinates of one target
+
+ERROR_MOTION: Final = "ISO 230-7:2015, clause 3"
+ON_AXIS_MM: Final = 1.0
+"""Distance of a target from the rotary axis up to which it counts as centred on it."""
+LEAST_ARC_DEG: Final = 90.0
+"""Arc below which the centre of the target's circle is not determined well enough."""
+
+
+@final
+@dataclass(frozen=True)
+class Circle:
+    """Circle of a target about a rotary axis.
+
+    Attributes:
+        radius_mm: its radius.
+        radial_mm: (n,) distance from the axis.
+        axial_mm: (n,) distance from the plane of the circle, positive on the side from which the angle rises anticlockwise.
+        angle_deg: (n,) angle about the axis, rising with the commanded angle.
+    """
+
+    radius_mm: float
+    radial_mm: np.ndarray
+    axial_mm: np.ndarray
+    angle_deg: np.ndarray
+
+
+def rotary_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Iterator[StandardTest]:
+    """Yield positioning and error motions of a rotary axis.
+
+    Args:
+        run: a run of the axis.
+        machine: the machine.
+        u_mm: (n, 3) standard uncertainties of its readings.
+
+    Raises:
+        NotPossible: not all coordinates were read, or they cover too short an arc.
+    """
+    axis = machine.axes[run.axes[0]]
+    theta = run.positions[:, 0]
+    if not turns_readings(run, axis):
+        raise NotPossible("turns neither the target nor the station, or both: the readings do not show it")
+    if not run.read.all():
+        raise NotPossible("needs three coordinates of a target; lengths alone give no angle")
+    if float(np.ptp(theta)) < LEAST_ARC_DEG:
+        raise NotPossible(f"turns by {np.ptp(theta):g}° only; at least {LEAST_ARC_DEG:g}° are needed")
+    u = float(np.sqrt(np.nanmean(u_mm**2))) if np.isfinite(u_mm).any() else float("nan")
+    points = run.data.point_mm
+    spread = float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
+    if spread <= ON_AXIS_MM:
+        yield from _on_axis(run, machine, u)
+        return
+    circle = _circle(points, theta)
+    deviation = circle.angle_deg - theta
+    deviation = (deviation - deviation[0] + 180.0) % 360.0 - 180.0
+    remarks = [f"angles of one target at {circle.radius_mm:.1f} mm from the axis, about its least-squares circle"]
+    remarks.append("deviations count from the first reading")
+    yield positioning(run, machine, deviation * (DEG / URAD), u / circle.radius_mm / URAD, remarks)
+    at = f"target at {circle.radius_mm:.1f} mm from the axis"
+    for name, values, kind, remark in (
+        (f"{axis.name} radial", circle.radial_mm, "radial", f"rotating sensitive direction: {at}"),
+        (f"{axis.name} face", circle.axial_mm, "axial", f"face error motion (axial and tilt together): {at}"),
+    ):
+        motion = _motion(theta, values * (MM / UM), kind, name)  # type: ignore[arg-type]
+        if motion is not None:
+            yield _motion_test(run, motion, axis.name, u * (MM / UM), (remark,))
+
+
+def turns_readings(run: MeasuredRun, axis: Axis) -> bool:
+    """Return whether the axis carries the target or the station, and not both."""
+    target, station = carried_sides(run, axis)
+    return target != station
+
+
+def _on_axis(run: MeasuredRun, machine: Machine, u: float) -> Iterator[StandardTest]:
+    """Yield the error motions in the directions of the station's frame, for a target centred on the axis."""
+    axis = machine.axes[run.axes[0]]
+    along = int(np.argmax(np.abs(axis.machine_direction)))
+    found = 0
+    for k, letter in enumerate("XYZ"):
+        kind: Literal["radial", "axial"] = "axial" if k == along else "radial"
+        motion = _motion(run.positions[:, 0], run.data.point_mm[:, k] * (MM / UM), kind, f"E_{letter}{axis.name}")
+        if motion is not None:
+            found += 1
+            remark = "directions of the station's frame, taken as parallel to the machine's; centred target"
+            yield _motion_test(run, motion, axis.name, u * (MM / UM), (remark,))
+    if not found:
+        raise NotPossible(f"angles do not cover a turn with gaps below {WIDEST_GAP_DEG:g}°")
+
+
+def _circle(points: np.ndarray, theta: np.ndarray) -> Circle:
+    """Return the circle of a target: plane by principal components, centre and radius by least squares."""
+    centred = points - points.mean(axis=0)
+    _, _, directions = np.linalg.svd(centred, full_matrices=False)
+    plane = centred @ directions[:2].T
+    centre, radius = fit_circle(plane)
+    x, y = (plane - centre).T
+    angle, normal = np.arctan2(y, x) / DEG, np.cross(directions[0], directions[1])
+    step = np.exp(1j * (angle - theta) * DEG), np.exp(1j * (-angle - theta) * DEG)
+    if abs(step[1].mean()) > abs(step[0].mean()):  # the plane is seen from behind
+        angle, normal = -angle, -normal
+    return Circle(radius, np.hypot(x, y), centred @ normal, angle)
+
+
+def _motion(theta: np.ndarray, values: np.ndarray, kind: Literal["radial", "axial"], name: str) -> RotaryMotion | None:
+    """Return the error motion over the turns, or None if the angles do not cover a turn."""
+    angles, which, visits = np.unique(np.round(theta, DECIMALS) % 360.0, return_inverse=True, return_counts=True)
+    if len(angles) < 3 or np.diff(angles, append=angles[0] + 360.0).max() > WIDEST_GAP_DEG:
+        return None
+    turns = int(visits.min())
+    readings = np.array([values[which == k][:turns] for k in range(len(angles))]).T
+    return error_motion(angles, readings, kind, name=name)
+
+
+def _motion_test(run: MeasuredRun, motion: RotaryMotion, axis: str, u: float, remarks: tuple[str, ...]) -> StandardTest:
+    range_u = float(np.sqrt(2.0) * u)
+    rows = (
+        ("total", "total", motion.total_value, "total error motion"),
+        ("synchronous", "synchronous", motion.synchronous_value, "synchronous error motion"),
+        ("asynchronous", "asynchronous", motion.asynchronous_value, "asynchronous error motion"),
+        ("residual synchronous", "residual_synchronous", motion.residual_value, "residual synchronous error motion"),
+    )
+    values = tuple(
+        StandardValue(sign, key, float("nan") if value is None else value, motion.unit, words, range_u)
+        for sign, key, value, words in rows
+    )
+    notes = remarks if motion.asynchronous_value is not None else (*remarks, "one turn: no asynchronous error motion")
+    return StandardTest("rotary error motion", motion.name, ERROR_MOTION, (axis,), place_of(run), values, notes, motion)
+
+
+# --- Circular tests of two linear axes by ISO 230-4, from coordinates or from the length of a ball bar
+
+CIRCULAR: Final = "ISO 230-4:2005 and 2022, clause 3 (H: 1996)"
+LARGEST_OFFSET_MM: Final = 1.0
+"""Difference of the mean length from the nominal radius up to which a length is absolute."""
+BAR_CENTRE: Final = (
+    "radii are the lengths of the table (ball bar); its centre pivot is taken to be at the circle's centre"
+)
+NOT_VERIFIED: Final = "definitions from public abstracts and publications, not checked against the text of the standard"
+
+
+def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> StandardTest:
+    """Evaluate a circular test.
+
+    Args:
+        run: a run of two linear axes on a circle.
+        machine: the machine.
+        u_mm: (n, 3) standard uncertainties of its readings.
+
+    Raises:
+        NotPossible: too little of the circle was read.
+    """
+    names = tuple(machine.axes[i].name for i in run.axes)
+    centre, commanded = fit_circle(run.positions)
+    angle = np.arctan2(*(run.positions - centre).T[::-1]) / DEG
+    length_only = run.read.tolist() == [True, False, False]
+    remarks = [NOT_VERIFIED]
+    if length_only:
+        remarks.append(BAR_CENTRE)
+    radius = np.asarray(run.data.point_mm[:, 0]) if length_only else _radii(run, centre)
+    bar_mm = float(run.data.bar_mm[0])
+    nominal = bar_mm if length_only and np.isfinite(bar_mm) else commanded
+    absolute = abs(float(radius.mean()) - nominal) < LARGEST_OFFSET_MM
+    if not absolute:
+        remarks.append(
+            f"the mean length differs from the nominal radius by {radius.mean() - nominal:.3f} mm: lengths are taken as relative, "
+            "and radial deviations F and D are not determined"
+        )
+        radius = radius - radius.mean() + nominal
+    step = _travel(angle, run.part)
+    paths = [(angle[step == side], radius[step == side]) if np.any(step == side) else None for side in (1.0, -1.0)]
+    try:
+        found = circular_test(nominal, *paths, name="".join(names))
+    except InputError as error:
+        raise NotPossible(error.what) from error
+    found = found if absolute else replace(found, D_um=None)
+    remarks += [f"not a full test: {text}" for text in found.shortfalls]
+    feed = run.data.feed_mm_min
+    place = (
+        place_of(run)
+        + f"; radius {nominal:.3f} mm, centre "
+        + ", ".join(
+            f"{name} {value:g}".replace("-", "−") for name, value in zip(names, np.round(centre, 3), strict=True)
+        )
+    )
+    if np.isfinite(feed).all():
+        place += f", feed {np.median(feed):g} mm/min"
+    column = u_mm[:, :1] if length_only else u_mm
+    u = float(np.sqrt(np.nanmean(column**2))) * (MM / UM) if np.isfinite(column).any() else float("nan")
+    values = _values(found, u, len(run.data), absolute=absolute)
+    return StandardTest("circular", "".join(names), CIRCULAR, names, place, values, tuple(remarks), found)
+
+
+def _radii(run: MeasuredRun, centre: np.ndarray) -> np.ndarray:
+    """Return the distances from the centre in the plane of the circle, after a rigid alignment of the commands to the points.
+
+    The alignment has no scale and no shear, which would hide squareness and scale errors.
+
+    Raises:
+        NotPossible: not all coordinates were read.
+    """
+    if not run.read.all():
+        raise NotPossible("needs three coordinates, or a length in x_mm alone")
+    points, commands = run.data.point_mm, run.positions - centre
+    flat = np.column_stack([commands, np.zeros(len(commands))])
+    offset, middle = points.mean(axis=0), flat.mean(axis=0)
+    turned, _ = scipy.spatial.transform.Rotation.align_vectors(flat - middle, points - offset)
+    aligned = turned.apply(points - offset) + middle
+    return np.asarray(np.hypot(aligned[:, 0], aligned[:, 1]))
+
+
+def _travel(angle: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Return (n,) the direction of travel of each row, from the order of the rows."""
+    found = np.zeros(len(angle))
+    for number in np.unique(part):
+        rows = np.flatnonzero(part == number)
+        step = np.sign(np.round((np.diff(angle[rows]) + 180.0) % 360.0 - 180.0, 9))
+        before = np.concatenate([step[:1], step])
+        for i in range(1, len(before)):  # a repeated reading has the direction of the one before
+            before[i] = before[i] or before[i - 1]
+        found[rows] = before
+    return found
+
+
+def _values(found: CircularTest, u: float, count: int, *, absolute: bool) -> tuple[StandardValue, ...]:
+    range_u = float(np.sqrt(2.0) * u)
+    rows: list[tuple[str, str, float | None, str, float]] = [
+        ("G(b)", "G_b", found.G_b_um, "bi-directional circular deviation", range_u),
+        ("H", "H", found.H_um, "circular hysteresis (ISO 230-4:1996)", range_u),
+        ("D", "D", found.D_um if absolute else None, "mean bi-directional radial deviation", u / np.sqrt(count)),
+    ]
+    for arrow, path in found.paths:
+        side = "forward" if arrow == "↺" else "backward"
+        words = "counter-clockwise" if arrow == "↺" else "clockwise"
+        rows.append((f"G{arrow}", f"G_{side}", path.G_um, f"circular deviation, {words}", range_u))
+        for end, value in (("max", path.F_max_um), ("min", path.F_min_um)):
+            kept = value if absolute else None
+            rows.append((f"F{end}{arrow}", f"F_{end}_{side}", kept, f"{end}. radial deviation, {words}", u))
+    rows.append(("G", "G", max(path.G_um for _, path in found.paths), "circular deviation, the larger one", range_u))
+    return tuple(
+        StandardValue(sign, key, float("nan") if value is None else value, "um", words, float(uu))
+        for sign, key, value, words, uu in rows
+    )

@@ -1,0 +1,1 @@
+"""The tool's pose: from commands with and without errors, its inverse, and its uncertainty."""

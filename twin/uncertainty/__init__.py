@@ -1,1 +1,0 @@
-"""Uncertainty of the tool's pose: at given poses, as a budget of contributions, and by Monte Carlo simulation of machines."""
