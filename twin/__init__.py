@@ -7,9 +7,8 @@ xarray and sliders the extra ``notebook``.
 
 from __future__ import annotations
 
-import ast
+from functools import cache
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 # The public API: these imports are what type checkers and editors see, and where `__getattr__` finds a name when it is first used.
@@ -143,8 +142,12 @@ __all__ = [
 ]
 
 
+@cache
 def _homes() -> dict[str, tuple[str, str]]:
     """Return module and attribute of every name that the imports above would give."""
+    import ast  # a start of 6 ms that most commands do not need
+    from pathlib import Path
+
     source = ast.parse(Path(__file__).read_text(encoding="utf-8"))
     imports = [node for block in source.body if isinstance(block, ast.If) for node in block.body]
     return {
@@ -155,17 +158,14 @@ def _homes() -> dict[str, tuple[str, str]]:
     }
 
 
-_HOMES = _homes()
-
-
 def __getattr__(name: str) -> Any:
     """Import a name of the API from the module that defines it."""
     if name == "__version__":
         from importlib.metadata import version
 
         value: Any = version("twin")
-    elif name in _HOMES:
-        module, attribute = _HOMES[name]
+    elif name in __all__:
+        module, attribute = _homes()[name]
         value = getattr(import_module(module), attribute, None) or import_module(f"{module}.{attribute}")
     else:
         raise AttributeError(f"module 'twin' has no attribute {name!r}")

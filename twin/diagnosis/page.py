@@ -13,9 +13,7 @@ from pathlib import Path
 from typing import Final, final
 
 from twin._common.provenance import warning_texts
-from twin.diagnosis import plots as panels
-from twin.diagnosis import text as verdict
-from twin.diagnosis import text as words
+from twin.diagnosis import plots, text
 from twin.diagnosis.plots import plot_panel, plot_unexplained
 from twin.diagnosis.result import Cause, DiagnosisResult, Quantity, readable_unit
 from twin.diagnosis.text import column
@@ -49,7 +47,7 @@ def diagnosis_html(diagnosis: DiagnosisResult) -> str:
     Args:
         diagnosis: the result of `twin.diagnosis.diagnose`.
     """
-    title, mood = verdict.headline(diagnosis)
+    title, mood = text.headline(diagnosis)
     machine = diagnosis.calibration.machine.name
     left = diagnosis.unexplained
     columns = [] if left is None else [column(name) for name in left.depends_on]
@@ -63,16 +61,15 @@ def diagnosis_html(diagnosis: DiagnosisResult) -> str:
         machine=machine,
         source=Path(diagnosis.data.source).name,
         badges=(*warning_texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)),
-        first_facts=verdict.facts(diagnosis),
+        first_facts=text.facts(diagnosis),
         ranked=_ranked(diagnosis),
         several=len({(cause.effect, cause.where) for cause in diagnosis.causes}) > 1,
         mapped=plot_unexplained(diagnosis),
         mapped_over=listed(columns[:2]),
         left_over=listed(columns) if columns else "",
-        compared=words.separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um),
-        panels=panels,
-        verdict=verdict,
-        words=words,
+        compared=text.separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um),
+        plots=plots,
+        words=text,
         embedded=embedded,
         grouped_notes=grouped_notes,
         listed_causes=_listed_causes,
@@ -95,16 +92,16 @@ def _ranked(diagnosis: DiagnosisResult) -> list[_Ranked]:
     return found
 
 
-def _picture(panel: panels.Panel, caption: str) -> Html:
+def _picture(panel: plots.Panel, caption: str) -> Html:
     return embedded(plot_panel(panel), f"{panel.title}: {panel.y} against {panel.x}", caption)
 
 
 def _listed_causes(keys: Sequence[tuple[str, str]]) -> Html:
     """Return causes in words with their symbols, as HTML."""
-    named = [(escape(lower(words.cause_title(*key))), escape(words.symbol(*key))) for key in keys]
+    named = [(escape(lower(text.cause_title(*key))), escape(text.symbol(*key))) for key in keys]
     return Html(listed([f"{name} <span class=symbol>{sign}</span>" for name, sign in named]))
 
 
 def _listed_parameters(cause: Cause) -> list[Quantity]:
     """Return the parameters of a cause without coefficients of curves, which mean nothing to a reader."""
-    return [quantity for quantity in cause.parameters if not words.coefficient(quantity.name)]
+    return [quantity for quantity in cause.parameters if not text.coefficient(quantity.name)]

@@ -33,8 +33,7 @@ from twin.machine.machine import Axis
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect, ErrorMotion, split_name
 from twin.model.effects.specification import Advice, FittedCause, Specification
-from twin.numerics.functions import Functions
-from twin.numerics.functions import tabulated as tabulated
+from twin.numerics.functions import Functions, tabulated
 
 BASE: Final = "the base"
 

@@ -7,9 +7,8 @@ from typing import Any, Final, final
 
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
-from twin.model.effects import specification as places
 from twin.model.effects.base import Effect, Frame, Parameter, Payload, direction_of, split_name
-from twin.model.effects.specification import EXTENDED, Advice, Drawing, Specification, State
+from twin.model.effects.specification import EXTENDED, Advice, Drawing, Specification, State, linear_axes
 
 
 @final
@@ -54,7 +53,7 @@ def _places(machine: Machine) -> tuple[str, ...]:
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
-    axes = places.linear(machine)
+    axes = linear_axes(machine)
     return [f"E_{way}{axis} by {by}" for axis in axes for by in axes if by != axis for way in DIRECTIONS], []
 
 

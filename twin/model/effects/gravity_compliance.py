@@ -14,7 +14,6 @@ from twin._common.arrays import read_only
 from twin.compute.along import BatchFunction
 from twin.machine.chain import gravity_load
 from twin.machine.machine import Axis, Machine
-from twin.model.effects import specification as places
 from twin.model.effects.base import (
     CENTRE_RANGE_MM,
     LOAD,
@@ -37,7 +36,16 @@ from twin.model.effects.base import (
     side_of,
     sum_of,
 )
-from twin.model.effects.specification import EXTENDED, Advice, Drawing, Forms, SharedColumns, Specification, State
+from twin.model.effects.specification import (
+    EXTENDED,
+    Advice,
+    Drawing,
+    Forms,
+    SharedColumns,
+    Specification,
+    State,
+    all_axes,
+)
 from twin.numerics.functions import tabulated
 
 UNKNOWN_PAYLOAD: Final = "payload"
@@ -311,7 +319,7 @@ GRAVITY_COMPLIANCE: Final = Specification(
     # Upper limits of compliance: 5 kN·m/rad is the stiffness of the gear in a small robot's wrist, 1 N/µm that of a weak slide.
     limits={"urad/(N.m)": 200.0, "um/N": 1.0},
     non_negative=True,
-    places=places.axes,
+    places=all_axes,
     make=lambda machine, where, numbers, payloads: gravity_compliance(machine, where, numbers["compliance"], payloads),
     forms=_forms,
     drawing=Drawing(spread=True),

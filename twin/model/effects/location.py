@@ -8,7 +8,6 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.machine.machine import Axis
-from twin.model.effects import specification as places
 from twin.model.effects.base import (
     AlongAxis,
     Effect,
@@ -27,6 +26,7 @@ from twin.model.effects.specification import (
     Advice,
     Drawing,
     Specification,
+    all_axes,
     single_parameter_form,
 )
 
@@ -178,7 +178,7 @@ ZERO_OFFSET: Final = Specification(
     evidence=lambda fit: f"the zero of {fit.where} is off by {fit.measure}",
     parameters=("offset",),
     limits={"um": 20_000.0, "urad": 50_000.0},
-    places=places.axes,
+    places=all_axes,
     make=lambda machine, where, numbers, payloads: ZeroOffset(machine.by_name[where], numbers["offset"]),
     constant=True,
 )

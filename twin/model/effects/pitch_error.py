@@ -9,7 +9,6 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.machine.machine import Axis, Machine
-from twin.model.effects import specification as places
 from twin.model.effects.base import AlongAxis, Frame, Parameter, Payload, along
 from twin.model.effects.specification import (
     EXTENDED,
@@ -20,6 +19,7 @@ from twin.model.effects.specification import (
     SharedColumns,
     Specification,
     State,
+    linear_axes,
 )
 from twin.numerics.functions import cached_in_state, cos, highest_frequency, sin, waves
 
@@ -88,7 +88,7 @@ def _tried(state: State, where: str) -> np.ndarray:
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
-    resolved = {where: len(_tried(state, where)) > 0 for where in places.linear(machine)}
+    resolved = {where: len(_tried(state, where)) > 0 for where in linear_axes(machine)}
     missing = [(where, f"positions of {where} closer together") for where, usable in resolved.items() if not usable]
     return [where for where, usable in resolved.items() if usable], missing
 
@@ -143,7 +143,7 @@ PITCH_ERROR: Final = Specification(
     evidence=lambda fit: f"{fit.where} has a periodic positioning error along its travel",
     parameters=("amplitude", "period", "phase"),
     limits={"um": 500.0},
-    places=places.linear,
+    places=linear_axes,
     make=lambda machine, where, numbers, payloads: PitchError(machine.by_name[where], *numbers.values()),
     forms=_forms,
     candidates=_candidates,

@@ -8,7 +8,6 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.machine.machine import Axis, Machine
-from twin.model.effects import specification as places
 from twin.model.effects.base import AlongAxis, Frame, Parameter, Payload, along, channel
 from twin.model.effects.specification import (
     EXTENDED,
@@ -20,6 +19,8 @@ from twin.model.effects.specification import (
     SharedColumns,
     Specification,
     State,
+    all_axes,
+    approach_column,
 )
 from twin.numerics.curves import POWER, CurveSpace
 from twin.numerics.functions import Functions, Rows
@@ -63,10 +64,10 @@ REVERSAL: Final = Specification(
     ),
     parameters=("size",),
     limits={"um": 1000.0, "urad": 5000.0},
-    places=places.axes,
-    channels=places.approach,
+    places=all_axes,
+    channels=approach_column,
     make=lambda machine, where, numbers, payloads: Reversal(machine.by_name[where], numbers["size"]),
-    drawing=Drawing(split=lambda where: f"approach_{where}", depends_on=places.approach),
+    drawing=Drawing(split=lambda where: f"approach_{where}", depends_on=approach_column),
 )
 
 # --- Backlash (reversal value) that varies along the travel ---------------------------------------
@@ -181,7 +182,7 @@ REVERSAL_CURVE: Final = Specification(
     limits={"um": 1000.0, "urad": 5000.0},
     places=_limited,
     expected=lambda machine: "an axis with a limited range",
-    channels=places.approach,
+    channels=approach_column,
     make=lambda machine, where, numbers, payloads: ReversalCurve(machine.by_name[where], tuple(numbers.values())),
     forms=_forms,
     candidates=_candidates,

@@ -278,22 +278,22 @@ def title_of(known: Specification | None, effect: str, where: str) -> str:
 # --- Places where effects can act on a machine: functions shared by the specifications ------------
 
 
-def axes(machine: Machine) -> tuple[str, ...]:
+def all_axes(machine: Machine) -> tuple[str, ...]:
     """Return the names of all axes."""
     return machine.names
 
 
-def linear(machine: Machine) -> tuple[str, ...]:
+def linear_axes(machine: Machine) -> tuple[str, ...]:
     """Return the names of the linear axes."""
     return tuple(axis.name for axis in machine.axes if axis.linear)
 
 
-def rotary(machine: Machine) -> tuple[str, ...]:
+def rotary_axes(machine: Machine) -> tuple[str, ...]:
     """Return the names of the rotary axes."""
     return tuple(axis.name for axis in machine.axes if not axis.linear)
 
 
-def approach(where: str) -> tuple[str, ...]:
+def approach_column(where: str) -> tuple[str, ...]:
     """Return the column with an axis's direction of approach."""
     return (f"approach_{where}",)
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
-from twin.model.effects import specification as places
 from twin.model.effects.base import (
     LOAD,
     Effect,
@@ -26,7 +25,15 @@ from twin.model.effects.base import (
     rest_orientation,
 )
 from twin.model.effects.gravity_compliance import loads_of
-from twin.model.effects.specification import EXTENDED, Advice, Forms, Specification, State, single_parameter_form
+from twin.model.effects.specification import (
+    EXTENDED,
+    Advice,
+    Forms,
+    Specification,
+    State,
+    rotary_axes,
+    single_parameter_form,
+)
 from twin.numerics.functions import sin
 
 MOMENT: Final = "moment"
@@ -152,7 +159,7 @@ TABLE_LOAD: Final = Specification(
     evidence=lambda fit: f"the cradle on {fit.where} sags by {fit.measure} when turned by 90°",
     parameters=("tilt",),
     limits={"urad": 2000.0},
-    places=places.rotary,
+    places=rotary_axes,
     required=lambda names: ("tilt", MOMENT) if MOMENT in names else ("tilt",),
     make=_make,
     forms=_forms,

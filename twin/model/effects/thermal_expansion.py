@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, final
 
 from twin.machine.machine import Axis, Machine
-from twin.model.effects import specification as places
 from twin.model.effects.base import AlongAxis, Parameter, Payload, along, channel
 from twin.model.effects.specification import (
     EXTENDED,
@@ -17,6 +16,7 @@ from twin.model.effects.specification import (
     Forms,
     Specification,
     State,
+    linear_axes,
 )
 
 REFERENCE_DEGC: Final = 20.0
@@ -60,7 +60,7 @@ THERMAL_EXPANSION: Final = Specification(
     evidence=lambda fit: f"the scale of {fit.where} lengthens by {fit.measure} when it warms",
     parameters=("coefficient",),
     limits={"um/(m.K)": 100.0},
-    places=places.linear,
+    places=linear_axes,
     channels=lambda where: (f"T_{where}_degC",),
     make=lambda machine, where, numbers, payloads: ThermalExpansion(machine.by_name[where], numbers["coefficient"]),
     varies="with time",
@@ -132,7 +132,7 @@ SCALE_GROWTH: Final = Specification(
     evidence=_evidence,
     parameters=("coefficient", "offset"),
     limits={"um/(m.K)": 100.0},
-    places=places.linear,
+    places=linear_axes,
     channels=lambda where: (f"T_{where}_degC",),
     make=lambda machine, where, numbers, payloads: ScaleGrowth(machine.by_name[where], *numbers.values()),
     forms=_forms,

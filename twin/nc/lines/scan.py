@@ -218,7 +218,6 @@ def scan(data: bytes, names: tuple[str, ...]) -> Scan:
 # --- Simple lines written together: words replaced as `twin.nc.iso.writer.IsoWriter` does one by one
 
 _UNKNOWN: Final = np.iinfo(np.int64).min
-_BULK_MINUS, _BULK_PLUS, _BULK_SPACE = b"-+ "
 
 
 def _with_replacements(
@@ -282,14 +281,12 @@ def rewritten_lines(
         np.maximum(np.where(second, words.start[np.minimum(first + 1, len(words.start) - 1)] - 1, letter) - 1, 0)
     ]
     shown = second | segments.headed
-    spaced = _forward_filled(np.where(shown, (before == _BULK_SPACE) | (before == 9), -1), formatting.spaced).astype(
-        bool
-    )
+    spaced = _forward_filled(np.where(shown, (before == _SPACE) | (before == 9), -1), formatting.spaced).astype(bool)
     lower = scan.text[letter] >= ord("a")
     # Words in the text whose value changes.
     steps = segments.steps.take(of * segments.steps.shape[1] + words.axis)
     same = np.abs(words.value - steps * grids.step[words.axis]) < SAME_NUMBER
-    same &= ~((words.value == 0.0) & (words.sign == _BULK_MINUS)) & ~((words.sign == 0) & styles.plus)
+    same &= ~((words.value == 0.0) & (words.sign == _MINUS)) & ~((words.sign == 0) & styles.plus)
     new = np.flatnonzero(~same)
     # Words that are missing in the text.
     row, axis = np.nonzero(segments.missing)
@@ -355,7 +352,7 @@ class _Segments:
         at = start.copy()
         for _ in range(int((letter - start).max(initial=0))):
             within = at < letter
-            self.headed |= within & (scan.text[at] > _BULK_SPACE)
+            self.headed |= within & (scan.text[at] > _SPACE)
             at += within
             if np.all(self.headed | (at >= letter)):
                 break
@@ -375,7 +372,7 @@ class _Styles:
         point[padded], min_decimals[padded] = 0, words.fraction[padded]
         leading_zero = np.where(words.point & (words.whole == 0), 0, -1)
         leading_zero[tells & (words.whole == 1) & (np.abs(words.value) < 1.0) & ~zero] = 1
-        plus = np.where(words.sign == _BULK_PLUS, 1, np.where(words.sign == _BULK_MINUS, -1, 0))
+        plus = np.where(words.sign == _PLUS, 1, np.where(words.sign == _MINUS, -1, 0))
         self.point = _forward_filled(point, style.point)
         self.min_decimals = _forward_filled(min_decimals, style.min_decimals)
         self.leading_zero = _forward_filled(leading_zero, style.leading_zero)

@@ -113,8 +113,8 @@ class DriftSequence:
 
 # --- Moving linear or rotary axis: motion to and fro, readings at two target positions or at several angles, then rest
 
-AXES_RUNNING_SHARE: Final = 0.8
-"""Share of the time in which the axis moves; it rests in the remaining time."""
+RUNNING_SHARE: Final = 0.8
+"""Share of the time in which the axis moves or the spindle runs; it rests in the remaining time."""
 ALONG: Final = 0.5
 """Direction cosine with the spindle above which an axis moves along it."""
 
@@ -178,7 +178,7 @@ def _repeated(task: DriftTask, steps: np.ndarray, stroke: float, notices: list[s
         )
     start = task.reading_times(every)[:-1]
     time = (start[:, None] + offset).reshape(-1)
-    running = AXES_RUNNING_SHARE * task.seconds
+    running = RUNNING_SHARE * task.seconds
     last = np.arange(len(time)) % len(offset) == len(offset) - 1
     found = [
         *notices,
@@ -231,8 +231,6 @@ ENVIRONMENT: Final = DriftSequence(
 
 STEPS: Final = (0.25, 0.5, 0.75, 1.0)
 """Speeds of the steps as shares of the highest one."""
-RUNNING_SHARE: Final = 0.8
-"""Share of the time in which the spindle runs; it rests in the remaining time."""
 SEGMENT_S: Final = 600.0
 """Time at one speed of a spectrum, s."""
 STOP_S: Final = 60.0

@@ -38,8 +38,8 @@ from twin.standards.result import (
     check_tolerances,
 )
 
-ROTARY_SAME_POSE: Final = 1.0
-"""Difference in mm or degrees up to which positions are one pose."""
+SAME_POSE: Final = 1.0
+"""Difference in mm or degrees up to which positions are one pose: a probe records where the sphere was."""
 FEWEST_POSES: Final = 3
 RANK_TOLERANCE: Final = 1e-3
 """Singular value, relative to the largest, up to which the positions do not separate the quantities."""
@@ -115,7 +115,7 @@ def _poses(record: DriftRecord, rows: np.ndarray) -> np.ndarray:
     found = np.zeros(len(rows), dtype=int)
     for k, row in enumerate(rows):
         spot, at = str(record.spot[row]), record.positions[row]
-        same = [n for n, (name, q) in enumerate(seen) if name == spot and np.abs(at - q).max() <= ROTARY_SAME_POSE]
+        same = [n for n, (name, q) in enumerate(seen) if name == spot and np.abs(at - q).max() <= SAME_POSE]
         found[k] = same[0] if same else len(seen)
         if not same:
             seen.append((spot, at))
@@ -328,8 +328,6 @@ def _without_work(
 # --- The tests of ISO 230-3 that a drift record allows, with their values -------------------------
 
 STANDARD: Final = "after ISO 230-3:2020 (not verified)"
-SAME_POSE: Final = 1.0
-"""Difference in mm or degrees up to which positions are one pose: a probe records where the sphere was."""
 LEAST_TRAVEL: Final = 5.0
 """Travel in mm or degrees above which an axis counts as moved between target positions."""
 SIDEWAYS: Final = 0.3
