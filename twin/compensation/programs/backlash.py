@@ -37,8 +37,10 @@ UNEVEN: Final = 0.05
 NEGLIGIBLE: Final = 1e-8
 """Reversal value (mm, degrees) below which the control corrects it fully, apart from rounding."""
 
-FEW: Final = 16
-"""Stretches of a way up to which each is followed step by step; more are followed together."""
+AT_END: Final = 1e-8
+"""Distance from an end of the play, as a share of half of it, at which the end counts as reached: rounding of positions of metres in a
+play of a micrometre is a hundredth of it.
+"""
 
 LEAST_REVERSAL: Final = 1.5
 """Least increments by which an axis must come back to count as reversed: one is rounding, two are a reversal."""
@@ -133,50 +135,26 @@ class ApproachTracker:
 
     def after(self, motion: np.ndarray, commands: np.ndarray) -> np.ndarray:
         """Return the approach directions at the next positions; arguments and result as for `Backlash.sides`."""
+        sides = np.zeros(commands.shape)
         if not len(motion):
-            return np.zeros(commands.shape)
-        sides, _, self._last = self._follow(motion, commands)
-        self._motion = int(motion[-1])
-        return sides
-
-    def steady(self, motion: np.ndarray, commands: np.ndarray, row: np.ndarray, first: np.ndarray) -> np.ndarray:
-        """Return (lines,) whether all axes keep their approach directions on straight lines to some of the next positions.
-
-        Args:
-            motion: motions of the next positions, as for `after`, which must still be called for them.
-            commands: these positions.
-            row: (lines,) index of the position at which each line ends.
-            first: (lines, axes) a point near the beginning of each.
-        """
-        before = np.concatenate([self._last[None, :, 0], commands[:-1]])[row]
-        ways = first - before, commands[row] - first
-        # A line that begins elsewhere may first lead back.
-        apart = np.isin(motion[row], [passage.before for passage in self._passages])
-        apart |= ~(ways[0] * ways[1] >= 0.0)[:, self._backlash.axes].all(axis=1)
-        at = row[apart]
-        _, states, _ = self._follow(np.insert(motion, at, motion[at]), np.insert(commands, at, first[apart], axis=0))
-        own = np.insert(np.ones(len(motion), dtype=bool), at, False)
-        states = np.concatenate([self._last[None, :, 1], states[own][:-1]])[row]
-        onward = [(way == 0.0) | (np.sign(way) == states) for way in ways]
-        return np.asarray(~apart & (onward[0] & onward[1])[:, self._backlash.axes].all(axis=1))
-
-    def _follow(self, motion: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return approach directions and positions within the play after n > 0 commands, and the last of the latter, as kept."""
-        sides, states, last = np.zeros(commands.shape), np.zeros(commands.shape), self._last.copy()
+            return sides
         between = [passage for passage in self._passages if self._motion < passage.before <= motion[-1]]
         for axis in self._backlash.axes:
             way, own = _with_passages(between, motion, commands[:, axis], axis)
-            lag = self._backlash.size[axis] < 0.0
-            state, side = _play(way, self._backlash.width(axis), *last[axis])
-            last[axis] = way[-1], state[-1], side[-1]
-            states[:, axis], sides[:, axis] = state[own], (state if lag else side)[own]
-        return sides, states, last
+            state, side = _play(way, self._backlash.width(axis), *self._last[axis])
+            self._last[axis] = way[-1], state[-1], side[-1]
+            sides[:, axis] = (state if self._backlash.size[axis] < 0.0 else side)[own]
+        self._motion = int(motion[-1])
+        return sides
 
 
 def _play(
     way: np.ndarray, width: float, start: float = np.nan, begun: float = 0.0, reached: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the position of an axis within its play, and the end of the play it last reached.
+
+    A step moves the position and stops it at the ends: x → min(high, max(low, x + shift)). Steps one after the other are again of this
+    form, so those of 1, 2, 4, … steps are made of those of half as many, for all positions at once (Hillis and Steele, 1986).
 
     Args:
         way: (n,) positions, NaN if unknown.
@@ -189,77 +167,24 @@ def _play(
         (n,) from −1 to +1, changing over a distance of ``width``; 0 until the axis moves, and again where its position is unknown. (n,)
         +1, −1, or 0 before it has reached either end.
     """
-    states, sides = np.zeros(len(way)), np.zeros(len(way))
-    if not len(way):
-        return states, sides
-    rate, step = 2.0 / width, np.diff(way, prepend=start)
-    first, last, behind, known = _stretches(step, rate)
-    at, state, side = first.copy(), np.append(begun, known[:-1]), np.append(reached, known[:-1])
-    those = np.flatnonzero(at < behind)
-    while len(those) > FEW:
-        here, moved = at[those], step[at[those]]
-        gap, before = np.isnan(moved), state[those]
-        now = np.where(gap, 0.0, np.clip(before + rate * moved, -1.0, 1.0))
-        state[those], side[those] = now, np.where(gap | (np.abs(now) == 1.0), now, side[those])
-        states[here], sides[here] = now, side[those]
-        at[those] = here + 1
-        those = those[((here < last[those]) | (now != known[those])) & (here + 1 < behind[those])]
-    for one in those.tolist():
-        part = slice(at[one], behind[one])
-        states[part], sides[part] = _followed(step[part], rate, state[one], side[one])
-        at[one] = behind[one]
-    rest, left = _ranges(at, behind)
-    states[rest], sides[rest] = np.repeat(state, left), np.repeat(side, left)
-    return states, sides
-
-
-def _stretches(step: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return stretches of a way at whose ends the position within the play is known whatever it was before.
-
-    It is known at an end of the play after a way in one direction that is longer than the play, and 0 after a gap.
-
-    Args:
-        step: (n,) steps of the axis, NaN at gaps; n > 0.
-        rate: change of the position within the play per step of one.
-
-    Returns:
-        (m,) first step of each stretch, (m,) first step of its last way in one direction, (m,) the step behind it, and (m,) the
-        position behind it; NaN where it is unknown.
-    """
-    direction = np.sign(np.nan_to_num(step))
-    says = np.where((direction != 0.0) | np.isnan(step), np.arange(len(step)), 0)
-    direction = direction[np.maximum.accumulate(says)]
-    begins = np.append(0, np.flatnonzero(direction[1:] != direction[:-1]) + 1)
-    one_way, direction = np.add.reduceat(np.nan_to_num(step), begins), direction[begins]
-    known = np.where(np.abs(one_way) * rate >= 2.0 + STILL, direction, np.nan)
-    known[np.isnan(step[begins])] = 0.0
-    certain = np.isfinite(known)
-    certain[-1] = True
-    behind = np.append(begins[1:], len(step))[certain]
-    return np.append(0, behind[:-1]), begins[certain], behind, known[certain]
-
-
-def _followed(step: np.ndarray, rate: float, state: float, side: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions within the play and the ends last reached, as `_play`, after steps one by one."""
-    # Steps that change the state: any step unless it has reached an end, there only those back; and gaps.
-    changes = {end: np.flatnonzero((step * end < 0.0) | np.isnan(step)) for end in (1.0, -1.0)}
-    between = np.flatnonzero(step != 0.0)
-    states, sides, steps = np.zeros(len(step)), np.zeros(len(step)), step.tolist()
-    at = 0
-    while at < len(steps):
-        moved = steps[at]
-        if moved == 0.0 or (moved * state > 0.0 and state in changes):
-            those = changes.get(state, between)
-            place = int(np.searchsorted(those, at))
-            end = int(those[place]) if place < len(those) else len(steps)
-            states[at:end], sides[at:end] = state, side
-            at = end
-            continue
-        state = 0.0 if moved != moved else min(1.0, max(-1.0, state + rate * moved))
-        side = 0.0 if moved != moved else state if state in changes else side
-        states[at], sides[at] = state, side
-        at += 1
-    return states, sides
+    step = np.diff(way, prepend=start)
+    moves = np.flatnonzero(step != 0.0)  # gaps are NaN, and unequal to zero
+    gap = np.isnan(step[moves])
+    shift = np.where(gap, 0.0, step[moves] * (2.0 / width))
+    low, high = np.where(gap, 0.0, -1.0), np.where(gap, 0.0, 1.0)
+    back = 1
+    while back < len(moves) and (low[back:] < high[back:]).any():
+        before = shift[:-back], low[:-back], high[:-back]
+        after = shift[back:].copy(), low[back:].copy(), high[back:].copy()
+        shift[back:] = before[0] + after[0]
+        low[back:], high[back:] = (np.clip(end + after[0], after[1], after[2]) for end in before[1:])
+        back *= 2
+    state = np.clip(begun + shift, low, high)
+    state = np.where(np.abs(state) > 1.0 - AT_END, np.sign(state), state)
+    says = np.maximum.accumulate(np.where(gap | (np.abs(state) == 1.0), np.arange(len(moves)), -1))
+    side = np.where(says >= 0, state[says], reached) if len(moves) else state
+    last = np.cumsum(step != 0.0)
+    return np.append(begun, state)[last], np.append(reached, side)[last]
 
 
 def _from_reversal(way: np.ndarray, sides: np.ndarray) -> np.ndarray:

@@ -69,13 +69,6 @@ class Commands:
         way, points = (None if array is None else array[lines] for array in (self.way, self.points))
         return Commands(self.begin[lines], way, points, self.converted)
 
-    @property
-    def first(self) -> np.ndarray:
-        """(lines, axes) the first point of each line."""
-        if self.way is None or self.points is None:
-            return self.begin
-        return np.asarray(self.begin + (0.5 / self.points)[:, None] * self.way)
-
     def split(self, line: np.ndarray, share: np.ndarray) -> Commands:
         """Return the points as lines of their own where `split_lines` says so; single points as they are."""
         if self.way is None or self.points is None:

@@ -18,7 +18,7 @@ import numpy as np
 from twin._common.arrays import distinct
 from twin._common.units import count_with_noun
 from twin.compensation.programs.backlash import ApproachTracker
-from twin.compensation.programs.comparison import Commands, split_lines
+from twin.compensation.programs.comparison import Commands
 from twin.compensation.programs.correction import Corrected
 from twin.compensation.programs.follow import Section
 from twin.compensation.programs.motions import INCREMENTS, LostBlock, by_reason, numbers_of_increments
@@ -532,9 +532,7 @@ Both = tuple[Commands, Commands]
 def directed_points(
     corrected: Corrected, prepared: PreparedMachine, ends: Both, portions: Sequence[np.ndarray], ways: Ways
 ) -> Iterator[SimulatedPoints]:
-    """Yield the end points of pieces and the dense points inside them, portion by portion.
-
-    A straight piece is one line, unless the approach direction changes inside it: then each of its points is a line.
+    """Yield the end points of pieces and the dense points inside them, each a line of its own, portion by portion.
 
     Args:
         corrected: the stretch.
@@ -575,45 +573,25 @@ def _portion(
         inside: commands at these.
         row: (pieces,) end point of each piece.
     """
-    pieces, points, motion = corrected.pieces, samples.points, corrected.pieces.legs.motion[samples.leg]
-    line, share = samples.piece, samples.within
-    if inside[0].points is not None:
-        line, share = split_lines(points, _turning(corrected, rows, trackers, ends, inside, row))
-    single = np.flatnonzero(np.isfinite(share))
+    pieces, line = corrected.pieces, samples.piece
+    motion = pieces.legs.motion[samples.leg][line]
     before = np.zeros(len(rows.leg), dtype=int)
-    before[row] = np.bincount(line[single], minlength=len(row))
+    before[row] = samples.points
     at_end = np.arange(len(before)) + np.cumsum(before)
     within = np.ones(len(before) + before.sum(), dtype=bool)
     within[at_end] = False
-    of, fraction = np.repeat(rows.motion, before + 1), np.zeros(len(line))
-    if pieces.conditions.names:
-        fraction = corrected.path_errors.fractions(samples)
-    split = [commands.split(line, share) for commands in inside]
+    of = np.repeat(rows.motion, before + 1)
+    fraction = corrected.path_errors.fractions(samples) if pieces.conditions.names else np.zeros(len(line))
+    nominal, written = (
+        commands if commands.points is None else commands.split(line, samples.within) for commands in inside
+    )
     at_ends, on_lines = [], []
-    for tracker, end, commands in zip(trackers, ends, split, strict=True):
+    for tracker, end, commands in zip(trackers, ends, (nominal, written), strict=True):
         places = np.empty((len(of), end.begin.shape[1]))
-        places[at_end], places[within] = end.begin, commands.begin[single]
-        found = tracker.after(of, places)
-        sides = found[at_end[row[line]]]
-        sides[single] = found[within]
-        at_ends.append(pieces.conditions.at(found[at_end], rows.motion, rows.fraction))
-        on_lines.append(pieces.conditions.at(sides, motion[line], fraction))
+        places[at_end], places[within] = end.begin, commands.begin
+        sides = tracker.after(of, places)
+        at_ends.append(pieces.conditions.at(sides[at_end], rows.motion, rows.fraction))
+        on_lines.append(pieces.conditions.at(sides[within], motion, fraction))
     # A move that only takes up backlash has no nominal position.
     yield SimulatedPoints(rows.motion, *ends, *at_ends).of(np.flatnonzero(~rows.backlash_move))
-    yield SimulatedPoints(motion[line], split[0], split[1], *on_lines)
-
-
-def _turning(
-    corrected: Corrected,
-    rows: Rows,
-    trackers: Sequence[ApproachTracker],
-    ends: Both,
-    inside: Both,
-    row: np.ndarray,
-) -> np.ndarray:
-    """Return (pieces,) whether the approach direction, or a condition, changes inside each straight piece; arguments as above."""
-    changes = np.full(len(row), bool(corrected.pieces.conditions.names))
-    for tracker, end, commands in zip(trackers, ends, inside, strict=True):
-        if len(row):
-            changes |= ~tracker.steady(rows.motion, end.begin, row, commands.first)
-    return changes
+    yield SimulatedPoints(motion, nominal, written, *on_lines)
