@@ -13,7 +13,9 @@ from twin.compensation.programs.backlash import ApproachTracker, Backlash
 from twin.compensation.programs.motions import MotionColumns, Passage, ToolPath
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.model.effects import Reversal
+from twin.model.calibration_file import acting_frame
+from twin.model.effects import Empirical, Reversal, ReversalCurve
+from twin.model.effects.harmonic import Waves
 
 SIZES = {"X": -8.0, "Y": 6.0, "B": -60.0}
 
@@ -48,6 +50,26 @@ def test_portions_give_the_directions_of_the_whole(backlash: Backlash, seed: int
     tracker = ApproachTracker(backlash, program)
     found = np.concatenate([tracker.after(motion[part], commands[part]) for part in cuts])
     assert np.allclose(found, backlash.sides(program, motion, commands), rtol=0.0, atol=1e-7)
+
+
+def test_the_play_of_a_varying_reversal_value_is_its_largest_by_size() -> None:
+    machine = Machine.load("dmu50")
+    curve = ReversalCurve(machine.by_name["X"], (-4.0, -6.0))  # from +2 to −10 µm
+    assert Backlash(replace(Calibration.zero(machine), extra=(curve,))).size == pytest.approx(
+        [-0.01, 0.0, 0.0, 0.0, 0.0], abs=1e-12
+    )
+
+
+def test_an_axis_whose_direction_only_a_pattern_depends_on_is_followed() -> None:
+    machine = Machine.load("dmu50")
+    frame, turning = acting_frame("tool", "base", machine)
+    pattern = Empirical("tool by approach_Y", "base", [Waves("approach_Y", "direction", 1)], {}, frame, turning)
+    followed = Backlash(replace(Calibration.zero(machine), extra=(pattern,)))
+    assert [machine.names[axis] for axis in followed.axes] == ["Y"]
+    steps = np.zeros((4, 5))
+    steps[:, machine.names.index("Y")] = [1.0, 1.0, -1.0, -1.0]
+    sides = followed.sides(path(np.random.default_rng(0), 0), np.arange(4), np.cumsum(steps, axis=0))
+    assert sides[:, machine.names.index("Y")].tolist() == [0.0, 1.0, -1.0, -1.0]
 
 
 def test_an_inserted_move_that_prints_as_its_neighbour_is_omitted(tmp_path: Path) -> None:
