@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 
 from twin.compensation import Compensator, Options
+from twin.compensation.programs import compensator as compensator_module
 from twin.compensation.programs.backlash import ApproachTracker, Backlash
+from twin.compensation.programs.correction import correct
 from twin.compensation.programs.motions import MotionColumns, Passage, ToolPath
+from twin.compensation.programs.path_errors import PathErrors
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import acting_frame
 from twin.model.effects import Empirical, Reversal, ReversalCurve
 from twin.model.effects.harmonic import Waves
+from twin.nc import dialect_for
 
 SIZES = {"X": -8.0, "Y": 6.0, "B": -60.0}
 
@@ -86,3 +90,24 @@ def test_an_inserted_move_that_prints_as_its_neighbour_is_omitted(tmp_path: Path
     source.write_text(f"G90 G21\nG1 F2000\n{''.join(lines)}M30\n")
     report = compensator.compensate_file(source, target)
     assert report.complete and report.rewritten == 200
+
+
+def test_errors_between_end_points_are_those_of_the_final_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors kept from splitting are discarded where rows change afterwards: moves that take up backlash are inserted."""
+    machine = Machine.load("dmu50")
+    given = Calibration.default(machine)
+    added = (Reversal(machine.by_name["X"], -40.0), Reversal(machine.by_name["C"], -900.0))
+    compensator = Compensator(machine, replace(given, extra=(*given.extra, *added)), Options(tool_length_mm=120.0))
+    t = np.linspace(0.0, 6.0, 60)
+    rows = np.c_[200 + 60 * np.cos(t), 200 + 60 * np.sin(t), -150 + 5 * t, 30 + 10 * np.sin(t), 60 * np.sin(2 * t)]
+    lines = ("X{:.3f} Y{:.3f} Z{:.3f} B{:.3f} C{:.3f}\n".format(*row) for row in rows.tolist())
+    dialect = dialect_for(Path("p.nc"))
+    program = dialect.read(f"G90 G21\nG1 F2000\n{''.join(lines)}M30\n".encode(), "p.nc")
+    kept = []
+    monkeypatch.setattr(compensator_module, "correct", lambda *a, **b: kept.append(correct(*a, **b)) or kept[-1])
+    compensator.compensate(program, dialect)
+    assert kept
+    for corrected in kept:
+        fresh = PathErrors(corrected.pieces).motion_errors_mm(corrected.rows)
+        assert corrected.rows.backlash_move.any()
+        assert np.allclose(corrected.path_errors.motion_errors_mm(corrected.rows), fresh, rtol=0.0, atol=1e-12)
