@@ -36,7 +36,6 @@ settings.register_profile(
 settings.load_profile("twin")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
-SLOW = Path(__file__).with_name("slow.txt")
 NEEDED = "needs shared/{}, which is not beside this checkout"
 """Reason of a skip, with the path that is missing."""
 
@@ -74,11 +73,17 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that `slow.txt` lists, before they are selected by their marks."""
-    listed = set(SLOW.read_text(encoding="utf-8").splitlines())
+    """Mark as slow what `sample(n)` leaves out of the default run: all cases of a test but n, spread evenly over their order."""
+    cases: dict[tuple[str, int], list[pytest.Item]] = {}
     for item in items:
-        if item.nodeid in listed:
-            item.add_marker(pytest.mark.slow)
+        mark = item.get_closest_marker("sample")
+        if mark is not None and item.get_closest_marker("slow") is None:
+            cases.setdefault((item.nodeid.partition("[")[0], mark.args[0]), []).append(item)
+    for (_, count), of_test in cases.items():
+        chosen = set(np.linspace(0, len(of_test) - 1, count).round().astype(int).tolist())
+        for place, item in enumerate(of_test):
+            if place not in chosen:
+                item.add_marker(pytest.mark.slow)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

@@ -77,6 +77,7 @@ def of_twin(effect: Hidden, machine: Machine, truth: TruthMachine) -> Effect:
     return effect_named(effect.effect, effect.where, effect.numbers, machine)
 
 
+@pytest.mark.sample(1)  # of 4
 @pytest.mark.parametrize("name", NAMES)
 def test_a_truth_machine_is_what_twin_calculates(name: str, tmp_path: Path) -> None:
     """Compare effects of every common family, one at a time and all together; neither side is linearised."""
@@ -185,6 +186,7 @@ def setup_columns(machine: TruthMachine, plan: Plan, monkeypatch: pytest.MonkeyP
     return np.stack(columns, axis=2).reshape(3 * len(plan), -1)
 
 
+@pytest.mark.sample(4)  # of 7
 @pytest.mark.parametrize(
     ("name", "kind"),
     [
@@ -230,6 +232,7 @@ def test_a_written_case_has_the_noncentrality_asked_for(
     assert np.mean(noise**2) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / noise.size))
 
 
+@pytest.mark.sample(12)  # of 32
 @pytest.mark.parametrize("pattern", PATTERNS)
 @pytest.mark.parametrize("name", NAMES)
 def test_a_pattern_outside_moves_one_side_by_its_formula(name: str, pattern: str) -> None:
@@ -253,6 +256,7 @@ def test_a_pattern_outside_moves_one_side_by_its_formula(name: str, pattern: str
             assert all(HALF_WAVES[0] <= drawn.numbers[f"halves_{k}"] <= HALF_WAVES[1] for k in (1, 2))
 
 
+@pytest.mark.sample(1)  # of 4
 @pytest.mark.parametrize("name", NAMES)
 def test_what_a_known_effect_can_carry(name: str) -> None:
     """An effect explains itself completely, and at most half of a pattern outside the catalogue."""
@@ -541,6 +545,7 @@ def test_a_method_that_breaks_does_not_stop_the_others(tmp_path: Path) -> None:
     assert wrong == "broken stage-nothing-1-000: nothing → no answer: LinAlgError: singular matrix\n"
 
 
+@pytest.mark.slow
 def test_twin_and_its_plain_rivals_answer_from_files(tmp_path: Path) -> None:
     """For a reversal of λ = 300 on a stage, all methods give its name and `twin` also its size."""
     effect = (("reversal", "X"),)

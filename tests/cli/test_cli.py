@@ -53,6 +53,7 @@ def test_info(capsys: pytest.CaptureFixture[str]) -> None:
         assert word in printed
 
 
+@pytest.mark.slow
 def test_options_that_take_several_words(part: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.nc"
     done = twin(
@@ -219,6 +220,7 @@ def test_interrupt_leaves_nothing(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["part.nc"]
 
 
+@pytest.mark.slow
 def test_apt_is_posted(tmp_path: Path) -> None:
     for name in ("posted.nc", "posted.h"):
         done = twin("compensate", "cone_frustum.cls", "-o", tmp_path / name, "--tool-length", 120)

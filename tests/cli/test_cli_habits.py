@@ -53,6 +53,7 @@ def completed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     return capsys.readouterr().out.split("\n")[:-1]
 
 
+@pytest.mark.sample(7)  # of 21
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_a_short_help_and_can_be_quiet(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     short, long = run(capsys, name, "-h"), run(capsys, name, "--help")
@@ -104,6 +105,7 @@ def test_examples_run(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkey
     assert report["schema"] == "twin.doctor/1" and report["ok"] is True
 
 
+@pytest.mark.slow
 def test_json_holds_the_numbers_that_are_printed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     status, out, _ = run(capsys, "info", "--tool-length", 120, "--json", tmp_path / "info.json")
     report = json.loads((tmp_path / "info.json").read_text())

@@ -78,6 +78,7 @@ def read_or_refused(kind: str, folder: Path, examples: int) -> None:
     attempt()
 
 
+@pytest.mark.sample(11)  # of 35
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_hostile_file_is_read_or_refused(kind: str, tmp_path: Path) -> None:
     read_or_refused(kind, tmp_path, EXAMPLES)
@@ -130,6 +131,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_hostile_table_at_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     @settings(max_examples=20)
     @given(data=edited("readings"))
@@ -141,6 +143,7 @@ def test_a_hostile_table_at_the_command_line(folder: Path, capsys: pytest.Captur
     attempt()
 
 
+@pytest.mark.slow
 def test_hostile_words_at_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = sorted(name for one in COMMANDS["simulate-run"].params for name in one.opts if name.startswith("--"))
     words = st.sampled_from([*WORDS, *TEXTS[:-4]])
@@ -162,6 +165,7 @@ NUMERIC = [
 ]
 
 
+@pytest.mark.sample(349)  # of 406
 @pytest.mark.parametrize("value", ["nan", "inf", "-1e308", "1e308", "1e-300", "x", ""])
 @pytest.mark.parametrize(("name", "option"), NUMERIC)
 def test_no_number_overflows(
@@ -217,6 +221,7 @@ TOO_MUCH: dict[str, tuple[str, Callable[[], str]]] = {
 }  # fmt: skip
 
 
+@pytest.mark.sample(8)  # of 14
 @pytest.mark.parametrize("name", TOO_MUCH)
 def test_too_much_is_refused_in_time(name: str, tmp_path: Path) -> None:
     kind, text = TOO_MUCH[name]

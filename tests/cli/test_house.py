@@ -35,6 +35,7 @@ def test_format() -> None:
     assert run(tool("ruff"), "format", "--check", ".") == ""
 
 
+@pytest.mark.slow
 def test_types() -> None:
     assert run(tool("mypy")) == ""
 
@@ -96,10 +97,3 @@ def test_product_is_self_contained() -> None:
     """No file of the product refers to a folder outside the project."""
     files = [*package_files(), *(ROOT / "urdf").iterdir(), *(ROOT / "notebooks").glob("*"), ROOT / "README.md"]
     assert [path.name for path in files if path.is_file() and "../shared" in path.read_text(errors="replace")] == []
-
-
-def test_the_slow_tests_that_are_listed_exist() -> None:
-    """A renamed test would come back into the default run unnoticed."""
-    for line in (ROOT / "tests/slow.txt").read_text().splitlines()[1:]:
-        file, _, name = line.partition("::")
-        assert re.search(rf"^def {name.partition('[')[0]}\(", (ROOT / file).read_text(), re.M), line

@@ -42,6 +42,7 @@ def test_a_table_without_assumptions_is_written(shop: Path, capsys: pytest.Captu
     assert not list(shop.glob("*.yaml"))
 
 
+@pytest.mark.slow
 def test_a_proposal_is_confirmed(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = {path.name for path in shop.iterdir()}
     assert status("import", "shop.csv", "-o", "measured.csv", "--json", "i.json") == 2

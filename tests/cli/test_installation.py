@@ -32,6 +32,7 @@ def run_with(folder: Path, broken: str, text: str, *words: str) -> subprocess.Co
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("module", "package"),
     [
@@ -49,6 +50,7 @@ def test_doctor_reports_a_package_that_cannot_be_imported(tmp_path: Path, module
     assert re.search(rf"FAILED: {package}\b", ended.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["meshcat", pytest.param("matplotlib", marks=pytest.mark.slow)])
 def test_doctor_checks_the_machine_if_only_pictures_are_broken(tmp_path: Path, module: str) -> None:
     ended = run_with(tmp_path, module, f"raise ImportError({REASON!r})", "doctor", "--json", "doctor.json")
@@ -57,6 +59,7 @@ def test_doctor_checks_the_machine_if_only_pictures_are_broken(tmp_path: Path, m
     assert REASON in (tmp_path / "doctor.json").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -69,6 +72,7 @@ def test_doctor_survives_an_import_that_ends_the_process(tmp_path: Path, text: s
     assert ended.returncode == 3 and f"cannot be imported: {reason}\n" in ended.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("module", "package", "words"),
     [
@@ -87,6 +91,7 @@ def test_another_command_names_the_package_in_one_line(
     )
 
 
+@pytest.mark.slow
 def test_an_import_error_of_twin_itself_is_not_hidden() -> None:
     defect = ImportError("of twin itself")
     with pytest.raises(ImportError) as caught:

@@ -45,6 +45,7 @@ LAUGHS = "a: &a [x, x]\n" + "".join(
 )
 
 
+@pytest.mark.sample(29)  # of 31
 @pytest.mark.parametrize(
     ("text", "line", "said"),
     [
@@ -303,6 +304,7 @@ def test_names_that_would_steer_the_terminal(tmp_path: Path, capsys: pytest.Capt
     assert stopped.value.code == 0 and f"m{escaped}" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_an_output_that_is_full() -> None:
     with open("/dev/full", "wb") as full:
@@ -310,6 +312,7 @@ def test_an_output_that_is_full() -> None:
     assert done.returncode == 2 and done.stderr.count(b"\n") == 1 and b"No space left" in done.stderr
 
 
+@pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize("arguments", [("doc", "programs"), ("--help",)])
 def test_an_output_that_nothing_reads(arguments: tuple[str, ...]) -> None:
     read_end, write_end = os.pipe()
@@ -336,6 +339,7 @@ def test_a_terminal_of_another_encoding(
     assert shown in err.buffer.getvalue().decode(encoding)  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_leaves_nothing(tmp_path: Path) -> None:
     def limited() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
@@ -379,6 +383,7 @@ MOTIONLESS = {
 }
 
 
+@pytest.mark.sample(9)  # of 27
 @pytest.mark.parametrize("command", ["scene", "compensate", "path"])
 @pytest.mark.parametrize("name", MOTIONLESS)
 def test_a_program_without_motion_is_refused(
@@ -468,6 +473,7 @@ def test_a_table_without_a_name_in_an_ini_file(dmu50: Machine, tmp_path: Path) -
     assert refused.value.line == 6 and refused.value.expected
 
 
+@pytest.mark.sample(3)  # of 9
 @pytest.mark.parametrize(
     ("words", "status"),
     [(["info", "--machine", "trunnion_ac"], 0), (["info", "--machine", "absent"], 2), (["report"], 2)],
@@ -522,6 +528,7 @@ def test_inputs_that_are_no_files(
     writer.join()
 
 
+@pytest.mark.slow
 def test_a_workbook_or_table_beyond_any_measurement_is_refused_before_it_is_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -28,6 +28,7 @@ def test_outputs_are_stripped(path: Path) -> None:
     assert [i for i, cell in enumerate(cells) if cell.get("outputs") or cell.get("execution_count")] == []
 
 
+@pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize(
     "path",
     [pytest.param(path, marks=pytest.mark.slow if path.stem in LONG else ()) for path in NOTEBOOKS],

@@ -272,6 +272,7 @@ def _state(pid: int) -> str:
         return "Z"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to see child processes")
 @pytest.mark.parametrize(
     "number",
@@ -300,6 +301,7 @@ def test_a_signal_leaves_no_file_and_no_process(tmp_path: Path, number: signal.S
         assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("sh") is None, reason="needs a shell")
 @pytest.mark.parametrize("number", [pytest.param(signal.SIGHUP, marks=pytest.mark.slow), signal.SIGKILL])
 def test_a_compiler_does_not_outlive_the_command(tmp_path: Path, number: signal.Signals) -> None:
@@ -332,6 +334,7 @@ def test_a_compiler_does_not_outlive_the_command(tmp_path: Path, number: signal.
         assert not [path for path in (*temporary.rglob("*"), *home.rglob("*")) if path.suffix == ".s"]
 
 
+@pytest.mark.slow
 def test_an_ignored_hangup_stays_ignored(tmp_path: Path) -> None:
     """A hangup is ignored as under nohup."""
     part, out = tmp_path / "part.nc", tmp_path / "out.nc"

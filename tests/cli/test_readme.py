@@ -87,6 +87,7 @@ def test_the_calibration_of_the_manual_loads(tmp_path: Path) -> None:
     assert set(Calibration.load(path, machine).curves) == {"E_XX", "E_ZC"}
 
 
+@pytest.mark.slow
 def test_readme_runs_from_top_to_bottom(tmp_path: Path) -> None:
     """All commands behind the set-up (which `.ci/run` runs), one after the other in one folder, on what the ones before them left."""
     set_up = README.split("## Service technician")[0]

@@ -188,6 +188,7 @@ ONE_ALONE: Final = ("nothing", "illustrative", "simulated", "unknown", "not iden
 """Slow kinds; those after the first are combined in ``all``."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind in ONE_ALONE else kind for kind in KINDS]
 )

@@ -54,6 +54,7 @@ def test_the_file_says_what_is_not_known(measured: Files, dmu50: Machine) -> Non
     assert all(entry.why for entry in (*every.not_identifiable, *one.not_identifiable))
 
 
+@pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize("kind", ["all", "one"])
 def test_every_command_says_it(
     kind: str, measured: Files, dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -32,6 +32,7 @@ def lines(n: int, seed: int) -> Commands:
     return Commands(begin, rng.normal(size=(100, 5)), points)
 
 
+@pytest.mark.sample(2)  # of 3
 @pytest.mark.parametrize(
     "n, switch",
     [(50, "0"), (batch.MANY + 3, "0"), pytest.param(compiler.PORTION + 5, "1", marks=compiled)],

@@ -70,6 +70,7 @@ def test_the_compensated_cone_frustum_is_on_the_nominal_path(
     assert result.report.complete
 
 
+@pytest.mark.slow
 def test_long_blocks_are_split_to_the_tolerance(dmu50: Machine, calibration: Calibration, truth: TruthMachine) -> None:
     """Across the whole of X and through a turn of C, the error between end points is no more than tolerance and rounding."""
     text = "G21 G90\nG0 X10 Y20 Z-100 B40 C0\nG1 X490 F500\nG1 Y400\nG1 C300\nG1 X100 Y50 Z-300 B70 C20\n"
@@ -110,6 +111,7 @@ def test_every_block_carries_all_corrected_words(dmu50: Machine, calibration: Ca
     assert "Y" in result.text.splitlines()[2]
 
 
+@pytest.mark.slow
 @settings(max_examples=16)
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -166,6 +168,7 @@ def test_tcp_and_axis_mode_reach_the_same_points(dmu50: Machine, calibration: Ca
     assert np.abs(found["nc"] - found["cls"])[:, 3].max() <= 1e-3
 
 
+@pytest.mark.slow
 def test_scope_decides_what_is_corrected_and_where(
     dmu50: Machine, calibration: Calibration, truth: TruthMachine
 ) -> None:

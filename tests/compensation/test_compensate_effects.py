@@ -164,6 +164,7 @@ def taking_up(result: Compensation) -> np.ndarray:
 # ---- programs on the worn machine
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_turns_quadrants_and_five_axes(dmu50: Machine, tmp_path: Path, sign: float) -> None:
     """End points and interiors of blocks, in order; 12 µm of Y, 60 µrad of B, X at 26 °C."""
@@ -229,6 +230,7 @@ def test_axes_that_reverse_inside_a_tool_tip_block(dmu50: Machine, tmp_path: Pat
     )  # the first from the middle of its play
 
 
+@pytest.mark.sample(1)  # of 3
 @pytest.mark.parametrize("suffix", ["nc", "h", "cls"])
 def test_three_languages(dmu50: Machine, calibration: Calibration, tmp_path: Path, suffix: str) -> None:
     """The frustum on the illustrative machine with wear: every axis moves all the time, B and C reverse."""

@@ -208,6 +208,7 @@ def test_backlash_corrected_by_the_control_is_not_corrected_again(
         compensate(text, dmu50, played.with_control(uneven))
 
 
+@pytest.mark.slow
 def test_measured_under_its_control_the_machine_is_consistent(
     tmp_path: Path, dmu50: Machine, calibration: Calibration, section: ControlSection
 ) -> None:

@@ -86,6 +86,7 @@ ISO_PROGRAMS = {
 }
 
 
+@pytest.mark.sample(1)  # of 4
 @pytest.mark.parametrize("name", ISO_PROGRAMS)
 def test_each_section_is_that_of_a_program_of_its_own(dmu50: Machine, errors: Calibration, name: str) -> None:
     form, parts = ISO_PROGRAMS[name]

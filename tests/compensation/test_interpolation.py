@@ -90,6 +90,7 @@ def test_few_places_are_evaluated(count: int) -> None:
     assert values.asked == list(range(count))
 
 
+@pytest.mark.slow
 def test_uncertainty_of_a_long_program(dmu50: Machine, calibration: Calibration) -> None:
     """The reported uncertainty compared with evaluation at every end point: U to two digits; relative to the largest direction."""
     known = uncertain(calibration, 0.3)

@@ -100,6 +100,7 @@ def cycloid(count: int = 600, radius: float = 10.0) -> np.ndarray:
 # -------------------------------------------------------------------- the path is kept, with fewer blocks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [pytest.param(0.005, marks=pytest.mark.slow), 0.02])
 @pytest.mark.parametrize("points", [circle(), helix(), cycloid()], ids=["circle", "helix", "cycloid"])
 def test_fewer_blocks_on_the_same_path(dmu50: Machine, points: np.ndarray, tolerance: float) -> None:
@@ -120,6 +121,7 @@ def test_fewer_blocks_on_the_same_path(dmu50: Machine, points: np.ndarray, toler
     assert run.total_um == pytest.approx(hausdorff(before, after) * 1e3, abs=0.05 * tolerance * 1e3)
 
 
+@pytest.mark.slow
 def test_an_arc_is_two_arcs(dmu50: Machine) -> None:
     """A circle in the trigonometric basis: three control points per arc, one of them shared."""
     run = refitted(dmu50, program_of(circle()), 0.01).report.runs[0]
@@ -127,11 +129,13 @@ def test_an_arc_is_two_arcs(dmu50: Machine) -> None:
     assert run.control_points == 5
 
 
+@pytest.mark.slow
 def test_axes_at_rest_stay_at_rest(dmu50: Machine) -> None:
     after = feed_path(refitted(dmu50, program_of(circle()), 0.01).text)
     assert np.ptp(after[:, 2]) == 0.0
 
 
+@pytest.mark.slow
 @settings(max_examples=3)
 @given(st.integers(0, 10_000), st.sampled_from([0.004, 0.01, 0.05]), st.integers(30, 240), st.booleans())
 def test_any_smooth_or_rough_path_is_kept(seed: int, tolerance: float, count: int, rough: bool) -> None:
@@ -215,6 +219,7 @@ def test_everything_else_passes_byte_for_byte(dmu50: Machine) -> None:
     assert (before[lines.first_line - 1], before[lines.last_line - 1]) == (rows[3], rows[99])
 
 
+@pytest.mark.slow
 def test_incremental_and_inch_programs(dmu50: Machine) -> None:
     points = np.round(circle(), 4)
     steps = np.diff(points, axis=0)
@@ -250,6 +255,7 @@ def tips(machine: TruthMachine, commands: np.ndarray, *, real: bool) -> np.ndarr
     return np.array([machine.pose(q, real=real)[:3, 3] for q in commands])
 
 
+@pytest.mark.slow
 def test_five_axes_compensated(dmu50: Machine) -> None:
     """The cone frustum in axis words; an independent machine with the errors executes the output and the input."""
     result = twin.refit("cone_frustum.nc", dmu50, options=Options(tolerance_mm=0.1, tool_length_mm=120.0))
@@ -287,6 +293,7 @@ def test_tool_tip_mode_in_plain_language(dmu50: Machine) -> None:
     assert result.text.splitlines()[-3].split(" ", 1)[1] == source.splitlines()[-3].split(" ", 1)[1]
 
 
+@pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize("suffix", ["cls", "nc"])
 def test_cutter_locations(dmu50: Machine, suffix: str, tmp_path: Path) -> None:
     """Posted blocks are straight in axis words; the independent machine gives the resulting path."""
@@ -324,6 +331,7 @@ def table(path: Path, header: str, rows: np.ndarray) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_points_of_a_curve(dmu50: Machine, tmp_path: Path) -> None:
     points = cycloid()
     source = table(tmp_path / "curve.csv", "x_mm,y_mm,z_mm", points)
@@ -362,6 +370,7 @@ def test_points_outside_a_range_are_not_moved(dmu50: Machine, tmp_path: Path) ->
     assert np.array([q for _, q in run_iso(result.text)])[:, :3] == pytest.approx(points, abs=5.1e-4)
 
 
+@pytest.mark.slow
 def test_points_with_rotary_axes_and_vectors(dmu50: Machine, tmp_path: Path) -> None:
     t = np.linspace(0.0, 1.0, 301)
     points = np.stack([30.0 * t, 10.0 * np.sin(3.0 * t), 60.0 + 0.0 * t, 20.0 + 15.0 * t, 40.0 * t**2], axis=1)
@@ -477,6 +486,7 @@ def test_table_2_of_the_paper() -> None:
     assert 0.0 < added < 0.01
 
 
+@pytest.mark.slow
 def test_the_fit_enters_the_uncertainty(dmu50: Machine) -> None:
     """U² is the sum of (2u)²; a coarser path increases it by its own contribution only."""
 
@@ -516,6 +526,7 @@ def numbered(text: str) -> tuple[list[int], np.ndarray]:
     return numbers, np.array(found)
 
 
+@pytest.mark.slow
 def test_a_real_program(programs: Path) -> None:
     """The keychain: outlines of letters as runs of short blocks, with arcs between."""
     machine = Machine.load("xyzbc_trunnion")
@@ -537,6 +548,7 @@ def test_a_real_program(programs: Path) -> None:
     assert others == [row for row, number in zip(result.text.splitlines(), after, strict=True) if number not in runs]
 
 
+@pytest.mark.sample(1)  # of 4
 @pytest.mark.parametrize("cycle", ["G81", "G84"])
 @pytest.mark.parametrize("compensated", [False, True])
 def test_holes_between_runs(dmu50: Machine, cycle: str, compensated: bool, tmp_path: Path) -> None:
@@ -591,6 +603,7 @@ def test_reversals_are_taken_up_and_the_path_kept(dmu50: Machine, tmp_path: Path
     assert run.machine_um <= result.report.shares.compensation + result.report.shares.rounding
 
 
+@pytest.mark.slow
 def test_a_path_out_of_tolerance_is_reported(dmu50: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """The final check is independent of the fit: blocks moved by 30 µm are reported as 30 µm off, whatever the fit reports."""
     from twin.compensation.fewer_blocks import run_refitter

@@ -37,6 +37,7 @@ def cycloid(t: np.ndarray) -> np.ndarray:
     return np.stack([t - np.sin(t), 1.0 - np.cos(t)], axis=1)
 
 
+@pytest.mark.slow
 def test_the_papers_cycloid() -> None:
     """Díaz Pérez et al. (2019), table 4: 1001 points of a cycloid of 1 mm within 0.05 µm with 11 control points (CAD: 38).
 
@@ -68,6 +69,7 @@ def test_two_control_points_fewer_exceed_the_tolerance() -> None:
     assert from_line(best[::4], cycloid(dense)).max() > 5e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("power", [pytest.param(0.0, marks=pytest.mark.slow), 0.5, 1.0])
 def test_pieces_meet_with_one_tangent(power: float) -> None:
     t = np.linspace(0.0, 1.0, 5000)

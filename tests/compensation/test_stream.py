@@ -159,6 +159,7 @@ VARIED = {
 """Programs run only with slow tests, because others test the same in another form."""
 
 
+@pytest.mark.sample(7)  # of 17
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in VARIED else name for name in PROGRAMS]
 )
@@ -173,6 +174,7 @@ def test_stretch_borders_inside_words(size: int, usual: Compensator, both: Calla
     both("\r".join(["G21 G90", "", "G0 X250 Y225 Z-100 B30 C10", "G1 X251", "X252\r\n\rX253"]), usual, (size, 1, 1))
 
 
+@pytest.mark.sample(1)  # of 5
 @pytest.mark.parametrize(
     "options",
     [
@@ -207,6 +209,7 @@ def test_nothing_to_correct_changes_nothing(dmu50: Machine, both: Callable[..., 
     assert both(text, compensator, (200, 1, 1)) == text
 
 
+@pytest.mark.sample(2)  # of 3
 @pytest.mark.parametrize(
     "name",
     [

@@ -137,6 +137,7 @@ def test_the_tool_is_where_the_plane_says(dmu50: Machine, errors: Calibration, n
     assert result.report.before.max_um > 10.0
 
 
+@pytest.mark.sample(2)  # of 7
 @pytest.mark.parametrize("name", PLANES)
 def test_the_words_of_the_output_lead_to_the_compensated_commands(
     dmu50: Machine, errors: Calibration, name: str
@@ -208,6 +209,7 @@ def test_a_program_with_planes_cannot_lose_blocks(dmu50: Machine, tmp_path: Path
         Refitter(dmu50, Calibration.zero(dmu50)).refit(program, ISO)
 
 
+@pytest.mark.sample(5)  # of 16
 @pytest.mark.parametrize(
     ("text", "sign"),
     [

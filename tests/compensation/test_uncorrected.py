@@ -395,6 +395,7 @@ def test_nothing_corrected_in_html(dmu50: Machine) -> None:
     assert "NOTHING CORRECTED" in result._repr_html_()
 
 
+@pytest.mark.slow
 def test_every_sample_program_is_fully_corrected(tmp_path: Path) -> None:
     """The bundled program, as in the README: exit status 0, everything corrected."""
     done = twin("compensate", "cone_frustum.nc", "-o", tmp_path / "o.nc", "--tool-length", 120, "--strict")

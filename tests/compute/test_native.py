@@ -113,6 +113,7 @@ def assert_alike(fast: Solution, plain: Solution) -> None:
     assert fast.point_residual_mm[good].max() <= 2e-9
 
 
+@pytest.mark.slow
 @compiled
 @pytest.mark.usefixtures("eager")
 @pytest.mark.parametrize("name", ["dmu50", "trunnion_ac", "xyzbc_trunnion"])
@@ -207,6 +208,7 @@ def test_arrays_of_any_make(dmu50: Machine, calibration: Calibration) -> None:
     assert np.nanmax(np.abs(rough.positions - plain.positions)[rough.where(Status.CONVERGED)]) <= 1e-8
 
 
+@pytest.mark.slow
 @compiled
 @pytest.mark.usefixtures("eager")
 def test_a_directed_machine(dmu50: Machine, calibration: Calibration) -> None:
@@ -539,6 +541,7 @@ def test_a_compiler_that_miscompiles_is_not_believed(
     assert np.abs(real.forward(found.positions).point_mm - target.point_mm).max() <= 1e-9
 
 
+@pytest.mark.slow
 def test_info_says_which_way(tmp_path: Path) -> None:
     settings = {"XDG_CACHE_HOME": str(tmp_path), "COLUMNS": "200"}
     lines = {}

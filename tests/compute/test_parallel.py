@@ -99,6 +99,7 @@ def uncertain(dmu50: Machine) -> Calibration:
     return with_covariance(random_calibration(dmu50, rng, 100.0), rng, 2.0)
 
 
+@pytest.mark.sample(1)  # of 3
 def test_order_and_names(others: Workers) -> None:
     assert list(map_in_order(chores.squared, 1, range(7), others)) == [1 + i * i for i in range(7)]
     assert sorted(map_as_completed(chores.squared, 1, range(7), others)) == [(i, 1 + i * i) for i in range(7)]
@@ -164,10 +165,12 @@ def answered_here() -> list[battery.Answer]:
     return answered(HERE)
 
 
+@pytest.mark.slow
 def test_a_battery_is_the_same(answered_here: list[battery.Answer], others: Workers) -> None:
     assert answered(others) == answered_here
 
 
+@pytest.mark.slow
 def test_the_volume_of_another_process_with_other_threads(
     uncertain: Calibration, dmu50: Machine, tmp_path: Path
 ) -> None:
@@ -222,6 +225,7 @@ def parts(tmp_path: Path) -> dict[str, str]:
     return {name: str(folder / name) for name in ("a.nc", "b.h", "far.nc", "bad.nc", "none.nc")}
 
 
+@pytest.mark.sample(1)  # of 3
 def test_programs_are_the_same_and_a_bad_one_stops_none(
     parts: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str], others: Workers
 ) -> None:
@@ -279,6 +283,7 @@ def test_several_that_cannot_go_into_that_folder(
         assert sorted(path.name for path in tmp_path.rglob("*")) == before
 
 
+@pytest.mark.sample(1)  # of 3
 def test_a_worker_that_is_killed_loses_nothing(
     dmu50: Machine, uncertain: Calibration, tmp_path: Path, others: Workers
 ) -> None:
@@ -358,6 +363,7 @@ def _refused_while_there(scheduler: str, folder: Path, *words: str) -> None:
     until(lambda: not refused())
 
 
+@pytest.mark.slow
 def test_a_worker_with_another_twin_is_refused(scheduler: str, tmp_path: Path) -> None:
     """Another source with the same version could give other digits."""
     shutil.copytree(ROOT / "twin", tmp_path / "twin", ignore=shutil.ignore_patterns("__pycache__"))

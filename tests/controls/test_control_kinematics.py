@@ -63,6 +63,7 @@ def positions(machine: Machine, count: int = 200) -> np.ndarray:
     return np.stack([rng.uniform(*axis.domain, count) for axis in machine.axes], axis=1)
 
 
+@pytest.mark.sample(4)  # of 14
 @pytest.mark.parametrize(("name", "kind"), POSSIBLE)
 @settings(max_examples=3, deadline=None)
 @given(data=st.data())

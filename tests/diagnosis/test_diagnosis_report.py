@@ -376,6 +376,7 @@ def test_points_are_grouped_by_the_causes_they_separate() -> None:
     assert instrument.verdict == "Repeat it."
 
 
+@pytest.mark.slow
 def test_the_page_fits_a_narrow_screen(pages: Mapping[str, str], folder: Path) -> None:
     """In a browser window of 420 pixels the page does not overflow."""
     expression = "document.documentElement.scrollWidth + ' of ' + innerWidth"

@@ -209,6 +209,7 @@ def drawn(draw: st.DrawFn) -> tuple[str, str, list[Waves], dict[str, float]]:
     return side, draw(st.sampled_from(["base", side])), columns, {name: draw(numbers) for name in chosen}
 
 
+@pytest.mark.slow
 @given(drawn())
 @settings(max_examples=60)
 def test_a_file_gives_back_the_same(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory, given: tuple) -> None:

@@ -31,6 +31,7 @@ def diagnosed(folder: Path, offset_rad: float, seed: int) -> Diagnosis:
     return diagnose(data, machine, Calibration.default(machine))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_random_errors_are_not_explained_by_many_causes(tmp_path: Path, seed: int) -> None:
     found = diagnosed(tmp_path, 0.0, seed)

@@ -70,6 +70,7 @@ def found_in(machine: Machine, data: Measurements) -> Diagnosis:
     return diagnose(data, machine, Calibration.zero(machine))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_backlash_and_squareness(dmu50: Machine, seed: int) -> None:
     """Both with their sizes; the squareness is also what other errors of a plane do, and the list says so."""
@@ -96,6 +97,7 @@ def test_lag_and_backlash_are_kept_apart(dmu50: Machine) -> None:
     assert sorted(cause.effect for cause in found.causes) == ["reversal", "time_skew"]
 
 
+@pytest.mark.slow
 def test_nothing_there(dmu50: Machine) -> None:
     verdicts = [found_in(dmu50, circles((1000.0, 3000.0), seed)).verdict for seed in range(10, 15)]
     assert verdicts.count("consistent") >= 4

@@ -67,6 +67,7 @@ def only(result: Diagnosis) -> Cause:
     return cause
 
 
+@pytest.mark.slow
 def test_a_dropped_constant(look, calibration: Calibration) -> None:
     """E_CX is −34 µrad at X = 0; a polynomial in X without a constant is zero there."""
     judged = put(calibration, {"E_CX": fitted(calibration, "E_CX", constant=False)})
@@ -78,6 +79,7 @@ def test_a_dropped_constant(look, calibration: Calibration) -> None:
     assert error == pytest.approx(float(calibration.curves["E_CX"](0.0)), rel=0.35)
 
 
+@pytest.mark.slow
 def test_a_polynomial_of_degree_8_that_swings_between_its_stops(look, calibration: Calibration) -> None:
     rng = np.random.default_rng(3)
     noise = {"E_XY": 3.0, "E_CX": 30.0}
@@ -97,6 +99,7 @@ def test_a_polynomial_of_degree_8_that_swings_between_its_stops(look, calibratio
     assert result.gain.tool_after_um < 0.2 * result.gain.tool_before_um
 
 
+@pytest.mark.slow
 def test_a_sign_and_a_curve_that_is_corrected_twice(look, calibration: Calibration) -> None:
     turned = {"E_CX": [-c for c in calibration.curves["E_CX"].coefficients]}
     assert "wrong sign" in only(look(put(calibration, turned))).evidence
@@ -123,6 +126,7 @@ def test_a_curve_under_another_name(look, calibration: Calibration) -> None:
         np.testing.assert_allclose(found, right, atol=3.0 * cause.parameters[0].u * size)
 
 
+@pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize(("axis", "where", "name"), [("C", "B", "C at B"), ("C", "base", "C at the base")])
 def test_errors_at_the_wrong_joint(look, calibration: Calibration, axis: str, where: str, name: str) -> None:
     result = look(calibration, elsewhere={axis: where})

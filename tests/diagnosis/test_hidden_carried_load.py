@@ -63,6 +63,7 @@ def remaining(calibration: Calibration, mass: float) -> tuple[float, float]:
     return after, before
 
 
+@pytest.mark.slow
 def test_joints_are_found_under_known_loads_with_their_centre(tmp_path: Path) -> None:
     data, machine = arm_with(tmp_path, np.tile(LOADS, 40), 1)
     found = diagnose(data, machine, Calibration.default(machine))
@@ -83,6 +84,7 @@ def test_joints_are_found_under_known_loads_with_their_centre(tmp_path: Path) ->
     assert "the load" in str(refused.value.expected) and refused.value.setting == "load"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("column", [True, False])
 def test_a_calibration_without_load_and_few_loaded_poses(tmp_path: Path, column: bool) -> None:
     """With the column the load is known and its centre is found; without it, a payload with its mass."""
@@ -138,6 +140,7 @@ def looked(folder: Path, machine: Machine, calibration: Calibration, effects: li
     return diagnose(Measurements.load(path, machine), machine, calibration)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", [in_blocks, growing], ids=["in blocks", "growing with time"])
 def test_a_load_on_the_table_is_found_on_its_side(
     dmu50: Machine, calibration: Calibration, tmp_path: Path, load: LoadOf
@@ -159,6 +162,7 @@ DRIFT = Hidden("thermal_drift", "Z", {"amplitude": 15.0, "time_constant": 3000.0
 OWN_WEIGHT = Hidden("gravity_compliance", "B", {"compliance": 0.6})
 
 
+@pytest.mark.sample(1)  # of 3
 @pytest.mark.parametrize(
     ("truth", "load"),
     [(DRIFT, growing), (OWN_WEIGHT, growing), (OWN_WEIGHT, unchanged)],
@@ -176,6 +180,7 @@ def test_a_load_that_does_not_act_is_not_named(
         assert ("carried_load", "work", "readings at different load_kg") in found.not_evaluated
 
 
+@pytest.mark.slow
 def test_a_load_in_the_spindle_is_found_on_its_side(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     truth = Hidden("gravity_compliance", "Z", {"compliance": 0.1, "load_z": 0.0})
     causes = by_name(looked(tmp_path, dmu50, calibration, [truth], lambda n: 0.1 * in_blocks(n)))

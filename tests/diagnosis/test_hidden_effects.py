@@ -199,6 +199,7 @@ def found(look: Callable[..., Diagnosis]) -> Callable[[Hidden], Diagnosis]:
     return lambda truth: of(EVERY.index(truth))
 
 
+@pytest.mark.sample(3)  # of 23
 @pytest.mark.parametrize("truth", SAMPLE, ids=lambda h: f"{h.effect} {h.where}")
 def test_an_effect_of_every_kind(found: Callable[[Hidden], Diagnosis], truth: Hidden) -> None:
     result = found(truth)
@@ -211,6 +212,7 @@ def test_an_effect_of_every_kind(found: Callable[[Hidden], Diagnosis], truth: Hi
         check_held_out(result, truth, None)
 
 
+@pytest.mark.slow
 def test_uncertainties_are_neither_too_small_nor_too_large(found: Callable[[Hidden], Diagnosis]) -> None:
     """RMS of all (value − truth)/u: of 33 it is one to within 0.12; a factor of two in u is far off."""
     rms = np.sqrt(np.mean(np.square(pulls_of([(found(truth), truth) for truth in SAMPLE]))))
@@ -271,6 +273,7 @@ def test_uncertainties_with_every_noise(loud: Callable[[Hidden, str], Diagnosis]
     assert np.abs(found).max() < stats.norm.isf((1.0 - 0.99 ** (1.0 / len(found))) / 2.0)
 
 
+@pytest.mark.slow
 def test_a_round_unlike_the_others_is_not_predicted(look: Callable[..., Diagnosis]) -> None:
     """A warm-up that ends within the first round: the others contain nothing of it, and do not predict that round.
 
@@ -284,6 +287,7 @@ def test_a_round_unlike_the_others_is_not_predicted(look: Callable[..., Diagnosi
     assert held.after_um > 0.9 * held.before_um
 
 
+@pytest.mark.sample(2)  # of 3
 @pytest.mark.parametrize("noise", ["isotropic", "repeats", "tracker"])
 def test_nothing_hidden_is_consistent(look: Callable[..., Diagnosis], noise: str) -> None:
     result = look([], seed=3, noise=noise)
@@ -293,6 +297,7 @@ def test_nothing_hidden_is_consistent(look: Callable[..., Diagnosis], noise: str
     assert result.rms_um == pytest.approx(result.expected_rms_um, rel=0.04)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "pair",
     [
@@ -332,6 +337,7 @@ def test_a_weak_effect_is_found_at_the_limit_of_the_data(look: Callable[..., Dia
     assert [(c.effect, c.where) for c in result.causes] == [truth.key]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "side"),
     [
@@ -354,6 +360,7 @@ def test_an_effect_outside_the_catalogue_is_unexplained(
     assert result.unexplained is not None and set(result.unexplained.depends_on) & set(names)
 
 
+@pytest.mark.slow
 def test_confounded_effects_are_reported(look: Callable[..., Diagnosis]) -> None:
     """An error in Z that grows with X and with Y: readings of one point do not identify the axis that causes it."""
     truth = one("cross_axis", "E_ZY by X", coefficient=60.0)
@@ -385,6 +392,7 @@ GROUPS = [
 UNIT = {"cross_axis": "coefficient", "thermal_growth": "coefficient", "squareness": "angle"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("truth", "size", "group", "outside"),
     [pytest.param(*case, marks=pytest.mark.slow if i in (2, 3) else ()) for i, case in enumerate(GROUPS)],
@@ -446,6 +454,7 @@ def test_the_interval_of_the_gain_is_of_95_per_cent(dmu50: Machine, calibration:
     assert found[0] < held.before_um - held.after_um < found[1]
 
 
+@pytest.mark.slow
 def test_a_decoy_that_goes_with_the_cause_is_not_taken_for_it(look: Callable[..., Diagnosis]) -> None:
     """The bed's temperature correlates with time as the drift does: the drift is named, or reported as one of the two."""
     rng = np.random.default_rng(7)
@@ -465,6 +474,7 @@ def test_a_column_that_is_missing_makes_its_effects_not_evaluated(look: Callable
     assert result.verdict == "consistent"
 
 
+@pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize("follows", ["command", "report"])
 def test_which_of_command_and_report_the_measurement_follows(look: Callable[..., Diagnosis], follows: str) -> None:
     """Reported positions of Y lag by 15 µm: they were read while it was moving, or Y really stopped there."""
@@ -485,6 +495,7 @@ def test_which_of_command_and_report_the_measurement_follows(look: Callable[...,
         assert abs(cause.parameters[0].value - 1.0) < 3.0 * cause.parameters[0].u
 
 
+@pytest.mark.slow
 def test_a_reversal_of_reported_positions_is_ambiguous(look: Callable[..., Diagnosis]) -> None:
     """Only reported positions are in the table, taken before Y had settled: the apparent reversal may not exist."""
     rng = np.random.default_rng(8)
@@ -504,6 +515,7 @@ def test_a_reversal_of_reported_positions_is_ambiguous(look: Callable[..., Diagn
     assert plainly.verdict == "explained" and plainly.causes[0].equivalent == ()
 
 
+@pytest.mark.slow
 def test_an_unknown_approach_is_an_assumption(look: Callable[..., Diagnosis]) -> None:
     """Half of the readings do not state from which side Y came: the text says what is assumed of them; with all stated it does not."""
     plan, _ = planned(31)
@@ -571,6 +583,7 @@ def test_the_battery(row: str, noise: str) -> None:
         assert 0.93 - 0.02 <= summary["coverage"] <= 0.97 + 0.02, summary
 
 
+@pytest.mark.sample(1)  # of 4
 @pytest.mark.parametrize("noise", ["isotropic", "tracker"])
 @pytest.mark.parametrize("hides", [True, False])
 def test_readings_without_uncertainties_and_repeats(
@@ -589,6 +602,7 @@ def test_readings_without_uncertainties_and_repeats(
     assert result.unexplained is None
 
 
+@pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize("axis", ["Y", "B"])
 def test_runs_of_one_axis_alone(dmu50: Machine, calibration: Calibration, tmp_path: Path, axis: str) -> None:
     """The rotation of the station about the only line of motion is not identifiable, and not needed."""

@@ -147,6 +147,7 @@ def short(table: Path, dmu50: Machine) -> Diagnosed:
     return diagnosed(table, dmu50, "--empirical")
 
 
+@pytest.mark.slow
 def test_short_waves_extend_the_model_and_parts_are_cut_better(short: Diagnosed, calibration: Calibration) -> None:
     found = short
     assert found.json["verdict"] == "unexplained" and found.json["causes"] == []
@@ -184,6 +185,7 @@ def test_short_waves_extend_the_model_and_parts_are_cut_better(short: Diagnosed,
     assert 0.6 < before / said["before_um"] < 1.4 and 0.6 < after / said["after_um"] < 1.4
 
 
+@pytest.mark.slow
 def test_the_gain_is_that_of_the_file_written(short: Diagnosed, table: Path, dmu50: Machine) -> None:
     """A diagnosis with the file written has the stated residual and finds nothing more."""
     found = short
@@ -196,6 +198,7 @@ def test_the_gain_is_that_of_the_file_written(short: Diagnosed, table: Path, dmu
     assert gain["rms_after_um"] < held["rms_after_um"] < 0.8 * held["rms_before_um"] and held["ci95_um"][0] > 0.0
 
 
+@pytest.mark.slow
 def test_the_text_states_the_limits_of_the_extension(short: Diagnosed, table: Path) -> None:
     for text in (short.text, " ".join(short.html.replace("&nbsp;", " ").split())):
         assert "without a known cause" in text and "outside them compensation is refused" in text
@@ -204,6 +207,7 @@ def test_the_text_states_the_limits_of_the_extension(short: Diagnosed, table: Pa
     assert "cause: unknown" in written and "Valid only inside these ranges" in written
 
 
+@pytest.mark.slow
 def test_without_the_option_the_calibration_is_not_extended(
     short: Diagnosed, table: Path, dmu50: Machine, calibration: Calibration, tmp_path: Path
 ) -> None:
@@ -247,6 +251,7 @@ def refused(found: Diagnosis, calibration: Calibration) -> str:
     return reason
 
 
+@pytest.mark.slow
 def test_a_pattern_of_time_is_not_written(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     """A later program does not know the time of the measurement."""
     of = hidden.rounded(hidden.plan(np.random.default_rng(5), poses=60))
@@ -285,6 +290,7 @@ def test_data_without_an_error_extend_nothing(dmu50: Machine, calibration: Calib
     assert found.verdict == "consistent" and found.unexplained is None and found.extended.source == calibration.source
 
 
+@pytest.mark.slow
 def test_a_real_plate_gains_at_held_out_poses() -> None:
     """A drilled plate of 2003: besides its named causes, a fifth of the excess depends on X and Y."""
     machine = Machine.load(beside("data", "real", "plate-2003", "drill.yaml"))

@@ -69,6 +69,7 @@ def errors_um(machine: Machine, calibration: Calibration, truth: Hidden, monkeyp
     return np.linalg.norm(points[::2] - points[1::2], axis=1) * 1e3
 
 
+@pytest.mark.sample(1)  # of 3
 @pytest.mark.parametrize(
     "truth",
     [h if h.effect in DEFAULT else pytest.param(h, marks=pytest.mark.slow) for h in EVERY],

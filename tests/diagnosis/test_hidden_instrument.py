@@ -62,6 +62,7 @@ DRIFTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRIFTS)
 def test_targets_on_both_sides_decide_whose_drift_it_is(look: Callable[..., Diagnosis], name: str) -> None:
     truth = DRIFTS[name]
@@ -77,6 +78,7 @@ def test_targets_on_both_sides_decide_whose_drift_it_is(look: Callable[..., Diag
     assert (", at " in cause.evidence) == ("straight" in name)
 
 
+@pytest.mark.sample(1)  # of 4
 @pytest.mark.parametrize("name", DRIFTS)
 def test_targets_on_the_tool_side_alone_leave_open_whose_drift_it_is(look: Callable[..., Diagnosis], name: str) -> None:
     result = look([DRIFTS[name]], 42, side="tool")
@@ -87,6 +89,7 @@ def test_targets_on_the_tool_side_alone_leave_open_whose_drift_it_is(look: Calla
     assert ("thermal_drift", "X") not in group and ("thermal_drift", "Y") not in group
 
 
+@pytest.mark.slow
 def test_a_station_that_drifts_in_space_is_a_tool_side_that_drifts_along_each_direction(
     look: Callable[..., Diagnosis],
 ) -> None:
@@ -98,6 +101,7 @@ def test_a_station_that_drifts_in_space_is_a_tool_side_that_drifts_along_each_di
     assert (alone.effect, alone.where, alone.equivalent) == ("station_drift", "1", ())
 
 
+@pytest.mark.slow
 def test_a_straight_drift_goes_into_the_calibration_as_a_rate(look: Callable[..., Diagnosis], tmp_path: Path) -> None:
     result = look([DRIFTS["machine, straight"]], 41)
     result.extended.save(tmp_path / "extended.yaml")
@@ -108,6 +112,7 @@ def test_a_straight_drift_goes_into_the_calibration_as_a_rate(look: Callable[...
     assert effect.components({"time_s": np.array([0.0, 1800.0])})[2] == pytest.approx([0.0, rate.value / 2.0])
 
 
+@pytest.mark.slow
 def test_a_nearly_straight_drift_beside_a_large_pitch_error_whose_period_is_sought(
     look: Callable[..., Diagnosis],
 ) -> None:
@@ -123,6 +128,7 @@ def test_a_nearly_straight_drift_beside_a_large_pitch_error_whose_period_is_soug
 AFFINE = dict(scale_x=-40.0, scale_y=25.0, scale_z=15.0, shear_xy=30.0, shear_xz=-20.0, shear_yz=10.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["station 2", "round 2"])
 def test_an_instrument_is_affine(dmu50: Machine, tmp_path: Path, where: str) -> None:
     rng = np.random.default_rng(51)

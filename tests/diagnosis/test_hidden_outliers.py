@@ -37,6 +37,7 @@ def look(
     return diagnose(data, machine, calibration), {int(data.lines[row]) for row in rows}
 
 
+@pytest.mark.sample(1)  # of 3
 @pytest.mark.parametrize(
     ("lost", "stated"),
     [
@@ -79,6 +80,7 @@ def test_the_first_reading_of_a_target_and_of_a_station_may_be_bad(
     assert np.sqrt(np.mean(problem.residual**2)) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_of_very_many_rows_some_show_why_others_are_off(
     tmp_path: Path, dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:

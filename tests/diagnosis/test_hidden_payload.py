@@ -177,6 +177,7 @@ def check(cause: Cause, name: str, value: float, times: float = 3.0) -> None:
     assert number.u < 0.2 * abs(value), number
 
 
+@pytest.mark.slow
 def test_an_unknown_payload_is_found_with_the_deflecting_joints(tmp_path: Path) -> None:
     carried = Carried(2.4, (35.0, -20.0, 60.0))
     found, machine = measured(tmp_path, COMPLIANCE, carried)
@@ -216,6 +217,7 @@ def unloaded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Machine, C
     return folder, machine, Calibration.load(folder / "unloaded.yaml", machine)
 
 
+@pytest.mark.sample(2)  # of 3
 @pytest.mark.parametrize(("mass", "seed", "poses"), [(2.5, 4, 30), (2.5, 6, 60), (0.0, 7, 30)])
 def test_a_load_is_named_by_few_loaded_poses(
     unloaded: tuple[Path, Machine, Calibration], mass: float, seed: int, poses: int
@@ -279,6 +281,7 @@ def test_causes_of_an_impossible_size_are_left_out_with_the_reason(unloaded: tup
     assert said in found.to_dict()["notices"] and said in " ".join(found.to_text().split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("carried", [Carried(0.01, (2e4, 0.0, 0.0)), Carried(0.005, (0.0, 1e4, 3e4))])
 def test_a_moment_without_mass_is_a_possible_load(
     unloaded: tuple[Path, Machine, Calibration], carried: Carried
@@ -304,6 +307,7 @@ def test_a_moment_without_mass_is_a_possible_load(
     assert found.gain.tool_after_um < 1e5
 
 
+@pytest.mark.slow
 def test_own_weight_alone_needs_no_payload(tmp_path: Path) -> None:
     found, _ = measured(tmp_path, COMPLIANCE, None)
     causes = by_name(found)
@@ -318,6 +322,7 @@ def test_nothing_hidden_nothing_found(tmp_path: Path) -> None:
     assert found.verdict == "consistent" and not found.causes
 
 
+@pytest.mark.slow
 def test_a_corrected_own_weight_bounds_the_payload(tmp_path: Path) -> None:
     """If the control corrects the arm's own sag, only products of mass and compliance are known, and the mass is at its bound."""
     corrected = {name: 1e-3 * value for name, value in COMPLIANCE.items()}

@@ -38,6 +38,7 @@ def looked(folder: Path, machine: Machine, calibration: Calibration, effects: li
     )
 
 
+@pytest.mark.slow
 def test_it_is_found_with_its_size(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     found = looked(tmp_path, dmu50, calibration, [TRUTH])
     (cause,) = found.causes
@@ -61,6 +62,7 @@ def test_nothing_is_found_where_nothing_is(dmu50: Machine, calibration: Calibrat
     assert looked(tmp_path, dmu50, calibration, []).verdict == "consistent"
 
 
+@pytest.mark.slow
 def test_without_the_speed_it_cannot_be_told(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     of = planned(rng)
@@ -71,6 +73,7 @@ def test_without_the_speed_it_cannot_be_told(dmu50: Machine, calibration: Calibr
     assert found.verdict == "unexplained"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "truth",
     [

@@ -85,6 +85,7 @@ def planned(seed: int) -> Plan:
     return hidden.rounded(hidden.plan(np.random.default_rng(seed), poses=140))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "what",
     [
@@ -127,6 +128,7 @@ def growth(form: Callable[[np.ndarray], np.ndarray]) -> Callable[[Plan], np.ndar
     return moved
 
 
+@pytest.mark.slow
 def test_a_cause_of_imperfect_form_is_named(calibration: Calibration, tmp_path: Path) -> None:
     """30 µm/K with a curvature far above the noise: the growth is named, the size of the remainder is given."""
     of = planned(23)

@@ -112,6 +112,7 @@ def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) ->
     assert pattern_test.log_p_corrected == min(pattern_test.log_p + pattern_test.log_price, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("draws", "allowed"), [(24, 1), pytest.param(200, 5, marks=pytest.mark.slow)])
 def test_false_alarms_of_patterns_are_rare(searched: Searcher, draws: int, allowed: int) -> None:
     """At most one in a hundred data sets, by the union bound fewer; the limit is exceeded by chance in 1 of 42 and 1 of 62 runs."""

@@ -42,6 +42,7 @@ def test_causes_that_fit_keep_their_estimate() -> None:
     assert again is by_noise and not np.any(discrepancy.root)
 
 
+@pytest.mark.slow
 def test_a_wrong_model_has_sizes_of_plain_least_squares() -> None:
     """RMS errors within 5 % of equal weights on the same draws, 20 of three sizes; with the weights of the noise they are larger."""
     by_noise, ours, plain = [], [], []

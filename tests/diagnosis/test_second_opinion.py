@@ -83,6 +83,7 @@ def drawn(
     return found if np.isinf(dof) else found / np.sqrt(rng.chisquare(dof) / dof)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dof", [float("inf"), 12.0])
 def test_odds_are_a_ratio_of_densities(dof: float) -> None:
     """False alarms are rarer than one in 20, and the mean Bayes factor of data without an effect is one.

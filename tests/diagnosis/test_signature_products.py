@@ -258,6 +258,7 @@ def test_memory_grows_at_most_in_proportion_to_the_points(dmu50: Machine, tmp_pa
     assert (peaks[1] - peaks[0]) * 1024.0 / (6 * 14_000) < 12.0
 
 
+@pytest.mark.slow
 def test_many_points_are_diagnosed_as_few(dmu50: Machine, tmp_path: Path) -> None:
     """With more points than a block or the sample for the level: the same names, sizes within their uncertainty."""
     found = diagnose(measured(dmu50, tmp_path, 1_000), dmu50)
@@ -283,6 +284,7 @@ def dense_scores(problem: Problem, pattern: Pattern, causes: np.ndarray) -> tupl
     return np.stack([f.T @ m @ problem.residual for f in functions]), np.stack([f.T @ m @ f for f in functions])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held_out", [False, True])
 def test_scores_of_patterns_beside_an_uncertain_calibration(searched: tuple[Problem, Searcher], held_out: bool) -> None:
     """With the calibration's uncertainty the projection is not idempotent; a cause beside it is projected out all the same."""

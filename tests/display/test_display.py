@@ -405,6 +405,7 @@ def test_a_histogram_counts_all() -> None:
     assert histogram(np.full(3, np.nan), "U (µm)").text == ""
 
 
+@pytest.mark.slow
 def test_no_library_is_needed() -> None:
     """Displays do not import matplotlib, which is optional."""
     code = (

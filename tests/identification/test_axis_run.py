@@ -132,6 +132,7 @@ def test_exact_readings_give_the_motions_back(machine: Machine, layout: AxisLayo
         assert np.abs(left).max() < 0.01
 
 
+@pytest.mark.slow
 def test_uncertainties_cover_the_truth(machine: Machine, layout: AxisLayout) -> None:
     """40 random machines and layouts: every curve at five positions compared with its standard uncertainty."""
     positions, side, rounds = run_of()

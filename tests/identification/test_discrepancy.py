@@ -77,6 +77,7 @@ def errors(found: Identification) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
+@pytest.mark.slow
 def test_a_model_that_fits_has_no_discrepancy() -> None:
     """At most as many of 40 data sets as the level of the test, 0.1 %, allows with probability 1e-3; repeats contradict none."""
     found = [identified(measured(seed, repeats=2)) for seed in range(DRAWS)]

@@ -87,6 +87,7 @@ def test_motions_of_a_linear_axis(
     renders(figure, tmp_path / "y.png")
 
 
+@pytest.mark.slow
 def test_motions_of_a_rotary_axis(
     dmu50: Machine, calibration: Calibration, data: Measurements, found: Identification, tmp_path: Path
 ) -> None:

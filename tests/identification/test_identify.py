@@ -59,6 +59,7 @@ def check_exact(found: Identification, truth: TruthMachine, errors: dict[str, An
     assert UNSEEN.isdisjoint(found.calibration.location)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4, 5))])
 def test_the_thesis_plan_gives_the_machine_back(dmu50: Machine, tmp_path: Path, seed: int) -> None:
     """30 curves of degree 8 or four harmonics, three squareness, five locations; errors up to 0.1 mm and 1 mrad."""
@@ -69,6 +70,7 @@ def test_the_thesis_plan_gives_the_machine_back(dmu50: Machine, tmp_path: Path, 
     assert found.rms_um < EXACT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [6, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (7, 8, 9))])
 def test_absent_errors_are_found_as_zero(dmu50: Machine, tmp_path: Path, seed: int) -> None:
     """Six curves and no constants: the other 24 curves and eight constants are found as zero, and degree 0."""
@@ -81,6 +83,7 @@ def test_absent_errors_are_found_as_zero(dmu50: Machine, tmp_path: Path, seed: i
     assert {name for name, count in found.choice.counts.items() if count > 0} <= set(names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [11, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (12, 13))])
 def test_random_poses_and_two_stations(dmu50: Machine, tmp_path: Path, seed: int) -> None:
     """700 points, each at another pose, no single-axis runs."""
@@ -91,6 +94,7 @@ def test_random_poses_and_two_stations(dmu50: Machine, tmp_path: Path, seed: int
     check_exact(found, truth, errors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [21, pytest.param(22, marks=pytest.mark.slow)])
 def test_lengths_from_four_stations(dmu50: Machine, tmp_path: Path, seed: int) -> None:
     """A tracking interferometer: lengths only, from an unknown zero; it is recognised by its empty columns."""

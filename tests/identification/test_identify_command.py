@@ -65,6 +65,7 @@ def test_from_a_plan_to_a_calibration(
     assert np.all(ours > 0.0) and ours == pytest.approx(theirs, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_outliers_give_exit_status_3(measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = measured.read_text().splitlines()
     header = next(i for i, line in enumerate(lines) if line.startswith("X_mm"))

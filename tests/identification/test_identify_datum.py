@@ -126,6 +126,7 @@ def test_what_to_enter_for_a_probe(dmu50: Machine) -> None:
     assert not {"E_X0B", "E_Y0C"} & set(unidentified(replace(data, station_pose=plan.station_pose)))
 
 
+@pytest.mark.slow
 def test_locations_that_need_places(dmu50: Machine, tmp_path: Path, errors: dict[str, dict]) -> None:
     """E_X0B, E_Y0B, E_Y0C: named with the reason if no place is known; found if all are."""
     more = {**errors, "location": {**errors["location"], "E_X0B": 12.0, "E_Y0B": -7.0, "E_Y0C": 9.0}}

@@ -142,6 +142,7 @@ def test_a_coordinate_that_never_changes_is_noticed(drill: Machine) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_single_column_is_taken_as_lengths_with_a_notice(
     dmu50: Machine, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -160,6 +161,7 @@ def test_a_single_column_is_taken_as_lengths_with_a_notice(
     assert said.index(f"{ASSUMED}x_mm is a length") < said.index("error motions")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("run", BOTH, ids=NAMES)
 def test_one_coordinate_of_a_tracker_is_no_length(
     dmu50: Machine, tracked: Measurements, run: Callable[[Measurements, Machine], object]
@@ -189,6 +191,7 @@ def test_single_y_that_follows_the_commands_is_accepted(drill: Machine, stage: M
     assert data.notices == ("only y_mm is given: taken as the coordinate of all targets along a line",)
 
 
+@pytest.mark.sample(5)  # of 18
 @pytest.mark.parametrize("run", BOTH, ids=NAMES)
 @pytest.mark.parametrize(
     ("what", "columns", "factor", "words"),
@@ -233,6 +236,7 @@ def test_another_unit_of_a_single_column_is_named(
             identify(with_points(part, stage.point_mm * travel * factor), drill)
 
 
+@pytest.mark.slow
 def test_radians_of_a_robot_are_named(tmp_path: Path) -> None:
     machine = Machine.load(write_robot(tmp_path))
     rng = np.random.default_rng(SEED)
@@ -324,6 +328,7 @@ def test_too_few_positions_do_not_test_the_model(dmu50: Machine) -> None:
     assert [misfit_entry(fit, held_out, 1.0, None).verdict for held_out in (1.0, 5.0)] == ["consistent", "untested"]
 
 
+@pytest.mark.slow
 def test_enough_data_are_consistent(dmu50: Machine) -> None:
     rng = np.random.default_rng(SEED)
     data = simulate(thesis_plan.plan(dmu50), dmu50, Calibration.default(dmu50), LaserTracker(), rng)[0]

@@ -146,6 +146,7 @@ def with_plausible(folder: Path, size: float) -> Machine:
     return Machine.load(path)
 
 
+@pytest.mark.slow
 def test_a_robots_file_reproduces_the_report(tmp_path: Path) -> None:
     """The case of `ur10-c`: 0.99 mm nominal; the written file gives the reported residuals, by a fit of station and place in SciPy."""
     folder = beside("data", "real", "ur10-c")

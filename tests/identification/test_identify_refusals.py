@@ -48,6 +48,7 @@ def check_as_without(found: Identification, without: Identification) -> None:
             assert abs(numbers[name] - number) <= 0.2 * u, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
 def test_outliers_are_found(dmu50: Machine, data: Measurements, seed: int) -> None:
     """Twelve readings with errors of 0.1 to 5 mm in any direction: exactly these are found, and the estimate is the one without them.
@@ -89,6 +90,7 @@ def test_a_broken_beam(dmu50: Machine, data: Measurements) -> None:
     check_as_without(found, identify(data.select(keep), dmu50))
 
 
+@pytest.mark.slow
 def test_a_wrong_command(dmu50: Machine, data: Measurements) -> None:
     """One row has a command 12 mm off, and one a command off by a whole step: set aside before the estimate."""
     positions = np.array(data.positions)
@@ -106,6 +108,7 @@ def test_a_wrong_command(dmu50: Machine, data: Measurements) -> None:
     assert len(found.data) == len(data) - 2 and found.used.all()
 
 
+@pytest.mark.sample(1)  # of 4
 @pytest.mark.parametrize(
     ("first", "second", "words"),
     [

@@ -131,6 +131,7 @@ def of_one(found: list[Run], names: Iterable[str]) -> tuple[float, float]:
     return float(np.mean(inside)), float(np.std(inside, ddof=1) / np.sqrt(len(inside)))
 
 
+@pytest.mark.slow
 def test_intervals_cover(few: list[Run]) -> None:
     """93 to 97 %, and three standard errors for the number of seeds; each of 30 curves 90 %, less three and a half of its own."""
     share, error = coverage(few)
@@ -154,6 +155,7 @@ def test_intervals_cover_on_many_seeds(many: list[Run]) -> None:
     assert min(by_curve.values()) >= 0.90, by_curve
 
 
+@pytest.mark.slow
 def test_better_than_the_thesis(few: list[Run]) -> None:
     """RMS errors at least 30 % below, on the same data."""
     better_than_the_thesis(few)
@@ -170,6 +172,7 @@ def better_than_the_thesis(found: list[Run]) -> None:
     assert np.all(ours <= 0.7 * thesis), (ours, thesis)
 
 
+@pytest.mark.slow
 def test_no_alarm_and_no_misfit(few: list[Run]) -> None:
     no_alarm_and_no_misfit(few)
 
@@ -225,6 +228,7 @@ def test_covariance_is_that_of_the_readings_carried_through(tmp_path: Path) -> N
     np.testing.assert_allclose(covariance / np.outer(scale, scale), expected / np.outer(scale, scale), atol=2e-3)
 
 
+@pytest.mark.slow
 def test_the_estimate_is_reproducible() -> None:
     """No random numbers: the same data give the same result to the last digit."""
     first, again = (identify(measured(3), machine()) for _ in range(2))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import numpy as np
+import pytest
 
 import twin
 from tests.model.errors import random_calibration
@@ -12,6 +13,7 @@ from twin.identification.plots import identification_html
 from twin.machine.machine import Machine
 
 
+@pytest.mark.slow
 def test_the_page_holds_every_error_and_asks_for_nothing(dmu50: Machine) -> None:
     errors = random_calibration(dmu50, np.random.default_rng(4), size=20.0)
     table, _ = twin.simulate(

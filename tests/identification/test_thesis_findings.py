@@ -95,6 +95,7 @@ def test_tables_5_1_and_5_2(dmu50: Machine, calibration: Calibration) -> None:
     assert max(best.values()) < 0.5 * min(found[0][name] for name in TRANSLATIONS if name not in LOW[0])
 
 
+@pytest.mark.slow
 def test_a_new_frame_adds_the_rotation_of_x_and_z_to_y(dmu50: Machine, calibration: Calibration) -> None:
     """Chapter 5.1.2: X and Z are compensated by the measured errors, Y is not, each run in a frame aligned to its own X and Z.
 
@@ -214,6 +215,7 @@ def gains(machine: Machine, calibration: Calibration, folder: Path) -> dict[str,
     return found
 
 
+@pytest.mark.slow
 def test_gain_of_compensation(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     """Measured, RMS µm at the tool tip (tool 120 mm): three axes 78 before, 94 thesis, 19 ours; five axes 66, 97, 15.
 

@@ -162,6 +162,7 @@ def identified(drill: Path, seed: int) -> Identification:
     return identify(readings, machine)
 
 
+@pytest.mark.slow
 def test_the_estimate_of_a_drill_converges_and_insignificant_errors_enter_no_table(drill: Path) -> None:
     """One station and six targets hardly determine the station's rotation: plain steps needed 80 iterations for this seed."""
     found = identified(drill, seed=16)
@@ -229,6 +230,7 @@ def test_programs_are_refused_with_the_required_axes(drill: Path, capsys: pytest
         assert "drill has 2 linear and 0 rotary axes; expected three linear" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_stage_and_an_arm_have_reports(tmp_path: Path) -> None:
     slide = Machine.load(stage.write_machine(tmp_path))
     (tmp_path / "slide.yaml").write_text(

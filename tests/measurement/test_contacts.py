@@ -151,6 +151,7 @@ def test_a_stated_noise_that_is_too_small_is_no_outlier() -> None:
     assert found.u_contact_mm == NOISE and any("significantly more than stated" in note for note in found.notes)
 
 
+@pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize("stated", [None, NOISE])
 def test_false_alarms_of_the_outlier_test_are_rare(stated: float | None) -> None:
     rng, refused = np.random.default_rng(8), 0

@@ -67,6 +67,7 @@ def test_it_reads_the_columns_that_it_states(instrument: Instrument) -> None:
     assert tuple(read) == instrument.specification.columns
 
 
+@pytest.mark.sample(2)  # of 8
 @every
 def test_noise_has_the_stated_covariance(instrument: Instrument) -> None:
     """200,000 draws: sample covariance within 1.5 % of the largest entry (three times its own standard error)."""
@@ -115,6 +116,7 @@ def riding(truth: TruthMachine, plan: Measurements, side: str) -> np.ndarray:
     return found
 
 
+@pytest.mark.sample(7)  # of 21
 @pytest.mark.parametrize("instrument", READING, ids=lambda instrument: instrument.name)
 @pytest.mark.parametrize("side", SIDES)
 def test_a_station_rides_on_any_side(instrument: Instrument, side: str, dmu50: Machine, tmp_path: Path) -> None:
@@ -135,6 +137,7 @@ def test_a_station_rides_on_any_side(instrument: Instrument, side: str, dmu50: M
     assert set(Measurements.load(tmp_path / "m.csv", dmu50).station_carrier) == {side}
 
 
+@pytest.mark.slow
 def test_an_r_test_is_identified(dmu50: Machine, tmp_path: Path) -> None:
     """Sensor nests on the table read balls on the tool: of errors of 100 µm less than 1e-3 µm remain."""
     errors = in_datum(np.random.default_rng(6), size=100.0)

@@ -63,6 +63,7 @@ def test_a_known_radius_makes_the_centre_of_a_cap_more_certain() -> None:
     assert known.covariance_mm2(1.0)[2, 2] < 0.1 * free.covariance_mm2(1.0)[2, 2]
 
 
+@pytest.mark.sample(1)  # of 4
 @pytest.mark.parametrize("known", [False, True])
 @pytest.mark.parametrize("stated", [False, True])
 def test_the_covariance_covers_the_true_centre(known: bool, stated: bool) -> None:

@@ -63,6 +63,7 @@ def test_drawn_curves_have_the_published_magnitudes(dmu50: Machine) -> None:
     assert calibration.curves["E_AX"](300.0) == pytest.approx(-250.0)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1))
 def test_write_then_read(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
     written = random_calibration(dmu50, np.random.default_rng(seed))

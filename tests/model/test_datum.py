@@ -273,6 +273,7 @@ def test_the_bundled_calibration_by_independent_code(dmu50: Machine, tmp_path: P
         assert np.abs(one.pose(q)[:3, :3] - two.pose(q)[:3, :3]).max() <= NRAD
 
 
+@pytest.mark.slow
 def test_readme_commands_find_no_spurious_change(
     dmu50: Machine, calibration: twin.Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -231,6 +231,7 @@ def false_alarms(draws: int, mixings: tuple[int | None, ...]) -> int:
     return alarms
 
 
+@pytest.mark.slow
 def test_unchanged_machines_raise_a_false_alarm_in_at_most_one_comparison_of_twenty() -> None:
     # Three quarters of 5 % are 7.5 of 200, standard deviation 2.7; limit three of these above, and at least one alarm.
     assert 1 <= false_alarms(100, (None, 1)) <= 200 * FALSE_ALARMS * 0.75 + 3.0 * 2.7
@@ -419,6 +420,7 @@ def test_calibrations_under_different_control_tables_are_refused(tmp_path: Path)
     assert found.verdict == "same" and "same tables" in found.notices[0]
 
 
+@pytest.mark.slow
 def test_the_command_prints_and_writes_the_comparison(tmp_path: Path) -> None:
     older, newer, report = tmp_path / "a.yaml", tmp_path / "b.yaml", tmp_path / "r.json"
     made().save(older)

@@ -56,6 +56,7 @@ def test_the_evidence_is_the_ratio_of_the_densities_without_level_and_scale() ->
     assert np.all(found[:2] == 1.0)
 
 
+@pytest.mark.slow
 def test_one_check_far_off_is_no_evidence_by_itself() -> None:
     """The denominator is the larger of the densities of no change and of one check with an inflated variance, by quadrature."""
     days, x = np.arange(5.0), np.array([0.1, -0.2, 0.0, 0.2, 9.0])

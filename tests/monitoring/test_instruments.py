@@ -45,6 +45,7 @@ def test_a_check_shows_the_changes(
         assert second[name] - value == pytest.approx(STEP.get(name, 0.0), abs=0.5), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [write_bar_check, write_nest_check])
 def test_a_folder_of_one_instrument(
     dmu50: Machine, calibration: Calibration, tmp_path: Path, write: Callable[..., Path]
@@ -63,6 +64,7 @@ def test_a_folder_of_one_instrument(
     assert {check.instruments for check in found.checks} == {"ball-bar" if write is write_bar_check else "r-test"}
 
 
+@pytest.mark.slow
 def test_a_folder_of_two_instruments(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     """Every third check is of a ball bar, the others of a probe: each has its own level."""
     count = iter(range(CHECKS))

@@ -74,6 +74,7 @@ def test_the_code_is_compiled() -> None:
     assert COMPILED is not ARRAYS
 
 
+@pytest.mark.slow
 @needs_compiler
 @settings(max_examples=200)
 @given(

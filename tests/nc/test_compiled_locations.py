@@ -70,6 +70,7 @@ def one(values: list[float], places: int = 5) -> TogetherJob:
     return job_of(text, np.array([1]), np.array([values]), np.array([values]))
 
 
+@pytest.mark.slow
 @needs_compiler
 @settings(max_examples=400)
 @given(jobs(), st.sampled_from([None, ("0", "0", "1"), ("0.6", "0", "0.8"), ("1" * 50,) * 3]))

@@ -91,6 +91,7 @@ def compensated(text: str, machine: Machine, errors: Calibration) -> Compensatio
     return Compensator(machine, errors).compensate(ISO.read(text.encode(), "part.mpf"), ISO)
 
 
+@pytest.mark.sample(5)  # of 15
 @pytest.mark.parametrize("name", CYCLES)
 def test_a_cycle_is_expanded_into_its_strokes(dmu50: Machine, errors: Calibration, name: str) -> None:
     text, heights, kinds = CYCLES[name]
@@ -129,6 +130,7 @@ def test_words_between_the_strokes(dmu50: Machine, errors: Calibration) -> None:
     assert all(lines[i + 1].startswith(("G0 ", "G80")) for i in threads)
 
 
+@pytest.mark.slow
 def test_a_dwell_or_a_return_under_a_cycle_is_not_part_of_it(dmu50: Machine, errors: Calibration) -> None:
     """P of G4 is not the dwell of the holes, Z of G28 not their depth, and neither block drills."""
     hole = "G99 G82 X310. Y210. Z-330. R-310. P1 F120.\n"
@@ -293,6 +295,7 @@ def test_a_cycle_stays_as_it_is_if_only_other_moves_are_replaced(name: str) -> N
     assert np.array(found) == pytest.approx(np.array(wanted))
 
 
+@pytest.mark.sample(6)  # of 19
 @pytest.mark.parametrize("name", IN_PLACE)
 def test_cycles_are_the_same_from_file_to_file(dmu50: Machine, errors: Calibration, tmp_path: Path, name: str) -> None:
     """A program from file to file is processed in stretches, except for one with cycles, threads included."""

@@ -155,6 +155,7 @@ def grows_in_proportion(work, data_of):
     return False
 
 
+@pytest.mark.sample(80)  # of 90
 @ALL
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile_input_in_linear_time(dialect, name):
@@ -190,6 +191,7 @@ def repeated(size, head, *blocks):
         size -= len(parts[-1])
 
 
+@pytest.mark.sample(4)  # of 12
 @pytest.mark.parametrize("name", ORDINARY)
 def test_ordinary_programs_in_linear_time(name):
     kind, *texts = ORDINARY[name]

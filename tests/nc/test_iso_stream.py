@@ -99,6 +99,7 @@ def test_any_program(text: str, seed: int, tcp: bool, size: int) -> None:
         check(text, seed, tcp=tcp, size=size)
 
 
+@pytest.mark.slow
 @MANY
 @given(data=st.data(), seed=SEED, axes=st.sampled_from([SWAPPED, LONG, ODD]), size=st.sampled_from([3, 100]))
 def test_on_other_machines(data: st.DataObject, seed: int, axes: AxisWords, size: int) -> None:
@@ -130,6 +131,7 @@ def test_long_runs(text: str, seed: int, size: int) -> None:
     check(text, seed, size=size)
 
 
+@pytest.mark.sample(5)  # of 13
 @pytest.mark.parametrize("name", [name for name, (dialect, _) in HANDED_ON.items() if dialect is ISO])
 def test_what_one_way_leaves_to_the_other(name: str) -> None:
     for seed in range(60):

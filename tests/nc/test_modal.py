@@ -89,6 +89,7 @@ def compensated(text: str, machine: Machine, errors: Calibration) -> Compensatio
     return Compensator(machine, errors).compensate(ISO.read(text.encode(), "part.ngc"), ISO)
 
 
+@pytest.mark.sample(1)  # of 4
 @rs274.needed
 @pytest.mark.parametrize("seed", range(4))
 def test_linuxcnc_goes_where_the_output_was_meant_to(

@@ -81,6 +81,7 @@ def tolerance_of(text):
     return HALF_INCH_STEP if "20" in text.upper().split("G17")[0] and "G20" in text.upper() else 1e-6
 
 
+@pytest.mark.slow
 @given(iso_program())
 def test_own_positions_come_back_iso(text):
     out, intended = rewritten(ISO, text, same)
@@ -153,6 +154,7 @@ def test_the_classic_defect():
         np.testing.assert_allclose(found, shifted(np.array(move.position)), rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(*[st.integers(-500, 500)] * 3), min_size=200, max_size=400))
 def test_incremental_programs_do_not_accumulate(steps):
     text = "G21 G90 G0 X0 Y0 Z0 B0 C0\nG91 G1 F100\n"

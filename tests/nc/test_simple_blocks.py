@@ -372,6 +372,7 @@ SEED = st.integers(0, 10**6)
 MANY = settings(max_examples=200)
 
 
+@pytest.mark.slow
 @MANY
 @given(text=st.one_of(mixed_iso(), iso_program()), seed=SEED, tcp=st.booleans())
 @example(text="G0 X0 Y0 Z0\nMCALL CYCLE81(10,0,1,-5)\nX5 Y5\n", seed=1, tcp=False)
@@ -380,6 +381,7 @@ def test_iso(text, seed, tcp):
         check(ISO, text, seed, tcp=tcp)
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(data=st.data(), seed=SEED, axes=st.sampled_from([SWAPPED, LONG, ODD]))
 def test_iso_on_other_machines(data, seed, axes):
@@ -388,6 +390,7 @@ def test_iso_on_other_machines(data, seed, axes):
         check(ISO, text, seed, axes)
 
 
+@pytest.mark.slow
 @MANY
 @given(text=st.one_of(mixed_plain(), plain_program()), seed=SEED, tcp=st.booleans())
 def test_plain_language(text, seed, tcp):
@@ -395,12 +398,14 @@ def test_plain_language(text, seed, tcp):
         check(PLAIN, text, seed, tcp=tcp)
 
 
+@pytest.mark.slow
 @MANY
 @given(text=drilled(), seed=SEED)
 def test_drilling(text, seed):
     check(ISO, text, seed)
 
 
+@pytest.mark.sample(13)  # of 39
 @pytest.mark.parametrize("cycle", CYCLES)
 @pytest.mark.parametrize(
     "places", ["X1 Y2\nX3. Y4.5\nY5\nX6 Y7\n", "X1Y2\nX3.Y4.5\nX6Y7\n", "X1 Y2\n\nX3. Y4.5\n(c)\nX6 Y7\n"]
@@ -411,12 +416,14 @@ def test_each_drilling_cycle(cycle, places):
         check(ISO, text, seed)
 
 
+@pytest.mark.slow
 @MANY
 @given(text=long_runs_plain(), seed=SEED)
 def test_long_runs_of_plain_language(text, seed):
     check(PLAIN, text, seed)
 
 
+@pytest.mark.slow
 @MANY
 @given(text=mixed_apt(), seed=SEED)
 @example(text="GOTO/0,0,0,0,0,1\nGOTO/1,2,$\nGOTO/1,2,3\nGOTO/4,5,6\n", seed=1)
@@ -488,6 +495,7 @@ HANDED_ON = {
 }
 
 
+@pytest.mark.sample(6)  # of 16
 @pytest.mark.parametrize("name", HANDED_ON)
 def test_what_one_way_leaves_to_the_other(name):
     """Modal state and formatting are passed between simple and other blocks, in both directions."""
@@ -496,6 +504,7 @@ def test_what_one_way_leaves_to_the_other(name):
         check(dialect, text, seed)
 
 
+@pytest.mark.sample(1)  # of 3
 @pytest.mark.parametrize("suffix", [".txt", ".mpf", ".ngc"])
 def test_programs_of_others(suffix):
     (path,) = beside("data", "programs").glob(f"*{suffix}")

@@ -265,6 +265,7 @@ def in_splines(calibration: Calibration) -> Calibration:
     return replace(calibration, curves=MappingProxyType(curves), joint=None)
 
 
+@pytest.mark.slow
 def test_a_machine_in_splines_is_that_machine(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:
     """Written, read, symbolic and compiled curves agree with SciPy's splines."""
     path = tmp_path / "c.yaml"
@@ -291,6 +292,7 @@ def test_a_machine_in_splines_is_that_machine(dmu50: Machine, calibration: Calib
     assert np.abs(other.point_mm - again.point_mm).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_knots_that_differ_are_compared_as_functions(dmu50: Machine) -> None:
     coarse, fine = CubicSpline((0.0, 500.0)), CubicSpline((0.0, 200.0, 500.0))
     matrix = conversion(coarse, fine, 4, 5)

@@ -631,6 +631,7 @@ def test_an_estimate_is_the_same_curve_and_uncertainty_in_either_basis(dmu50: Ma
         assert variances[1] == pytest.approx(variances[0], rel=1e-8)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_of_bernstein_curves_equals_that_of_powers(
     dmu50: Machine, calibration: Calibration, tmp_path: Path
 ) -> None:

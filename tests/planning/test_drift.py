@@ -59,6 +59,7 @@ def test_readings_of_a_rotary_axis_follow_the_sphere(dmu50: Machine, axis: str, 
     assert np.all(np.diff(made.table.time_s) > 0.0) and any("E_X0" in text for text in made.notices())
 
 
+@pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize(("axis", "wanted"), [("C", "axial_C_end"), ("Z", "e_Z_1_end")])
 def test_filled_plans_of_a_rotary_axis_and_of_z_are_evaluated(
     dmu50: Machine, tmp_path: Path, axis: str, wanted: str

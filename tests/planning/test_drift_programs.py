@@ -41,6 +41,7 @@ def positions_read(path: Path) -> np.ndarray:
     return found
 
 
+@pytest.mark.sample(3)  # of 6
 @pytest.mark.parametrize(
     ("name", "instrument", "options"),
     [
@@ -95,6 +96,7 @@ def run(text: str) -> tuple[list[tuple[float, float, np.ndarray]], float]:
     return found, path
 
 
+@pytest.mark.sample(2)  # of 4
 @pytest.mark.parametrize(
     ("name", "options"),
     [("spindle", {"highest_rpm": 8000.0}), ("axes", {"axis": "Y"}), ("axes", {"axis": "Z"}), ("axes", {"axis": "C"})],

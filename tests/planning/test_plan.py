@@ -88,6 +88,7 @@ class CarriedOut:
 # ---- forecast compared with identification
 
 
+@pytest.mark.slow
 def test_predicted_uncertainty_agrees_with_stated_and_achieved(tmp_path: Path) -> None:
     """Two slides, three stations, five draws of the noise."""
     machine, own = kits.slides(tmp_path)
@@ -105,6 +106,7 @@ def test_predicted_uncertainty_agrees_with_stated_and_achieved(tmp_path: Path) -
     assert 0.2 < done.achieved / made.forecast.tool_um < 1.2
 
 
+@pytest.mark.slow
 def test_the_plan_is_better_than_that_of_the_thesis_in_the_same_time(dmu50: Machine, half: Plan) -> None:
     whole = thesis_plan.plan(dmu50)
     first = whole.select(np.isin(whole.round, ["1", "2"]))
@@ -348,6 +350,7 @@ def test_known_positions_make_errors_identifiable(dmu50: Machine) -> None:
     assert known.hidden == () and {"E_X0B", "E_Y0B", "E_Y0C"} <= set(known.errors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("predicted", ["work", "tool work 1"])
 def test_errors_not_identifiable_are_those_an_identification_leaves_out(
     dmu50: Machine, calibration: Calibration, predicted: str
@@ -453,6 +456,7 @@ def test_a_choice_beats_an_even_spread(tmp_path: Path, wanted: str) -> None:
         assert chosen < 0.9 * min(spread)
 
 
+@pytest.mark.slow
 def test_the_criterion_is_minimised(tmp_path: Path) -> None:
     """A plan for one error gives it a smaller uncertainty than a plan for the tool does, and vice versa."""
     machine, own = kits.slides(tmp_path)
@@ -501,6 +505,7 @@ def test_refusals(dmu50: Machine, tmp_path: Path) -> None:
 # ---- machines of other builds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["trunnion_ac", "xyzbc_trunnion"])
 def test_other_machines(name: str) -> None:
     """A plan lies within the ranges and determines the errors; two stations keep the test short."""

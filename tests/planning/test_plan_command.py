@@ -164,6 +164,7 @@ def test_judge_the_thesis(tmp_path: Path, dmu50: Machine, capsys: pytest.Capture
     assert json.loads(report.read_text())["minutes"] == pytest.approx(minutes)
 
 
+@pytest.mark.sample(21)  # of 26
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [

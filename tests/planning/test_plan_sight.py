@@ -224,6 +224,7 @@ def test_every_pose_of_a_plan_has_clearance(dmu50: Machine, made: Plan) -> None:
     assert min(shapes.gap_mm(pose, 1.0) for pose in drawn) < 0.0
 
 
+@pytest.mark.slow
 def test_straight_moves_are_clear_or_listed(dmu50: Machine, made: Plan) -> None:
     """Check dense points of every twelfth move that is not listed, and that every listed move has too little clearance."""
     shapes = Shapes(dmu50, made.kit)

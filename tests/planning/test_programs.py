@@ -147,6 +147,7 @@ def test_a_specification_is_complete_and_cannot_change(form: ProgramFormat) -> N
         form.name = "another"  # type: ignore[misc]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("form", "off_mm"), [(form, (2.0, -1.5, 2.0)) for form in PROGRAMS], ids=[form.name for form in PROGRAMS]
 )
@@ -173,6 +174,7 @@ def test_every_contact_is_found(
         assert np.linalg.norm(tip(np.array([*centre, *position[3:]]))[0] - sphere) < 0.01
 
 
+@pytest.mark.slow
 def test_the_log_becomes_a_measurement_table(plan: SequencePlan, tmp_path: Path) -> None:
     """Each control's log of the contacts, read by `twin convert`, gives the positions of the plan."""
     steps, machine = program_steps(plan), plan.machine

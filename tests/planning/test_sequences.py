@@ -56,6 +56,7 @@ def test_names_are_distinct_and_every_such_instrument_has_a_default() -> None:
     assert [sequence_named(None, name).name for name in SET_UPS] == ["best", "best", "circles"]
 
 
+@pytest.mark.sample(2)  # of 8
 @every_pair
 def test_the_tool_is_at_the_part_on_the_table(
     dmu50: Machine, tmp_path: Path, sequence: MeasuringSequence, instrument: str
@@ -85,6 +86,7 @@ def test_the_tool_is_at_the_part_on_the_table(
         assert not table.approach[:, :3].any()
 
 
+@pytest.mark.sample(2)  # of 8
 @every_pair
 def test_the_plan_alone_gives_the_same_prediction(
     dmu50: Machine, tmp_path: Path, sequence: MeasuringSequence, instrument: str
@@ -105,6 +107,7 @@ def test_the_plan_alone_gives_the_same_prediction(
     assert (made.best is None) == (sequence.name in ("best", "circles"))
 
 
+@pytest.mark.slow
 def test_what_a_sphere_at_an_unknown_place_cannot_show(dmu50: Machine) -> None:
     """The common scale needs a known distance; the tip's length cannot be separated from the swivel axis."""
     lost = planned(dmu50, "probe").expected.unknown.lost
@@ -113,6 +116,7 @@ def test_what_a_sphere_at_an_unknown_place_cannot_show(dmu50: Machine) -> None:
     assert circles.determined == 6 and not circles.lost
 
 
+@pytest.mark.slow
 def test_the_design_is_better_than_the_standard_sequences_in_the_same_time(dmu50: Machine) -> None:
     for instrument, name in (("probe", "turns"), ("r-test", "bk4")):  # which move the same axes
         made = planned(dmu50, instrument, name)
@@ -123,6 +127,7 @@ def test_the_design_is_better_than_the_standard_sequences_in_the_same_time(dmu50
         assert shared and np.sqrt(np.mean(np.square(ratio))) < 0.9, (name, ratio)
 
 
+@pytest.mark.slow
 def test_more_time_gives_smaller_uncertainty(dmu50: Machine) -> None:
     short, long = planned(dmu50, "probe", minutes=25.0), planned(dmu50, "probe", minutes=45.0)
     assert short.minutes <= 25.0 and 40.0 < long.minutes <= 45.0 and len(long.table) > 1.8 * len(short.table)
@@ -130,6 +135,7 @@ def test_more_time_gives_smaller_uncertainty(dmu50: Machine) -> None:
     assert all(long.expected.unknown.u[name] < short.expected.unknown.u[name] for name in names)
 
 
+@pytest.mark.slow
 def test_all_spheres_are_measured_or_the_plan_says_which_are_not(dmu50: Machine) -> None:
     """Half an hour is enough for three spheres, ten minutes for setting up two of them with six poses."""
     places = {"a": (150.0, 0.0, 60.0), "b": (-80.0, 110.0, 40.0), "c": (-60.0, -120.0, 80.0)}
@@ -140,6 +146,7 @@ def test_all_spheres_are_measured_or_the_plan_says_which_are_not(dmu50: Machine)
     assert made[10.0].minutes <= 10.0
 
 
+@pytest.mark.slow
 def test_points_out_of_reach_are_dropped_with_their_number(dmu50: Machine) -> None:
     made = planned(dmu50, "probe", "turns")
     assert len(made.table) + sum(made.dropped.values()) == 28
@@ -177,6 +184,7 @@ def test_impossible_numbers(dmu50: Machine, minutes: float, place: tuple[float, 
         measuring_sequence(dmu50, "probe", minutes=minutes, places_mm={"sphere": place})
 
 
+@pytest.mark.sample(1)  # of 3
 @pytest.mark.parametrize("name", ["trunnion_ac", "xyzbc_trunnion", "tests/real/head_head.yaml"])
 def test_other_machines(name: str) -> None:
     machine = Machine.load(name if "/" not in name else Path(__file__).parents[2] / name)
@@ -202,6 +210,7 @@ location: {E_X0B: -8, E_Y0B: 12, E_A0B: 63, E_B0B: -8, E_X0C: 6, E_Y0C: -15, E_A
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("instrument", ["probe", "r-test"])
 def test_from_the_sequence_to_the_constants(tmp_path: Path, instrument: str) -> None:
     """plan, simulate, identify: the constant errors that are determined come back within their uncertainty, which is that predicted."""

@@ -59,6 +59,7 @@ def test_raw_spread(data: Measurements) -> None:
     assert rms(1e3 * np.linalg.norm(tip - tip.mean(axis=0), axis=1)) == pytest.approx(437.0, abs=1.0)
 
 
+@pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize(("wanted", "in_sample", "left_out"), [(constants, 130.0, 145.0), (with_scales, 84.0, 103.0)])
 def test_constants_explain_part_of_it(
     data: Measurements, machine: Machine, wanted: Callable[[str], bool], in_sample: float, left_out: float
@@ -72,6 +73,7 @@ def test_constants_explain_part_of_it(
     assert np.sqrt(square / len(data)) <= left_out
 
 
+@pytest.mark.slow
 def test_the_rest_depends_on_nothing_but_the_rotary_axes_of_the_tool_side(data: Measurements, machine: Machine) -> None:
     """Without any constant identified; a pattern of B and C beside the causes is 6 µm, and held-out poses do not confirm it."""
     found = diagnose(data, machine, empirical=True)
@@ -90,6 +92,7 @@ def test_with_the_constants_causes_are_named(data: Measurements, machine: Machin
     assert found.gain.held_out.after_um <= 84.0 / np.sqrt(3.0)
 
 
+@pytest.mark.slow
 def test_named_causes_identified_together_predict_other_tilts(data: Measurements, machine: Machine) -> None:
     """Constants, then what `diagnose` names, then all identified together: 126 → 58 µm with one |B| left out (issue: 84)."""
     tilt, square = np.abs(data.positions[:, 4]), 0.0

@@ -136,6 +136,7 @@ def test_geometric_identification_halves_the_error_at_poses_it_never_saw(robot: 
     }
 
 
+@pytest.mark.slow
 def test_from_the_drawing_of_another_robot_the_same_prediction_and_the_true_links(
     robot: Robot, found: Identification
 ) -> None:
@@ -156,6 +157,7 @@ def test_from_the_drawing_of_another_robot_the_same_prediction_and_the_true_link
         assert abs(difference[name]) < 20.0
 
 
+@pytest.mark.slow
 def test_intervals_hold_on_a_second_half_of_the_data(robot: Robot, found: Identification) -> None:
     """Estimates of two halves differ as their 95 % intervals allow: halves drawn by place, and one in time after the other.
 

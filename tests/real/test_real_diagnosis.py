@@ -111,6 +111,7 @@ def test_nothing_is_promised_between_the_nine_places_of_a_stage(run: tuple[str, 
 # --- plate ----------------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", ["place and uncertainty", "place", "nothing"])
 def test_a_plate_shows_scale_and_squareness_whatever_is_stated(given: str, tmp_path: Path) -> None:
     """Scale −34.6 ± 0.7 ppm, squareness 64.3 ± 1.4 µrad as published, both, and neither by another name.

@@ -80,6 +80,7 @@ def make(*words: object, status: int = 0) -> None:
     assert stopped.value.code == status
 
 
+@pytest.mark.slow
 def test_the_scene_plays_seeks_and_resets(browser: Any, tmp_path: Path) -> None:
     path = tmp_path / "scene.html"
     make("scene", "cone_frustum.nc", "-o", path, "--tool-length", "120")
@@ -129,6 +130,7 @@ def test_the_scene_plays_seeks_and_resets(browser: Any, tmp_path: Path) -> None:
     visit.check()
 
 
+@pytest.mark.slow
 def test_the_report_and_its_print_view(browser: Any, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     make("report", "-o", path, "--tool-length", "120")
@@ -152,6 +154,7 @@ def test_the_report_and_its_print_view(browser: Any, tmp_path: Path) -> None:
     visit.check()
 
 
+@pytest.mark.slow
 def test_the_page_of_a_diagnosis(browser: Any, tmp_path: Path) -> None:
     measured, path = tmp_path / "measured.csv", tmp_path / "diagnosis.html"
     calibration = ROOT / "urdf" / "dmu50.calibration.yaml"
@@ -183,6 +186,7 @@ def test_the_page_of_standard_tests(browser: Any, tmp_path: Path) -> None:
     visit.check()
 
 
+@pytest.mark.slow
 def test_the_page_of_an_identification(browser: Any, tmp_path: Path) -> None:
     measured, path = tmp_path / "measured.csv", tmp_path / "identified.html"
     make("simulate", "thesis_plan.csv", "-o", measured, "--seed", "7")

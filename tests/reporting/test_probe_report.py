@@ -11,6 +11,7 @@ import pytest
 from tests.cli.test_convert import run
 
 
+@pytest.mark.slow
 def test_report_of_constants_that_do_not_describe_the_readings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

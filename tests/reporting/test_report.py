@@ -428,6 +428,7 @@ def test_a_seed_is_not_negative(folder: Path) -> None:
     assert run("report", "-o", folder / "no.html", "--seed", "-1") == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 420])
 def test_page_fits_the_screen(page: str, folder: Path, width: int) -> None:
     """In a browser, the page is not wider than the screen and the field is drawn in its frame."""

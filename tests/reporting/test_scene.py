@@ -343,6 +343,7 @@ def test_path_is_exaggerated_in_the_frame_of_the_table(real: Kinematics) -> None
     assert "/meshcat/machine/table/arrows" in drawn and "/meshcat/machine/table/rapids" not in drawn
 
 
+@pytest.mark.slow
 def test_size_of_the_page(real: Kinematics, page: str) -> None:
     """The size of the page is limited for long programs and for many lift-offs."""
     assert len(page) < 3e6

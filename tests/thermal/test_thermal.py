@@ -177,6 +177,7 @@ def test_a_displacement_that_does_not_move_is_refused(tmp_path: Path) -> None:
         fit_thermal(ThermalRecord.load(write(columns, tmp_path / "r.csv")))
 
 
+@pytest.mark.slow
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("twin.thermal.fit.STEPS", 800)

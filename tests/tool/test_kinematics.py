@@ -46,6 +46,7 @@ def cases(dmu50: Machine) -> tuple[np.ndarray, np.ndarray]:
     return random_commands(dmu50, POSES, rng), rng.uniform(-1e-3, 1e-3, (POSES, len(dmu50.frames), 6))
 
 
+@pytest.mark.slow
 def test_three_formulations_agree(dmu50: Machine, cases: tuple[np.ndarray, np.ndarray]) -> None:
     """Errors to 1 mm and 1 mrad in every component of every frame, locations included."""
     q, errors = cases

@@ -76,6 +76,7 @@ def test_a_drawn_machine_against_a_second_formulation(dmu50: Machine, uncertain:
         assert measures[:, machine] == pytest.approx(wanted, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_against_exact_order_statistics_and_theory(dmu50: Machine, uncertain: Calibration) -> None:
     kinematics = Kinematics(dmu50, uncertain, tool_length_mm=LENGTH)
     trials = 100_000

@@ -69,6 +69,7 @@ def nudged(truth: TruthMachine, name: str, by: float) -> TruthMachine:
     return other
 
 
+@pytest.mark.slow
 def test_first_order_against_a_second_formulation(dmu50: Machine, uncertain: Calibration, tmp_path: Path) -> None:
     """J by central differences of an independent machine, parameter by parameter, and J Σ Jᵀ written out."""
     uncertain.save(tmp_path / "c.yaml")

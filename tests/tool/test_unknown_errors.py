@@ -44,6 +44,7 @@ def known_calibration(machine: Machine) -> Calibration:
 # --- the file ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(data=st.data())
 def test_round_trip_of_what_is_not_known(
     data: st.DataObject, dmu50: Machine, tmp_path_factory: pytest.TempPathFactory
@@ -130,6 +131,7 @@ def test_warnings_of_several_sources_name_all_errors() -> None:
 # --- U at the tool ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sample(1)  # of 4
 @pytest.mark.parametrize("names", [("E_X0B",), UNKNOWN, ("E_XY", "E_C0Y"), ("E_AX", "E_B0C")])
 def test_u_covers_machines_drawn_from_the_plausible_range(names: tuple[str, ...], dmu50: Machine) -> None:
     """The truth is drawn by hand and evaluated by the exact kinematics, not by the derivatives that U comes from."""

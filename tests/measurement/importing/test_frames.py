@@ -87,6 +87,7 @@ def measured(truth: TruthMachine, seed: int, kind: str) -> FrameRows:
     )
 
 
+@pytest.mark.sample(3)  # of 9
 @pytest.mark.parametrize("kind", DRAWS)
 def test_honest_data_give_no_finding(machine: Machine, truth: TruthMachine, kind: str) -> None:
     found = {seed: texts for seed in range(DRAWS[kind]) if (texts := findings(machine, measured(truth, seed, kind)))}

@@ -91,6 +91,7 @@ def expected(machine: Machine, tmp_path_factory: pytest.TempPathFactory) -> Meas
     return Measurements.load(path, machine)
 
 
+@pytest.mark.sample(8)  # of 24
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252"])
 @pytest.mark.parametrize("delimiter", DELIMITERS)
 def test_every_dialect_gives_the_same_table(
