@@ -1,7 +1,7 @@
 """The statistics of `twin diagnose`: many hidden effects of a set size, drawn over the whole catalogue; how often each is named right.
 
 It tests the search: effects are the package's own signatures, which are linear, put into a residual that is already whitened. For files
-in and `diagnosis.json` out, on truth machines that share no code with the package and are not linear, see `tests.benchmark`.
+in and `diagnosis.json` out, on truth machines that share no code with the package and are not linear, see `tests.scored_cases`.
 
 One data set of the truth machine (`tests.truth.hidden`) gives poses, set-up and noise; into its whitened residual go new noise and
 new effects, scaled to a noncentrality λ after everything the set-up absorbs is projected out. Run one row of the table by

@@ -12,7 +12,7 @@ from typing import final
 
 import numpy as np
 
-from tests.benchmark.plan import Plan, TruthAxis
+from tests.scored_cases.plan import Plan, TruthAxis
 from tests.truth import hidden
 from tests.truth.any_machine import TruthMachine, spindle
 from tests.truth.hidden import STATIONS, Hidden

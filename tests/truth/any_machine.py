@@ -10,7 +10,7 @@ from typing import final
 
 import numpy as np
 
-from tests.benchmark.plan import Plan, TruthAxis
+from tests.scored_cases.plan import Plan, TruthAxis
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from tests.truth.machine import AXES, RANGES

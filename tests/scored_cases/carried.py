@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import legendre
 
-from tests.benchmark.plan import Plan, TruthAxis
+from tests.scored_cases.plan import Plan, TruthAxis
 from tests.truth.any_chain import rotations
 from tests.truth.any_machine import TruthMachine, absorbed
 from tests.truth.hidden import STATIONS, Hidden

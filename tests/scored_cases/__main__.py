@@ -1,8 +1,8 @@
 """Draw cases, run methods on them and score their answers.
 
-    python -m tests.benchmark -o FOLDER                        all kinds of case on all machines, method `twin`
-    python -m tests.benchmark -o FOLDER --kinds outside --machines dmu50 --draws 25 --workers 2
-    python -m tests.benchmark -o FOLDER --method mine='mine {table} {machine} {json}'
+    python -m tests.scored_cases -o FOLDER                        all kinds of case on all machines, method `twin`
+    python -m tests.scored_cases -o FOLDER --kinds outside --machines dmu50 --draws 25 --workers 2
+    python -m tests.scored_cases -o FOLDER --method mine='mine {table} {machine} {json}'
 
 A case is a folder in FOLDER/cases: ``measured.csv``, ``machine.txt`` (the argument of -m) and ``truth.json``. Each answer is saved in
 FOLDER/answers at once, so that a second run continues an interrupted one. The table is printed and written to FOLDER/table.txt and
@@ -20,12 +20,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.benchmark.cases import KINDS, Case, truth_machines, write_case, write_whole
-from tests.benchmark.gain import removed
-from tests.benchmark.methods import BUILT_IN, Command, Method, run_method
-from tests.benchmark.real import HEADER, REAL_SETS, Answer, RealSet, summary
-from tests.benchmark.scores import SCORES, Score, in_words, is_wrong, scores
-from tests.benchmark.table import markdown, rows, text
+from tests.scored_cases.cases import KINDS, Case, truth_machines, write_case, write_whole
+from tests.scored_cases.gain import removed
+from tests.scored_cases.methods import BUILT_IN, Command, Method, run_method
+from tests.scored_cases.real import HEADER, REAL_SETS, Answer, RealSet, summary
+from tests.scored_cases.scores import SCORES, Score, in_words, is_wrong, scores
+from tests.scored_cases.table import markdown, rows, text
 from twin._common.errors import InputError
 from twin.compute.parallel import Workers, map_as_completed
 
@@ -177,7 +177,7 @@ def _method(word: str) -> Method:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="python -m tests.benchmark",
+        prog="python -m tests.scored_cases",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="scores:\n" + "\n".join(f"  {name}: {meaning}" for name, meaning in SCORES.items()),
@@ -253,6 +253,6 @@ def write_case_in(folder: Path, case: Case) -> str:
 
 
 if __name__ == "__main__":
-    from tests.benchmark import __main__ as benchmark  # the name under which workers import it
+    from tests.scored_cases import __main__ as benchmark  # the name under which workers import it
 
     benchmark.main()

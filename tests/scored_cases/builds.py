@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.benchmark.plan import TruthAxis
+from tests.scored_cases.plan import TruthAxis
 from tests.truth import few_axes
 from tests.truth.any_chain import Chain, Link
 from tests.truth.any_machine import Dmu50, TruthMachine

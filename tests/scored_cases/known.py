@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.polynomial import legendre
 
-from tests.benchmark.carried import shares
-from tests.benchmark.plan import Plan
+from tests.scored_cases.carried import shares
+from tests.scored_cases.plan import Plan
 from tests.truth.any_machine import TruthMachine
 from tests.truth.hidden import Hidden
 

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from tests.benchmark.builds import machines
-from tests.benchmark.carried import largest
-from tests.benchmark.known import PLACED, drawn, families, origin, two
-from tests.benchmark.outside import PATTERNS, Outside
-from tests.benchmark.plan import Plan, write_table
+from tests.scored_cases.builds import machines
+from tests.scored_cases.carried import largest
+from tests.scored_cases.known import PLACED, drawn, families, origin, two
+from tests.scored_cases.outside import PATTERNS, Outside
+from tests.scored_cases.plan import Plan, write_table
 from tests.truth.any_machine import TruthMachine
 from tests.truth.hidden import Hidden
 

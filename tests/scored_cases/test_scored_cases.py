@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.benchmark import __main__ as benchmark
-from tests.benchmark import known
-from tests.benchmark.builds import machines
-from tests.benchmark.carried import shares
-from tests.benchmark.cases import KINDS, MOST_CARRIED, OUTSIDE, Case, outside_of, truth_machines, write_case
-from tests.benchmark.gain import removed
-from tests.benchmark.methods import Command, Method, run_method
-from tests.benchmark.outside import HALF_WAVES, PATTERNS, Outside
-from tests.benchmark.plan import Plan, write_table
-from tests.benchmark.real import REAL_SETS, Answer
-from tests.benchmark.scores import in_words, is_wrong, scores
-from tests.benchmark.table import markdown, rows, text
+from tests.scored_cases import __main__ as benchmark
+from tests.scored_cases import known
+from tests.scored_cases.builds import machines
+from tests.scored_cases.carried import shares
+from tests.scored_cases.cases import KINDS, MOST_CARRIED, OUTSIDE, Case, outside_of, truth_machines, write_case
+from tests.scored_cases.gain import removed
+from tests.scored_cases.methods import Command, Method, run_method
+from tests.scored_cases.outside import HALF_WAVES, PATTERNS, Outside
+from tests.scored_cases.plan import Plan, write_table
+from tests.scored_cases.real import REAL_SETS, Answer
+from tests.scored_cases.scores import in_words, is_wrong, scores
+from tests.scored_cases.table import markdown, rows, text
 from tests.truth import hidden
 from tests.truth.any_chain import Chain
 from tests.truth.any_machine import Dmu50, TruthMachine, lagged
@@ -580,7 +580,7 @@ def test_what_a_calibration_removes(tmp_path: Path) -> None:
 
 
 def names_of(case: Case) -> tuple[tuple[str, str], ...]:
-    from tests.benchmark.cases import truth_of
+    from tests.scored_cases.cases import truth_of
 
     return tuple(effect.key for effect in truth_of(case).effects)
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmark.cases import Case, truth_machines, truth_of
-from tests.benchmark.known import origin
+from tests.scored_cases.cases import Case, truth_machines, truth_of
+from tests.scored_cases.known import origin
 from tests.truth.any_chain import rotations
 from tests.truth.hidden import STATIONS
 from twin._common.errors import InputError

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.benchmark.plan import Plan, TruthAxis
+from tests.scored_cases.plan import Plan, TruthAxis
 from tests.truth.any_machine import TruthMachine
 
 Numbers = dict[str, float]

@@ -33,7 +33,7 @@ def scores(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> Score:
 
     Args:
         truth: content of ``truth.json``.
-        answer: result of `tests.benchmark.methods.run_method`.
+        answer: result of `tests.scored_cases.methods.run_method`.
     """
     found: Score = {"no answer": float(answer["diagnosis"] is None), "seconds": float(answer["seconds"])}
     said = answer["diagnosis"] or {"verdict": None, "causes": [], "unexplained": None, "gain": None}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from tests.benchmark.scores import SCORES, Score, mean
+from tests.scored_cases.scores import SCORES, Score, mean
 
 PLAIN: Final = ("group size", "seconds")
 """Scores that are not shares."""
