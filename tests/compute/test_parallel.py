@@ -10,8 +10,10 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +28,6 @@ from tests.tool.test_population import draws_of
 from tests.tool.test_uncertainty import with_covariance
 from twin import cli
 from twin._common.errors import InputError
-from twin.compute import cluster
 from twin.compute import parallel as processes
 from twin.compute.parallel import Workers, map_as_completed, map_in_order
 from twin.machine.machine import Machine
@@ -60,10 +61,9 @@ def worker(address: str, room: Path, path: Path, *options: str) -> subprocess.Po
     )
 
 
-@pytest.fixture(scope="module")
-def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Start a scheduler and two workers, each a process as on another computer."""
-    room = tmp_path_factory.mktemp("cluster")
+@contextmanager
+def cluster(room: Path, workers: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """Start a scheduler and workers, each a process as on another computer; yield its address and the processes to stop."""
     file = room / "scheduler.json"
     command = [*DASK, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
     processes = [
@@ -74,14 +74,20 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     try:
         until(file.exists)
         address = json.loads(file.read_text())["address"]
-        processes.append(worker(address, room, ROOT, "--nworkers", "2"))
+        processes.append(worker(address, room, ROOT, "--nworkers", str(workers)))
         with Client(address) as client:
-            client.wait_for_workers(2, timeout=60)
-        yield address
+            client.wait_for_workers(workers, timeout=60)
+        yield address, processes
     finally:
         for process in reversed(processes):  # workers first, since they unregister with the scheduler
             process.terminate()
             process.wait(30)
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with cluster(tmp_path_factory.mktemp("cluster"), 2) as (address, _):
+        yield address
 
 
 @pytest.fixture(params=["copies", "new", "dask"])
@@ -306,7 +312,6 @@ def test_a_refusal_arrives_as_it_was_raised(others: Workers) -> None:
 
 def test_a_task_that_kills_its_workers_is_named(monkeypatch: pytest.MonkeyPatch, others: Workers) -> None:
     """All other tasks are completed, without endless waiting. Two deaths suffice: one among others, one alone."""
-    monkeypatch.setattr(processes, "SUSPECT_DEATHS", 1)
     monkeypatch.setattr(processes, "MAX_DEATHS", 2)
     found = dict(
         map_as_completed(
@@ -323,7 +328,7 @@ def test_a_task_that_kills_its_workers_is_named(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_no_scheduler_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(processes, "CONNECT_TIMEOUT_S", 1.0)
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
@@ -332,9 +337,28 @@ def test_no_scheduler_there(monkeypatch: pytest.MonkeyPatch) -> None:
                 list(map_in_order(chores.squared, 1, range(3), Workers(scheduler=address)))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("lost", "words"), [(0, "connection to the scheduler was lost"), (1, "no worker of the cluster")]
+)
+def test_a_cluster_that_ends_during_the_work(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, lost: int, words: str
+) -> None:
+    """Neither the loss of the scheduler (process 0) nor that of all workers (process 1) is waited for forever."""
+    monkeypatch.setattr(processes, "CHECK_S", 0.5)
+    monkeypatch.setattr(processes, "NO_WORKER_TIMEOUT_S", 2.0)
+    (tmp_path / "marks").mkdir()
+    with cluster(tmp_path, 1) as (address, running):
+        found = map_as_completed(chores.patient, tmp_path / "marks", range(1, 3), Workers(scheduler=address))
+        stop = threading.Timer(5.0, running[lost].terminate)
+        stop.start()
+        with pytest.raises(InputError, match=words):
+            list(found)
+        stop.join()
+
+
 def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("twin.compute.cluster", "distributed"):
-        monkeypatch.setitem(sys.modules, name, None)  # marks the module as not importable
+    monkeypatch.setitem(sys.modules, "distributed", None)  # marks the module as not importable
     with pytest.raises(InputError, match=r"twin\[cluster\]"):
         list(map_in_order(chores.squared, 1, range(3), Workers(scheduler="tcp://127.0.0.1:1")))
 

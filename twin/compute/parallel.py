@@ -1,24 +1,20 @@
-"""Independent tasks on many processes: on this computer, or on a Dask cluster given by the address of its scheduler.
+"""Independent tasks in this process, on processes of this computer, or on a Dask cluster given by the address of its scheduler.
 
 Manual: `twin doc many`.
 
-Independent tasks: in this process, on processes of this computer, or on a Dask cluster (joblib).
-
 A task is a pure function of its arguments, including its seed, and runs with one thread of linear algebra. Its result therefore does
-not depend on the number of workers nor on the worker that runs it, and a task whose worker died can be repeated. joblib is imported
-only where it is needed.
+not depend on the number of workers nor on the worker that runs it, and a task whose worker died can be repeated.
 
-Tasks on processes of this computer: copies of this process where that is safe, which need no time to start, else new ones.
-
-A copy (fork) has everything that this process has loaded and prepared. It is safe if no other thread could hold a lock, which would
-never be released in the copy; those of OpenBLAS are ended before. New processes are loky's, which run neither the script that started
-them nor the cells of a notebook again.
+Processes and cluster are executors of `concurrent.futures`, so that one loop sends the tasks to either. `joblib.Parallel` is not used:
+it does not tell which task was running when a worker died, and it waits forever for a task that Dask has abandoned (joblib 1.6).
 """
 
 from __future__ import annotations
 
+import asyncio
 import ctypes
 import hashlib
+import logging
 import os
 import pickle
 import platform
@@ -29,8 +25,16 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -39,99 +43,224 @@ from importlib.util import find_spec
 from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Final, TypeVar, final
+from typing import TYPE_CHECKING, Any, Final, TypeVar, final
 
 from twin._common.errors import InputError, OutputError
+from twin._common.files import read_bytes
 from twin._common.resources import one_blas_thread
 from twin.compute.native import compiler, only_idle_threads
 
-SUSPECT_DEATHS: Final = 2
-"""Number of worker deaths after which the tasks in flight at each of them are run one at a time, to find the cause."""
+if TYPE_CHECKING:
+    from distributed import Client, Security
+
+Shared = TypeVar("Shared")
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+Refusal = InputError | OutputError
+
+TASKS_PER_WORKER: Final = 2
+"""Tasks in flight per worker: one running and one waiting, which bounds memory without idle workers."""
 MAX_DEATHS: Final = 4
-"""Number of worker deaths during a task after which it is given up."""
+"""Number of worker deaths during a task after which it is given up; Dask's own default."""
+
+
+@final
+@dataclass(frozen=True)
+class Tls:
+    """PEM files with which a Dask scheduler and this computer authenticate each other; the connection is encrypted.
+
+    Attributes:
+        ca_file: the certificate authority that signed the scheduler's certificate.
+        certificate: of this computer, signed by an authority that the scheduler accepts.
+        key: of that certificate; None if the certificate file contains it.
+    """
+
+    ca_file: Path
+    certificate: Path
+    key: Path | None = None
+
+
+@final
+@dataclass(frozen=True)
+class Workers:
+    """Choice of where tasks run: on processes of this computer or on a Dask cluster.
+
+    Attributes:
+        processes: number of processes on this computer; 1: this process itself; None: one per core. Ignored with a scheduler.
+        scheduler: address of a Dask scheduler, ``tcp://host:8786``, or None. Its workers should have one thread each. Scheduler and
+            workers can run any code on each other and on this computer: use only those that you trust like your own code.
+        tls: certificates for a scheduler at ``tls://host:8786``; None for Dask's own configuration (``distributed.comm.tls``).
+
+    Raises:
+        InputError: fewer than one process; a scheduler without Dask installed; TLS files without a ``tls://`` scheduler.
+    """
+
+    processes: int | None = None
+    scheduler: str | None = None
+    tls: Tls | None = None
+
+    def __post_init__(self) -> None:
+        if self.processes is not None and self.processes < 1:
+            raise InputError("number of workers too small", expected="at least 1", value=self.processes)
+        if self.tls is not None and not (self.scheduler or "").startswith("tls://"):
+            raise InputError(
+                "TLS files for a scheduler that does not use TLS",
+                expected="a scheduler at tls://host:8786",
+                value=self.scheduler,
+            )
+        if self.scheduler is not None and find_spec("distributed") is None:
+            raise InputError("a scheduler needs Dask, which is not installed", expected="pip install 'twin[cluster]'")
+
+
+def map_as_completed(
+    function: Callable[[Shared, Task], Result],
+    shared: Shared,
+    tasks: Sequence[Task],
+    workers: Workers | None = None,
+    *,
+    name: Callable[[Task], str] = str,
+    return_errors: bool = False,
+) -> Generator[tuple[int, Result | Refusal], None, None]:
+    """Run tasks and yield their results in order of completion, each with the index of its task.
+
+    Args:
+        function: importable function of the shared value and of one task. What it caches in the shared value (a
+            ``cached_property``) is kept for the worker's next task.
+        shared: value common to all tasks, sent to a worker as a pickle, without its caches.
+        tasks: the arguments of the tasks; each is read when it is sent, and again if its worker dies.
+        workers: None for one process per core.
+        name: function that returns the name of a task, for messages.
+        return_errors: whether to yield the error of a task as its result and go on with the others, instead of raising it.
+
+    Raises:
+        InputError: raised by a task; workers died repeatedly during one task; there is no usable cluster at the address.
+    """
+    own = Workers() if workers is None else workers
+    processes = min(_cores() if own.processes is None else own.processes, len(tasks))
+    if own.scheduler is not None:
+        found = _on_cluster(function, shared, tasks, name, own.scheduler, own.tls)
+    elif processes <= 1:
+        found = _in_this_process(function, shared, tasks)
+    else:
+        found = _on_processes(function, shared, tasks, name, processes)
+    with closing(found):
+        for index, result in found:
+            if isinstance(result, InputError | OutputError) and not return_errors:
+                raise result
+            yield index, result
+
+
+def map_in_order(
+    function: Callable[[Shared, Task], Result],
+    shared: Shared,
+    tasks: Sequence[Task],
+    workers: Workers | None = None,
+    *,
+    name: Callable[[Task], str] = str,
+) -> Iterator[Result]:
+    """Run tasks as `map_as_completed` and yield their results in the order of the tasks.
+
+    Sums over the results are then reproducible to the last bit.
+    """
+    early: dict[int, Result] = {}
+    following = 0
+    with closing(map_as_completed(function, shared, tasks, workers, name=name)) as found:
+        for index, result in found:
+            early[index] = result  # type: ignore[assignment]  # no refusal: those were raised
+            while following in early:
+                yield early.pop(following)
+                following += 1
+
+
+def _cores() -> int:
+    """Return the number of cores that this process may use, as joblib counts them."""
+    from joblib import cpu_count
+
+    return int(cpu_count())
+
+
+def _in_this_process(
+    function: Callable[[Any, Any], Any], shared: Any, tasks: Sequence[Any]
+) -> Generator[tuple[int, Any], None, None]:
+    for index, task in enumerate(tasks):
+        with one_blas_thread(scipy=False):
+            result = function(shared, task)
+        yield index, result
+
+
+def _completed(
+    submit: Callable[[int], Future[Any]], indices: Sequence[int], most: int, check: Callable[[], None] | None = None
+) -> Iterator[tuple[int, Future[Any]]]:
+    """Submit tasks, at most ``most`` at a time, and yield each that has ended; none are submitted after a worker has died.
+
+    Args:
+        submit: function that submits the task of an index.
+        indices: the tasks.
+        most: largest number of tasks in flight.
+        check: function called every `CHECK_S` while no task ends; it may raise to end the wait.
+    """
+    waiting, running = iter(indices), dict[Future[Any], int]()
+    while True:
+        with suppress(BrokenExecutor), warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # Python's, of OpenBLAS's threads at a fork
+            for index in islice(waiting, most - len(running)):
+                running[submit(index)] = index
+        if not running:
+            return
+        done, _ = wait(running, None if check is None else CHECK_S, FIRST_COMPLETED)
+        for future in done:
+            yield running.pop(future), future
+        if not done and check is not None:
+            check()
+
+
+# --- On processes of this computer ----------------------------------------------------------------
 
 _given: list[Any] = []
 """In a worker: the function and the shared value."""
 
 
-def on_processes(
-    function: Callable[[Any, Any], Any],
-    shared: Any,
-    tasks: Sequence[Any],
-    processes: int,
-    name: Callable[[int], str],
-    most: int,
+def _on_processes(
+    function: Callable[[Any, Any], Any], shared: Any, tasks: Sequence[Any], name: Callable[[Any], str], processes: int
 ) -> Generator[tuple[int, Any], None, None]:
-    """Run tasks and yield the index and the result of each in order of completion; the workers end with the generator.
-
-    Args:
-        function: function of the shared value and of one task.
-        shared: value common to all tasks.
-        tasks: the tasks; one whose worker dies is repeated.
-        processes: number of workers.
-        name: function that returns the name of a task by its index, for messages.
-        most: largest number of tasks in flight.
-    """
+    """Run tasks on new workers; those that were in flight when a worker died are repeated one at a time, to find the cause."""
     left = dict.fromkeys(range(len(tasks)))
     deaths: Counter[int] = Counter()
     while left:
-        suspect = next((index for index in left if deaths[index] >= SUSPECT_DEATHS), None)
-        some = list(left) if suspect is None else [suspect]
-        lost: list[int] = []
-        with _pool(min(processes, len(some)), function, shared) as pool:
-            for index, future in _completed(pool, tasks, some, most):
+        suspects = [index for index in left if deaths[index]]
+        workers, most = (1, 1) if suspects else (min(processes, len(left)), TASKS_PER_WORKER * processes)
+        with _pool(workers, function, shared) as pool:
+            for index, future in _completed(lambda i: pool.submit(_run, tasks[i]), suspects or list(left), most):
                 try:
                     result = future.result()
-                except BrokenProcessPool:
-                    lost.append(index)
-                    continue
+                except BrokenExecutor:
+                    deaths[index] += 1
+                    if deaths[index] < MAX_DEATHS:
+                        continue
+                    result = InputError(
+                        f"a worker process died {MAX_DEATHS} times while running this task",
+                        expected="enough memory for the task, or fewer workers",
+                        value=name(tasks[index]),
+                    )
                 del left[index]
                 yield index, result
-        deaths.update(lost)
-        if suspect is not None and deaths[suspect] >= MAX_DEATHS:
-            del left[suspect]
-            yield (
-                suspect,
-                InputError(
-                    f"a worker process died {MAX_DEATHS} times while running this task",
-                    expected="enough memory for the task, or fewer workers",
-                    value=name(suspect),
-                ),
-            )
-
-
-def _completed(
-    pool: Executor, tasks: Sequence[Any], some: Sequence[int], most: int
-) -> Iterator[tuple[int, Future[Any]]]:
-    """Yield the ended tasks, of which at most ``most`` are in flight; none are sent after a worker has died."""
-    import cloudpickle
-
-    waiting = iter(some)
-    running: dict[Future[Any], int] = {}
-    while True:
-        with suppress(BrokenProcessPool), warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # Python's, of OpenBLAS's threads at a fork
-            for index in islice(waiting, most - len(running)):
-                running[pool.submit(_run, cloudpickle.dumps(tasks[index]))] = index
-        if not running:
-            return
-        done, _ = wait(running, return_when=FIRST_COMPLETED)
-        for future in done:
-            yield running.pop(future), future
 
 
 @contextmanager
 def _pool(processes: int, function: Callable[[Any, Any], Any], shared: Any) -> Iterator[Executor]:
-    """Yield workers that have the function and the shared value; they are ended at once if the context is left by an exception."""
+    """Yield workers that have the function and the shared value; they are ended at once if the context is left by an exception.
+
+    They are copies (fork) of this process if no other thread could hold a lock, which a copy would wait for forever. Copies start at
+    once, while each new process spends two seconds on imports. New processes are loky's, which run neither the script that started
+    them nor the cells of a notebook again.
+    """
     pool: Any
     if sys.platform == "linux" and only_idle_threads():
-        pool = ProcessPoolExecutor(processes, get_context("fork"), _begin, (os.getpid(), (function, shared)))
+        pool = ProcessPoolExecutor(processes, get_context("fork"), _begin, (os.getpid(), function, shared))
     else:
-        import cloudpickle
         from joblib.externals.loky import ProcessPoolExecutor as NewProcesses
 
-        packed = cloudpickle.dumps((function, shared))
-        pool = NewProcesses(processes, initializer=_begin_packed, initargs=(os.getpid(), packed))
+        pool = NewProcesses(processes, initializer=_begin, initargs=(os.getpid(), function, shared))
     complete = False
     try:
         yield pool
@@ -142,11 +271,7 @@ def _pool(processes: int, function: Callable[[Any, Any], Any], shared: Any) -> I
         pool.shutdown(wait=True)
 
 
-def _begin_packed(parent: int, packed: bytes) -> None:
-    _begin(parent, pickle.loads(packed))
-
-
-def _begin(parent: int, given: tuple[Callable[[Any, Any], Any], Any]) -> None:
+def _begin(parent: int, function: Callable[[Any, Any], Any], shared: Any) -> None:
     """Prepare a worker: it ignores Ctrl-C, which its parent handles, and ends when its parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in ("SIGTERM", "SIGHUP"):  # of which Windows has one
@@ -154,7 +279,7 @@ def _begin(parent: int, given: tuple[Callable[[Any, Any], Any], Any]) -> None:
             signal.signal(getattr(signal, name), signal.SIG_DFL)
     threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
     one_blas_thread(scipy=False)
-    _given[:] = given
+    _given[:] = function, shared
 
 
 def _exit_with(parent: int) -> None:
@@ -163,13 +288,232 @@ def _exit_with(parent: int) -> None:
     os._exit(1)
 
 
-def _run(packed: bytes) -> Any:
+def _run(task: Any) -> Any:
     """Return the result of a task; an `InputError` or `OutputError` is a result, too."""
     function, shared = _given
     try:
-        return function(shared, pickle.loads(packed))
+        return function(shared, task)
     except (InputError, OutputError) as error:
         return error
+
+
+# --- On a Dask cluster; Dask is optional, and imported only here ----------------------------------
+
+CHECK_S: Final = 5.0
+"""Time between checks whether the cluster still has workers."""
+CONNECT_TIMEOUT_S: Final = 5.0
+"""Timeout of the connection to the scheduler."""
+FIRST_WORKER_TIMEOUT_S: Final = 20.0
+"""Timeout for the first worker."""
+NO_WORKER_TIMEOUT_S: Final = 60.0
+"""Timeout without any worker during the work; a restarted worker takes a few seconds."""
+
+_task_lock = threading.Lock()
+
+
+def _on_cluster(
+    function: Callable[[Any, Any], Any],
+    shared: Any,
+    tasks: Sequence[Any],
+    name: Callable[[Any], str],
+    address: str,
+    tls: Tls | None,
+) -> Generator[tuple[int, Any], None, None]:
+    import cloudpickle
+    from distributed.scheduler import KilledWorker
+
+    # Pickled here, so that the scheduler need not be able to load them.
+    common, expected = cloudpickle.dumps((function, shared)), versions()
+    with _dask_logs_off(), _client(address, tls) as client:
+        _check_versions(client, address)
+        pool = client.get_executor(pure=False)
+
+        def submit(index: int) -> Future[Any]:
+            future: Future[Any] = pool.submit(_run_there, common, cloudpickle.dumps(tasks[index]), expected)
+            return future
+
+        seen = time.monotonic()
+
+        def check_workers() -> None:
+            nonlocal seen
+            try:
+                seen = time.monotonic() if client.nthreads() else seen
+            except (OSError, RuntimeError):  # lost, or closed
+                seen = -NO_WORKER_TIMEOUT_S
+            if time.monotonic() - seen >= NO_WORKER_TIMEOUT_S:
+                kept = "workers that run until the end"
+                raise InputError("no worker of the cluster remains", expected=kept, value=address)
+
+        try:
+            most = TASKS_PER_WORKER * max(sum(client.nthreads().values()), 1)
+            for index, future in _completed(submit, range(len(tasks)), most, check_workers):
+                seen = time.monotonic()
+                try:
+                    result = future.result()
+                except KilledWorker as error:
+                    result = InputError(
+                        f"{error.allowed_failures + 1} workers of the cluster died while running this task",
+                        expected="enough memory for the task",
+                        value=name(tasks[index]),
+                    )
+                except CancelledError as error:
+                    kept = "a scheduler that runs until the end"
+                    raise InputError("the connection to the scheduler was lost", expected=kept) from error
+                except ModuleNotFoundError as error:
+                    module = f"module {error.name} there"
+                    result = InputError("a worker cannot import a module of the task", expected=module)
+                yield index, result
+        finally:
+            pool.shutdown(wait=False)
+
+
+def _run_there(common: bytes, packed: bytes, expected: dict[str, str]) -> Any:
+    """Run a task on a worker of a cluster as `_run`.
+
+    Args:
+        common: the function and the shared value, pickled.
+        packed: the task, pickled.
+        expected: the versions on the calling computer; a worker that joined later has not been checked.
+    """
+    # A Dask worker may have several threads, but only one at a time may use the shared value.
+    with _task_lock:
+        different = version_differences(expected, versions())
+        if different:
+            return _other_versions(different, f"{platform.node()}, process {os.getpid()}")
+        one_blas_thread(scipy=False)
+        keep_freed_memory()
+        _given[:] = _unpacked(common)
+        return _run(pickle.loads(packed))
+
+
+@lru_cache(maxsize=2)
+def _unpacked(common: bytes) -> Any:
+    return pickle.loads(common)
+
+
+@contextmanager
+def _dask_logs_off() -> Iterator[None]:
+    """Suppress Dask's own messages on lost connections and dead workers, which are handled here."""
+    logs = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]
+    levels = [log.level for log in logs]
+    for log in logs:
+        log.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for log, level in zip(logs, levels, strict=True):
+            log.setLevel(level)
+
+
+@contextmanager
+def _client(address: str, tls: Tls | None) -> Iterator[Client]:
+    """Connect to a scheduler.
+
+    Raises:
+        InputError: there is none at the address, or address and TLS files do not match.
+    """
+    from distributed import Client
+
+    security, secure = _security(tls), address.startswith("tls://")
+    try:
+        # Check first: a client waits forever for a server that does not answer. In another thread: a notebook has an event loop here.
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(asyncio.run, _probe(address, security)).result()
+        client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False, name="twin", security=security)
+    except (OSError, ValueError, MemoryError) as error:  # another protocol may look like a message of exabytes
+        raise InputError(
+            "no Dask scheduler at this address",
+            expected="the address of a scheduler, as `dask scheduler` prints it (tcp://host:8786)"
+            + (", and certificates of one authority on both sides" if secure else ""),
+            value=address,
+        ) from error
+    except (
+        RuntimeError,
+        TypeError,
+    ) as error:  # encryption required by Dask's configuration, but not in the address; or TLS without certificates
+        raise InputError(
+            "the scheduler's address and the TLS settings do not match",
+            expected="certificates for a scheduler at tls://host:8786, none for one at tcp://host:8786",
+            value=address,
+        ) from error
+    try:
+        yield client
+    finally:
+        client.close(CONNECT_TIMEOUT_S)
+
+
+def _security(tls: Tls | None) -> Security:
+    """Return Dask's security settings for the files.
+
+    Raises:
+        InputError: a file is missing or is not a certificate or key.
+    """
+    from distributed.security import Security
+
+    files = {} if tls is None else {"tls_ca_file": tls.ca_file, "tls_client_cert": tls.certificate}
+    if tls is not None and tls.key is not None:
+        files["tls_client_key"] = tls.key
+    for file in files.values():
+        read_bytes(file)
+    try:
+        security = Security(require_encryption=True if files else None, **{k: str(v) for k, v in files.items()})
+        security.get_connection_args("client")
+    except (OSError, TypeError, ValueError) as error:
+        raise InputError(
+            "unusable TLS files",
+            expected="PEM files of an authority, a certificate and its key",
+            file=None if tls is None else tls.certificate,
+            value=error,
+        ) from error
+    return security
+
+
+async def _probe(address: str, security: Security) -> None:
+    from distributed.comm import connect
+
+    # The timeout of connect does not apply if the other side accepts the connection and sends nothing.
+    greeting = connect(address, timeout=CONNECT_TIMEOUT_S, **security.get_connection_args("client"))
+    comm = await asyncio.wait_for(greeting, CONNECT_TIMEOUT_S + 1.0)
+    comm.abort()
+
+
+def _check_versions(client: Client, address: str) -> None:
+    """Raise `InputError` unless scheduler and workers can do the work with the versions of this computer."""
+    try:
+        client.wait_for_workers(1, timeout=FIRST_WORKER_TIMEOUT_S)
+    except TimeoutError as error:
+        kept = f"workers started with `dask worker {address}`"
+        raise InputError("scheduler without workers", expected=kept, value=address) from error
+    there = f"twin {versions()['twin']} there"
+    try:
+        client.run_on_scheduler(metadata.version, "twin")
+    except metadata.PackageNotFoundError as error:
+        raise InputError("twin is not installed on the scheduler's computer", expected=there) from error
+    # A function of the standard library first, since a worker without twin cannot load functions of twin.
+    installed = client.run(metadata.version, "twin", on_error="return")
+    for worker, version in installed.items():
+        if isinstance(version, BaseException):
+            raise InputError("twin is not installed on a worker", expected=there, value=worker)
+    for worker, found in client.run(versions, on_error="return").items():
+        different = (
+            f"twin {installed.get(worker)}"
+            if isinstance(found, BaseException)
+            else version_differences(versions(), found)
+        )
+        if different:
+            raise _other_versions(different, worker)
+    other = [worker for worker, digest in client.run(arithmetic, on_error="return").items() if digest != arithmetic()]
+    if other:
+        logging.getLogger("twin").warning(
+            "%d workers have another processor or compiler than this computer; the last digits of results may differ",
+            len(other),
+        )
+
+
+def _other_versions(different: str, where: str) -> InputError:
+    return InputError(
+        f"a worker has other versions: {different}", expected="the same versions on all computers", value=where
+    )
 
 
 # --- Memory that a worker of a cluster keeps between arrays ---------------------------------------
@@ -233,228 +577,3 @@ def version_differences(here: dict[str, str], there: dict[str, str]) -> str:
     return ", ".join(
         f"{name} {there.get(name, 'none')} instead of {mine}" for name, mine in here.items() if there.get(name) != mine
     )
-
-
-# --- TLS files for the connection to a cluster ----------------------------------------------------
-
-
-@final
-@dataclass(frozen=True)
-class Tls:
-    """PEM files with which a Dask scheduler and this computer authenticate each other; the connection is encrypted.
-
-    Attributes:
-        ca_file: the certificate authority that signed the scheduler's certificate.
-        certificate: of this computer, signed by an authority that the scheduler accepts.
-        key: of that certificate; None if the certificate file contains it.
-    """
-
-    ca_file: Path
-    certificate: Path
-    key: Path | None = None
-
-
-# --- Independent tasks: in this process, on processes of this computer, or on a Dask cluster (joblib)
-
-Shared = TypeVar("Shared")
-Task = TypeVar("Task")
-Result = TypeVar("Result")
-Refusal = InputError | OutputError
-
-TASKS_PER_WORKER: Final = 2
-"""Tasks in flight per worker: one running and one waiting, which bounds memory without idle workers."""
-
-_task_lock = threading.Lock()
-
-
-@final
-@dataclass(frozen=True)
-class Workers:
-    """Choice of where tasks run: on processes of this computer or on a Dask cluster.
-
-    Attributes:
-        processes: number of processes on this computer; 1: this process itself; None: one per core. Ignored with a scheduler.
-        scheduler: address of a Dask scheduler, ``tcp://host:8786``, or None. Its workers should have one thread each. Scheduler and
-            workers can run any code on each other and on this computer: use only those that you trust like your own code.
-        tls: certificates for a scheduler at ``tls://host:8786``; None for Dask's own configuration (``distributed.comm.tls``).
-
-    Raises:
-        InputError: fewer than one process; a scheduler without Dask installed; TLS files without a ``tls://`` scheduler.
-    """
-
-    processes: int | None = None
-    scheduler: str | None = None
-    tls: Tls | None = None
-
-    def __post_init__(self) -> None:
-        if self.processes is not None and self.processes < 1:
-            raise InputError("number of workers too small", expected="at least 1", value=self.processes)
-        if self.tls is not None and not (self.scheduler or "").startswith("tls://"):
-            raise InputError(
-                "TLS files for a scheduler that does not use TLS",
-                expected="a scheduler at tls://host:8786",
-                value=self.scheduler,
-            )
-        if self.scheduler is not None and find_spec("distributed") is None:
-            raise InputError("a scheduler needs Dask, which is not installed", expected="pip install 'twin[cluster]'")
-
-
-def map_as_completed(
-    function: Callable[[Shared, Task], Result],
-    shared: Shared,
-    tasks: Sequence[Task],
-    workers: Workers | None = None,
-    *,
-    name: Callable[[Task], str] = str,
-    return_errors: bool = False,
-) -> Generator[tuple[int, Result | Refusal], None, None]:
-    """Run tasks and yield their results in order of completion, each with the index of its task.
-
-    Args:
-        function: importable function of the shared value and of one task. What it caches in the shared value (a
-            ``cached_property``) is kept for the worker's next task.
-        shared: value common to all tasks, sent to a worker as a pickle, without its caches.
-        tasks: the arguments of the tasks; each is read when it is sent, and again if its worker dies.
-        workers: None for one process per core.
-        name: function that returns the name of a task, for messages.
-        return_errors: whether to yield the error of a task as its result and go on with the others, instead of raising it.
-
-    Raises:
-        InputError: raised by a task; workers died repeatedly during one task; there is no usable cluster at the address.
-    """
-    own = Workers() if workers is None else workers
-    processes = min(_cores() if own.processes is None else own.processes, len(tasks))
-
-    def task_name(index: int) -> str:
-        return name(tasks[index])
-
-    if own.scheduler is not None:
-        found = _on_cluster(function, shared, tasks, own.scheduler, own.tls, task_name)
-    elif processes <= 1:
-        found = _in_this_process(function, shared, tasks)
-    else:
-        found = on_processes(function, shared, tasks, processes, task_name, TASKS_PER_WORKER * processes)
-    with closing(found):
-        for index, result in found:
-            if isinstance(result, InputError | OutputError) and not return_errors:
-                raise result
-            yield index, result
-
-
-def map_in_order(
-    function: Callable[[Shared, Task], Result],
-    shared: Shared,
-    tasks: Sequence[Task],
-    workers: Workers | None = None,
-    *,
-    name: Callable[[Task], str] = str,
-) -> Iterator[Result]:
-    """Run tasks as `map_as_completed` and yield their results in the order of the tasks.
-
-    Sums over the results are then reproducible to the last bit.
-    """
-    early: dict[int, Result] = {}
-    following = 0
-    with closing(map_as_completed(function, shared, tasks, workers, name=name)) as found:
-        for index, result in found:
-            early[index] = result  # type: ignore[assignment]  # no refusal: those were raised
-            while following in early:
-                yield early.pop(following)
-                following += 1
-
-
-def _in_this_process(
-    function: Callable[[Shared, Task], Result], shared: Shared, tasks: Sequence[Task]
-) -> Generator[tuple[int, Result], None, None]:
-    for index, task in enumerate(tasks):
-        with one_blas_thread(scipy=False):
-            result = function(shared, task)
-        yield index, result
-
-
-def _cores() -> int:
-    """Return the number of cores that this process may use, as joblib counts them."""
-    from joblib import cpu_count
-
-    return int(cpu_count())
-
-
-def _on_cluster(
-    function: Callable[[Shared, Task], Result],
-    shared: Shared,
-    tasks: Sequence[Task],
-    address: str,
-    tls: Tls | None,
-    name: Callable[[int], str],
-) -> Generator[tuple[int, Any], None, None]:
-    import cloudpickle
-    from joblib import Parallel, delayed
-
-    from twin.compute.cluster import connected  # Dask is optional and slow to import
-
-    common, expected = cloudpickle.dumps((function, shared)), versions()
-    with connected(address, tls, name) as (backend, threads):
-        pool = Parallel(
-            n_jobs=threads,
-            backend=backend,
-            batch_size=1,
-            pre_dispatch=TASKS_PER_WORKER * threads,
-            return_as="generator_unordered",
-        )
-        calls = (delayed(work)(i, common, cloudpickle.dumps(task), expected) for i, task in enumerate(tasks))
-        with _closing(pool(calls)) as results:
-            for found in results:  # noqa: UP028  # `yield from` would close them without `_closing`
-                yield found
-
-
-@contextmanager
-def _closing(results: Any) -> Iterator[Any]:
-    """Close the results on leaving the context, which ends the tasks, also on Ctrl-C and after a partial read."""
-    try:
-        yield results
-    finally:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # not all results were read
-            results.close()
-
-
-def work(index: int, common: bytes, packed: bytes, expected: dict[str, str]) -> tuple[int, Any]:
-    """Run one task on a worker of a cluster and return its index with its result; an `InputError` or `OutputError` is a result, too.
-
-    Args:
-        index: of the task.
-        common: the function and the shared value, pickled, so that Dask's scheduler need not be able to load them.
-        packed: the task, pickled.
-        expected: the versions on the calling computer.
-    """
-    # A Dask worker may have several threads, but only one at a time may use the shared value.
-    with _task_lock:
-        different = version_differences(expected, versions())
-        if different:
-            return index, InputError(
-                f"a worker has other versions: {different}",
-                expected="the same versions on all computers",
-                value=_host(),
-            )
-        one_blas_thread(scipy=False)
-        keep_freed_memory()
-        try:
-            function, shared = _unpacked(common)
-            task = pickle.loads(packed)
-        except ModuleNotFoundError as error:
-            return index, InputError(
-                "a worker cannot import a module of the task", expected=f"module {error.name} there", value=_host()
-            )
-        try:
-            return index, function(shared, task)
-        except (InputError, OutputError) as error:
-            return index, error
-
-
-@lru_cache(maxsize=2)
-def _unpacked(common: bytes) -> Any:
-    return pickle.loads(common)
-
-
-def _host() -> str:
-    return f"{os.uname().nodename}, process {os.getpid()}" if hasattr(os, "uname") else f"process {os.getpid()}"
