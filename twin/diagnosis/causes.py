@@ -307,12 +307,14 @@ def _approach_axes(form: Form) -> list[str]:
 
 def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
     """Return whether a parameter is at its bound."""
-    candidate = form.candidate
-    limits = {name: candidate.range(name) for name in candidate.specification.nonlinear}
-    if candidate.drift is not None and not candidate.drift.straight:
+    candidate, specification = form.candidate, form.candidate.specification
+    tried = {name: candidate.range(name) for name in specification.nonlinear}
+    drift = candidate.drift
+    if drift is not None and not drift.straight:
         # A straight line: the time constant is longer than the record.
-        return not any(q.name == "time_constant" and q.value < AT_BOUND * limits[q.name] for q in quantities)
-    return any(abs(q.value) >= AT_BOUND * limits.get(q.name, candidate.largest) for q in quantities)
+        return not any(q.name == drift.name and q.value < AT_BOUND * tried[q.name] for q in quantities)
+    estimated = [q for q in quantities if q.name not in specification.fixed]
+    return any(abs(q.value) >= AT_BOUND * tried.get(q.name, candidate.largest) for q in estimated)
 
 
 def _insignificant_notice(sized: SizedCauses) -> list[str]:

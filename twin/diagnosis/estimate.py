@@ -300,14 +300,13 @@ def _fit_drift_of(problem: Problem, part: _Part, others: Sequence[Column]) -> No
     if drift is None:
         return
     found = fit_drift(problem, drift, others)
-    straight = found.time_constant == STRAIGHT
-    unit = drift.columns(found.time_constant)
-    part.fixed = {} if straight else {"time_constant": found.time_constant}
-    part.scales = np.array([column.scale for column in unit])
-    part.columns, part.values = problem.signature(unit) / part.scales, found.values
+    variant = drift.variant(found.time_constant)
+    part.fixed = dict(variant.fixed)
+    part.scales = np.array([column.scale for column in variant.columns])
+    part.columns, part.values = problem.signature(variant.columns) / part.scales, found.values
     part.effects = _effects(part.form, found.values, part.fixed)
     part.moments = found.moments
-    part.nonlinear = found.moments is None and not straight
+    part.nonlinear = found.moments is None and found.time_constant != STRAIGHT
 
 
 def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any]) -> np.ndarray:
@@ -498,42 +497,57 @@ def _converted(
 def _quantities(
     form: Form, fixed: Mapping[str, float], effects: Sequence[Effect], values: np.ndarray, covariance: np.ndarray
 ) -> tuple[Quantity, ...]:
-    if form.candidate.reported is not None:
-        values, covariance = _converted(form.candidate.reported, values, covariance)
+    """Return the estimated parameters of a cause and the numbers that its specification states, in the order of an entry."""
+    stated = {**form.variant.fixed, **(effects[0].numbers if effects else {})}
+    specification = form.candidate.specification
+    found = {
+        name: Quantity(name, float(stated[name]), unit, 0.0)
+        for name, unit in specification.fixed.items()
+        if name in stated
+    }
+    found |= {one.name: one for one in _estimated(form, fixed, effects, values, covariance)}
+    order = [name for name in specification.parameters if name in found]
+    return tuple(found[name] for name in (*order, *(name for name in found if name not in order)))
+
+
+def _estimated(
+    form: Form, fixed: Mapping[str, float], effects: Sequence[Effect], values: np.ndarray, covariance: np.ndarray
+) -> list[Quantity]:
+    candidate, drift = form.candidate, form.candidate.drift
+    if candidate.reported is not None:
+        values, covariance = _converted(candidate.reported, values, covariance)
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if _is_nonlinear(form, effects):
-        return tuple(
+        return [
             Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, float(one))
             for p, one in zip(effects[0].parameters, u, strict=True)
-        )
-    if effects and form.candidate.space is not None:
-        return tuple(
-            Quantity(f"c{k}", p.value, p.unit, float(one))
+        ]
+    if effects and candidate.space is not None:
+        return [
+            Quantity(f"c{k}", p.value, p.unit, float(one), coefficient=True)
             for k, (p, one) in enumerate(zip(effects[0].parameters, u, strict=True))
-        )
-    if effects and form.candidate.drift is not None:
+        ]
+    if effects and drift is not None:
         # A time constant longer than the record: only the rate is identifiable, and from it the drift over the record.
-        hours = form.candidate.drift.constants[-1] / 3600.0
-        rate = effects[0].parameters[0].value
-        return (
-            Quantity("amplitude", rate * hours, "um", float(u[0]) * hours),
-            Quantity("rate", rate, "um/h", float(u[0])),
-        )
-    found = tuple(
+        hours = drift.constants[-1] / 3600.0
+        (rate,), (name, unit) = effects[0].parameters, candidate.names[0]
+        return [
+            Quantity(name, rate.value * hours, unit, float(u[0]) * hours),
+            Quantity(rate.name.rsplit(".", 1)[-1], rate.value, rate.unit, float(u[0])),
+        ]
+    found = [
         Quantity(name, float(value), unit, float(one))
-        for (name, unit), value, one in zip(form.candidate.names, values, u, strict=False)
+        for (name, unit), value, one in zip(candidate.names, values, u, strict=False)
         if one > 1e-9 * u.max()  # a parameter that is not identifiable is left out
-    )
-    if "order" in form.variant.fixed:
-        found = (Quantity("order", form.variant.fixed["order"], "1", 0.0), *found)
+    ]
     # Parameters that the search fixed within their bounds, such as a centre that the readings do not determine.
-    found += tuple(
+    found += [
         Quantity(name, form.variant.fixed[name], unit, float("nan"))
-        for name, unit in form.candidate.names[len(values) :]
+        for name, unit in candidate.names[len(values) :]
         if name in form.variant.fixed
-    )
-    if form.candidate.drift is not None and "time_constant" in fixed:
-        found = (*found, Quantity("time_constant", fixed["time_constant"], "s", float(u[-1])))
+    ]
+    if drift is not None and drift.name in fixed:
+        found.append(Quantity(drift.name, fixed[drift.name], "s", float(u[-1])))
     return found
 
 

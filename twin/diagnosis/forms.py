@@ -77,9 +77,9 @@ class Form:
         }
 
     @property
-    def slot(self) -> tuple[str, str, float]:
-        """Key that at most one selected form may have: effect, place and, for a harmonic, its order."""
-        return *self.key, self.variant.fixed.get("order", 0.0)
+    def slot(self) -> tuple[str | float, ...]:
+        """Key that at most one selected form may have: effect, place and stated numbers (of a harmonic its order)."""
+        return *self.key, *(self.variant.fixed.get(name, 0.0) for name in self.candidate.specification.fixed)
 
 
 @final

@@ -143,6 +143,7 @@ HARMONIC: Final = Specification(
     ),
     evidence=lambda fit: f"{fit.where}: the error repeats with the rotation of the axis",
     parameters=("order", "cos", "sin"),
+    fixed={"order": "1"},
     places=_places,
     expected=lambda machine: "an error motion of a rotary axis",
     make=_make,

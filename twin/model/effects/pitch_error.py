@@ -70,6 +70,11 @@ class PitchError(AlongAxis):
             along(self.axis, slope),
         )
 
+    @property
+    def normal_form(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """See `Effect.normal_form`: −A sin φ = A sin(φ + π)."""
+        return ((-1.0, 1.0, 1.0), (0.0, 0.0, pi)) if self.amplitude < 0.0 else super().normal_form
+
     def _angle(self, positions: Mapping[str, Any]) -> Any:
         return (2.0 * pi / self.period) * positions[self.axis.name] + self.phase
 
@@ -148,6 +153,7 @@ PITCH_ERROR: Final = Specification(
     forms=_forms,
     candidates=_candidates,
     nonlinear=("period", "phase"),
+    period="period",
     constrain=_constrain,
     curve=True,
     plain_forms=0,

@@ -140,6 +140,7 @@ SPINDLE_GROWTH: Final = Specification(
         f"{fit.numbers['time_constant']:.3g} s"
     ),
     parameters=("amplitude", "exponent", "time_constant", "highest_rpm"),
+    fixed={"highest_rpm": "rpm"},
     limits={"um": 500.0},
     places=directions,
     expected=lambda machine: "X, Y or Z of the base frame",
