@@ -25,7 +25,7 @@ from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf, f_sf
 from twin.diagnosis.candidates.candidate import STRAIGHT, Column, effect_columns
 from twin.diagnosis.drift_fit import fit_drift, over_forms
-from twin.diagnosis.forms import Form, pseudo_inverse
+from twin.diagnosis.forms import LEAST_NONCENTRALITY, Form, pseudo_inverse
 from twin.diagnosis.problem import Problem, rewhitened, unwhiten
 from twin.diagnosis.readings import DiagnosisTask
 from twin.diagnosis.result import Quantity
@@ -225,6 +225,7 @@ def estimate(
     forms: Sequence[Form],
     noise_dof: float = float("inf"),
     random_effects: RandomEffects | None = None,
+    least: float = LEAST_NONCENTRALITY,
 ) -> Estimate:
     """Estimate all parameters of the causes by Gauss-Newton iteration, with the set-up projected out.
 
@@ -233,11 +234,12 @@ def estimate(
         forms: the causes.
         noise_dof: degrees of freedom of the noise variance.
         random_effects: patterns without a name; they are not fitted but increase the covariance.
+        least: noncentrality at the largest plausible size below which a direction is not identifiable.
     """
     if not forms:
         return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
     state = machine_state(problem.network.data, problem.network.machine)
-    parts, inverse, signature = _fitted(problem, forms, state)
+    parts, inverse, signature = _fitted(problem, forms, state, least)
     columns = np.concatenate([part.columns for part in parts], axis=1)
     scales = np.concatenate([part.scales for part in parts])
     residual = problem.residual - signature.sum(axis=1)
@@ -265,19 +267,19 @@ def fitted_effects(problem: Problem, forms: Sequence[Form]) -> tuple[list[tuple[
 
 
 def _fitted(
-    problem: Problem, forms: Sequence[Form], state: Mapping[str, Any]
+    problem: Problem, forms: Sequence[Form], state: Mapping[str, Any], least: float = LEAST_NONCENTRALITY
 ) -> tuple[list[_Part], np.ndarray, np.ndarray]:
     """Return the fitted causes, the covariance of all parameters, and the (3n, k) signature of each cause."""
-    parts = _initial_parts(problem, forms)
-    inverse = _gauss_newton(problem, parts, state)
+    parts = _initial_parts(problem, forms, least)
+    inverse = _gauss_newton(problem, parts, state, least)
     return parts, inverse, np.stack([part.signature(problem, state) for part in parts], axis=1)
 
 
-def _initial_parts(problem: Problem, forms: Sequence[Form]) -> list[_Part]:
+def _initial_parts(problem: Problem, forms: Sequence[Form], least: float) -> list[_Part]:
     """Return all causes with parameters from a linear fit, and each drift with its most likely time constant given the others."""
     scales = [np.array([column.scale for column in form.variant.columns]) for form in forms]
     columns = [problem.signature(form.variant.columns) / own for form, own in zip(forms, scales, strict=True)]
-    _, start = _least_squares(problem, np.concatenate(columns, axis=1), problem.residual, np.concatenate(scales))
+    _, start = _least_squares(problem, np.concatenate(columns, axis=1), problem.residual, np.concatenate(scales), least)
     values = np.split(start, np.cumsum([len(own) for own in scales])[:-1])
     parts = []
     for form, own, signature, found in zip(forms, scales, columns, values, strict=True):
@@ -309,7 +311,7 @@ def _fit_drift_of(problem: Problem, part: _Part, others: Sequence[Column]) -> No
     part.nonlinear = found.moments is None and found.time_constant != STRAIGHT
 
 
-def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any]) -> np.ndarray:
+def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any], least: float) -> np.ndarray:
     """Iterate until convergence and return the covariance of all parameters at the last step."""
     longest = [_longest_scale(part.form) for part in parts]
     for _ in range(STEPS if any(part.nonlinear for part in parts) else 1):
@@ -318,7 +320,7 @@ def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, 
         residual = problem.residual - np.sum([part.signature(problem, state) for part in parts], axis=0)
         sizes = np.concatenate([part.scales for part in parts])
         inverse, step = _least_squares(
-            problem, np.concatenate([part.columns for part in parts], axis=1), residual, sizes
+            problem, np.concatenate([part.columns for part in parts], axis=1), residual, sizes, least
         )
         change = float(np.sqrt(max(step @ np.linalg.pinv(inverse, hermitian=True) @ step, 0.0)))
         ends = np.cumsum([len(part.values) for part in parts])[:-1]
@@ -429,12 +431,12 @@ def _parameters(effects: Sequence[Effect]) -> dict[str, float]:
 
 
 def _least_squares(
-    problem: Problem, columns: np.ndarray, residual: np.ndarray, scale: np.ndarray
+    problem: Problem, columns: np.ndarray, residual: np.ndarray, scale: np.ndarray, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return covariance and least-squares step; both are zero along directions that are not identifiable; overwrites ``columns``."""
     scaled = np.multiply(columns, scale, out=columns)
     gram, slope = problem.normal_equations(scaled, residual)
-    inverse = pseudo_inverse(gram)
+    inverse = pseudo_inverse(gram, least)
     return inverse * np.outer(scale, scale), (inverse @ slope) * scale
 
 
@@ -555,6 +557,8 @@ def _estimated(
 
 REWEIGHTINGS: Final = 4
 """Number of estimates with other weights, at most."""
+LOST: Final = 1e-6
+"""Share of its earlier standard uncertainty below which that of a parameter is rounding: its direction was left out."""
 
 
 def remaining_discrepancy(
@@ -602,10 +606,25 @@ def reweighted(
             break
         weighted = weighted.with_discrepancy(further)
         again = estimate(weighted.problem, forms, np.inf, random_effects)
+        if not _has_sizes(again, found):
+            # Named by the readings, a cause has a size, even if these weights would no longer show its largest plausible one.
+            again = estimate(weighted.problem, forms, np.inf, random_effects, least=0.0)
     signature = rewhitened(again.signature, weighted.problem.network, task.problem.network)
     return (
         replace(again, signature=read_only(signature), explained=found.explained, wald=found.wald),
         weighted.discrepancy,
+    )
+
+
+def _has_sizes(again: Estimate, found: Estimate) -> bool:
+    """Return whether no cause has lost its uncertainty, and with it its size, against an earlier estimate."""
+
+    def largest_u(quantities: Sequence[Quantity]) -> float:
+        return max((q.u for q in quantities if np.isfinite(q.u)), default=0.0)
+
+    return all(
+        largest_u(one) > LOST * largest_u(before) or largest_u(before) == 0.0
+        for one, before in zip(again.quantities, found.quantities, strict=True)
     )
 
 
