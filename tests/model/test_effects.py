@@ -133,21 +133,6 @@ def test_a_missing_channel_is_reported(one: Specification, machine: Machine) -> 
 
 
 @EVERY_MADE
-def test_limits_are_in_the_unit_of_the_effect(one: Specification, machine: Machine) -> None:
-    units = {made(one, machine).parameters[0].unit}
-    units |= {
-        parameter.unit for where in one.places(machine)[:1] for parameter in _at(one, machine, where).parameters[:1]
-    }
-    assert not one.limits or units & set(one.limits)
-    assert all(0.0 < size < np.inf for size in one.limits.values())
-
-
-def _at(one: Specification, machine: Machine, where: str) -> Effect:
-    where = f"{where} bed" if where.endswith(" by") else where
-    return effect_named(one.name, where, {name: SIZES[name] for name in one.parameters}, machine)
-
-
-@EVERY_MADE
 def test_unknown_places_and_parameters_are_refused(one: Specification, machine: Machine) -> None:
     numbers = {name: SIZES[name] for name in one.parameters}
     with pytest.raises(InputError, match=f"no such place for {one.name}"):

@@ -232,14 +232,22 @@ def _without_impossible(sized: SizedCauses) -> SizedCauses:
 
 
 def _is_impossible(form: Form, quantities: Sequence[Quantity], effects: Sequence[Effect]) -> bool:
-    """Return whether a size is beyond its physical limit by more than its uncertainty allows, or a load is impossible."""
+    """Return whether a size is beyond its physical limit, or a load is impossible."""
     if any(isinstance(effect, AddedLoad) and not effect.payload.plausible for effect in effects):
         return True
-    candidate = form.candidate
-    linear = [q for q in quantities if q.name not in {*candidate.specification.nonlinear, *form.variant.fixed}]
-    if candidate.reported is None and any(abs(q.value) > candidate.largest + DOUBTED * q.u for q in linear):
+    specification, sizes = form.candidate.specification, _sizes(form, quantities)
+    if not all(specification.is_plausible(size.value, size.unit) for size in sizes):
         return True
-    return bool(candidate.specification.non_negative and linear and linear[0].value < -DOUBTED * linear[0].u)
+    return bool(specification.non_negative and sizes and sizes[0].value < -DOUBTED * sizes[0].u)
+
+
+def _sizes(form: Form, quantities: Sequence[Quantity]) -> list[Quantity]:
+    """Return the estimated parameters of a cause; in place of the coefficients of a curve its largest value over its domain."""
+    space, coefficients = form.candidate.space, [q.value for q in quantities if q.coefficient]
+    if space is None or not coefficients:
+        return [q for q in quantities if q.name not in form.candidate.specification.fixed]
+    values = space.basis.value(space.grid()[0], space.domain, tuple(coefficients))
+    return [Quantity("largest", float(np.abs(values).max()), quantities[0].unit, 0.0)]
 
 
 def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
@@ -313,8 +321,10 @@ def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
     if drift is not None and not drift.straight:
         # A straight line: the time constant is longer than the record.
         return not any(q.name == drift.name and q.value < AT_BOUND * tried[q.name] for q in quantities)
-    estimated = [q for q in quantities if q.name not in specification.fixed]
-    return any(abs(q.value) >= AT_BOUND * tried.get(q.name, candidate.largest) for q in estimated)
+    return any(
+        abs(size.value) >= AT_BOUND * tried.get(size.name, specification.limits.get(size.unit, np.inf))
+        for size in _sizes(form, quantities)
+    )
 
 
 def _insignificant_notice(sized: SizedCauses) -> list[str]:

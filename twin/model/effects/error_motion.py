@@ -65,6 +65,9 @@ _REMEASURE: Final = Advice(
     "Do not correct it with a zero offset: the error changes along the travel, an offset does not.",
 )
 
+_LIMITS: Final = {"um": 20_000.0, "urad": 20_000.0}
+"""Largest error motions: those of a location. Beyond 20 mm or 20 mrad the machine description is wrong, not the machine."""
+
 POSITIONING: Final = Specification(
     name="positioning",
     kind="machine",
@@ -75,6 +78,7 @@ POSITIONING: Final = Specification(
         "Do not also enter it in the control's pitch-error table: it would be corrected twice.",
     ),
     evidence=lambda fit: f"{fit.where}: the positioning error of the axis differs from the model",
+    limits=_LIMITS,
     curve=True,
 )
 
@@ -84,6 +88,7 @@ STRAIGHTNESS: Final = Specification(
     title=lambda where: f"straightness error of {split_name(where)[2]} in {direction_of(where)}",
     advice=_REMEASURE,
     evidence=lambda fit: f"{fit.where}: the straightness error of the axis differs from the model",
+    limits=_LIMITS,
     curve=True,
 )
 
@@ -94,6 +99,7 @@ ANGULAR_ERROR_MOTION: Final = Specification(
     family="tilts of axes along their travel",
     advice=_REMEASURE,
     evidence=lambda fit: f"{fit.where}: the tilt of the axis along its travel differs from the model",
+    limits=_LIMITS,
     curve=True,
 )
 
@@ -112,6 +118,7 @@ ROTARY_ERROR_MOTION: Final = Specification(
     family="error motions of rotary axes",
     advice=_REMEASURE,
     evidence=lambda fit: f"{fit.where}: the error motion of the axis differs from the model",
+    limits=_LIMITS,
     curve=True,
     rare=True,
     plain_forms=0,
