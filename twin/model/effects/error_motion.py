@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final, final
 
-from twin.machine.machine import Axis
+from twin.machine.machine import Axis, Machine
 from twin.model.effects.base import Effect, Frame, Parameter, direction_of, split_name, unit_of
 from twin.model.effects.specification import EXTENDED, Advice, Specification
 from twin.numerics.curves import Basis
@@ -58,6 +58,16 @@ class ErrorMotion(Effect):
         return q
 
 
+def _places(machine: Machine, name: str) -> tuple[str, ...]:
+    """Return the error motions of one of the kinds below."""
+    motions = [(motion, *split_name(motion)) for motion in machine.motion_names]
+    return tuple(
+        motion
+        for motion, component, _, axis in motions
+        if specification_of(machine.by_name[axis], component).name == name
+    )
+
+
 _REMEASURE: Final = Advice(
     "Check that the calibration still applies to this machine: its date, and what has been repaired, moved or levelled since. Then "
     "service: guideway and bearings of {axis}.",
@@ -79,6 +89,7 @@ POSITIONING: Final = Specification(
     ),
     evidence=lambda fit: f"{fit.where}: the positioning error of the axis differs from the model",
     limits=_LIMITS,
+    places=lambda machine: _places(machine, "positioning"),
     curve=True,
 )
 
@@ -89,6 +100,7 @@ STRAIGHTNESS: Final = Specification(
     advice=_REMEASURE,
     evidence=lambda fit: f"{fit.where}: the straightness error of the axis differs from the model",
     limits=_LIMITS,
+    places=lambda machine: _places(machine, "straightness"),
     curve=True,
 )
 
@@ -100,6 +112,7 @@ ANGULAR_ERROR_MOTION: Final = Specification(
     advice=_REMEASURE,
     evidence=lambda fit: f"{fit.where}: the tilt of the axis along its travel differs from the model",
     limits=_LIMITS,
+    places=lambda machine: _places(machine, "angular_error_motion"),
     curve=True,
 )
 
@@ -119,6 +132,7 @@ ROTARY_ERROR_MOTION: Final = Specification(
     advice=_REMEASURE,
     evidence=lambda fit: f"{fit.where}: the error motion of the axis differs from the model",
     limits=_LIMITS,
+    places=lambda machine: _places(machine, "error_motion"),
     curve=True,
     rare=True,
     plain_forms=0,
